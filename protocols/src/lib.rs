@@ -1,0 +1,1 @@
+//! Sonar wire formats, sans I/O.

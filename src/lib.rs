@@ -1,0 +1,1 @@
+//! Echotank: a hardware-in-the-loop sonar emulator.
