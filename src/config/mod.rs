@@ -1,0 +1,2 @@
+//! TOML to checked specifications.
+pub mod spec;

@@ -1,0 +1,310 @@
+//! Checked specifications: what the rest of the house may rely on. SI and radians; made only by `config::check`.
+//!
+//! A value here has been validated; no stage checks it again.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use glam::DVec3;
+
+use crate::flow::{
+    ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
+};
+
+/// One rig: what a configuration file describes.
+#[derive(Clone, Debug)]
+pub struct RigSpec {
+    /// The file's own text, for records that carry it.
+    pub source_text: String,
+    pub medium: MediumSpec,
+    pub nav: NavSpec,
+    pub scene: SceneSpec,
+    pub run: RunSpec,
+    pub record: Option<RecordSpec>,
+    pub control: ControlSpec,
+    /// At least one.
+    pub sonars: Vec<SonarSpec>,
+}
+
+#[derive(Clone, Debug)]
+pub struct MediumSpec {
+    pub sound_speed_m_per_s: f64,
+    pub absorption: AbsorptionSpec,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AbsorptionSpec {
+    None,
+    /// dB per metre, one way.
+    Fixed {
+        db_per_m: f64,
+    },
+    /// Francois and Garrison 1982.
+    FrancoisGarrison(Water),
+    /// Ainslie and McColm 1998.
+    AinslieMcColm(Water),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Water {
+    pub temperature_c: f64,
+    /// Practical salinity (g/kg within the formulas' accuracy).
+    pub salinity: f64,
+    pub depth_m: f64,
+    pub ph: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct NavSpec {
+    pub origin: OriginSpec,
+    pub mode: NavMode,
+    pub vertical: VerticalSpec,
+    pub stamp: StampSpec,
+    /// Recorded sources start again at their end, time shifted by whole loops.
+    pub loop_log: bool,
+    /// In `predict`: longest extrapolation before a ping is skipped, seconds.
+    pub max_extrapolation_s: f64,
+    /// Depth of the history ring, seconds.
+    pub history_s: f64,
+    /// Used where no source gives it.
+    pub fallback_heading_from_course: bool,
+    /// At least one.
+    pub sources: Vec<NavSourceSpec>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OriginSpec {
+    /// The first position of the first source that has one.
+    FirstFix,
+    Geodetic {
+        latitude_rad: f64,
+        longitude_rad: f64,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NavMode {
+    /// Extrapolate with rates to the ping (live default).
+    Predict,
+    /// Wait until the window is covered by samples on both sides (replay default).
+    Settle,
+}
+
+/// What the world's down coordinate of the reference point is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum VerticalSpec {
+    /// The waterline is z = 0; reference point at `reference_down_m` below it, plus heave.
+    Waterline { reference_down_m: f64 },
+    /// Minus the GNSS height (which already holds heave; heave is then not added), plus `datum_offset_m`.
+    Gnss { datum_offset_m: f64 },
+    /// Given by the source itself (CSV track, or a depth sensor); heave is not added.
+    Depth,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StampSpec {
+    Log,
+    Host,
+}
+
+#[derive(Clone, Debug)]
+pub struct NavSourceSpec {
+    pub name: String,
+    pub input: NavInputSpec,
+    pub time: TimePolicy,
+    pub checksum: ChecksumPolicy,
+    /// Antenna in the body, metres; used with this source's positions.
+    pub lever_arm_m: DVec3,
+    /// What is taken from this source; the first source in the file that provides a quantity owns it.
+    pub provides: Vec<NavChannel>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NavInputSpec {
+    /// A recorded log: plain NMEA or with a time prefix on each line.
+    Log {
+        path: PathBuf,
+        plain_rate_hz_times_1000: u64,
+    },
+    /// CSV track: time, north, east, down, roll, pitch, heading.
+    Csv {
+        path: PathBuf,
+    },
+    Udp {
+        listen: SocketAddr,
+        multicast: Option<std::net::Ipv4Addr>,
+    },
+    Serial {
+        port: String,
+        baud: u32,
+    },
+}
+
+/// Where a sample's validity time comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TimePolicy {
+    /// From the message; a message without a time takes its arrival.
+    Message,
+    /// From the message; a message without a time takes the time of the last dated one of its burst.
+    Burst,
+    /// Arrival minus this many seconds (0: arrival).
+    Arrival { latency_s: f64 },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChecksumPolicy {
+    Require,
+    AcceptMissing,
+    Ignore,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum NavChannel {
+    Position,
+    CourseSpeed,
+    Heading,
+    RollPitch,
+    Heave,
+}
+
+#[derive(Clone, Debug)]
+pub struct SceneSpec {
+    pub seed: u64,
+    /// The scene's own zero lies under the first fix instead of at the world's origin.
+    pub anchor_first_fix: bool,
+    pub mirror: bool,
+    pub seabed: Option<SeabedSpec>,
+    /// Explicit scatterers, CSV.
+    pub points: Option<PathBuf>,
+    /// Strong named targets laid over the seabed, CSV.
+    pub targets: Option<PathBuf>,
+    /// Memory for tiles, bytes.
+    pub memory_limit_bytes: u64,
+}
+
+#[derive(Clone, Debug)]
+pub struct SeabedSpec {
+    pub shape: SeabedShape,
+    /// Scatterers per square metre of the horizontal.
+    pub density_per_m2: f64,
+    /// Lambert's mu, dB (power).
+    pub lambert_db: f64,
+    /// Circular Gaussian reflectivity per scatterer (true) or 1.
+    pub speckle: bool,
+}
+
+#[derive(Clone, Debug)]
+pub enum SeabedShape {
+    /// z = depth + slope_north x + slope_east y.
+    Plane {
+        depth_m: f64,
+        slope_north: f64,
+        slope_east: f64,
+    },
+    /// ESRI ASCII grid. `positive_up`: its values are elevations. The grid's centre lies at the scene's zero, moved by `offset`.
+    EsriAscii {
+        path: PathBuf,
+        positive_up: bool,
+        offset_north_m: f64,
+        offset_east_m: f64,
+    },
+}
+
+/// Pacing and threads.
+#[derive(Clone, Debug)]
+pub struct RunSpec {
+    /// 0: as many as there are cores.
+    pub threads: usize,
+    /// Delivery after the end of the window, seconds.
+    pub latency_s: f64,
+    /// Counters are printed this often, seconds.
+    pub status_interval_s: f64,
+    /// Pings that may wait for delivery.
+    pub queue_pings: usize,
+}
+
+#[derive(Clone, Debug)]
+pub struct RecordSpec {
+    pub directory: PathBuf,
+}
+
+/// Nothing yet: `[control]` is accepted empty, so that files need not change when it comes.
+#[derive(Clone, Debug, Default)]
+pub struct ControlSpec {}
+
+#[derive(Clone, Debug)]
+pub struct SonarSpec {
+    pub name: String,
+    pub serial: u64,
+    pub pulse: Pulse,
+    pub transmit: Vec<TransmitArray>,
+    pub transmit_names: Vec<String>,
+    pub receive: Vec<ArrayGeometry>,
+    pub receive_names: Vec<String>,
+    pub receiver: Receiver,
+    /// Settings at start.
+    pub settings: SonarSettings,
+    pub limits: LimitsSpec,
+    pub model: ModelChoice,
+    pub beams: BeamsSpec,
+    pub outputs: Vec<OutputSpec>,
+}
+
+/// The ranges settings may move in, inclusive; buffers are sized from the maxima.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimitsSpec {
+    pub range_m: (f64, f64),
+    pub ping_rate_hz: (f64, f64),
+    pub source_level_db: (f64, f64),
+    pub gain_db: (f64, f64),
+    pub pulse_duration_s: (f64, f64),
+}
+
+#[derive(Clone, Debug, Default)]
+pub struct BeamsSpec {
+    /// Side-scan lines: which receive array makes which side.
+    pub lines: Vec<LineSpec>,
+    pub fan: Option<FanSpec>,
+}
+
+#[derive(Clone, Debug)]
+pub struct LineSpec {
+    pub side: Side,
+    /// Index of the receive array.
+    pub array: usize,
+}
+
+#[derive(Clone, Debug)]
+pub struct FanSpec {
+    /// Index of the receive array.
+    pub array: usize,
+    pub beams: usize,
+    /// From port-most to starboard-most, radians, about the boresight.
+    pub sector_rad: f64,
+    pub shading: Shading,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shading {
+    Uniform,
+    Hann,
+}
+
+#[derive(Clone, Debug)]
+pub enum OutputSpec {
+    SevenK(SevenKSpec),
+}
+
+#[derive(Clone, Debug)]
+pub struct SevenKSpec {
+    pub listen: SocketAddr,
+    pub device_id: u32,
+    pub enumerator: u16,
+    /// Receive arrays whose elements go into 7038, in this order.
+    pub arrays: Vec<usize>,
+    /// Bytes of a packet, network frame included.
+    pub max_packet: usize,
+    /// Bytes that may wait for one client before its records are dropped.
+    pub client_queue_bytes: usize,
+    pub max_clients: usize,
+}

@@ -1,0 +1,527 @@
+//! The nouns that travel through the house, as plain data, and the one seam between stages, [`ArrivalSink`].
+//!
+//! ```text
+//! io::nav -> nav -> ping -> scene -> echo -> array -> beam -> image -> emit -> io
+//!     NavSample PingPlan Scatterers ArrivalChunk ElementFrame BeamFrame Line  Datagram
+//! ```
+//!
+//! Inside: SI, radians, north-east-down, f64. Degrees, kHz and dB live in the configuration and on the wire.
+//! The starting point of "the start of the pulse" is `PingPlan::transmit_utc`; every `_s` inside a ping counts from there.
+
+use glam::{DQuat, DVec3};
+use num_complex::Complex64;
+
+use crate::frames::{Pose, Trajectory};
+use crate::time::UtcNs;
+
+// ---------------------------------------------------------------- navigation
+
+/// One decoded measurement of a navigation source.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NavSample {
+    /// Which configured source said it (index into `NavSpec::sources`).
+    pub source: u16,
+    /// When it holds (rig time).
+    pub valid_utc: UtcNs,
+    /// When its first byte arrived (rig time; for a recorded log the recorder's stamp).
+    pub arrival_utc: UtcNs,
+    pub quantity: NavQuantity,
+}
+
+/// What was measured. Angles in radians, roll starboard down, pitch bow up, heading clockwise from true north, heave down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NavQuantity {
+    /// Antenna position on WGS84. `height_m` is above the source's own zero (mean sea level for GGA); none when not given.
+    Position {
+        latitude_rad: f64,
+        longitude_rad: f64,
+        height_m: Option<f64>,
+        fix: FixQuality,
+    },
+    /// Position already in world coordinates (a CSV track).
+    LocalPosition {
+        north_m: f64,
+        east_m: f64,
+        down_m: f64,
+    },
+    /// Over ground.
+    CourseSpeed {
+        course_rad: f64,
+        speed_m_per_s: f64,
+    },
+    Heading {
+        heading_rad: f64,
+    },
+    RollPitch {
+        roll_rad: f64,
+        pitch_rad: f64,
+    },
+    Heave {
+        heave_down_m: f64,
+    },
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FixQuality {
+    #[default]
+    None,
+    Autonomous,
+    Differential,
+    RtkFixed,
+    RtkFloat,
+    DeadReckoning,
+}
+
+/// The platform at one instant, as the wire wants it (the model uses `PingPlan::trajectory`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NavState {
+    pub utc: UtcNs,
+    pub pose: Pose,
+    pub roll_rad: f64,
+    pub pitch_rad: f64,
+    pub heading_rad: f64,
+    pub heave_down_m: f64,
+    /// Of the reference point, WGS84.
+    pub latitude_rad: f64,
+    pub longitude_rad: f64,
+    /// Up, metres: minus the world's down.
+    pub height_m: f64,
+    pub fix: FixQuality,
+    /// Age of the newest position and attitude behind this state, seconds; negative where a later sample is known (interpolated).
+    pub position_age_s: f64,
+    pub attitude_age_s: f64,
+    /// Some quantity had to be extrapolated.
+    pub extrapolated: bool,
+}
+
+// ---------------------------------------------------------------- the ping
+
+/// What an operator, or a topside over its protocol, can change while the sonar runs. Changed only through `run::settings`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SonarSettings {
+    pub pinging: bool,
+    pub range_m: f64,
+    pub max_ping_rate_hz: f64,
+    /// dB re 1 uPa at 1 m.
+    pub source_level_db: f64,
+    pub gain_db: f64,
+    pub pulse_duration_s: f64,
+}
+
+/// The transmitted pulse: sqrt(2) Re{ a(t) exp(j 2pi f_c t) }, 0 <= t <= T.
+/// LFM: a(t) = taper(t) exp(+-j pi (B/T) (t - T/2)^2), plus for an up sweep. CW: a(t) = taper(t).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pulse {
+    pub kind: PulseKind,
+    pub center_frequency_hz: f64,
+    /// Swept bandwidth; 0 for CW.
+    pub bandwidth_hz: f64,
+    pub duration_s: f64,
+    /// Tukey taper: the fraction of the pulse under its two cosine flanks; 0 is rectangular.
+    pub taper: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PulseKind {
+    LfmUp,
+    LfmDown,
+    Cw,
+}
+
+/// Where an array sits in the body and what it radiates or hears.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mounting {
+    /// Body, metres: the array's centre.
+    pub position_m: DVec3,
+    pub body_from_array: DQuat,
+}
+
+/// Directional response of a transmitter or of one receive element, in array axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pattern {
+    /// 1 in every direction.
+    Omnidirectional,
+    /// A rectangular piston: sinc(L u_x/lambda) sinc(W u_y/lambda), u the unit vector to the point in array axes; a side of 0 is omnidirectional.
+    /// `baffled`: nothing behind the face (u_z < 0).
+    Rectangle {
+        length_m: f64,
+        width_m: f64,
+        baffled: bool,
+    },
+}
+
+/// One transmit array: a single coherent radiator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TransmitArray {
+    pub mounting: Mounting,
+    pub pattern: Pattern,
+    /// Added to the settings' source level, dB.
+    pub level_offset_db: f64,
+}
+
+/// One receive array: a uniform line of equal elements along the array's x axis, centred on the mounting.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArrayGeometry {
+    pub mounting: Mounting,
+    pub elements: usize,
+    pub spacing_m: f64,
+    pub element_pattern: Pattern,
+    /// dB re 1 V/uPa.
+    pub sensitivity_db: f64,
+    /// Index of the transmit array whose pulse this array listens to.
+    pub transmit: usize,
+}
+
+impl ArrayGeometry {
+    /// Element `e`'s place in array axes, metres along x.
+    pub fn element_x_m(&self, e: usize) -> f64 {
+        (e as f64 - (self.elements as f64 - 1.0) / 2.0) * self.spacing_m
+    }
+    /// Element `e`'s place in the body, metres.
+    pub fn element_body_m(&self, e: usize) -> DVec3 {
+        self.mounting.position_m
+            + self.mounting.body_from_array * DVec3::new(self.element_x_m(e), 0.0, 0.0)
+    }
+}
+
+/// A piece of the polyline: from `start_s` on, the reference point moves at constant velocity with constant attitude.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment {
+    /// Seconds from the start of the pulse; the first segment's is 0.
+    pub start_s: f64,
+    /// Reference point at `start_s`, world, metres.
+    pub position_m: DVec3,
+    pub velocity_m_per_s: DVec3,
+    pub world_from_body: DQuat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PathModel {
+    StopAndHop,
+    Polyline,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DopplerModel {
+    None,
+    Stretch,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Synthesis {
+    /// Retarded time per sample on the continuous trajectory: slow and trusted.
+    Reference,
+    /// The linearised sum under the chosen path and Doppler.
+    Direct,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReceiverFilter {
+    /// The sum is sampled at its points.
+    None,
+    /// A linear-phase low-pass ahead of the sampling, delay removed.
+    Fir,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ModelChoice {
+    pub path: PathModel,
+    pub doppler: DopplerModel,
+    pub synthesis: Synthesis,
+    /// Longest polyline segment, seconds.
+    pub segment_s: f64,
+    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative); none keeps all.
+    pub cull_db: Option<f64>,
+}
+
+/// What a method promises and costs; the fidelity plan chooses among cards.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodCard {
+    pub name: &'static str,
+    /// Predicted relative error against the reference.
+    pub error: f64,
+    /// Predicted core milliseconds per ping.
+    pub cost_ms: f64,
+    pub why: String,
+}
+
+/// Time-varying gain over slant range r.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TimeVaryingGain {
+    None,
+    /// spreading log10(r) + 2 absorption r, clipped to 0..=max; `spreading` is 20, 30 or 40; `absorption_db_per_m` one way.
+    Law {
+        spreading: f64,
+        absorption_db_per_m: f64,
+        max_db: f64,
+    },
+    /// (range in metres, gain in dB), linear between, held outside.
+    Table(Vec<(f64, f64)>),
+}
+
+/// Receiver chain behind the elements.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Receiver {
+    pub sample_rate_hz: f64,
+    pub filter: ReceiverFilter,
+    pub tvg: TimeVaryingGain,
+    /// Noise at the element, dB re 1 uPa^2/Hz; none is noiseless.
+    pub noise_db: Option<f64>,
+    /// None: not quantised.
+    pub adc_bits: Option<u32>,
+    /// Volts (rms of the envelope) that fill the converter, and the wire's integers.
+    pub full_scale_v: f64,
+    pub seed: u64,
+}
+
+/// One ping of one sonar, complete: nothing downstream asks anybody else.
+#[derive(Clone, Debug)]
+pub struct PingPlan {
+    pub sonar: usize,
+    /// Sequential, from 1; a skipped ping keeps its number.
+    pub ping_number: u32,
+    /// Start of the pulse, rig time.
+    pub transmit_utc: UtcNs,
+    /// What the records are stamped with (`nav.stamp`).
+    pub stamp_utc: UtcNs,
+    /// Seconds since the previous transmitted ping; 0 for the first.
+    pub ping_period_s: f64,
+    pub settings: SonarSettings,
+    /// The rate actually kept (lower than the maximum where the range is too long for it).
+    pub ping_rate_hz: f64,
+    pub pulse: Pulse,
+    pub sound_speed_m_per_s: f64,
+    /// One way.
+    pub absorption_db_per_m: f64,
+    /// Samples of every element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
+    pub sample_count: usize,
+    pub first_sample_s: f64,
+    pub model: ModelChoice,
+    pub nav: NavState,
+    pub trajectory: Trajectory,
+    /// The polyline over the listening window; at least one.
+    pub segments: Vec<Segment>,
+}
+
+impl PingPlan {
+    /// Length of the listening window, seconds.
+    pub fn window_s(&self, sample_rate_hz: f64) -> f64 {
+        self.first_sample_s + self.sample_count as f64 / sample_rate_hz
+    }
+}
+
+// ---------------------------------------------------------------- the scene
+
+/// How a scatterer's strength depends on the angle of incidence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScatterLaw {
+    /// The same in every direction.
+    Point,
+    /// Amplitude times sqrt(cos i cos s) on the facing side of the normal, else zero (bistatic Lambert).
+    Lambert,
+}
+
+/// Points that scatter, structure of arrays; all vectors have the same length.
+#[derive(Clone, Debug, Default)]
+pub struct Scatterers {
+    /// World, metres.
+    pub north_m: Vec<f64>,
+    pub east_m: Vec<f64>,
+    pub down_m: Vec<f64>,
+    /// Unit, away from the solid; unused for points.
+    pub normal: Vec<[f32; 3]>,
+    /// Echo pressure at 1 m for unit incident pressure; for a patch of seabed sqrt(mu area) times its fixed complex reflectivity.
+    pub strength: Vec<Complex64>,
+    pub law: Vec<ScatterLaw>,
+}
+
+impl Scatterers {
+    pub fn len(&self) -> usize {
+        self.north_m.len()
+    }
+    pub fn is_empty(&self) -> bool {
+        self.north_m.is_empty()
+    }
+    pub fn clear(&mut self) {
+        self.north_m.clear();
+        self.east_m.clear();
+        self.down_m.clear();
+        self.normal.clear();
+        self.strength.clear();
+        self.law.clear();
+    }
+    pub fn push(
+        &mut self,
+        position_m: DVec3,
+        normal: [f32; 3],
+        strength: Complex64,
+        law: ScatterLaw,
+    ) {
+        self.north_m.push(position_m.x);
+        self.east_m.push(position_m.y);
+        self.down_m.push(position_m.z);
+        self.normal.push(normal);
+        self.strength.push(strength);
+        self.law.push(law);
+    }
+    pub fn position_m(&self, i: usize) -> DVec3 {
+        DVec3::new(self.north_m[i], self.east_m[i], self.down_m[i])
+    }
+}
+
+/// A named strong target, for the truth file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    pub name: String,
+    /// World, metres.
+    pub position_m: DVec3,
+    /// dB.
+    pub target_strength_db: f64,
+}
+
+// ---------------------------------------------------------------- echoes
+
+/// Scatterers in one chunk at most.
+pub const CHUNK: usize = 256;
+
+/// Echoes of up to [`CHUNK`] scatterers at one element, structure of arrays, small enough for L1.
+pub struct ArrivalChunk {
+    pub len: usize,
+    /// Which element of the array being computed.
+    pub element: usize,
+    /// Leading edge after the start of the pulse, seconds.
+    pub delay_s: [f64; CHUNK],
+    /// eta = dt'/dt - 1: the Doppler stretch minus one (kept so that small ones lose no digits).
+    pub doppler: [f64; CHUNK],
+    /// Complex amplitude A_{m,e} at the element, without carrier phase: uPa (rms) after sensitivity: volts.
+    pub amplitude: [Complex64; CHUNK],
+}
+
+impl ArrivalChunk {
+    pub fn new() -> Self {
+        Self {
+            len: 0,
+            element: 0,
+            delay_s: [0.0; CHUNK],
+            doppler: [0.0; CHUNK],
+            amplitude: [Complex64::ZERO; CHUNK],
+        }
+    }
+}
+
+impl Default for ArrivalChunk {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Whatever turns echoes into samples. `echo` fills chunks, `array` implements this, `run` joins them.
+pub trait ArrivalSink {
+    fn accept(&mut self, chunk: &ArrivalChunk);
+}
+
+/// What a walk over the scatterers met.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EchoCounts {
+    /// Scatterer-element pairs handed on.
+    pub used: u64,
+    /// Left out by the patterns (`ModelChoice::cull_db`).
+    pub culled: u64,
+    /// Outside the listening window.
+    pub outside_window: u64,
+    /// Closer than a wavelength, where the far-field amplitude does not hold: held at one wavelength.
+    pub too_close: u64,
+    /// Polyline: fell into the gap where an element jumps at a vertex; placed at the vertex time.
+    pub no_root: u64,
+    /// Polyline: two segments had a root; the first was taken.
+    pub two_roots: u64,
+    /// Beyond the polyline's last segment; carried on along it.
+    pub beyond_track: u64,
+}
+
+impl std::ops::AddAssign for EchoCounts {
+    fn add_assign(&mut self, o: Self) {
+        self.used += o.used;
+        self.culled += o.culled;
+        self.outside_window += o.outside_window;
+        self.too_close += o.too_close;
+        self.no_root += o.no_root;
+        self.two_roots += o.two_roots;
+        self.beyond_track += o.beyond_track;
+    }
+}
+
+/// Samples of all elements of one receive array: volts (rms) of the complex envelope about the centre frequency.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ElementFrame {
+    /// Index of the receive array.
+    pub array: usize,
+    pub elements: usize,
+    pub samples: usize,
+    /// Element-major: `iq[e * samples + k]`.
+    pub iq: Vec<Complex64>,
+    /// Sample values that met the converter's ends in this ping.
+    pub saturated: u64,
+}
+
+impl ElementFrame {
+    pub fn element(&self, e: usize) -> &[Complex64] {
+        &self.iq[e * self.samples..(e + 1) * self.samples]
+    }
+    pub fn element_mut(&mut self, e: usize) -> &mut [Complex64] {
+        &mut self.iq[e * self.samples..(e + 1) * self.samples]
+    }
+}
+
+/// Beams of one fan after the matched filter; sample k of a beam is a leading edge at `first_sample_s + k / sample_rate`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BeamFrame {
+    pub beams: usize,
+    pub samples: usize,
+    /// From the boresight, positive to starboard, radians; beam 0 is port-most.
+    pub angle_rad: Vec<f64>,
+    /// -3 dB width of each beam across, radians.
+    pub width_rad: Vec<f64>,
+    /// Beam-major: `iq[b * samples + k]`.
+    pub iq: Vec<Complex64>,
+}
+
+impl BeamFrame {
+    pub fn beam(&self, b: usize) -> &[Complex64] {
+        &self.iq[b * self.samples..(b + 1) * self.samples]
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Side {
+    Port,
+    Starboard,
+}
+
+/// One side-scan line: envelope (volts, rms) against slant range, sample 0 at the start of the pulse.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    pub side: Side,
+    pub amplitude: Vec<f32>,
+}
+
+/// Everything one ping produced.
+#[derive(Clone, Debug, Default)]
+pub struct PingOutput {
+    /// One per receive array.
+    pub elements: Vec<ElementFrame>,
+    /// One per configured fan (at most one today).
+    pub beams: Vec<BeamFrame>,
+    pub lines: Vec<Line>,
+    pub counts: EchoCounts,
+}
+
+// ---------------------------------------------------------------- out
+
+/// One whole protocol record, ready for framing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Datagram {
+    /// The protocol's own number (7038, 7018, ...).
+    pub record_type: u32,
+    pub bytes: Vec<u8>,
+}
