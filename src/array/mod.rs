@@ -1,0 +1,1 @@
+//! Arrivals to element samples, and the receiver chain.

@@ -1,0 +1,1 @@
+//! Element samples to beams.

@@ -1,0 +1,1 @@
+//! Path models, Doppler, levels: scatterers to arrivals.

@@ -1,0 +1,2 @@
+//! Frames to datagrams, one folder per sonar family. Sans I/O.
+pub mod sevenk;

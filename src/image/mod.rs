@@ -1,0 +1,1 @@
+//! Beams to side-scan lines and pictures.

@@ -1,0 +1,4 @@
+//! The only home of tokio, socket2, serialport and files.
+pub mod nav;
+pub mod record;
+pub mod sonar;

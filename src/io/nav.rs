@@ -1,0 +1,1 @@
+//! Navigation inputs: recorded logs, CSV tracks, UDP and serial ports.

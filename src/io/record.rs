@@ -1,0 +1,1 @@
+//! Recorders: `.s7k`, `.npz`, `.png` and the truth file.

@@ -1,0 +1,1 @@
+//! Bytes to samples, samples to a state at a time.

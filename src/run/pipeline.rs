@@ -1,0 +1,1 @@
+//! One ping through the house.

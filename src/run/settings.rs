@@ -1,0 +1,1 @@
+//! The one checked path by which anything changes the sonar.

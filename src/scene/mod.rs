@@ -1,0 +1,1 @@
+//! Seabed, points and targets: scatterers on demand.
