@@ -16,7 +16,7 @@ x = A exp(-j 2 pi f_c u) a(eta (t - u)) exp(j 2 pi f_c (eta - 1)(t - u)), eta = 
 the residual phase at pulse time s is 2 pi f v^2 sin^2(theta) s^2 / (r c) with f <= f_c + B/2, and the bound that follows (its rms
 over the pulse) is printed beside what is measured.
 
-Delays are formed in extended precision where numpy has it (x86), so that this side's rounding does not count. Python >= 3.11, numpy.
+Delays are formed in extended precision where numpy has it (x86), so that this side's rounding does not count. Python >= 3.9 with tools/requirements.txt.
 Exit code 0: within the limits. 1: not. 2: the question cannot be put (files, keys, motion that is not uniform).
 """
 
@@ -69,7 +69,10 @@ class Rig:
 
 
 def load_rig(path, sonar_name=None):
-    import tomllib
+    try:
+        import tomllib
+    except ImportError:  # before Python 3.11
+        import tomli as tomllib
     path = pathlib.Path(path)
     with open(path, "rb") as stream:
         config = tomllib.load(stream)

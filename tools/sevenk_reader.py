@@ -1223,6 +1223,9 @@ class Contract:
         missing = [k for k in self.subscription if k != 7500 and session.counts.get(k, 0) == before.get(k, 0)]
         if missing:
             raise StepFailed("subscribed and acknowledged, but never came: %s" % missing)
+        wanted = [k for k in PING_ORDER if k in self.subscription]
+        for ping in session.pings[begun + 1:-1]:    # the first and the last may have been cut by the listening itself
+            session.findings.check("missing", "ping %d" % ping.number, "records", [k for k in ping.kinds if k in wanted], wanted)
         return "%d pings without a gap, period %.6f s" % (len(session.pings) - begun, self.period_s())
 
     def set_value(self, command, field, candidates, samples_follow=False):
@@ -1373,6 +1376,8 @@ def run_session(options, findings):
         findings.add("session", str(error))
     finally:
         session.close()
+    if udp:
+        session.packets.lost += len(session.packets.pending)    # begun and never ended
     if session.packets.lost:
         findings.add("packet", "%d packets of fragmented records were lost" % session.packets.lost)
     elapsed = time.monotonic() - session.started

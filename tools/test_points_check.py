@@ -180,7 +180,6 @@ transmit = "tx"
 UTC_S = 1750000000
 
 
-@unittest.skipIf(sys.version_info < (3, 11), "tomllib came with Python 3.11")
 class Comparison(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import select
 import socket
 import struct
 import sys
@@ -249,7 +250,7 @@ class Server(threading.Thread):
         if self.fault == "7000-last":
             made = made[1:] + made[:1]
         for kind, body in made:
-            if kind in self.kinds:
+            if kind in self.kinds and not (self.fault == "drops-one" and kind == 7007 and self.ping == 5):
                 self.send(kind, body, stamp_of(when + (0.001 if self.fault == "stamps" and kind == 7038 else 0.0)))
         for kind, body in ((7610, struct.pack("<fff", C, 283.0, 0.0)), (1003, struct.pack("<IfdddBBBBB", 0, 0, 0.9, 0.2, 0, 0, 0, 0, 0, 9)),
                            (1012, struct.pack("<fff", 0.01, 0.02, 0.3)), (1013, struct.pack("<f", 1.0))):
@@ -312,11 +313,46 @@ class Server(threading.Thread):
             nack(0x7007)
 
 
-def run_reader(server, *arguments):
+class Bridge(threading.Thread):
+    """Carries one client's datagrams to a server's stream and the stream's packets back, one a datagram; may lose the nth."""
+
+    def __init__(self, server, lose=None):
+        super().__init__(daemon=True)
+        self.server, self.lose = server, lose
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.port = self.socket.getsockname()[1]
+
+    def run(self):
+        with self.socket, contextlib.suppress(OSError):
+            data, client = self.socket.recvfrom(65536)
+            with socket.create_connection(("127.0.0.1", self.server.port)) as stream:
+                stream.sendall(data)
+                buffer, sent, end = b"", 0, time.monotonic() + 30.0
+                while time.monotonic() < end:
+                    for source in select.select([self.socket, stream], [], [], 0.1)[0]:
+                        data = source.recv(65536)
+                        if source is self.socket:
+                            stream.sendall(data)
+                            continue
+                        if not data:
+                            return
+                        buffer += data
+                    while len(buffer) >= 36 and len(buffer) >= struct.unpack_from("<I", buffer, 12)[0]:
+                        size = struct.unpack_from("<I", buffer, 12)[0]
+                        sent += 1
+                        if sent != self.lose:
+                            self.socket.sendto(buffer[:size], client)
+                        buffer = buffer[size:]
+
+
+def run_reader(server, *arguments, bridge=None):
     server.start()
+    if bridge is not None:
+        bridge.start()
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        code = reader.main(["--connect", "127.0.0.1:%d" % server.port, "--seconds", "0.3", "--json", *arguments])
+        code = reader.main(["--connect" if bridge is None else "--udp", "127.0.0.1:%d" % (bridge or server).port, "--seconds", "0.3", "--json", *arguments])
     return code, json.loads(out.getvalue())
 
 
@@ -332,7 +368,7 @@ class Live(unittest.TestCase):
     def test_every_planted_fault_fails_at_its_own_step(self):
         for fault, arguments, where in (
                 ("gap", [], "gap"), ("checksum", [], "checksum"), ("no-simulator-bit", [], "simulator"), ("stamps", [], "time"),
-                ("7000-last", [], "order"), ("settings-differ", [], "settings"), ("tracking", [], "reply"),
+                ("7000-last", [], "order"), ("drops-one", [], "missing"), ("settings-differ", [], "settings"), ("tracking", [], "reply"),
                 ("samples-stay", ["--set-range", "2"], "range 1003"), ("ignores-range", ["--set-range", "2"], "range 1003"),
                 ("late", ["--set-range", "2"], "range 1003"), ("no-echo", ["--set-range", "2"], "range 1003"),
                 ("takes-any-range", ["--bad-range", "1e6"], "bad range 1003"), ("nack-code", ["--bad-range", "1e6"], "bad range 1003"),
@@ -349,6 +385,15 @@ class Live(unittest.TestCase):
     def test_packets_over_the_limit_are_found(self):
         code, summary = run_reader(Server(limit=70000), "--max-packet", "1000")
         self.assertEqual((code, list(summary["finding_counts"])), (1, ["packet"]))
+
+    def test_datagrams_pass_too_and_a_lost_one_is_found(self):
+        server = Server()
+        code, summary = run_reader(server, "--set-range", "2", bridge=Bridge(server))
+        self.assertEqual((code, summary["finding_lines"], summary["transport"]), (0, [], "udp"), summary)
+        server = Server()
+        code, summary = run_reader(server, bridge=Bridge(server, lose=60))
+        self.assertEqual(code, 1)
+        self.assertTrue({"packet", "gap"} & set(summary["finding_counts"]), summary)
 
     def test_no_server_is_a_finding_and_not_a_crash(self):
         with socket.create_server(("127.0.0.1", 0)) as taken:
