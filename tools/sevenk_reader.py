@@ -1146,7 +1146,7 @@ class Contract:
         self.rows.append((name, ok, detail, time.monotonic() - began))
         return ok
 
-    # -- helpers
+    # -- shared by the steps
 
     def period_s(self):
         recent = [p for p in self.session.pings[-6:] if p.stamp_ns is not None]
