@@ -277,3 +277,145 @@ impl<'a> Tokens<'a> {
         Some(word)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEAD: &str = "ncols 3\nnrows 2\nxllcorner 100\nyllcorner 200\ncellsize 10\n";
+
+    fn said(text: &str) -> String {
+        Grid::parse(text.as_bytes()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_first_row_is_north_and_corner_and_centre_forms_lie_half_a_cell_apart() {
+        let corner = Grid::parse(format!("{HEAD}1 2 3\n4 5 6\n").as_bytes()).unwrap();
+        assert_eq!((corner.west_m, corner.south_m), (105.0, 205.0));
+        assert_eq!(corner.cell_height_m(0, 0), 4.0, "south-west");
+        assert_eq!(corner.cell_height_m(1, 2), 3.0, "north-east");
+        assert_eq!(
+            (corner.extent_north_m(), corner.extent_east_m()),
+            (10.0, 20.0)
+        );
+        let center = "NROWS 2\r\nNCOLS 3\r\nCELLSIZE 10\r\nXLLCENTER 105\r\nyllCenter 205\r\n1 2\r\n3 4 5\r\n\r\n 6";
+        assert_eq!(
+            Grid::parse(center.as_bytes()).unwrap(),
+            corner,
+            "any order, case and line breaks"
+        );
+    }
+
+    #[test]
+    fn heights_are_bilinear_between_centres_and_slopes_are_their_derivatives() {
+        let grid = Grid::parse(format!("{HEAD}1 2 7\n4 8 6\n").as_bytes()).unwrap();
+        assert_eq!(grid.sample(0.0, 0.0).unwrap().height_m, 4.0);
+        assert_eq!(
+            grid.sample(10.0, 20.0).unwrap().height_m,
+            7.0,
+            "the last corner is inside"
+        );
+        // By hand at v = 0.3, u = 0.5 of the western cells: 4 .7 .5 + 8 .7 .5 + 1 .3 .5 + 2 .3 .5.
+        let at = grid.sample(3.0, 5.0).unwrap();
+        assert!((at.height_m - 4.65).abs() < 1e-14, "{at:?}");
+        assert!((at.slope_north - (1.5 - 6.0) / 10.0).abs() < 1e-14);
+        assert!((at.slope_east - (0.7 * 4.0 + 0.3 * 1.0) / 10.0).abs() < 1e-14);
+        for (north, east) in [(-1e-9, 0.0), (0.0, 20.1), (10.1, 5.0), (f64::NAN, 1.0)] {
+            assert_eq!(grid.sample(north, east), None, "{north} {east}");
+        }
+    }
+
+    #[test]
+    fn a_hole_takes_away_the_four_squares_about_it_and_no_more() {
+        let text = "ncols 4\nnrows 3\nxllcorner 0\nyllcorner 0\ncellsize 1\nNODATA_value -1\n1 1 1 1\n1 -1 1 1\n1 1 1 1";
+        let grid = Grid::parse(text.as_bytes()).unwrap();
+        assert_eq!(grid.sample(0.5, 0.5), None);
+        assert_eq!(grid.sample(1.9, 1.9), None);
+        assert_eq!(grid.sample(0.5, 2.5).unwrap().height_m, 1.0);
+        for hole in ["-9999", "nan"] {
+            let named = text.replace("-1", hole);
+            assert_eq!(
+                Grid::parse(named.as_bytes()).unwrap().sample(0.5, 0.5),
+                None,
+                "{hole}"
+            );
+        }
+    }
+
+    #[test]
+    fn every_fault_names_its_line_its_value_and_the_rule() {
+        for (text, want) in [
+            (
+                format!("{HEAD}1 2 3\n4 5,5 6\n"),
+                "line 7: `5,5`: must be a number",
+            ),
+            (
+                format!("{HEAD}1 2 3\n4 5\n"),
+                "line 8: `end of file`: comes after 5 numbers; 2 x 3 were announced",
+            ),
+            (
+                format!("{HEAD}1 2 3\n4 5 6\n7\n"),
+                "line 8: `7`: is one number too many: 2 x 3 were announced",
+            ),
+            (
+                format!("{HEAD}1 2 3\n4 1e6 6\n"),
+                "line 7: `1e6`: must be a height in metres, 20000 at most, or the hole value -9999",
+            ),
+            (
+                format!("{HEAD}1 2 3\n4 nan 6\n"),
+                "line 7: `nan`: must be a height in metres, 20000 at most, or the hole value -9999",
+            ),
+            (
+                "ncols 3\nnrows 1\n".into(),
+                "line 2: `1`: nrows must be a whole number of at least 2",
+            ),
+            (
+                "ncols 3\nncols 3\n".into(),
+                "line 2: `ncols`: must be there once",
+            ),
+            (
+                "ncols\n".into(),
+                "line 1: `ncols`: must be followed by its value",
+            ),
+            (
+                "ncols 3\nnrows 2\n1 2 3\n".into(),
+                "line 3: `cellsize`: is missing in the header",
+            ),
+            (
+                "cellsize 0.008333\n".into(),
+                "line 1: `0.008333`: cellsize must lie in 0.01 ..= 100000",
+            ),
+            (
+                "dx 3\n".into(),
+                "line 1: `dx`: is no key of an ESRI ASCII grid (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, NODATA_value)",
+            ),
+            (
+                HEAD.replace("ncols 3", "ncols 99999999"),
+                "line 6: `2 x 99999999`: nrows times ncols may be 67108864 at most",
+            ),
+            ("".into(), "line 1: `ncols`: is missing in the header"),
+        ] {
+            assert_eq!(said(&text), want);
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_bytes_give_a_grid_or_a_misread(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..300)) {
+            let _ = Grid::parse(&bytes);
+        }
+
+        #[test]
+        fn a_grid_with_any_damage_gives_a_grid_or_a_misread(
+            place in 0usize..80, cut in 0usize..80, damage in "[-+0-9.eE a-z\n\u{fffd}]{0,12}",
+        ) {
+            let mut text = format!("{HEAD}NODATA_value -9999\n1 2 -9999\n4.5 5e0 6\n").into_bytes();
+            let place = place.min(text.len());
+            let end = (place + cut).min(text.len());
+            text.splice(place..end, damage.bytes());
+            if let Ok(grid) = Grid::parse(&text) {
+                let _ = grid.sample(grid.extent_north_m() / 2.0, grid.extent_east_m());
+            }
+        }
+    }
+}
