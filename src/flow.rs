@@ -369,6 +369,30 @@ impl Scatterers {
     }
 }
 
+/// What one array can hear of the scene: a ball, less the two cones about the line's axis where its pattern is below what counts.
+/// A footprint with a value that is not finite hears nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Footprint {
+    /// World, metres.
+    pub apex_m: DVec3,
+    /// The line array's axis in the world, unit.
+    pub axis: DVec3,
+    /// Directions u with |u . axis| above this are left out; 1 keeps all.
+    pub max_axis_sine: f64,
+    pub max_range_m: f64,
+}
+
+impl Footprint {
+    pub fn contains(&self, position_m: DVec3) -> bool {
+        let d = position_m - self.apex_m;
+        let range_squared = d.length_squared();
+        let along = d.dot(self.axis);
+        range_squared <= self.max_range_m * self.max_range_m
+            && (self.max_axis_sine >= 1.0
+                || along * along <= self.max_axis_sine * self.max_axis_sine * range_squared)
+    }
+}
+
 /// A named strong target, for the truth file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
