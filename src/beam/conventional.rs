@@ -389,8 +389,9 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 mod tests {
     use super::super::matched::envelope;
     use super::*;
-    use crate::beam::test_rig::{array, elements_of_plane_wave, plan, tone};
+    use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
     use crate::flow::PulseKind;
+    use crate::flow::testing::plan_at_rest as plan;
 
     const C: f64 = 1500.0;
 

@@ -66,8 +66,9 @@ impl LineFormer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{array, elements_of_plane_wave, plan};
+    use crate::beam::test_rig::{array, elements_of_plane_wave};
     use crate::flow::PulseKind;
+    use crate::flow::testing::plan_at_rest as plan;
 
     const C: f64 = 1500.0;
 
