@@ -101,11 +101,66 @@ pub struct NavState {
 pub struct SonarSettings {
     pub pinging: bool,
     pub range_m: f64,
+    /// 0 only while `pinging` is false.
     pub max_ping_rate_hz: f64,
     /// dB re 1 uPa at 1 m.
     pub source_level_db: f64,
     pub gain_db: f64,
     pub pulse_duration_s: f64,
+}
+
+/// One change of the settings, as an operator or a topside asks for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SettingChange {
+    RangeM(f64),
+    /// 0 holds the sonar: it keeps what it is told and pings again when the rate is above 0.
+    MaxPingRateHz(f64),
+    /// dB re 1 uPa at 1 m.
+    SourceLevelDb(f64),
+    GainDb(f64),
+    PulseDurationS(f64),
+    Start,
+    Stop,
+}
+
+/// A change that was obeyed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettingApplied {
+    /// The settings with the change in them.
+    pub settings: SonarSettings,
+    /// Counts the changes obeyed so far; 0 is the configuration's own settings.
+    pub version: u64,
+}
+
+/// A change that was refused: nothing changed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{key} = {value}: must be {rule}")]
+pub struct SettingRefused {
+    /// The setting's key in the configuration.
+    pub key: &'static str,
+    pub value: f64,
+    pub rule: SettingRule,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SettingRule {
+    #[error("a finite number")]
+    Finite,
+    #[error("from {min} to {max}")]
+    Between { min: f64, max: f64 },
+    #[error("0 or from {min} to {max}")]
+    ZeroOrBetween { min: f64, max: f64 },
+}
+
+/// The way from any protocol, page or command to the settings of one sonar; `run::settings` is behind it.
+pub trait SettingsPort: Send + Sync {
+    fn settings(&self) -> SonarSettings;
+    /// `asked_utc`: rig time, for the list of recent changes.
+    fn apply(
+        &self,
+        change: SettingChange,
+        asked_utc: UtcNs,
+    ) -> Result<SettingApplied, SettingRefused>;
 }
 
 /// The transmitted pulse: sqrt(2) Re{ a(t) exp(j 2pi f_c t) }, 0 <= t <= T.
