@@ -392,6 +392,9 @@ impl Archive {
         shape: &[usize],
         mut from: PartialFile,
     ) -> Result<(), RecordError> {
+        from.file
+            .flush()
+            .map_err(RecordError::io(&from.partial, "write"))?;
         let length = from
             .file
             .seek(SeekFrom::End(0))
@@ -679,6 +682,41 @@ mod tests {
         dropped.push(&plan(1), &output(1)).expect("push");
         drop(dropped);
         assert_eq!(std::fs::read_dir(dir.path()).expect("dir").count(), 0);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_is_an_error_that_names_the_file_wherever_it_strikes() {
+        for full in ["pings.npz.iq_by_element.partial", "pings.npz.partial"] {
+            let dir = tempfile::tempdir().expect("dir");
+            std::os::unix::fs::symlink("/dev/full", dir.path().join(full)).expect("link");
+            let mut npz = NpzRecorder::create(dir.path(), &sonar(), false).expect("create");
+            npz.push(&plan(1), &output(1)).expect("still in memory");
+            let text = npz.finish().expect_err("full disk").to_string();
+            assert!(
+                text.contains(full) && text.contains("cannot write"),
+                "{text}"
+            );
+            assert!(text.contains("No space left"), "{text}");
+            let left = std::fs::read_dir(dir.path()).expect("dir").count();
+            assert_eq!(left, 0, "nothing half-made is left");
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn after_a_full_disk_no_more_pings_are_taken() {
+        let dir = tempfile::tempdir().expect("dir");
+        let full = dir.path().join("pings.npz.lines.partial");
+        std::os::unix::fs::symlink("/dev/full", &full).expect("link");
+        let mut npz = NpzRecorder::create(dir.path(), &sonar(), false).expect("create");
+        // Small writes wait in the buffer; some ping is the one that meets the disk.
+        let failed = (1..10_000).find_map(|ping| npz.push(&plan(ping), &output(ping)).err());
+        let text = failed.expect("full disk").to_string();
+        assert!(text.contains("lines.partial: cannot write"), "{text}");
+        let error = npz.push(&plan(1), &output(1)).expect_err("stopped");
+        assert!(matches!(error, RecordError::Stopped { .. }), "{error}");
+        assert!(matches!(npz.finish(), Err(RecordError::Stopped { .. })));
     }
 
     #[test]

@@ -91,6 +91,22 @@ mod tests {
         assert_eq!(std::fs::read_dir(dir.path()).expect("dir").count(), 1);
     }
 
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_is_an_error_and_leaves_the_old_picture() {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("w.png");
+        std::fs::write(&path, "the old picture").expect("write");
+        std::os::unix::fs::symlink("/dev/full", dir.path().join("w.png.partial")).expect("link");
+        let error = write_waterfall(&path, &waterfall()).expect_err("full disk");
+        let text = error.to_string();
+        assert!(
+            text.contains("w.png") && text.contains("No space left"),
+            "{text}"
+        );
+        assert_eq!(std::fs::read(&path).expect("read"), b"the old picture");
+    }
+
     #[test]
     fn no_pings_no_file_and_no_folder_an_error() {
         let dir = tempfile::tempdir().expect("dir");

@@ -22,7 +22,7 @@ pub struct S7kRecorder {
 }
 
 impl S7kRecorder {
-    /// `stamp` is the header's and the catalogue's own time and device.
+    /// Replaces what has this name. `stamp` is the header's and the catalogue's own time and device.
     pub fn create(
         path: &Path,
         header: FileHeader7200,
@@ -218,6 +218,28 @@ mod tests {
         );
     }
 
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_disk_that_fills_up_while_recording_stops_the_recorder_with_an_error() {
+        let mut s7k = S7kRecorder {
+            path: "/dev/full".into(),
+            file: File::options()
+                .write(true)
+                .open("/dev/full")
+                .expect("opens"),
+            builder: Some(FileBuilder::begin(header(), stamp(), &mut Vec::new())),
+        };
+        let text = s7k
+            .write(&record(7000, &[1; 40]))
+            .expect_err("full disk")
+            .to_string();
+        assert!(text.starts_with("/dev/full: cannot write"), "{text}");
+        let error = s7k.write(&record(7000, &[1; 40])).expect_err("stopped");
+        assert!(matches!(error, RecordError::Stopped { .. }), "{error}");
+        assert!(matches!(s7k.close(), Err(RecordError::Stopped { .. })));
+    }
+
+    #[cfg(target_os = "linux")]
     #[test]
     fn a_missing_folder_and_a_full_disk_are_errors_that_name_the_file() {
         for (path, action) in [("/no/such/folder/a.s7k", "create"), ("/dev/full", "write")] {

@@ -296,6 +296,7 @@ mod tests {
         assert_ne!(all[0], all[1]);
     }
 
+    #[cfg(target_os = "linux")]
     #[test]
     fn a_missing_folder_and_a_full_disk_are_errors_that_name_the_file() {
         let error = TruthRecorder::create(Path::new("/no/such/folder")).expect_err("no folder");
