@@ -11,7 +11,7 @@
 //! - [`control`]: commands (7500) and their answers (7501, 7502)
 //! - [`packet`]: records to packets and back, for datagrams
 //! - [`stream`]: bytes of a TCP connection to records, with resynchronisation
-//! - [`file`]: the header, the catalogue and the walk through a `.s7k` file
+//! - [`file`](mod@file): the header, the catalogue and the walk through a `.s7k` file
 //! - [`describe`](fn@describe): any record in words
 
 pub mod control;
