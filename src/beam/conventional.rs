@@ -9,7 +9,7 @@
 //!
 //! which is a true time delay: no squint over the band, and sample k of a beam is the leading edge at the *array's centre*. One forward
 //! transform per element, one inverse per beam. Between them the sum over the equally spaced elements is a polynomial in
-//! z = exp(-j 2pi (f + f_c) d sin(theta_b)/c), evaluated by Horner's rule on tiles of [`TILE`] frequencies that stay in the nearest cache.
+//! z = exp(-j 2pi (f + f_c) d sin(theta_b)/c), evaluated by Horner's rule on tiles of a few frequencies that stay in the nearest cache.
 //!
 //! Angles are counted from the boresight, positive to starboard whichever way the array's x axis points: an array whose +x end is to port is
 //! read backwards. (An array without an across-track part keeps +x positive.)
@@ -57,7 +57,7 @@ pub struct FanFormer {
 
 /// What one share of the work needs for itself.
 struct Worker {
-    /// [`GROUP`] beam spectra; its first row also serves the forward transforms.
+    /// [`GROUP`] beam spectra, one behind the other.
     beams: Vec<Complex64>,
     /// One tile of all elements: real parts, then imaginary parts of each.
     tile: Vec<[[f64; TILE]; 2]>,

@@ -1,7 +1,10 @@
 //! The matched filter: correlation of complex baseband rows with the transmitted pulse.
 //!
-//! y[k] = sum_n x[k+n] w[n] conj(a[n]) / sum_n w[n] |a[n]|^2, n over the pulse's samples: an echo of unit amplitude whose leading edge
-//! lies on sample k peaks there at magnitude 1, and sample k of y is a leading edge at the time of sample k of x.
+//! ```text
+//! y[k] = sum_n x[k+n] w[n] conj(a[n]) / sum_n w[n] |a[n]|^2,    n over the pulse's samples
+//! ```
+//!
+//! An echo of unit amplitude whose leading edge lies on sample k peaks there at magnitude 1, and sample k of y is a leading edge at the time of sample k of x.
 //!
 //! Computed with one transform pair of a length that holds the longest row and the longest pulse, so that nothing wraps around. An echo cut
 //! off by the end of the row gives the part of its peak that was heard.

@@ -128,6 +128,10 @@ impl Waterfall {
         }
     }
 
+    pub fn spec(&self) -> &WaterfallSpec {
+        &self.spec
+    }
+
     /// Pings that came before the first or beyond [`WaterfallSpec::max_pings`].
     pub fn left_out(&self) -> u64 {
         self.left_out
