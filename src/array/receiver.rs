@@ -24,7 +24,8 @@ pub fn receive(
     samples: &mut [Complex64],
 ) -> u64 {
     if let Some(noise_db) = receiver.noise_db {
-        let variance = 10f64.powf((noise_db + array.sensitivity_db) / 10.0) * receiver.sample_rate_hz;
+        let variance =
+            10f64.powf((noise_db + array.sensitivity_db) / 10.0) * receiver.sample_rate_hz;
         let rng = noise_stream(plan, receiver.seed, array_index, element);
         add_noise(variance.sqrt(), rng, samples);
     }

@@ -42,8 +42,7 @@ fn francois_garrison(water: &Water, frequency_khz: f64) -> f64 {
 
     let sulphate_a = 21.44 * s / c * (1.0 + 0.025 * t);
     let sulphate_p = 1.0 - 1.37e-4 * d + 6.2e-9 * d * d;
-    let sulphate_khz =
-        8.17 * 10f64.powf(8.0 - 1990.0 / kelvin) / (1.0 + 0.0018 * (s - 35.0));
+    let sulphate_khz = 8.17 * 10f64.powf(8.0 - 1990.0 / kelvin) / (1.0 + 0.0018 * (s - 35.0));
 
     let water_a = if t <= 20.0 {
         4.937e-4 - 2.59e-5 * t + 9.11e-7 * t * t - 1.50e-8 * t * t * t

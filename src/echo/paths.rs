@@ -20,10 +20,12 @@ use crate::flow::{ArrayGeometry, CHUNK, DopplerModel, PathModel, PingPlan, Trans
 const BOUND_GUARD_M: f64 = 1e-6;
 
 /// Where a ping is transmitted: the origin of everything below.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Transmit {
-    /// World, metres, at the start of the pulse.
-    pub position_m: DVec3,
+    /// The platform's reference point at the start of the pulse, world, metres, and the transmitter's arm from it. Kept apart: their sum
+    /// would round the arm at the size of the world.
+    reference_m: DVec3,
+    arm_m: DVec3,
     pub array_from_world: DMat3,
     /// As Doppler needs it: zero under [`DopplerModel::None`].
     pub velocity_m_per_s: DVec3,
@@ -34,10 +36,16 @@ impl Transmit {
     pub fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];
         Self {
-            position_m: first.position_m + first.world_from_body * tx.mounting.position_m,
+            reference_m: first.position_m,
+            arm_m: first.world_from_body * tx.mounting.position_m,
             array_from_world: array_from_world(first.world_from_body, tx.mounting.body_from_array),
             velocity_m_per_s: doppler_velocity(plan, first.velocity_m_per_s),
         }
+    }
+
+    /// A world position relative to where this ping is transmitted.
+    pub fn relative_m(&self, world_m: DVec3) -> DVec3 {
+        (world_m - self.reference_m) - self.arm_m
     }
 }
 
@@ -86,7 +94,7 @@ impl ElementTrack {
     pub fn lay(
         &mut self,
         plan: &PingPlan,
-        transmit_m: DVec3,
+        transmit: &Transmit,
         array: &ArrayGeometry,
         element: usize,
     ) {
@@ -100,8 +108,8 @@ impl ElementTrack {
             self.legs.push(Leg {
                 start_s: segment.start_s,
                 end_s: segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s),
-                // Two large positions first: what is left is small and exact.
-                origin_m: (segment.position_m - transmit_m) + segment.world_from_body * element_m,
+                origin_m: transmit.relative_m(segment.position_m)
+                    + segment.world_from_body * element_m,
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
                 doppler_velocity_m_per_s: doppler_velocity(plan, segment.velocity_m_per_s),
                 array_from_world: array_from_world(
@@ -293,4 +301,66 @@ pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Odd
     }
     debug_assert_eq!(placed, n as u64, "the last leg has no end");
     odd
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_avx2_build_gives_the_same_bits() {
+        if !is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let turn = DQuat::from_rotation_x(0.3) * DQuat::from_rotation_z(1.1);
+        let leg = Leg {
+            start_s: 0.04,
+            end_s: 0.08,
+            origin_m: DVec3::new(0.4, -0.2, 0.1),
+            velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+            doppler_velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+            array_from_world: DMat3::from_quat(turn),
+        };
+        let place = |step: f64| -> Vec<f64> {
+            (0..CHUNK)
+                .map(|k| 150.0 * ((k as f64 * step).fract() - 0.5))
+                .collect()
+        };
+        let (x, y, z) = (place(0.618), place(0.755), place(0.57));
+        let range: Vec<f64> = (0..CHUNK)
+            .map(|i| DVec3::new(x[i], y[i], z[i]).length())
+            .collect();
+        let batch = Batch {
+            x_m: &x,
+            y_m: &y,
+            z_m: &z,
+            range_m: &range,
+            least_range_m: 0.0,
+            greatest_range_m: 300.0,
+        };
+        let run = |wide: bool| {
+            let mut rays = Rays::default();
+            rays.delay_s.fill(f64::INFINITY);
+            let mut odd = Oddities::default();
+            let placed = if wide {
+                // SAFETY: asked above.
+                unsafe { solve_leg_avx2(&leg, 1500.0, batch, &mut rays, &mut odd) }
+            } else {
+                solve_leg(&leg, 1500.0, batch, &mut rays, &mut odd)
+            };
+            assert!(placed > 20, "{placed}");
+            let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
+            (
+                placed,
+                odd,
+                [
+                    bits(&rays.delay_s),
+                    bits(&rays.z_m),
+                    bits(&rays.array_x_m),
+                    bits(&rays.closing_m2_per_s),
+                ],
+            )
+        };
+        assert!(run(true) == run(false));
+    }
 }

@@ -39,7 +39,7 @@ impl Window {
 #[derive(Debug, Default)]
 pub struct Illuminated {
     window: Option<Window>,
-    transmit_m: DVec3,
+    transmit: Transmit,
     /// Relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
@@ -154,10 +154,10 @@ pub fn illuminate(
 
     lit.clear();
     lit.window = Some(window);
-    lit.transmit_m = transmit.position_m;
+    lit.transmit = transmit;
     let mut counts = EchoCounts::default();
     for i in 0..scatterers.len() {
-        let ray_m = scatterers.position_m(i) - transmit.position_m;
+        let ray_m = transmit.relative_m(scatterers.position_m(i));
         let range_m = ray_m.length();
         if range_m > farthest_m || range_m.is_nan() {
             counts.outside_window += 1;
@@ -191,8 +191,7 @@ pub fn illuminate(
         lit.normal_x.push(normal[0]);
         lit.normal_y.push(normal[1]);
         lit.normal_z.push(normal[2]);
-        lit.closing_m_per_s
-            .push(transmit.velocity_m_per_s.dot(ray));
+        lit.closing_m_per_s.push(transmit.velocity_m_per_s.dot(ray));
     }
     for batch in lit.range_m.chunks(CHUNK) {
         let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
@@ -232,7 +231,7 @@ pub fn arrivals(
         heard,
         chunk,
     } = work;
-    track.lay(plan, lit.transmit_m, array, element);
+    track.lay(plan, &lit.transmit, array, element);
     // u >= (2 r_T - reach)/c: batches wholly past the window need no solving.
     let farthest_m = 0.5 * (c * window.last_s + track.reach_m(window.last_s));
     chunk.element = element;
@@ -352,10 +351,9 @@ fn weigh_plain(
             rays.array_y_m[i] * per_m,
             rays.array_z_m[i] * per_m,
         );
-        let normal_along_ray = (f64::from(normal_x[i]) * x
-            + f64::from(normal_y[i]) * y
-            + f64::from(normal_z[i]) * z)
-            * per_m;
+        let normal_along_ray =
+            (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
+                * per_m;
         let law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
         heard.range_m[i] = range_m;
         heard.gain[i] = receive.sensitivity * response * law * receive.one_way.amplitude(range_m);
@@ -363,5 +361,66 @@ fn weigh_plain(
         // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), without taking 1 from a number near 1.
         heard.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
             / (receive.c - closing_m_per_s[i]);
+    }
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+    use crate::flow::Pattern;
+
+    #[test]
+    fn the_avx2_build_gives_the_same_bits() {
+        if !is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let place = |step: f64| -> Vec<f64> {
+            (0..CHUNK)
+                .map(|k| (k as f64 * step).fract() - 0.5)
+                .collect()
+        };
+        let narrow = |v: &[f64]| -> Vec<f32> { v.iter().map(|x| *x as f32).collect() };
+        let (a, b, c) = (place(0.618), place(0.755), place(0.57));
+        let lit = Illuminated {
+            level: a.clone(),
+            bias: (0..CHUNK).map(|k| (k % 2) as f32).collect(),
+            normal_x: narrow(&a),
+            normal_y: narrow(&b),
+            normal_z: narrow(&c),
+            closing_m_per_s: b.clone(),
+            ..Illuminated::default()
+        };
+        let mut rays = Rays::default();
+        for i in 0..CHUNK {
+            (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = (90.0 * a[i], 90.0 * b[i], 90.0 * c[i]);
+            (rays.array_x_m[i], rays.array_y_m[i]) = (rays.y_m[i], rays.z_m[i]);
+            rays.array_z_m[i] = rays.x_m[i];
+            rays.closing_m2_per_s[i] = 100.0 * c[i];
+        }
+        let receive = ReceiveLeg {
+            c: 1500.0,
+            pattern: Directivity::new(
+                &Pattern::Rectangle {
+                    length_m: 0.3,
+                    width_m: 0.01,
+                    baffled: true,
+                },
+                0.00375,
+            ),
+            one_way: OneWay::new(0.00375, 0.096),
+            sensitivity: 1e-9,
+        };
+        let run = |wide: bool| {
+            let mut heard = Heard::default();
+            if wide {
+                // SAFETY: asked above.
+                unsafe { weigh_avx2(&receive, &lit, 0..CHUNK, &rays, &mut heard) };
+            } else {
+                weigh_plain(&receive, &lit, 0..CHUNK, &rays, &mut heard);
+            }
+            [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
+        };
+        assert!(run(true) == run(false));
+        assert!(run(true)[1].iter().filter(|&&g| g != 0).count() > 50);
     }
 }
