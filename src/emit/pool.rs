@@ -26,7 +26,10 @@ impl DatagramPool {
 
     /// A record written by `fill` into an empty buffer.
     pub fn write(&mut self, fill: impl FnOnce(&mut Vec<u8>)) -> Arc<Datagram> {
-        if let Some(slot) = self.slots.iter_mut().find(|slot| Arc::strong_count(slot) == 1)
+        if let Some(slot) = self
+            .slots
+            .iter_mut()
+            .find(|slot| Arc::strong_count(slot) == 1)
             && let Some(datagram) = Arc::get_mut(slot)
         {
             datagram.bytes.clear();

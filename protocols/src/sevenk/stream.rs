@@ -144,6 +144,17 @@ impl StreamDecoder {
         self.max_record_bytes as usize + packets * NETWORK_FRAME_BYTES + SLACK_BYTES
     }
 
+    /// Bytes that wait for the rest of their record.
+    pub fn held_bytes(&self) -> usize {
+        self.buf.len() - self.head
+    }
+
+    /// Right after [`StreamDecoder::next_record`] returned an error: the bytes held, from the one on that was no start of a record. From
+    /// a refused command's frame a server learns what to answer to.
+    pub fn refused_bytes(&self) -> &[u8] {
+        &self.buf[self.head.saturating_sub(1)..]
+    }
+
     /// Takes bytes, as many as there is room for, and returns how many. After [`StreamDecoder::next_record`] returned `None` there is room
     /// for at least one.
     pub fn push(&mut self, bytes: &[u8]) -> usize {

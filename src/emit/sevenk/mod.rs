@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use echotank_protocols::sevenk::records::{
     BeamAngles, BeamSample, Rth7007, Rth7018, Rth7038, SAMPLE_TYPE_I16, SideSamples, emit_7004,
-    emit_7007, emit_7018, emit_7038,
+    emit_7007, emit_7018, emit_7038_element_major,
 };
 
 use crate::emit::pool::DatagramPool;
@@ -113,9 +113,7 @@ pub struct SevenKEmitter {
     /// One per ping record, as [`RECORDS`].
     pools: Vec<DatagramPool>,
     element_numbers: Vec<u16>,
-    /// Element by element, then turned over.
     iq_element_major: Vec<[i16; 2]>,
-    iq_sample_major: Vec<[i16; 2]>,
     beams: Vec<BeamSample>,
     port: Vec<u16>,
     starboard: Vec<u16>,
@@ -135,7 +133,6 @@ impl SevenKEmitter {
             sheet,
             pools,
             iq_element_major: Vec::new(),
-            iq_sample_major: Vec::new(),
             beams: Vec::new(),
             port: Vec::new(),
             starboard: Vec::new(),
@@ -286,12 +283,6 @@ impl SevenKEmitter {
                     );
                 }
                 let elements = self.element_numbers.len();
-                turn_over(
-                    &self.iq_element_major,
-                    elements,
-                    samples,
-                    &mut self.iq_sample_major,
-                );
                 let start = silent_samples(plan, sheet.sample_rate_hz()) as u32;
                 let rth = Rth7038 {
                     sonar_serial: sheet.sonar_id(),
@@ -304,12 +295,12 @@ impl SevenKEmitter {
                     sample_type: SAMPLE_TYPE_I16,
                 };
                 let record = pool.write(|buf| {
-                    emit_7038(
+                    emit_7038_element_major(
                         buf,
                         &ping_stamp,
                         &rth,
                         &self.element_numbers,
-                        &self.iq_sample_major,
+                        &self.iq_element_major,
                     );
                 });
                 Some((record, saturated))
@@ -379,15 +370,7 @@ fn fill_beams(
     samples.clear();
     samples.resize((silent + fan.samples) * fan.beams, BeamSample::default());
     (0..fan.beams)
-        .map(|b| {
-            quantise::beam_column(
-                fan.beam(b),
-                full_scale_v,
-                (b, fan.beams),
-                silent,
-                samples,
-            )
-        })
+        .map(|b| quantise::beam_column(fan.beam(b), full_scale_v, (b, fan.beams), silent, samples))
         .sum()
 }
 
@@ -402,20 +385,4 @@ fn fill_elements(
     (0..frame.elements)
         .map(|e| quantise::iq(frame.element(e), full_scale_v, counts))
         .sum()
-}
-
-/// Element by element to sample by sample, in square tiles that stay in the first-level cache.
-fn turn_over(from: &[[i16; 2]], elements: usize, samples: usize, into: &mut Vec<[i16; 2]>) {
-    /// 32 x 32 pairs are 4 KiB on either side.
-    const TILE: usize = 32;
-    into.resize(elements * samples, [0; 2]);
-    for sample_tile in (0..samples).step_by(TILE) {
-        for element_tile in (0..elements).step_by(TILE) {
-            for sample in sample_tile..samples.min(sample_tile + TILE) {
-                for element in element_tile..elements.min(element_tile + TILE) {
-                    into[sample * elements + element] = from[element * samples + sample];
-                }
-            }
-        }
-    }
 }

@@ -422,7 +422,8 @@ fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let pulse = &sonar.pulse;
     let mut line = |text: std::fmt::Arguments<'_>| {
-        xml.write_fmt(text).expect("writing to a String cannot fail");
+        xml.write_fmt(text)
+            .expect("writing to a String cannot fail");
         xml.push('\n');
     };
     line(format_args!(

@@ -117,12 +117,7 @@ impl Session {
     }
 
     /// Takes what came from the client (over UDP: one datagram) and appends the answers to `out`, in order.
-    pub fn receive(
-        &mut self,
-        bytes: &[u8],
-        context: &SessionContext<'_>,
-        out: &mut Vec<Outgoing>,
-    ) {
+    pub fn receive(&mut self, bytes: &[u8], context: &SessionContext<'_>, out: &mut Vec<Outgoing>) {
         match &mut self.input {
             Input::Stream(decoder) => {
                 let mut rest = bytes;

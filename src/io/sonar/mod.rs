@@ -152,12 +152,10 @@ pub struct ServerReport {
 impl ServerReport {
     /// Sum over all clients, gone or not.
     pub fn totals(&self) -> ClientCounts {
-        self.clients
-            .iter()
-            .fold(self.gone, |mut sum, client| {
-                sum += client.counts;
-                sum
-            })
+        self.clients.iter().fold(self.gone, |mut sum, client| {
+            sum += client.counts;
+            sum
+        })
     }
 }
 
@@ -434,7 +432,11 @@ impl Shared {
     fn report(&self) -> ServerReport {
         let roster = self.lock();
         ServerReport {
-            clients: roster.clients.iter().map(|client| client.report()).collect(),
+            clients: roster
+                .clients
+                .iter()
+                .map(|client| client.report())
+                .collect(),
             gone: roster.gone,
             admitted: roster.admitted,
             refused: roster.refused,

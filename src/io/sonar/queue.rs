@@ -79,9 +79,8 @@ impl Client {
     // ------------------------------------------------------------ wants
 
     pub fn wants(&self) -> RecordSet {
-        self.subscribed().union(RecordSet::from_bits(
-            self.requested.load(Ordering::Acquire),
-        ))
+        self.subscribed()
+            .union(RecordSet::from_bits(self.requested.load(Ordering::Acquire)))
     }
 
     pub fn subscribed(&self) -> RecordSet {
@@ -90,7 +89,8 @@ impl Client {
 
     /// Sets the subscriptions, adds single requests, and takes records off the queue that are no longer wanted.
     pub fn want(&self, subscribed: RecordSet, requested: RecordSet) {
-        let before = RecordSet::from_bits(self.subscribed.swap(subscribed.bits(), Ordering::AcqRel));
+        let before =
+            RecordSet::from_bits(self.subscribed.swap(subscribed.bits(), Ordering::AcqRel));
         self.requested.fetch_or(requested.bits(), Ordering::AcqRel);
         let ended = before.without(subscribed);
         if !ended.is_empty() {

@@ -35,8 +35,7 @@ pub(super) async fn serve(
     shared: Arc<Shared>,
     mut stopped: watch::Receiver<bool>,
 ) {
-    let socket =
-        Arc::new(UdpSocket::from_std(socket).expect("inside a runtime with I/O enabled"));
+    let socket = Arc::new(UdpSocket::from_std(socket).expect("inside a runtime with I/O enabled"));
     let mut peers: HashMap<SocketAddr, Peer> = HashMap::new();
     let mut writers = JoinSet::new();
     let mut buffer = vec![0; RECEIVE_BYTES];
