@@ -1,7 +1,7 @@
 //! Teledyne RESON 7k records of a ping, and the session of one client.
 //!
 //! - [`SevenKEmitter`]: a ping's plan and output to records, only those that somebody wants
-//! - [`DeviceSheet`](records::DeviceSheet): what fills their fields
+//! - [`DeviceSheet`]: what fills their fields
 //! - [`quantise`]: volts to the wire's integers
 //! - [`session`]: one client's commands and subscriptions, bytes in and records out
 //!
