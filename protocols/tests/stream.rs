@@ -46,6 +46,33 @@ fn wire(record: &[u8]) -> Vec<u8> {
     packets_of(record, 60_000)
 }
 
+#[test]
+fn a_refused_record_can_be_looked_at_and_what_waits_is_counted() {
+    let mut bad = wire(&heading_record(1.0));
+    let last = bad.len() - 1;
+    bad[last] ^= 1;
+    let mut decoder = StreamDecoder::default();
+    decoder.push(b"x");
+    assert!(matches!(decoder.next_record(), None | Some(Err(_))));
+    decoder.push(&bad);
+    let refused = loop {
+        match decoder.next_record() {
+            Some(Err(WireError::Checksum { .. })) => break decoder.refused_bytes().to_vec(),
+            Some(Err(_)) => {}
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(refused, bad);
+    while decoder.next_record().is_some() {}
+    let good = wire(&heading_record(2.0));
+    decoder.push(&good[..70]);
+    assert!(decoder.next_record().is_none());
+    assert_eq!(decoder.held_bytes(), 70);
+    decoder.push(&good[70..]);
+    assert!(matches!(decoder.next_record(), Some(Ok(_))));
+    assert_eq!(decoder.held_bytes(), 0);
+}
+
 /// Everything that comes out of `stream`, fed in pieces, and after the peer closed.
 fn decode_in_pieces(
     decoder: &mut StreamDecoder,

@@ -1,7 +1,7 @@
 //! Teledyne RESON 7k records of a ping, and the session of one client.
 //!
 //! - [`SevenKEmitter`]: a ping's plan and output to records, only those that somebody wants
-//! - [`DeviceSheet`](records::DeviceSheet): what fills their fields
+//! - [`DeviceSheet`]: what fills their fields
 //! - [`quantise`]: volts to the wire's integers
 //! - [`session`]: one client's commands and subscriptions, bytes in and records out
 //!
@@ -124,12 +124,14 @@ pub struct SevenKEmitter {
 impl SevenKEmitter {
     /// `waiting_pings`: records of so many pings may be held by clients and recorders at once without a new buffer.
     pub fn new(sheet: Arc<DeviceSheet>, waiting_pings: usize) -> Self {
+        let elements = u16::try_from(sheet.wire_elements())
+            .expect("the configuration keeps 7038 to 65535 elements");
         let pools = RECORDS[..PING_RECORDS]
             .iter()
             .map(|&id| DatagramPool::new(id, waiting_pings + 1))
             .collect();
         Self {
-            element_numbers: (0..sheet.wire_elements() as u16).collect(),
+            element_numbers: (0..elements).collect(),
             sheet,
             pools,
             iq_element_major: Vec::new(),

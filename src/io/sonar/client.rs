@@ -85,6 +85,9 @@ impl SevenKClient {
     pub fn peer_addr(&self) -> Result<SocketAddr, ClientError> {
         Ok(self.stream.peer_addr()?)
     }
+    pub fn local_addr(&self) -> Result<SocketAddr, ClientError> {
+        Ok(self.stream.local_addr()?)
+    }
 
     /// What was wrong on the way in; all zero but `records` on a sound connection.
     pub fn counters(&self) -> StreamCounters {

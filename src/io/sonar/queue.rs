@@ -183,15 +183,6 @@ impl Client {
 
     /// `wire_bytes`: as sent, or why it was lost.
     pub fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
-        let len = taken.datagram.bytes.len();
-        drop(taken.datagram);
-        let mut queue = self.lock();
-        if taken.is_reply {
-            queue.reply_bytes -= len;
-        } else {
-            queue.record_bytes -= len;
-        }
-        drop(queue);
         match wire_bytes {
             Some(bytes) => {
                 self.bytes_sent.fetch_add(bytes as u64, Ordering::Relaxed);
@@ -201,6 +192,16 @@ impl Client {
                 self.records_dropped.fetch_add(1, Ordering::Relaxed);
             }
         }
+        // The pool may have the buffer back before the client is seen to have room.
+        let len = taken.datagram.bytes.len();
+        drop(taken.datagram);
+        let mut queue = self.lock();
+        if taken.is_reply {
+            queue.reply_bytes -= len;
+        } else {
+            queue.record_bytes -= len;
+        }
+        drop(queue);
         if taken.is_reply {
             self.room.notify_one();
         }
