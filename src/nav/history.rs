@@ -8,7 +8,7 @@
 //! - A loop seam is a gap: nothing is interpolated across it.
 //! - Not modelled: smoothing, fail-over, outliers other than speed.
 
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::geodesy::LocalTangentPlane;
 use super::ring::{Inserted, Knot, Ring, Stretch, set_body_rates, set_rates};
@@ -303,6 +303,7 @@ impl NavHistory {
     pub fn coverage(&self, from: UtcNs, to: UtcNs) -> Coverage {
         let mut waiting = false;
         let mut missing = None;
+        // Time of the `ahead`-th knot at or after `to`.
         let mut reach = |channel: NavChannel, to: UtcNs, ahead: usize| -> UtcNs {
             let ring = self.ring(channel);
             if ring.oldest().is_some_and(|oldest| oldest > from) {
@@ -316,17 +317,43 @@ impl NavHistory {
         if self.uses_heave() {
             reach(NavChannel::Heave, to, 2);
         }
-        let mut attitude_to = if self.has_arm() { position_to } else { to };
+        // What the next channel must reach, and whose knots ask for it; none: the window itself.
+        let (mut needed_to, mut asking) = match self.has_arm() {
+            true => (position_to, Some(NavChannel::Position)),
+            false => (to, None),
+        };
         if self.owns(NavChannel::RollPitch) {
-            attitude_to = reach(NavChannel::RollPitch, attitude_to, 2);
+            let ahead = self.knots_ahead(NavChannel::RollPitch, 2, asking, needed_to);
+            needed_to = reach(NavChannel::RollPitch, needed_to, ahead);
+            asking = Some(NavChannel::RollPitch);
         }
         let (heading, ahead) = self.heading_channel();
-        reach(heading, attitude_to, ahead);
+        let ahead = self.knots_ahead(heading, ahead, asking, needed_to);
+        reach(heading, needed_to, ahead);
         match (missing, waiting) {
             (Some(channel), _) => Coverage::Missing(channel),
             (None, true) => Coverage::Waiting,
             (None, false) => Coverage::Ready,
         }
+    }
+
+    /// One knot less is enough where `channel` has a knot at the very time it is asked for and is asked for nothing between its last two
+    /// knots: there no slope matters. So it is when one sentence gives both.
+    fn knots_ahead(
+        &self,
+        channel: NavChannel,
+        ahead: usize,
+        asking: Option<NavChannel>,
+        to: UtcNs,
+    ) -> usize {
+        let Some(asking) = asking.map(|a| self.ring(a)) else {
+            return ahead;
+        };
+        let just_before = to.plus_ns(-1);
+        let before = |ring: &Ring| ring.last_at_or_before(just_before).map(|k| k.utc);
+        let ring = self.ring(channel);
+        let meets = ring.nth_at_or_after(to, 1) == Some(to) && before(ring) >= before(asking);
+        if meets { ahead - 1 } else { ahead }
     }
 
     /// State at `transmit_utc` and the motion from a second before it to `window_s` after it, times counted from it. `trajectory`'s buffers
@@ -384,8 +411,7 @@ impl NavHistory {
         self.attitude_knots(&window, &wide, &mut trajectory.attitude)?;
 
         for knot in position.iter_mut().filter(|_| self.has_arm()) {
-            let (world_from_body, _) = attitude_at(&trajectory.attitude, knot.time_s);
-            let arm = world_from_body * self.lever_arm_m;
+            let arm = rotation_at(&trajectory.attitude, knot.time_s) * self.lever_arm_m;
             let level = matches!(self.vertical, VerticalSpec::Waterline { .. });
             knot.value -= DVec3::new(arm.x, arm.y, if level { 0.0 } else { arm.z });
         }
@@ -540,11 +566,10 @@ impl NavHistory {
         let (latitude_rad, longitude_rad) = self.plane.map_or((0.0, 0.0), |plane| {
             plane.geodetic_rad(pose.position_m.x, pose.position_m.y)
         });
-        let newest = |time_s: Option<f64>| time_s.unwrap_or(f64::NEG_INFINITY);
-        let position_s = newest(trajectory.position.last().map(|k| k.time_s));
-        let attitude_s = newest(trajectory.attitude.last().map(|k| k.time_s));
-        let heading_s = newest(self.heading.last().map(|k| k.time_s));
-        let heave_s = trajectory.heave.last().map_or(f64::INFINITY, |k| k.time_s);
+        let position_s = newest_behind(trajectory.position.iter().map(|k| k.time_s), window_s);
+        let attitude_s = newest_behind(trajectory.attitude.iter().map(|k| k.time_s), window_s);
+        let heading_s = newest_behind(self.heading.iter().map(|k| k.time_s), window_s);
+        let heave_s = newest_behind(trajectory.heave.iter().map(|k| k.time_s), window_s);
         NavState {
             utc,
             pose,
@@ -564,6 +589,28 @@ impl NavHistory {
             extrapolated: position_s.min(attitude_s).min(heading_s).min(heave_s) < window_s,
         }
     }
+}
+
+/// A knot's own rotation at its time, to the bit, whether or not more knots follow; the curve between.
+fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
+    match knots.iter().find(|k| k.time_s == time_s) {
+        Some(knot) => knot.world_from_body,
+        None => attitude_at(knots, time_s).0,
+    }
+}
+
+/// Time of the newest knot that shapes the motion up to `window_s`: the second at or after it, or the last. Infinite without knots.
+fn newest_behind(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
+    let mut newest_s = f64::INFINITY;
+    let mut behind = 0;
+    for time_s in times_s {
+        newest_s = time_s;
+        behind += usize::from(time_s >= window_s);
+        if behind == 2 {
+            break;
+        }
+    }
+    newest_s
 }
 
 /// What one ping asks of the rings.
