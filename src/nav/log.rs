@@ -3,18 +3,20 @@
 //! Loggers put a time before the sentence, each in its own way. Whatever precedes the first `$` or `!` of a line is searched for
 //! `YYYY-MM-DD?HH:MM:SS[.fraction]`, else for `HH:MM:SS[.fraction]`. A line without either arrives with the line before it.
 //!
-//! - A recorder whose clock is more than [`RECORDER_TOLERANCE_NS`] off the messages (a local time zone, no date) is shifted as a whole onto
-//!   them, unless the source is taken by arrival; then only a missing date is mended.
+//! - A recorder whose clock is more than [`RECORDER_TOLERANCE_NS`] off the messages is shifted as a whole: by the quarters of an hour of a
+//!   time zone or a missing date, else onto the first dated message. A source taken by arrival has only a missing date mended.
 //! - A plain log (no stamps) arrives as its message times advance; one without message times at a given rate, from 1970 on.
 
 use super::decoder::{NavCounters, NavDecoder};
+use super::fields::{fraction_ns, time_of_day_ns};
 use super::message_time::nearest_day;
-use super::sentence::{fraction_ns, time_of_day_ns};
 use crate::config::spec::{NavSourceSpec, TimePolicy};
 use crate::flow::NavSample;
 use crate::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
+/// Time zones differ by multiples of this.
+const QUARTER_HOUR_NS: i64 = 900 * NS_PER_S;
 /// Above this the recorder's clock and the messages do not share a time; serial latency stays below it.
 pub const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 /// Lines per second of a log with neither stamps nor message times, where the configuration says nothing.
@@ -138,13 +140,17 @@ fn survey(bytes: &[u8], source: u16, spec: &NavSourceSpec) -> Survey {
         }
     }
     let offset_ns = first.map_or(0, |(message, arrival)| message.0.saturating_sub(arrival.0));
-    let by_arrival = matches!(spec.time, TimePolicy::Arrival { .. });
-    let shift_ns = if by_arrival && date_missing {
-        (offset_ns as f64 / DAY_NS as f64).round() as i64 * DAY_NS
-    } else if by_arrival || offset_ns.saturating_abs() <= RECORDER_TOLERANCE_NS {
-        0
+    let whole = |unit_ns: i64| (offset_ns as f64 / unit_ns as f64).round() as i64 * unit_ns;
+    let shift_ns = if matches!(spec.time, TimePolicy::Arrival { .. }) {
+        if date_missing { whole(DAY_NS) } else { 0 }
     } else {
-        offset_ns
+        let zone_ns = whole(QUARTER_HOUR_NS);
+        let rest_ns = offset_ns.saturating_sub(zone_ns).saturating_abs();
+        if rest_ns <= RECORDER_TOLERANCE_NS {
+            zone_ns
+        } else {
+            offset_ns
+        }
     };
     Survey {
         stamped: raw.is_some(),

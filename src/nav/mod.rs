@@ -6,6 +6,7 @@
 //! `log` and `track` read recorded files (already in memory); `geodesy` puts latitude and longitude onto the plane.
 //! Not modelled: depth sensors, binary attitude, fail-over between sources, several talkers on one line told apart.
 pub mod decoder;
+mod fields;
 pub mod framing;
 pub mod geodesy;
 pub mod history;

@@ -5,7 +5,7 @@
 
 use thiserror::Error;
 
-use super::sentence::fraction_ns;
+use super::fields::fraction_ns;
 use crate::config::spec::NavChannel;
 use crate::flow::{NavQuantity, NavSample};
 use crate::time::{NS_PER_S, UtcNs};

@@ -7,7 +7,10 @@ use std::collections::VecDeque;
 use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{
+    AtomicBool, AtomicU64,
+    Ordering::{Acquire, Relaxed, Release},
+};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -192,7 +195,7 @@ impl Live {
             } = &*source.stats;
             counters[source.index].decoder = *source.decoder.counters();
             counters[source.index].live = LiveCounters {
-                received: received.load(Relaxed),
+                received: received.load(Acquire),
                 dropped_full: dropped_full.load(Relaxed),
                 read_errors: read_errors.load(Relaxed),
                 reopened: reopened.load(Relaxed),
@@ -291,11 +294,8 @@ fn decode(
     let arrival = timeline.utc(chunk.mono);
     if byte_ns == 0 {
         // A datagram that begins with a sentence ends whatever the one before left open; others go on with it.
-        if chunk
-            .bytes
-            .first()
-            .is_some_and(|b| matches!(b, b'$' | b'!' | b'\\' | b'U'))
-        {
+        let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
+        if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
             decoder.flush(out);
         }
         decoder.push(&chunk.bytes, arrival, out);
@@ -329,7 +329,6 @@ impl Outlet {
     /// Just read: `bytes`, the last of which came now.
     fn send(&self, bytes: &[u8], byte_ns: i64) {
         let mono = self.clock.mono().plus_ns(-byte_ns * bytes.len() as i64);
-        self.stats.received.fetch_add(1, Relaxed);
         let chunk = Chunk {
             source: self.source,
             mono,
@@ -338,6 +337,8 @@ impl Outlet {
         if self.sender.try_send(chunk).is_err() {
             self.stats.dropped_full.fetch_add(1, Relaxed);
         }
+        // After the queue has it: who reads the counter finds the chunk.
+        self.stats.received.fetch_add(1, Release);
     }
 
     /// Waits in small steps, so that stopping is not delayed.
