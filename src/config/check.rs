@@ -153,7 +153,7 @@ fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
 }
 
 /// Somebody who wants a port of this machine.
-pub(in crate::config) struct Listener<'t> {
+pub(super) struct Listener<'t> {
     entry: &'t RawEntry,
     protocol: &'static str,
     address: SocketAddr,

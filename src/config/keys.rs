@@ -292,7 +292,7 @@ static NAV_SOURCE: Table = Table {
             "plain_rate_hz",
             Kind::Number(from(0.001, 1.0e5)),
             Default("10.0"),
-            "Lines per second of a log whose lines carry no time stamp. Only with kind = \"log\".",
+            "Sentences per second of a log in which neither the lines nor the messages carry a time. Only with kind = \"log\".",
         ),
         key(
             "listen",

@@ -4,9 +4,9 @@ use std::collections::HashSet;
 
 use glam::{DQuat, DVec3};
 
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
-use crate::config::raw::{Problems, RawTable};
-use crate::config::spec::*;
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
     Receiver, ReceiverFilter, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
