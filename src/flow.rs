@@ -73,7 +73,7 @@ pub enum FixQuality {
 }
 
 /// The platform at one instant, as the wire wants it (the model uses `PingPlan::trajectory`).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NavState {
     pub utc: UtcNs,
     pub pose: Pose,

@@ -119,6 +119,11 @@ impl FanFormer {
         former
     }
 
+    /// Index of the receive array it belongs to.
+    pub fn array(&self) -> usize {
+        self.array
+    }
+
     /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
         assert_eq!(frame.array, self.array, "elements of another array");

@@ -30,6 +30,11 @@ impl LineFormer {
         }
     }
 
+    /// Index of the receive array it belongs to.
+    pub fn array(&self) -> usize {
+        self.array
+    }
+
     /// The line of one ping. `frame` is the frame of the line's array; `out` grows once and is reused.
     ///
     /// A line's sample 0 is the start of the pulse: where the element samples begin later, zeros come first (to the nearest sample).

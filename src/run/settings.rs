@@ -6,13 +6,13 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::config::spec::LimitsSpec;
 use crate::flow::{
     SettingApplied, SettingChange, SettingRefused, SettingRule, SettingsPort, SonarSettings,
 };
-use crate::time::UtcNs;
+use crate::time::{Clock, MonoNs, UtcNs};
 
 /// Changes kept for the operator to look at; older ones are only counted.
 pub const RECENT_CHANGES: usize = 64;
@@ -24,6 +24,8 @@ const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 /// The settings of one sonar. Shared by every thread that reads or changes them.
 pub struct SettingsStore {
     limits: LimitsSpec,
+    /// Dates the changes.
+    clock: Arc<dyn Clock>,
     /// Of `state`, readable without the lock.
     version: AtomicU64,
     state: Mutex<State>,
@@ -34,6 +36,8 @@ struct State {
     settings: SonarSettings,
     counts: SettingCounts,
     recent: VecDeque<RecentChange>,
+    /// What held from when on, oldest first; the first entry stands for all time before.
+    past: VecDeque<(MonoNs, SonarSettings)>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,14 +57,18 @@ pub struct RecentChange {
 
 impl SettingsStore {
     /// `start` comes from the checked configuration, and lies within `limits`.
-    pub fn new(start: SonarSettings, limits: LimitsSpec) -> Self {
+    pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
+        let mut past = VecDeque::with_capacity(RECENT_CHANGES);
+        past.push_back((clock.mono(), start));
         Self {
             limits,
+            clock,
             version: AtomicU64::new(0),
             state: Mutex::new(State {
                 settings: start,
                 counts: SettingCounts::default(),
                 recent: VecDeque::with_capacity(RECENT_CHANGES),
+                past,
             }),
         }
     }
@@ -72,6 +80,19 @@ impl SettingsStore {
             effective(state.settings),
             self.version.load(Ordering::Acquire),
         )
+    }
+
+    /// What held at an instant, for a ping whose order is written a little late. A change holds from just after its acknowledgement on:
+    /// only a pulse later than it obeys it.
+    pub fn at(&self, instant: MonoNs) -> SonarSettings {
+        let state = self.lock();
+        let held = state
+            .past
+            .iter()
+            .rev()
+            .find(|(since, _)| *since < instant)
+            .or(state.past.front());
+        effective(held.map_or(state.settings, |&(_, settings)| settings))
     }
 
     /// Changes whenever the settings do: a plan made from an older version is out of date.
@@ -92,6 +113,10 @@ impl SettingsStore {
         let mut state = self.lock();
         let outcome = changed(state.settings, change, &self.limits).map(|settings| {
             state.settings = settings;
+            if state.past.len() == RECENT_CHANGES {
+                state.past.pop_front();
+            }
+            state.past.push_back((self.clock.mono(), settings));
             let version = self.version.load(Ordering::Acquire) + 1;
             self.version.store(version, Ordering::Release);
             SettingApplied {
@@ -201,6 +226,7 @@ fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::VirtualClock;
     use proptest::prelude::*;
 
     const LIMITS: LimitsSpec = LimitsSpec {
@@ -222,7 +248,7 @@ mod tests {
 
     #[test]
     fn an_accepted_change_is_in_the_next_snapshot_under_a_new_version() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         assert_eq!(store.snapshot(), (START, 0));
         let applied = store.apply(SettingChange::RangeM(75.5), NOW).unwrap();
         let want = SonarSettings {
@@ -236,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_refusal_names_key_value_and_rule_and_changes_nothing() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         for (change, words) in [
             (
                 SettingChange::RangeM(4.9),
@@ -286,7 +312,7 @@ mod tests {
 
     #[test]
     fn limits_survive_the_way_through_an_f32() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         for value in [f64::from(1e-4_f32), f64::from(1e-2_f32)] {
             let applied = store
                 .apply(SettingChange::PulseDurationS(value), NOW)
@@ -306,7 +332,7 @@ mod tests {
 
     #[test]
     fn a_rate_of_zero_holds_the_sonar_until_the_rate_returns() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         let held = store.apply(SettingChange::MaxPingRateHz(0.0), NOW).unwrap();
         assert!(!held.settings.pinging && held.settings.max_ping_rate_hz == 0.0);
         let started = store.apply(SettingChange::Start, NOW).unwrap();
@@ -323,7 +349,7 @@ mod tests {
 
     #[test]
     fn recent_changes_are_bounded_and_the_newest_stay() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         for k in 0..(RECENT_CHANGES + 10) {
             let _ = store.apply(SettingChange::GainDb(k as f64), NOW.plus_ns(k as i64));
         }
@@ -345,7 +371,7 @@ mod tests {
 
     #[test]
     fn every_change_of_many_threads_is_counted_once() {
-        let store = SettingsStore::new(START, LIMITS);
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         std::thread::scope(|scope| {
             for _ in 0..4 {
                 scope.spawn(|| {
@@ -369,7 +395,7 @@ mod tests {
     proptest! {
         #[test]
         fn whatever_is_asked_the_settings_stay_within_their_limits(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
-            let store = SettingsStore::new(START, LIMITS);
+            let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
             for (kind, value) in values {
                 let change = match kind {
                     0 => SettingChange::RangeM(value),
@@ -389,5 +415,21 @@ mod tests {
                 prop_assert!((0.1..=20.0).contains(&s.max_ping_rate_hz) || (s.max_ping_rate_hz == 0.0 && !s.pinging));
             }
         }
+    }
+
+    #[test]
+    fn only_a_pulse_later_than_the_acknowledgement_obeys_a_change() {
+        let clock = Arc::new(VirtualClock::default());
+        let store = SettingsStore::new(START, LIMITS, clock.clone());
+        let acknowledged = MonoNs(5_000_000_000);
+        clock.sleep_until(acknowledged);
+        let range_m = LIMITS.range_m.0;
+        store
+            .apply(SettingChange::RangeM(range_m), UtcNs(0))
+            .unwrap();
+        // The order of a ping that went out before may be written after.
+        assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged.plus_ns(1)).range_m, range_m);
     }
 }

@@ -15,7 +15,7 @@ use echotank::flow::{
 };
 use echotank::frames::{Trajectory, rotation_from_angles};
 use echotank::run::settings::SettingsStore;
-use echotank::time::UtcNs;
+use echotank::time::{UtcNs, VirtualClock};
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, RecordStamp, SevenKTime};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
@@ -162,7 +162,11 @@ pub fn sheet_of(sonar: &SonarSpec) -> Arc<DeviceSheet> {
 }
 
 pub fn store() -> Arc<SettingsStore> {
-    Arc::new(SettingsStore::new(SETTINGS, sonar().limits))
+    Arc::new(SettingsStore::new(
+        SETTINGS,
+        sonar().limits,
+        Arc::new(VirtualClock::default()),
+    ))
 }
 
 pub fn plan(ping_number: u32, samples: usize) -> PingPlan {

@@ -87,6 +87,9 @@ impl DeviceSheet {
         }
     }
 
+    pub fn name(&self) -> &str {
+        &self.sonar.name
+    }
     pub fn sonar_id(&self) -> u64 {
         self.sonar.serial
     }

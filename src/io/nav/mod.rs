@@ -131,6 +131,11 @@ impl NavInputs {
         self.recorded.as_ref().map(Recorded::start)
     }
 
+    /// Arrival of the last recorded sample, of the first loop where they are repeated.
+    pub fn recorded_end(&self) -> Option<UtcNs> {
+        self.recorded.as_ref().map(Recorded::end)
+    }
+
     /// Inserts everything recorded that had arrived by `until`, and everything received live.
     pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
         if let Some(recorded) = &mut self.recorded {
@@ -182,6 +187,26 @@ impl NavInputs {
     /// Bound addresses of the UDP sources, by name (a configured port of 0 is any free one).
     pub fn listening(&self) -> Vec<(String, SocketAddr)> {
         self.live.as_ref().map_or(Vec::new(), Live::listening)
+    }
+
+    /// A line per source.
+    pub fn lines(&mut self) -> Vec<String> {
+        let line = |s: &SourceCounters| {
+            let d = &s.decoder;
+            let mut text = format!(
+                "nav {}: {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} samples",
+                s.name, d.sentences, d.used, d.bad_checksum, d.malformed, d.unsupported, d.samples
+            );
+            let l = &s.live;
+            if *l != LiveCounters::default() {
+                text += &format!(
+                    ", {} received, {} dropped, {} read errors, {} reopened",
+                    l.received, l.dropped_full, l.read_errors, l.reopened
+                );
+            }
+            text
+        };
+        self.counters().iter().map(line).collect()
     }
 
     /// One entry per configured source, in the file's order.

@@ -64,6 +64,10 @@ impl Recorded {
         self.samples[0].arrival_utc
     }
 
+    pub fn end(&self) -> UtcNs {
+        self.samples[self.samples.len() - 1].arrival_utc
+    }
+
     pub fn next_arrival(&self) -> Option<UtcNs> {
         if let Some(sample) = self.samples.get(self.next) {
             return Some(sample.arrival_utc.plus_ns(self.shift_ns));

@@ -20,6 +20,11 @@ use std::path::{Path, PathBuf};
 
 use echotank_protocols::sevenk::file::FileError;
 
+/// Makes a folder and those above it, where absent.
+pub fn make_folder(path: &Path) -> Result<(), RecordError> {
+    std::fs::create_dir_all(path).map_err(RecordError::io(path, "create"))
+}
+
 /// Why something was not recorded.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {

@@ -161,6 +161,33 @@ impl NavHistory {
         self.first_fix_m
     }
 
+    /// The first instant at which every channel that a ping needs has a sample; none while one of them is silent.
+    pub fn first_usable_utc(&self) -> Option<UtcNs> {
+        let mut first = UtcNs(i64::MIN);
+        for channel in self.needed() {
+            first = first.max(self.ring(channel).oldest()?);
+        }
+        Some(first)
+    }
+
+    /// Channels that a ping needs and that have been silent so far.
+    pub fn silent(&self) -> Vec<NavChannel> {
+        self.needed()
+            .filter(|&channel| self.ring(channel).oldest().is_none())
+            .collect()
+    }
+
+    fn needed(&self) -> impl Iterator<Item = NavChannel> {
+        let optional = [
+            (NavChannel::RollPitch, self.owns(NavChannel::RollPitch)),
+            (NavChannel::Heave, self.uses_heave()),
+        ];
+        let used = optional.into_iter().filter(|(_, used)| *used);
+        [NavChannel::Position, self.heading_channel().0]
+            .into_iter()
+            .chain(used.map(|(channel, _)| channel))
+    }
+
     pub fn counts(&self) -> &HistoryCounts {
         &self.counts
     }
