@@ -246,8 +246,18 @@ pub struct SonarSpec {
     pub settings: SonarSettings,
     pub limits: LimitsSpec,
     pub model: ModelChoice,
+    pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
     pub outputs: Vec<OutputSpec>,
+}
+
+/// How the chosen synthesis is run and watched.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SynthesisSpec {
+    /// Recompute random samples through the reference.
+    pub certificate: bool,
+    /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
+    pub frequency_step_hz: Option<f64>,
 }
 
 /// The ranges settings may move in, inclusive; buffers are sized from the maxima.

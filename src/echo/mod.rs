@@ -13,6 +13,7 @@ mod elementary;
 pub mod levels;
 pub mod paths;
 pub mod reference;
+pub mod stretch;
 pub mod walk;
 
 pub use absorption::absorption_db_per_m;

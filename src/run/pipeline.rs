@@ -13,16 +13,20 @@ use rayon::prelude::*;
 
 use crate::array::direct::Direct;
 use crate::array::filter::{self, Decimator, FilterError};
+use crate::array::linear::Linear;
+use crate::array::nearest::Nearest;
 use crate::array::receiver::receive;
+use crate::array::replica::Replica;
+use crate::array::spectral::{Bins, Spectral, Spectrum};
 use crate::beam::RowLimits;
 use crate::beam::conventional::FanFormer;
 use crate::beam::sidescan::LineFormer;
 use crate::config::spec::{MediumSpec, SonarSpec};
-use crate::echo::reference::reference;
+use crate::echo::reference::reference_with;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan, Pulse,
-    ReceiverFilter, Scatterers, Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan,
+    Pulse, ReceiverFilter, Scatterers, Synthesis,
 };
 use crate::ping;
 
@@ -35,6 +39,8 @@ struct Scratch {
     walk: Workspace,
     /// The element's signal ahead of the receiver filter's sampling.
     dense: Vec<Complex64>,
+    /// The element's spectrum, for `spectral`.
+    bins: Bins,
 }
 
 /// What one element met, kept apart until all are done: sums of integers only.
@@ -56,6 +62,10 @@ pub struct SonarPipeline {
     footprints: Vec<Footprint>,
     /// The receiver filter; none samples the sum at its points.
     decimator: Option<Decimator>,
+    /// The pulse's spectrum, for `spectral`.
+    spectrum: Option<Spectrum>,
+    /// The sampled pulse, for `nearest` and `linear`.
+    replica: Replica,
     lines: Vec<LineFormer>,
     fan: Option<FanFormer>,
 }
@@ -78,6 +88,24 @@ impl SonarPipeline {
         let scratch = || Scratch {
             walk: Workspace::default(),
             dense: Vec::with_capacity(dense),
+            bins: Bins::default(),
+        };
+        let spectrum = match spec.model.synthesis {
+            Synthesis::Spectral => {
+                let rate_hz = spec.receiver.sample_rate_hz;
+                let tails_s = decimator
+                    .as_ref()
+                    .map_or(0.0, |d| -2.0 * d.dense_first_s(0.0));
+                let record_s = limits.samples as f64 / rate_hz + limits.pulse_s + tails_s;
+                let step_hz = spec.synthesis.frequency_step_hz;
+                Some(Spectrum::new(
+                    rate_hz,
+                    record_s,
+                    step_hz,
+                    decimator.as_ref(),
+                ))
+            }
+            _ => None,
         };
         let elements = spec
             .receive
@@ -101,6 +129,8 @@ impl SonarPipeline {
             results: vec![ElementResult::default(); elements],
             footprints: Vec::with_capacity(spec.transmit.len()),
             decimator,
+            spectrum,
+            replica: Replica::default(),
             lines: spec
                 .beams
                 .lines
@@ -180,6 +210,18 @@ impl SonarPipeline {
         if plan.model.synthesis == Synthesis::Reference {
             return;
         }
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        match plan.model.synthesis {
+            Synthesis::Reference | Synthesis::Direct => {}
+            Synthesis::Spectral => {
+                if let Some(spectrum) = &mut self.spectrum {
+                    spectrum.prepare(plan);
+                }
+            }
+            Synthesis::Nearest | Synthesis::Linear => {
+                self.replica.prepare(plan, rate_hz, self.decimator.as_ref());
+            }
+        }
         let (first_s, rate_hz, len) = self.grid(plan);
         let window = Window::of_samples(first_s, rate_hz, len);
         for (transmit, lit) in self.spec.transmit.iter().zip(&mut self.lit) {
@@ -239,6 +281,24 @@ impl SonarPipeline {
         self.results = results;
     }
 
+    /// A sum over echoes through the receiver filter, if there is one: `sum` gets what happens at edges, rate, first instant and samples.
+    fn filtered(
+        &self,
+        plan: &PingPlan,
+        dense: &mut Vec<Complex64>,
+        iq: &mut [Complex64],
+        sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]) -> EchoCounts,
+    ) -> EchoCounts {
+        let (first_s, rate_hz, len) = self.grid(plan);
+        let Some(decimator) = &self.decimator else {
+            return sum(Edges::Sampled, rate_hz, first_s, iq);
+        };
+        dense.resize(len, Complex64::ZERO);
+        let counts = sum(Edges::Weighted, rate_hz, first_s, dense);
+        decimator.apply(dense, iq);
+        counts
+    }
+
     /// One element: its echoes, the receiver filter, the receiver.
     fn element(
         &self,
@@ -254,38 +314,41 @@ impl SonarPipeline {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let Scratch { walk, dense } = &mut *scratch;
-        let (first_s, rate_hz, len) = self.grid(plan);
-        let out = match &self.decimator {
-            None => &mut *iq,
-            Some(_) => {
-                dense.resize(len, Complex64::ZERO);
-                &mut dense[..]
-            }
-        };
+        let Scratch { walk, dense, bins } = &mut *scratch;
+        let lit = &self.lit[array.transmit];
+        let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
         let counts = match plan.model.synthesis {
             Synthesis::Reference => {
                 let transmit = &self.spec.transmit[array.transmit];
-                reference(
-                    plan, transmit, array, element, scatterers, rate_hz, first_s, out,
-                )
+                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+                    reference_with(
+                        edges, plan, transmit, array, element, scatterers, rate_hz, first_s, out,
+                    )
+                })
             }
-            Synthesis::Direct => {
+            Synthesis::Direct => self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                 out.fill(Complex64::ZERO);
-                let mut sink = Direct::new(plan, rate_hz, first_s, out);
-                arrivals(
-                    plan,
-                    array,
-                    element,
-                    &self.lit[array.transmit],
-                    walk,
-                    &mut sink,
-                )
+                let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                arrivals(plan, array, element, lit, walk, &mut sink)
+            }),
+            Synthesis::Spectral => {
+                let spectrum = self.spectrum.as_ref().expect("made with the pipeline");
+                let mut sink = Spectral::new(plan, spectrum, first_s, bins);
+                let counts = arrivals(plan, array, element, lit, walk, &mut sink);
+                sink.finish(iq);
+                counts
+            }
+            Synthesis::Nearest => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Nearest::new(plan, &self.replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, lit, walk, &mut sink)
+            }
+            Synthesis::Linear => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Linear::new(plan, &self.replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, lit, walk, &mut sink)
             }
         };
-        if let Some(decimator) = &self.decimator {
-            decimator.apply(dense, iq);
-        }
         ElementResult {
             counts,
             saturated: receive(plan, &self.spec.receiver, array, index, element, iq),
