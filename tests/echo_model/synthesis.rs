@@ -4,7 +4,9 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 use echotank::array::filter::occupied_hz;
-use echotank::array::{Decimator, Direct, oversample};
+use echotank::array::{
+    Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum, oversample,
+};
 use echotank::echo::reference::reference_with;
 use echotank::echo::{Window, reference};
 use echotank::flow::*;
@@ -541,8 +543,8 @@ fn the_density_of_the_filtered_sum_leaves_the_documented_error() {
     assert!(at(0.1, Synthesis::Reference, Weighted) < 1e-6);
     assert!(at(0.1, Synthesis::Direct, Weighted) < 1e-5);
     // Flanks shorter than a few steps are neither.
-    assert!(at(0.001, Synthesis::Reference, Weighted) < 1e-3);
-    assert!(at(0.01, Synthesis::Reference, Weighted) < 1e-4);
+    assert!(at(0.001, Synthesis::Reference, Weighted) < 1e-4);
+    assert!(at(0.01, Synthesis::Reference, Weighted) < 1e-5);
 }
 
 /// By doubling: without weights the error halves, with them it falls by more than eight.
@@ -585,7 +587,7 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
         });
         let error = relative_l2(&pair[0], &pair[1]);
         assert!(
-            error < 1e-9,
+            error < 1e-6, // where they disagree about the side, both are right to what the density leaves
             "{shift}: direct and reference {error:e} apart"
         );
         pair[0].clone()
@@ -617,4 +619,275 @@ fn behind_the_same_filter_direct_is_the_reference_to_1e_9_without_motion() {
     };
     let error = relative_l2(&through(dense_direct), &through(dense_truth));
     assert!(error < 1e-9, "{error:e}");
+}
+
+/// With the second derivative, about mid-pulse, the residual phase is that of the third: v cos(theta)/r T/12 of the first-order one, and some.
+#[test]
+fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
+    for (v, r, theta_deg) in [
+        (5.1, 75.0, 90.0),
+        (5.0, 36.0, 60.0),
+        (10.0, 36.0, 45.0),
+        (1.0, 20.0, 120.0),
+        (10.0, 100.0, 20.0_f64),
+    ] {
+        let (sin, cos) = theta_deg.to_radians().sin_cos();
+        let at_m = DVec3::new(r * cos, 0.8 * r * sin, 0.6 * r * sin);
+        let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
+        let grid = Grid::around(r, 200e3);
+        let linear = TAU * (CARRIER_HZ + 15e3) * (v * sin).powi(2) * 5e-3_f64.powi(2) / (r * C);
+        for path in &PathModel::ALL[1..] {
+            let mut plan = ahead(v);
+            plan.model.path = *path;
+            plan.model.doppler = DopplerModel::StretchQuadratic;
+            let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+            let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+            let error = got
+                .iter()
+                .zip(&want)
+                .filter(|(a, b)| a.norm() > 0.0 && b.norm() > 0.0)
+                .map(|(a, b)| (a / b).arg().abs())
+                .fold(0.0, f64::max);
+            println!(
+                "{path:?} v {v}, r {r}, theta {theta_deg}: {error:.1e} rad, linear {linear:.1e}"
+            );
+            // Third derivative at T/2 from the middle, and the cubic part of the chirp that the recurrence leaves.
+            let bound = linear * (v / r * 5e-3 + 2e-3) + 1e-9;
+            assert!(
+                error < bound,
+                "v {v}, r {r}, theta {theta_deg}: {error:e} rad, {bound:e}"
+            );
+        }
+    }
+}
+
+/// A platform that surges, heaves, rolls and yaws, ends on long arms: what is left by each path model with each Doppler model.
+#[test]
+fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() {
+    let tools = (
+        transmitter(DVec3::new(1.5, 0.2, 0.8)),
+        element(DVec3::new(-3.0, 0.4, 0.2)),
+    );
+    let scatterers = points(
+        (0..40).map(|k| DVec3::new(60.0 * (weyl(k, 0) - 0.5), 50.0 + 12.0 * weyl(k, 1), 30.0)),
+    );
+    let mut plan = restless();
+    plan.pulse.taper = 0.1;
+    let grid = Grid::around(65.0, 100e3);
+    let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &scatterers, grid);
+    let mut error = |path: PathModel, doppler: DopplerModel, count: usize| {
+        chords(&mut plan, 0.256, count);
+        plan.model.path = path;
+        plan.model.doppler = doppler;
+        let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &scatterers, grid);
+        let error = relative_l2(&got, &want);
+        println!(
+            "{} of {count}, {}: {error:.1e}",
+            path.name(),
+            doppler.name()
+        );
+        error
+    };
+    use {DopplerModel::*, PathModel::*};
+    let hop = error(StopAndHop, Stretch, 5);
+    assert!(hop > 0.5, "{hop}");
+    let still = error(Continuous, None, 5);
+    assert!(still > 0.3, "{still}");
+    let polyline = error(Polyline, Stretch, 5);
+    let chords = [5, 50].map(|count| error(KSegment, StretchQuadratic, count));
+    let linear = error(Continuous, Stretch, 5);
+    let all = error(Continuous, StretchQuadratic, 5);
+    // 50 ms chords of a platform that rolls and heaves are no good to an interferometer; those of the elements are better, and converge.
+    assert!(polyline > 2.0 * chords[0], "{polyline}, {chords:?}");
+    assert!(chords[1] < chords[0] / 50.0, "{chords:?}");
+    assert!(linear < 0.05 && linear > 1e-3, "{linear}");
+    // The trajectory's acceleration steps at its knots, which no two derivatives follow.
+    assert!(all < 1e-4, "{all}");
+}
+
+/// One still scene through the receiver filter by every method that keeps the pulse.
+struct Shared {
+    plan: PingPlan,
+    filter: Decimator,
+    first_s: f64,
+    count: usize,
+}
+
+impl Shared {
+    fn new() -> Self {
+        let mut plan = ahead(0.0);
+        plan.model.doppler = DopplerModel::None;
+        Self {
+            filter: Decimator::new(&plan.pulse, 40e3, 300.0, 24).expect("40 kHz is enough"),
+            plan,
+            first_s: 0.0401,
+            count: 2500,
+        }
+    }
+    fn window(&self) -> Window {
+        Window::of_samples(
+            self.filter.dense_first_s(self.first_s),
+            self.filter.dense_rate_hz(),
+            self.filter.dense_len(self.count),
+        )
+    }
+    fn walk(&self, sink: &mut impl ArrivalSink) {
+        let (tx, rx, scatterers) = busy();
+        walk(&self.plan, &tx, &rx, 3, self.window(), &scatterers, sink);
+    }
+    fn direct(&self) -> Vec<Complex64> {
+        let mut dense = vec![Complex64::ZERO; self.filter.dense_len(self.count)];
+        let first_s = self.filter.dense_first_s(self.first_s);
+        let rate_hz = self.filter.dense_rate_hz();
+        let mut sink =
+            Direct::new(&self.plan, rate_hz, first_s, &mut dense).with_edges(Edges::Weighted);
+        self.walk(&mut sink);
+        let mut out = vec![Complex64::ZERO; self.count];
+        self.filter.apply(&dense, &mut out);
+        out
+    }
+    fn spectral(&self, step_hz: Option<f64>) -> (Vec<Complex64>, f64) {
+        let record_s = self.count as f64 / 40e3 + 5e-3 - 2.0 * self.filter.dense_first_s(0.0);
+        let mut spectrum = Spectrum::new(40e3, record_s, step_hz, Some(&self.filter));
+        spectrum.prepare(&self.plan);
+        let mut bins = Bins::default();
+        let mut sink = Spectral::new(&self.plan, &spectrum, self.first_s, &mut bins);
+        self.walk(&mut sink);
+        let mut out = vec![Complex64::ZERO; self.count];
+        sink.finish(&mut out);
+        (out, spectrum.step_hz())
+    }
+}
+
+/// The paper's sum by frequency is the same sum: Eq. 18 without Doppler, Eq. 21 with what it calls Doppler.
+#[test]
+fn spectral_is_direct_behind_the_filter_to_1e_6() {
+    let mut shared = Shared::new();
+    for (doppler, v) in [(DopplerModel::None, 0.0), (DopplerModel::PaperEq21, 5.0)] {
+        shared.plan = ahead(v);
+        for kind in [PulseKind::LfmDown, PulseKind::Cw] {
+            shared.plan.pulse.kind = kind;
+            shared.plan.model.doppler = doppler;
+            let (got, step_hz) = shared.spectral(None);
+            let error = relative_l2(&got, &shared.direct());
+            println!("{doppler:?}, {kind:?}: {error:.1e}, step {step_hz:.2} Hz");
+            assert!(error < 2e-6, "{doppler:?}: {error:e}");
+            assert!(step_hz < 40e3 / 2500.0);
+        }
+    }
+}
+
+/// "A narrow interval improves fidelity": with a step above one over the record, what is late comes out early, one period before.
+#[test]
+fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
+    let shared = Shared::new();
+    let (fine, _) = shared.spectral(None);
+    // 1000 samples: the record and its tails fold into a third of its length.
+    let (coarse, step_hz) = shared.spectral(Some(40.0));
+    assert_eq!(step_hz, 40.0);
+    let error = relative_l2(&coarse, &fine);
+    assert!(error > 1.0, "{error}");
+    // What wraps is the sum of the periods of a record long enough for everything.
+    let long = Shared {
+        first_s: 0.0301,
+        count: 5000,
+        ..Shared::new()
+    };
+    let ((coarse, _), (fine, _)) = (long.spectral(Some(40.0)), long.spectral(None));
+    let folded: Vec<Complex64> = (0..1000)
+        .map(|k| (0..5).map(|period| fine[period * 1000 + k]).sum())
+        .collect();
+    let error = relative_l2(&coarse[..1000], &folded);
+    assert!(error < 1e-5, "{error:e}");
+    assert_eq!(coarse[..1000], coarse[1000..2000]);
+}
+
+/// What other simulators do, at the sample rate. Half a sample of shift on a 30 kHz band is a lot.
+#[test]
+fn nearest_and_linear_show_the_errors_of_what_they_do() {
+    let shared = Shared::new();
+    let want = shared.direct();
+    let mut replica = Replica::default();
+    replica.prepare(&shared.plan, 40e3, Some(&shared.filter));
+    let mut nearest = vec![Complex64::ZERO; shared.count];
+    shared.walk(&mut Nearest::new(
+        &shared.plan,
+        &replica,
+        40e3,
+        shared.first_s,
+        &mut nearest,
+    ));
+    let mut linear = vec![Complex64::ZERO; shared.count];
+    shared.walk(&mut Linear::new(
+        &shared.plan,
+        &replica,
+        40e3,
+        shared.first_s,
+        &mut linear,
+    ));
+    let errors = (relative_l2(&nearest, &want), relative_l2(&linear, &want));
+    println!("nearest {:.2e}, linear {:.2e}", errors.0, errors.1);
+    // A shift of up to half a sample, f even over +-15 kHz: 2 pi f_rms / f_s / sqrt(12) = 0.393.
+    assert!((errors.0 - 0.393).abs() < 0.02, "{errors:?}");
+    // Linear: |1 - H| with E = 2/15 (2 pi f/f_s)^4/4 ... and the roll-off of its outer band: half of that.
+    assert!(errors.1 > 0.15 && errors.1 < 0.25, "{errors:?}");
+    // An echo that begins on a sample is whole in both.
+    let at_m = DVec3::Y * (0.5 * C * (shared.first_s + 500.0 / 40e3));
+    let (tx, rx) = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
+    let run = |sink: &mut dyn FnMut(&mut Collected)| {
+        let (mut collected, _) =
+            collect(&shared.plan, &tx, &rx, 0, shared.window(), &points([at_m]));
+        sink(&mut collected);
+    };
+    run(&mut |collected| {
+        let mut chunk = ArrivalChunk::new();
+        chunk.len = 1;
+        chunk.delay_s[0] = collected.arrivals[0].delay_s;
+        chunk.amplitude[0] = collected.arrivals[0].amplitude;
+        let mut dense = vec![Complex64::ZERO; shared.filter.dense_len(shared.count)];
+        Direct::new(
+            &shared.plan,
+            shared.filter.dense_rate_hz(),
+            shared.filter.dense_first_s(shared.first_s),
+            &mut dense,
+        )
+        .with_edges(Edges::Weighted)
+        .accept(&chunk);
+        let mut want = vec![Complex64::ZERO; shared.count];
+        shared.filter.apply(&dense, &mut want);
+        let mut got = vec![Complex64::ZERO; shared.count];
+        Nearest::new(&shared.plan, &replica, 40e3, shared.first_s, &mut got).accept(&chunk);
+        assert!(relative_l2(&got, &want) < 1e-6);
+        got.fill(Complex64::ZERO);
+        Linear::new(&shared.plan, &replica, 40e3, shared.first_s, &mut got).accept(&chunk);
+        assert!(relative_l2(&got, &want) < 1e-6);
+    });
+}
+
+#[test]
+fn echoes_off_the_record_touch_nothing_in_any_method() {
+    let shared = Shared::new();
+    let mut replica = Replica::default();
+    replica.prepare(&shared.plan, 40e3, Some(&shared.filter));
+    let mut chunk = ArrivalChunk::new();
+    for (i, delay_s) in [
+        -1e300,
+        -1.0,
+        0.0,
+        10.0,
+        1e300,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        chunk.delay_s[i] = delay_s;
+        chunk.amplitude[i] = Complex64::ONE;
+        chunk.len = i + 1;
+    }
+    let mut out = vec![Complex64::ZERO; 100];
+    Nearest::new(&shared.plan, &replica, 40e3, 0.5, &mut out).accept(&chunk);
+    Linear::new(&shared.plan, &replica, 40e3, 0.5, &mut out).accept(&chunk);
+    assert!(out.iter().all(|x| x.norm() == 0.0), "{out:?}");
 }
