@@ -440,6 +440,64 @@ pub struct MethodCard {
     pub why: String,
 }
 
+impl MethodCard {
+    /// The card itself if its method reaches `tolerance`.
+    pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
+        if self.error <= tolerance {
+            return Ok(self);
+        }
+        Err(MethodRefused {
+            name: self.name,
+            error: self.error,
+            tolerance,
+            why: self.why,
+        })
+    }
+}
+
+/// A method that cannot do what is asked of it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
+pub struct MethodRefused {
+    pub name: &'static str,
+    /// Predicted, as in [`MethodCard`].
+    pub error: f64,
+    pub tolerance: f64,
+    pub why: String,
+}
+
+/// What the errors and costs of methods depend on; the worst of a ping, or of a whole run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditions {
+    pub pulse: Pulse,
+    pub sound_speed_m_per_s: f64,
+    pub sample_rate_hz: f64,
+    pub filter: ReceiverFilter,
+    /// Of a transmitter or an element, its arm included.
+    pub speed_m_per_s: f64,
+    pub acceleration_m_per_s2: f64,
+    /// How fast an arm's end moves by the platform's turning alone.
+    pub turning_m_per_s: f64,
+    /// Nearest and farthest scatterer.
+    pub range_m: (f64, f64),
+    pub segment_s: f64,
+    pub scatterers: usize,
+    pub elements: usize,
+}
+
+impl Conditions {
+    /// Relative error that a phase error of `phase_rad` (rms) makes at most: that of an echo turned upside down is 2.
+    pub fn error_of_phase(phase_rad: f64) -> f64 {
+        phase_rad.min(2.0)
+    }
+
+    /// Radians of carrier in a metre of path, at the highest frequency of the sweep.
+    pub fn wavenumber_per_m(&self) -> f64 {
+        let highest_hz = self.pulse.center_frequency_hz + 0.5 * self.pulse.bandwidth_hz;
+        std::f64::consts::TAU * highest_hz / self.sound_speed_m_per_s
+    }
+}
+
 /// Time-varying gain over slant range r.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TimeVaryingGain {

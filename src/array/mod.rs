@@ -6,6 +6,7 @@
 //!
 //! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
 
+pub mod cards;
 pub mod direct;
 pub mod filter;
 pub mod linear;

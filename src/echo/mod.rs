@@ -9,6 +9,7 @@
 //! Not modelled: refraction, multipath, volume reverberation, occlusion (the scene hands over what is seen).
 
 pub mod absorption;
+pub mod cards;
 mod elementary;
 pub mod levels;
 pub mod paths;
