@@ -786,9 +786,23 @@ pub struct Line {
     pub amplitude: Vec<f32>,
 }
 
+/// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
+/// over the rms of the samples around it or of the element's whole ping, whichever is larger.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Certificate {
+    /// How many samples it rests on.
+    pub samples: u32,
+    pub error: f64,
+    /// Its 95 % interval.
+    pub low: f64,
+    pub high: f64,
+}
+
 /// Everything one ping produced.
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
+    /// Of the newest samples looked at, this ping's and those before it; none where none is asked for, or too few were seen yet.
+    pub certificate: Option<Certificate>,
     /// One per receive array.
     pub elements: Vec<ElementFrame>,
     /// One per configured fan (at most one today).

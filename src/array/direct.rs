@@ -3,7 +3,7 @@
 //! x(t) = sum A exp(-j 2pi f_c u) a(t') exp(j 2pi f_c (t' - s)),  t' = eta s + q s^2,  s = t - u,  0 <= t' <= T.
 //!
 //! q is zero for every Doppler model but `stretch-quadratic`. Over a run of samples the phase of one echo is a quadratic (with q, but for a
-//! cubic part below 1e-5 rad), so its phasor follows from the last by two complex products. Eight lanes run side by side, each eight samples
+//! cubic part below 1e-6 rad), so its phasor follows from the last by two complex products. Eight lanes run side by side, each eight samples
 //! at a time, and start afresh from sines and cosines before rounding can grow.
 
 use num_complex::Complex64;
@@ -16,6 +16,9 @@ use super::phasor::{LANES, cis, cis_lanes};
 
 /// Samples between fresh starts of the recurrence. Its error grows as steps^1.5: 64 steps of eight lanes stay below 1e-13.
 const RESTART: usize = 64 * LANES;
+
+/// Turns of phase that a run may leave out where the stretch itself changes; a run is cut shorter until it does.
+const CUBIC_TURNS: f64 = 1e-7;
 
 /// Adds echoes to the samples of one element.
 pub struct Direct<'a> {
@@ -110,8 +113,9 @@ impl<'a> Direct<'a> {
             if self.edges == Edges::Weighted && first < end {
                 self.correct_edges(&echo, &span, amplitude);
             }
+            let longest = echo.longest_run();
             while first < end {
-                let stop = end.min(first + RESTART);
+                let stop = end.min(first + longest);
                 let since_s = (self.first_sample_s + first as f64 / self.rate_hz) - delay_s;
                 let run = echo.run(since_s, (stop - first) as f64);
                 add_stretch(&run, amplitude, &mut self.out[first..stop], add_flat);
@@ -194,6 +198,18 @@ impl Echo<'_> {
         0.5 * self.pulse.sweep_hz_per_s() * from_middle_s * from_middle_s
             + carrier_hz * (self.doppler + self.curvature_per_s * since_s) * since_s
             - (carrier - carrier.round_ties_even())
+    }
+
+    /// Samples after which the recurrence must start afresh.
+    #[inline(always)]
+    fn longest_run(&self) -> usize {
+        if self.curvature_per_s == 0.0 {
+            return RESTART;
+        }
+        // See `run`: count^3/32 times the cubic's coefficient.
+        let cubic = self.pulse.sweep_hz_per_s() * self.curvature_per_s * self.step_s.powi(3);
+        let count = (32.0 * CUBIC_TURNS / cubic.abs()).cbrt();
+        ((count as usize) / LANES * LANES).clamp(8 * LANES, RESTART)
     }
 
     /// The `count` samples from `since_s` after the leading edge on.

@@ -87,9 +87,10 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
     // About mid-pulse; half a pulse cubed. The acceleration may change within it, by a hundredth at a time as tracks go.
     let third = k * (v * v / nearest_m * (3.0 * v / nearest_m)) * (t / 2.0).powi(3)
         + 1e-2 * k * a * t * t / 5f64.sqrt();
-    // The cubic that a bent chirp has and the synthesis' parabolas have not, at worst over the whole pulse.
+    // The cubic that a bent chirp has and the synthesis' parabolas have not: over the whole pulse, or as much of it as they bear.
     let bend_per_s = (v * v / nearest_m + a) / c;
-    let cubic = TAU * pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / (32.0 * 2f64.sqrt());
+    let cubic_turns = pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / 32.0;
+    let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
     // A segment's velocity in place of the moment's.
     let stale = match path {
         PathModel::StopAndHop | PathModel::Polyline => first_of(k, a * segment_s, t),

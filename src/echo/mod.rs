@@ -13,6 +13,7 @@ pub mod cards;
 mod elementary;
 pub mod levels;
 pub mod paths;
+pub mod probe;
 pub mod reference;
 pub mod stretch;
 pub mod walk;

@@ -5,7 +5,7 @@
 //! echo. A is held at its value at the leading edge. Plain f64, nothing linearised, no pattern culled, no segments; path and Doppler models
 //! of the plan do not enter. It shares the sonar equation with the fast walk and nothing else.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 
 use crate::flow::{
@@ -269,7 +269,7 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
 }
 
 /// The sonar equation for one element.
-struct Sonar<'a> {
+pub(super) struct Sonar<'a> {
     track: &'a Trajectory,
     tx: &'a TransmitArray,
     array: &'a ArrayGeometry,
@@ -281,7 +281,7 @@ struct Sonar<'a> {
 }
 
 impl<'a> Sonar<'a> {
-    fn new(
+    pub(super) fn new(
         plan: &PingPlan,
         tx: &'a TransmitArray,
         array: &'a ArrayGeometry,
@@ -310,8 +310,24 @@ impl<'a> Sonar<'a> {
         law: ScatterLaw,
         normal: [f32; 3],
     ) -> f64 {
-        let towards = |pattern: &Directivity, ray_m: DVec3, time_s: f64, mounting: glam::DQuat| {
-            let world_from_body = self.track.pose_at(time_s).world_from_body;
+        let attitude = |time_s: f64| self.track.pose_at(time_s).world_from_body;
+        self.amplitude_seen_from(
+            (transmit_ray_m, attitude(0.0)),
+            (receive_ray_m, attitude(leading_s)),
+            law,
+            normal,
+        )
+    }
+
+    /// [`Self::amplitude`] with the platform's attitudes at transmission and reception given.
+    pub(super) fn amplitude_seen_from(
+        &self,
+        (transmit_ray_m, transmit_attitude): (DVec3, DQuat),
+        (receive_ray_m, receive_attitude): (DVec3, DQuat),
+        law: ScatterLaw,
+        normal: [f32; 3],
+    ) -> f64 {
+        let towards = |pattern: &Directivity, ray_m: DVec3, world_from_body: DQuat, mounting| {
             let array_from_world = DMat3::from_quat(world_from_body * mounting).transpose();
             let u = array_from_world * ray_m.normalize_or_zero();
             pattern.towards(u.x, u.y, u.z)
@@ -319,13 +335,13 @@ impl<'a> Sonar<'a> {
         let transmit = towards(
             &self.transmit_pattern,
             transmit_ray_m,
-            0.0,
+            transmit_attitude,
             self.tx.mounting.body_from_array,
         );
         let receive = towards(
             &self.element_pattern,
             receive_ray_m,
-            leading_s,
+            receive_attitude,
             self.array.mounting.body_from_array,
         );
         let law = match law {

@@ -29,6 +29,7 @@ use crate::flow::{
     Pulse, ReceiverFilter, Scatterers, Synthesis,
 };
 use crate::ping;
+use crate::run::certificate::Certifier;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -66,6 +67,8 @@ pub struct SonarPipeline {
     spectrum: Option<Spectrum>,
     /// The sampled pulse, for `nearest` and `linear`.
     replica: Replica,
+    /// Where certificates are asked for.
+    certifier: Option<Certifier>,
     lines: Vec<LineFormer>,
     fan: Option<FanFormer>,
 }
@@ -130,6 +133,13 @@ impl SonarPipeline {
             footprints: Vec::with_capacity(spec.transmit.len()),
             decimator,
             spectrum,
+            certifier: match spec.synthesis.certificate {
+                true => {
+                    let doppler_hz = doppler_hz(spec, medium);
+                    Some(Certifier::new(spec, &shortest_pulse(spec), doppler_hz)?)
+                }
+                false => None,
+            },
             replica: Replica::default(),
             lines: spec
                 .beams
@@ -163,6 +173,7 @@ impl SonarPipeline {
                 })
                 .collect(),
             counts: EchoCounts::default(),
+            certificate: None,
         }
     }
 
@@ -192,8 +203,14 @@ impl SonarPipeline {
     ) {
         output.counts = EchoCounts::default();
         self.light(plan, scatterers, &mut output.counts);
+        if let Some(certifier) = &mut self.certifier {
+            certifier.choose(plan, &self.spec, scatterers.len());
+        }
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.synthesise(plan, scatterers, index, frame, &mut output.counts);
+        }
+        if let Some(certifier) = &mut self.certifier {
+            output.certificate = certifier.certify(plan, &self.spec, scatterers);
         }
         for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
             let array = former.array();
@@ -349,6 +366,9 @@ impl SonarPipeline {
                 arrivals(plan, array, element, lit, walk, &mut sink)
             }
         };
+        if let Some(certifier) = &self.certifier {
+            certifier.take(plan, rate_hz, index, element, iq);
+        }
         ElementResult {
             counts,
             saturated: receive(plan, &self.spec.receiver, array, index, element, iq),
@@ -358,19 +378,25 @@ impl SonarPipeline {
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
 fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
-    let shortest = Pulse {
-        duration_s: spec.limits.pulse_duration_s.0,
-        ..spec.pulse
-    };
+    let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
-    let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s
-        * spec.pulse.center_frequency_hz;
     Decimator::new(
         &shortest,
         rate_hz,
-        doppler_hz,
+        doppler_hz(spec, medium),
         filter::oversample(&shortest, rate_hz, spec.model.synthesis),
     )
+}
+
+fn shortest_pulse(spec: &SonarSpec) -> Pulse {
+    Pulse {
+        duration_s: spec.limits.pulse_duration_s.0,
+        ..spec.pulse
+    }
+}
+
+fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
+    2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
 }
 
 /// Sine of the angle from broadside beyond which a line's pattern stays below `cull_db`: the envelope 1/(pi x) of sinc x, x = L s/lambda.

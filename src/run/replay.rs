@@ -204,6 +204,7 @@ impl Replay {
                     .map(|frame| frame.saturated)
                     .sum();
                 counters.ping(&slot.output.counts, saturated, 0);
+                counters.certificate(slot.output.certificate.as_ref());
                 self.recorders.record(slot, self.rig.targets())?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),

@@ -2,6 +2,7 @@
 
 mod cards;
 mod paths;
+mod probe;
 mod receiver;
 mod rig;
 mod synthesis;

@@ -141,6 +141,7 @@ pub fn output(ping_number: u32) -> PingOutput {
         amplitude: iq(1, salt).iter().map(|x| x.norm() as f32).collect(),
     };
     PingOutput {
+        certificate: None,
         elements,
         beams: vec![BeamFrame {
             beams: 3,
