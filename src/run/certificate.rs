@@ -219,8 +219,10 @@ impl Certifier {
                 let want = this.reference(plan, spec, scatterers, probe.array, at, k);
                 let square = (probe.got - want).norm_sqr();
                 // Where nothing sounds the reference must be silent too.
-                let scale = probe.scale.max(want.norm_sqr());
-                probe.error = if scale > 0.0 { square / scale } else { 0.0 };
+                probe.error = match (probe.scale > 0.0, square > 0.0) {
+                    (true, _) => square / probe.scale,
+                    (false, wrong) => f64::from(u8::from(wrong)),
+                };
             });
         for probe in &mut self.probes[..self.active] {
             let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
