@@ -101,12 +101,11 @@ pub fn echoes_at(
     at: Instant,
     scatterers: &Scatterers,
     indices: impl Iterator<Item = usize>,
-    chunk: &mut ArrivalChunk,
     sink: &mut impl ArrivalSink,
 ) {
     let prober = Prober::new(plan, tx, array, at);
+    let mut chunk = ArrivalChunk::new();
     chunk.element = at.element;
-    chunk.len = 0;
     for i in indices {
         let Some(echo) = prober.echo(scatterers, i) else {
             continue;
@@ -118,13 +117,12 @@ pub fn echoes_at(
         chunk.amplitude[n] = echo.amplitude;
         chunk.len = n + 1;
         if chunk.len == CHUNK {
-            sink.accept(chunk);
+            sink.accept(&chunk);
             chunk.len = 0;
         }
     }
     if chunk.len > 0 {
-        sink.accept(chunk);
-        chunk.len = 0;
+        sink.accept(&chunk);
     }
 }
 

@@ -35,8 +35,7 @@ impl Leg {
         let e = ray_m / range_m.max(f64::MIN_POSITIVE);
         let closing = velocity.dot(e);
         let across2 = (velocity.length_squared() - closing * closing).max(0.0);
-        // On the array itself a ray has no direction to turn in; a micrometre keeps the quotient finite.
-        let second = across2 / range_m.max(1e-6) - acceleration.dot(e);
+        let second = across2 / range_m.max(f64::MIN_POSITIVE) - acceleration.dot(e);
         (range_m, -closing, second)
     }
 }
@@ -49,7 +48,11 @@ pub struct Stretched {
     pub curvature_per_s: f64,
 }
 
+/// A leg shorter than this many times what either end moves in a pulse has no use for a Taylor series about a later moment.
+const NEAREST_LEG: f64 = 5.0;
+
 /// The expansion about mid-pulse, in terms of its own leading edge. `delay_s` and `doppler` are those of the leading edge, `half_s` is T/2.
+/// A scatterer that the sonar all but touches keeps the stretch of its leading edge.
 pub fn about_mid_pulse(
     c: f64,
     half_s: f64,
@@ -58,6 +61,15 @@ pub fn about_mid_pulse(
     delay_s: f64,
     doppler: f64,
 ) -> Stretched {
+    let moved_m = |leg: &Leg| 2.0 * half_s * leg.motion.velocity_m_per_s.length();
+    let nearest_m = transmit.ray_m.length().min(receive.ray_m.length());
+    if nearest_m < NEAREST_LEG * moved_m(&transmit).max(moved_m(&receive)) {
+        return Stretched {
+            delay_s,
+            doppler,
+            curvature_per_s: 0.0,
+        };
+    }
     let (transmit_m, transmit_rate, transmit_second) = transmit.at(half_s);
     // When the middle arrives: from the stretch at the leading edge two Newton steps reach the last bit.
     let mut since_s = half_s / (1.0 + doppler);

@@ -31,12 +31,11 @@ fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
 /// Direct under the plan's models against the reference, tapered so that edges do not count.
 fn measured(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: &[DVec3]) -> f64 {
     let (tx, rx) = (transmitter(tx_m), element(rx_m));
-    let scatterers = points(at_m.iter().copied());
     let mut worst: f64 = 0.0;
-    for i in 0..scatterers.len() {
-        let one = points([scatterers.position_m(i)]);
+    for &at_m in at_m {
+        let one = points([at_m]);
         let (rate_hz, count) = (100e3, 900);
-        let first_s = 2.0 * at_m[i].length() / C - 2e-3;
+        let first_s = 2.0 * at_m.length() / C - 2e-3;
         let mut got = vec![Complex64::ZERO; count];
         let mut sink = Direct::new(plan, rate_hz, first_s, &mut got);
         let window = Window::of_samples(first_s, rate_hz, count);

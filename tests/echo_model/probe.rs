@@ -54,7 +54,6 @@ fn both(
         at,
         &scatterers,
         candidates.iter().map(|(i, _)| *i as usize),
-        &mut ArrivalChunk::new(),
         &mut Direct::new(plan, dense_rate_hz, first_s, &mut dense).with_edges(edges),
     );
     let got = sampled(&dense);
@@ -122,16 +121,7 @@ fn finding_scatterers_by_range_misses_none() {
     for (k, at) in instants.iter().enumerate() {
         let echoes = |indices: &mut dyn Iterator<Item = usize>| {
             let mut sink = Collected::default();
-            echoes_at(
-                &plan,
-                &tx,
-                &rx,
-                *at,
-                &scatterers,
-                indices,
-                &mut ArrivalChunk::new(),
-                &mut sink,
-            );
+            echoes_at(&plan, &tx, &rx, *at, &scatterers, indices, &mut sink);
             sink.arrivals
         };
         let mut among = found
@@ -148,16 +138,7 @@ fn finding_scatterers_by_range_misses_none() {
     odd.north_m[1] = f64::INFINITY;
     heard(&plan, &odd, &ranges_m, &mut found);
     let mut sink = Collected::default();
-    echoes_at(
-        &plan,
-        &tx,
-        &rx,
-        instants[3],
-        &odd,
-        0..3,
-        &mut ArrivalChunk::new(),
-        &mut sink,
-    );
+    echoes_at(&plan, &tx, &rx, instants[3], &odd, 0..3, &mut sink);
     assert!(sink.arrivals.iter().all(|a| a.delay_s.is_finite()));
     heard(&plan, &odd, &[], &mut found);
     assert!(found.is_empty());
