@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::flow::{Conditions, DopplerModel, MethodCard, PathModel};
+use crate::flow::{Conditions, DopplerModel, MethodCard, MethodRefused, PathModel};
 
 /// f64 delays of 0.3 s at 400 kHz and what follows from them.
 const F64_FLOOR: f64 = 1e-9;
@@ -131,6 +131,22 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
         cost_ms: cost_ms(conditions, ns),
         why,
     }
+}
+
+/// The cheapest Doppler model that reaches `tolerance` on this path model, or why the best does not. Eq. 21 is never it.
+pub fn doppler_within(
+    tolerance: f64,
+    path: PathModel,
+    conditions: &Conditions,
+) -> Result<(DopplerModel, MethodCard), MethodRefused> {
+    let card = |doppler| doppler_card(doppler, path, conditions).within(tolerance);
+    for doppler in [DopplerModel::None, DopplerModel::Stretch] {
+        if let Ok(card) = card(doppler) {
+            return Ok((doppler, card));
+        }
+    }
+    let doppler = DopplerModel::StretchQuadratic;
+    card(doppler).map(|card| (doppler, card))
 }
 
 /// Phase of a closing speed off by `speed_m_per_s` at either end, rms over the pulse.

@@ -62,8 +62,10 @@ pub fn heard(
     ranges_m: &[(f64, f64)],
     out: &mut Vec<(u32, u64)>,
 ) {
-    out.clear();
     assert!(ranges_m.len() <= 64, "one bit each");
+    out.clear();
+    // At once: what the next instants hear may be more.
+    out.reserve(scatterers.len());
     let farthest_m = ranges_m.iter().map(|r| r.1).fold(0.0, f64::max);
     if farthest_m <= 0.0 || farthest_m.is_nan() {
         return;

@@ -5,7 +5,7 @@ use num_complex::Complex64;
 
 use echotank::array::Direct;
 use echotank::array::cards::synthesis_card;
-use echotank::echo::cards::{doppler_card, path_card};
+use echotank::echo::cards::{doppler_card, doppler_within, path_card};
 use echotank::echo::{Window, reference};
 use echotank::flow::*;
 
@@ -145,4 +145,21 @@ fn a_method_that_cannot_reach_what_is_asked_refuses_with_its_reason() {
         assert!(card.clone().within(reaches).is_ok(), "{card:?}");
         assert!(card.clone().within(fails).is_err(), "{card:?}");
     }
+}
+
+#[test]
+fn the_second_order_is_taken_where_the_tolerance_needs_it() {
+    let at = |v: f64, tolerance: f64| {
+        let c = conditions(&ahead(v), (36.0, 150.0));
+        doppler_within(tolerance, PathModel::Continuous, &c).map(|(doppler, _)| doppler)
+    };
+    assert_eq!(at(1e-4, 1e-2), Ok(DopplerModel::None));
+    assert_eq!(at(0.5, 1e-3), Ok(DopplerModel::Stretch));
+    assert_eq!(at(5.0, 2e-2), Ok(DopplerModel::Stretch));
+    assert_eq!(at(5.0, 1e-3), Ok(DopplerModel::StretchQuadratic));
+    let refused = at(5.0, 1e-8).expect_err("beyond the second derivative");
+    assert_eq!(
+        (refused.name, refused.tolerance),
+        ("stretch-quadratic", 1e-8)
+    );
 }
