@@ -162,7 +162,7 @@ pub fn most_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
 }
 
 /// Longest polyline within the limits, for sizing buffers.
-fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+pub fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     (window_s(&longest(spec), sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
 }
 
