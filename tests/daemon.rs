@@ -308,7 +308,11 @@ fn live_udp_navigation_reaches_the_records() {
         123.45,
         "heading",
     );
-    near(position.latitude_rad_or_northing_m.to_degrees(), 54.0, "latitude");
+    near(
+        position.latitude_rad_or_northing_m.to_degrees(),
+        54.0,
+        "latitude",
+    );
     near(
         position.longitude_rad_or_easting_m.to_degrees(),
         10.0,

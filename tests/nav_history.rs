@@ -39,7 +39,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
         name: "test".into(),
         input: NavInputSpec::Log {
             path: "test.log".into(),
-            plain_rate_hz_times_1000: 0,
+            plain_rate_hz: 10.0,
         },
         time: TimePolicy::Message,
         checksum: ChecksumPolicy::Require,

@@ -19,8 +19,8 @@ use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: a picture that fits a screen twice over.
-const WATERFALL_COLUMNS: f64 = 1000.0;
+/// Columns of a waterfall on each side, at most: both sides fit a screen.
+const WATERFALL_COLUMNS: f64 = 600.0;
 
 /// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
 const SCALE: Scale = Scale::Percentiles {

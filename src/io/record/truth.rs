@@ -270,7 +270,7 @@ mod tests {
             target("starboard bow", transmit + DVec3::new(-10.0, 10.0, 0.0)),
             target("astern", transmit + DVec3::new(-1e-9, -5.0, 0.0)),
         ];
-        let line = &lines(&[plan.clone()], &targets)[0];
+        let line = &lines(std::slice::from_ref(&plan), &targets)[0];
         let near = |got: &Value, want: f64| {
             let got = got.as_f64().expect("a number");
             assert!((got - want).abs() < 1e-6, "got {got} want {want}");
