@@ -93,11 +93,14 @@ impl Outputs {
         Ok(Self { sevenk })
     }
 
-    /// One line per output: `7k NAME tcp ADDRESS`.
+    /// Where each output listens, `7k NAME tcp ADDRESS` and the same for UDP.
     pub fn addresses(&self) -> Vec<String> {
+        let address = |out: &SevenK, transport: &str| {
+            format!("7k {} {transport} {}", out.name, out.server.local_addr())
+        };
         self.sevenk
             .iter()
-            .map(|out| format!("7k {} tcp {} (udp too)", out.name, out.server.local_addr()))
+            .flat_map(|out| [address(out, "tcp"), address(out, "udp")])
             .collect()
     }
 
