@@ -1,9 +1,9 @@
 //! The ping path allocates nothing after warm-up: a test of its own, because it counts with the global allocator.
 
-use std::alloc::{GlobalAlloc, Layout, System};
+mod counting;
+
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank::config;
 use echotank::config::spec::NavMode;
@@ -12,31 +12,6 @@ use echotank::nav::Coverage;
 use echotank::ping::Schedule;
 use echotank::run::rig::{Rig, pool};
 use echotank::time::VirtualClock;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-struct Counting;
-
-// SAFETY: every call is handed to the system's allocator unchanged; the counter is atomic and allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `alloc` above with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: as for `dealloc`; the caller promises that `size` is not zero.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// Allocations in each of the last pings of `count`.
 fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
@@ -73,11 +48,11 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
             while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
                 assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
             }
-            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            let before = counting::in_all_threads();
             rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
                 .expect("covered");
             if ping >= count - watched {
-                counted.push(ALLOCATIONS.load(Ordering::Relaxed) - before);
+                counted.push(counting::in_all_threads() - before);
             }
         }
         counted
