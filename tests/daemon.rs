@@ -325,6 +325,29 @@ fn live_udp_navigation_reaches_the_records() {
 }
 
 #[test]
+fn a_log_that_is_not_looped_ends_the_daemon() {
+    let mut daemon = Daemon::start(&[
+        "hil-configs/points.toml",
+        "--set",
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "--set",
+        "sonar.model.synthesis=direct",
+    ]);
+    let mut printed = String::new();
+    daemon
+        .stdout
+        .read_to_string(&mut printed)
+        .expect("readable");
+    let status = daemon.child.wait().expect("ended");
+    assert!(status.success(), "{status}\n{printed}");
+    // The last ping's window ends beyond the track.
+    assert!(
+        printed.contains("pings 10 made") || printed.contains("pings 9 made"),
+        "{printed}"
+    );
+}
+
+#[test]
 fn a_bad_configuration_never_starts_and_says_everything_at_once() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/points.toml");
     let done = Command::new(env!("CARGO_BIN_EXE_echotank"))

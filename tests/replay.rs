@@ -15,10 +15,14 @@ fn config(name: &str) -> PathBuf {
 
 /// Replays into a new folder and returns it.
 fn replay(arguments: &[&str], name: &str) -> tempfile::TempDir {
+    replay_file(arguments, &config(name))
+}
+
+fn replay_file(arguments: &[&str], config: &Path) -> tempfile::TempDir {
     let out = tempfile::tempdir().expect("a folder");
     let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
         .arg("replay")
-        .arg(config(name))
+        .arg(config)
         .args(["--quiet", "--out"])
         .arg(out.path())
         .args(arguments)
@@ -107,6 +111,48 @@ fn a_part_of_a_replay_is_the_same_as_in_the_whole() {
     };
     assert_eq!(records(&whole, 3).len(), 5, "7000, 7503, 7007, 7018, 7038");
     assert_eq!(records(&whole, 3), records(&part, 3));
+}
+
+#[test]
+fn two_sonars_on_one_platform_each_ping_at_their_own_rate() {
+    let points = fs::read_to_string(config("points.toml")).expect("configuration");
+    let (rig, sonar) = points.split_at(points.find("[[sonar]]").expect("a sonar"));
+    let second = sonar
+        .replace("name = \"points\"", "name = \"second\"")
+        .replace("rate_hz = 2.0", "rate_hz = 3.0")
+        .replace("127.0.0.1:7000", "127.0.0.1:7002")
+        .replace("\"reference\"", "\"direct\"");
+    let folder = tempfile::tempdir().expect("a folder");
+    std::os::unix::fs::symlink(config("data"), folder.path().join("data")).expect("link");
+    let two = folder.path().join("two.toml");
+    fs::write(&two, format!("{rig}{sonar}\n{second}")).expect("written");
+    let out = replay_file(&["--formats", "s7k,npz", "--pings", "1..5"], &two);
+    let truth = fs::read_to_string(out.path().join("truth.jsonl")).expect("truth");
+    let mut pings: BTreeMap<String, Vec<(u64, i64)>> = BTreeMap::new();
+    for line in truth.lines() {
+        let line: Value = serde_json::from_str(line).expect("json");
+        let name = line["sonar"].as_str().expect("name").to_owned();
+        let number = line["ping_number"].as_u64().expect("number");
+        let utc_ns = line["utc_ns"].as_i64().expect("time");
+        pings.entry(name).or_default().push((number, utc_ns));
+    }
+    for (name, period_ns) in [("points", 500_000_000), ("second", 333_333_333)] {
+        let made = &pings[name];
+        assert_eq!(
+            made.iter().map(|p| p.0).collect::<Vec<_>>(),
+            [1, 2, 3, 4, 5],
+            "{name}"
+        );
+        assert!(
+            made.windows(2).all(|w| w[1].1 - w[0].1 == period_ns),
+            "{name}: {made:?}"
+        );
+        assert!(out.path().join(name).join("pings.npz").exists(), "{name}");
+        assert!(
+            out.path().join(name).join(format!("{name}.s7k")).exists(),
+            "{name}"
+        );
+    }
 }
 
 /// RGB picture.

@@ -80,6 +80,11 @@ impl Schedule {
         self.next_utc
     }
 
+    /// The number it will have.
+    pub fn next_number(&self) -> u32 {
+        self.next_number
+    }
+
     /// The next ping if its instant has come. `settings_at` tells the settings that were in force at an instant: asking late changes
     /// nothing. While pinging is off the schedule keeps its beat and gives nothing.
     pub fn due(
