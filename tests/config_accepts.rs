@@ -312,7 +312,7 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         log.input,
         NavInputSpec::Log {
             path: track.clone(),
-            plain_rate_hz_times_1000: 500
+            plain_rate_hz: 0.5
         }
     );
     let scene = &rig.scene;

@@ -119,12 +119,13 @@ pub struct NavSourceSpec {
     pub provides: Vec<NavChannel>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum NavInputSpec {
-    /// A recorded log: plain NMEA or with a time prefix on each line.
+    /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
+    /// `plain_rate_hz`.
     Log {
         path: PathBuf,
-        plain_rate_hz_times_1000: u64,
+        plain_rate_hz: f64,
     },
     /// CSV track: time, north, east, down, roll, pitch, heading.
     Csv {

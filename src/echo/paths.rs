@@ -157,6 +157,14 @@ pub struct ElementTrack {
 }
 
 impl ElementTrack {
+    /// With room for a polyline of so many segments.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            legs: Vec::with_capacity(segments),
+            ..Self::default()
+        }
+    }
+
     /// Sets out the legs of `element` under the plan's path and Doppler models.
     pub fn lay(
         &mut self,

@@ -103,6 +103,14 @@ impl Workspace {
     pub fn new() -> Self {
         Self::default()
     }
+
+    /// With room for a polyline of so many segments, so that no ping allocates.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            track: ElementTrack::with_room_for(segments),
+            ..Self::default()
+        }
+    }
 }
 
 /// A batch at one element, before anything is left out.

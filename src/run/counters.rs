@@ -98,6 +98,16 @@ impl PingCounters {
         )
     }
 
+    /// What an operator should know who sees nothing but skipped pings.
+    pub fn advice(&self, latency_s: f64) -> Option<String> {
+        (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
+            format!(
+                "  no ping yet: the navigation has covered none within run.latency_ms = {}. `settle` needs two measurements of every quantity after a ping's window: raise run.latency_ms above twice their interval, or take nav.mode = \"predict\"",
+                latency_s * 1e3
+            )
+        })
+    }
+
     pub fn skipped(&self) -> u64 {
         read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
     }

@@ -85,11 +85,12 @@ impl SonarPipeline {
             ReceiverFilter::None => None,
             ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
         };
+        let segments = ping::most_segments(spec, medium.sound_speed_m_per_s);
         let dense = decimator
             .as_ref()
             .map_or(0, |d| d.dense_len(limits.samples));
         let scratch = || Scratch {
-            walk: Workspace::default(),
+            walk: Workspace::with_room_for(segments),
             dense: Vec::with_capacity(dense),
             bins: Bins::default(),
         };
