@@ -121,6 +121,37 @@ pub struct Pulse {
     pub taper: f64,
 }
 
+impl Pulse {
+    /// Hz per second at which the frequency sweeps: +B/T up, -B/T down, 0 for CW.
+    pub fn sweep_hz_per_s(&self) -> f64 {
+        match self.kind {
+            PulseKind::LfmUp => self.bandwidth_hz / self.duration_s,
+            PulseKind::LfmDown => -self.bandwidth_hz / self.duration_s,
+            PulseKind::Cw => 0.0,
+        }
+    }
+
+    /// a(t), `t_s` seconds after the pulse began: zero outside 0..=T, both ends belonging to the pulse.
+    pub fn envelope(&self, t_s: f64) -> Complex64 {
+        let duration_s = self.duration_s;
+        if !(0.0..=duration_s).contains(&t_s) {
+            return Complex64::ZERO;
+        }
+        // Tukey: raised cosine over `taper * T / 2` at either end.
+        let flank_s = 0.5 * self.taper * duration_s;
+        let from_end_s = t_s.min(duration_s - t_s);
+        let level = if from_end_s < flank_s {
+            libm::sin(0.5 * std::f64::consts::PI * from_end_s / flank_s).powi(2)
+        } else {
+            1.0
+        };
+        let from_middle_s = t_s - 0.5 * duration_s;
+        let turns = 0.5 * self.sweep_hz_per_s() * from_middle_s * from_middle_s;
+        let (sin, cos) = libm::sincos(std::f64::consts::TAU * (turns - turns.round()));
+        Complex64::new(level * cos, level * sin)
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PulseKind {
     LfmUp,

@@ -1,1 +1,20 @@
-//! Path models, Doppler, levels: scatterers to arrivals.
+//! Scatterers to arrivals: path models, Doppler, levels.
+//!
+//! In: a [`PingPlan`](crate::flow::PingPlan), one transmit array, one element of a receive array, [`Scatterers`](crate::flow::Scatterers).
+//! Out: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of delay, Doppler stretch and complex amplitude, handed to an
+//! [`ArrivalSink`](crate::flow::ArrivalSink). Read [`walk`] first.
+//!
+//! Beside it stands [`reference()`](reference::reference): the slow truth, which makes samples itself and shares only the sonar equation.
+//!
+//! Not modelled: refraction, multipath, volume reverberation, occlusion (the scene hands over what is seen).
+
+pub mod absorption;
+mod elementary;
+pub mod levels;
+pub mod paths;
+pub mod reference;
+pub mod walk;
+
+pub use absorption::absorption_db_per_m;
+pub use reference::reference;
+pub use walk::{Illuminated, Window, Workspace, arrivals, illuminate};

@@ -1,0 +1,7 @@
+//! The echo model held to closed forms and to plain slow formulas: `echo` and `array` together, through their public faces.
+
+mod paths;
+mod receiver;
+mod rig;
+mod synthesis;
+mod walk;
