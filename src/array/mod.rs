@@ -7,6 +7,7 @@
 
 pub mod direct;
 pub mod filter;
+pub mod gridded;
 mod phasor;
 pub mod receiver;
 

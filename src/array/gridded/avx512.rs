@@ -1,0 +1,264 @@
+//! The loops of [`super::moments`] in AVX-512. Their twins there say what they compute.
+
+use std::arch::x86_64::*;
+
+use num_complex::{Complex32, Complex64};
+
+use super::moments::{FlushWeights, Located, Row32, Row64};
+
+/// How many points ahead the rows are fetched: far enough for the second-level cache.
+const AHEAD: usize = 12;
+
+/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn accumulate_32(points: &Located<f32>, taps: usize, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 64 bytes long; x, amplitude and weight are
+    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+    unsafe {
+        let n = points.len.min(points.row.len());
+        let table = rows.as_mut_ptr().cast::<f32>();
+        let one = _mm512_set1_ps(1.0);
+        for j in 0..n {
+            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
+            let x = _mm512_set1_ps(points.x[j]);
+            let x2 = _mm512_mul_ps(x, x);
+            let x4 = _mm512_mul_ps(x2, x2);
+            // 1, x, x^2 ... x^7, each twice.
+            let p = _mm512_mask_blend_ps(0b1100_1100_1100_1100, one, x);
+            let p = _mm512_mask_mul_ps(p, 0b1111_0000_1111_0000, p, x2);
+            let p = _mm512_mask_mul_ps(p, 0b1111_1111_0000_0000, p, x4);
+            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
+            let row = table.add(16 * points.row[j] as usize);
+            if taps == 1 {
+                _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * ahead).cast());
+                _mm512_store_ps(row, _mm512_fmadd_ps(p, c, _mm512_load_ps(row)));
+            } else {
+                let moments = _mm512_mul_ps(p, c);
+                for t in 0..taps {
+                    _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
+                    let weight = _mm512_set1_ps(*points.weight[j].get_unchecked(t));
+                    let row = row.add(16 * t);
+                    _mm512_store_ps(row, _mm512_fmadd_ps(moments, weight, _mm512_load_ps(row)));
+                }
+            }
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row64]) {
+    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 192 bytes long; x, amplitude and weight are
+    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+    unsafe {
+        let n = points.len.min(points.row.len());
+        let table = rows.as_mut_ptr().cast::<f64>();
+        let one = _mm512_set1_pd(1.0);
+        for j in 0..n {
+            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
+            let x = _mm512_set1_pd(points.x[j]);
+            let x2 = _mm512_mul_pd(x, x);
+            let x4 = _mm512_mul_pd(x2, x2);
+            // 1, x, x^2, x^3, each twice; then times x^4 and x^8.
+            let p = _mm512_mask_blend_pd(0b1100_1100, one, x);
+            let p = _mm512_mask_mul_pd(p, 0b1111_0000, p, x2);
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let low = _mm512_mul_pd(p, _mm512_broadcast_f64x2(c));
+            let middle = _mm512_mul_pd(low, x4);
+            let high = _mm512_mul_pd(middle, x4);
+            let row = table.add(24 * points.row[j] as usize);
+            for t in 0..taps {
+                let next = table.wrapping_add(24 * (ahead + t));
+                _mm_prefetch::<_MM_HINT_T0>(next.cast());
+                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
+                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
+                let row = row.add(24 * t);
+                let weight = if taps == 1 {
+                    one
+                } else {
+                    _mm512_set1_pd(*points.weight[j].get_unchecked(t))
+                };
+                for (v, moments) in [low, middle, high].into_iter().enumerate() {
+                    let row = row.add(8 * v);
+                    _mm512_store_pd(row, _mm512_fmadd_pd(moments, weight, _mm512_load_pd(row)));
+                }
+            }
+        }
+    }
+}
+
+/// A window of grid values slides over the cells in registers: each cell adds its taps, then the first value is finished and leaves.
+///
+/// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn flush_32(
+    rows: &[Row32],
+    columns: usize,
+    column: usize,
+    weights: &FlushWeights<f32>,
+    out: &mut [Complex32],
+) {
+    // SAFETY: the caller vouches for features and shapes.
+    unsafe {
+        match weights.width {
+            0..=8 => flush_32_of::<1>(rows, columns, column, weights, out),
+            _ => flush_32_of::<2>(rows, columns, column, weights, out),
+        }
+    }
+}
+
+/// V registers of eight complex values hold the window.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn flush_32_of<const V: usize>(
+    rows: &[Row32],
+    columns: usize,
+    column: usize,
+    weights: &FlushWeights<f32>,
+    out: &mut [Complex32],
+) {
+    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more,
+    // of which the last loop writes min(8 V, width) - 1. `doubled` has 8 entries of 32 weights.
+    unsafe {
+        let cells = rows.len() / columns - 1;
+        let mut w = [[_mm512_setzero_ps(); V]; 8];
+        for (k, w) in w.iter_mut().enumerate() {
+            for (v, w) in w.iter_mut().enumerate() {
+                *w = _mm512_loadu_ps(weights.doubled.get_unchecked(k).as_ptr().add(16 * v));
+            }
+        }
+        let zero = _mm512_setzero_ps();
+        let mut window = [zero; V];
+        let out_at = out.as_mut_ptr().cast::<f64>();
+        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        for cell in 0..cells {
+            // Two chains of products per register, apart from the window: only its one addition waits for the cell before.
+            let (mut even, mut odd) = ([zero; V], [zero; V]);
+            for k in 0..4 {
+                let a = _mm512_castpd_ps(_mm512_set1_pd(*row.add(2 * k)));
+                let b = _mm512_castpd_ps(_mm512_set1_pd(*row.add(2 * k + 1)));
+                for v in 0..V {
+                    even[v] = _mm512_fmadd_ps(a, w[2 * k][v], even[v]);
+                    odd[v] = _mm512_fmadd_ps(b, w[2 * k + 1][v], odd[v]);
+                }
+            }
+            for v in 0..V {
+                window[v] = _mm512_add_ps(window[v], _mm512_add_ps(even[v], odd[v]));
+            }
+            shift_32(&mut window, out_at.add(cell));
+            row = row.add(8 * columns);
+        }
+        for value in cells..out.len() {
+            shift_32(&mut window, out_at.add(value));
+        }
+    }
+}
+
+/// Writes the first complex value of the window and moves the others down by one.
+///
+/// SAFETY: `out` must be writable.
+#[inline]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn shift_32<const V: usize>(window: &mut [__m512; V], out: *mut f64) {
+    // SAFETY: the caller vouches for `out`.
+    unsafe {
+        _mm_storel_pd(out, _mm_castps_pd(_mm512_castps512_ps128(window[0])));
+        for v in 0..V {
+            let next = if v + 1 < V {
+                _mm512_castps_si512(window[v + 1])
+            } else {
+                _mm512_setzero_si512()
+            };
+            window[v] = _mm512_castsi512_ps(_mm512_alignr_epi64::<1>(
+                next,
+                _mm512_castps_si512(window[v]),
+            ));
+        }
+    }
+}
+
+/// As [`flush_32`].
+///
+/// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn flush_64(
+    rows: &[Row64],
+    columns: usize,
+    column: usize,
+    weights: &FlushWeights<f64>,
+    out: &mut [Complex64],
+) {
+    // SAFETY: the caller vouches for features and shapes.
+    unsafe {
+        match weights.width {
+            0..=4 => flush_64_of::<1>(rows, columns, column, weights, out),
+            5..=8 => flush_64_of::<2>(rows, columns, column, weights, out),
+            9..=12 => flush_64_of::<3>(rows, columns, column, weights, out),
+            _ => flush_64_of::<4>(rows, columns, column, weights, out),
+        }
+    }
+}
+
+/// V registers of four complex values hold the window.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn flush_64_of<const V: usize>(
+    rows: &[Row64],
+    columns: usize,
+    column: usize,
+    weights: &FlushWeights<f64>,
+    out: &mut [Complex64],
+) {
+    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more.
+    // `doubled` has 12 entries of 32 weights.
+    unsafe {
+        let cells = rows.len() / columns - 1;
+        let zero = _mm512_setzero_pd();
+        let mut window = [zero; V];
+        let w = weights.doubled.as_ptr().cast::<f64>();
+        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        for cell in 0..cells {
+            let (mut even, mut odd) = ([zero; V], [zero; V]);
+            for k in 0..6 {
+                let a = _mm512_broadcast_f64x2(_mm_load_pd(row.add(4 * k)));
+                let b = _mm512_broadcast_f64x2(_mm_load_pd(row.add(4 * k + 2)));
+                for v in 0..V {
+                    let wa = _mm512_loadu_pd(w.add(64 * k + 8 * v));
+                    let wb = _mm512_loadu_pd(w.add(64 * k + 32 + 8 * v));
+                    even[v] = _mm512_fmadd_pd(a, wa, even[v]);
+                    odd[v] = _mm512_fmadd_pd(b, wb, odd[v]);
+                }
+            }
+            for v in 0..V {
+                window[v] = _mm512_add_pd(window[v], _mm512_add_pd(even[v], odd[v]));
+            }
+            shift_64(&mut window, out.as_mut_ptr().add(cell).cast());
+            row = row.add(24 * columns);
+        }
+        for value in cells..out.len() {
+            shift_64(&mut window, out.as_mut_ptr().add(value).cast());
+        }
+    }
+}
+
+/// Writes the first complex value of the window and moves the others down by one.
+///
+/// SAFETY: `out` must be writable, 16 bytes.
+#[inline]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
+    // SAFETY: the caller vouches for `out`.
+    unsafe {
+        _mm_storeu_pd(out, _mm512_castpd512_pd128(window[0]));
+        for v in 0..V {
+            let next = if v + 1 < V {
+                _mm512_castpd_si512(window[v + 1])
+            } else {
+                _mm512_setzero_si512()
+            };
+            window[v] = _mm512_castsi512_pd(_mm512_alignr_epi64::<2>(
+                next,
+                _mm512_castpd_si512(window[v]),
+            ));
+        }
+    }
+}
