@@ -73,7 +73,7 @@ pub enum FixQuality {
 }
 
 /// The platform at one instant, as the wire wants it (the model uses `PingPlan::trajectory`).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NavState {
     pub utc: UtcNs,
     pub pose: Pose,
@@ -101,11 +101,66 @@ pub struct NavState {
 pub struct SonarSettings {
     pub pinging: bool,
     pub range_m: f64,
+    /// 0 only while `pinging` is false.
     pub max_ping_rate_hz: f64,
     /// dB re 1 uPa at 1 m.
     pub source_level_db: f64,
     pub gain_db: f64,
     pub pulse_duration_s: f64,
+}
+
+/// One change of the settings, as an operator or a topside asks for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SettingChange {
+    RangeM(f64),
+    /// 0 holds the sonar: it keeps what it is told and pings again when the rate is above 0.
+    MaxPingRateHz(f64),
+    /// dB re 1 uPa at 1 m.
+    SourceLevelDb(f64),
+    GainDb(f64),
+    PulseDurationS(f64),
+    Start,
+    Stop,
+}
+
+/// A change that was obeyed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettingApplied {
+    /// The settings with the change in them.
+    pub settings: SonarSettings,
+    /// Counts the changes obeyed so far; 0 is the configuration's own settings.
+    pub version: u64,
+}
+
+/// A change that was refused: nothing changed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{key} = {value}: must be {rule}")]
+pub struct SettingRefused {
+    /// The setting's key in the configuration.
+    pub key: &'static str,
+    pub value: f64,
+    pub rule: SettingRule,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SettingRule {
+    #[error("a finite number")]
+    Finite,
+    #[error("from {min} to {max}")]
+    Between { min: f64, max: f64 },
+    #[error("0 or from {min} to {max}")]
+    ZeroOrBetween { min: f64, max: f64 },
+}
+
+/// The way from any protocol, page or command to the settings of one sonar; `run::settings` is behind it.
+pub trait SettingsPort: Send + Sync {
+    fn settings(&self) -> SonarSettings;
+    /// `asked_utc`: rig time, for the list of recent changes.
+    fn apply(
+        &self,
+        change: SettingChange,
+        asked_utc: UtcNs,
+    ) -> Result<SettingApplied, SettingRefused>;
 }
 
 /// The transmitted pulse: sqrt(2) Re{ a(t) exp(j 2pi f_c t) }, 0 <= t <= T.
@@ -400,6 +455,30 @@ impl Scatterers {
     }
 }
 
+/// What one array can hear of the scene: a ball, less the two cones about the line's axis where its pattern is below what counts.
+/// A footprint with a value that is not finite hears nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Footprint {
+    /// World, metres.
+    pub apex_m: DVec3,
+    /// The line array's axis in the world, unit.
+    pub axis: DVec3,
+    /// Directions u with |u . axis| above this are left out; 1 keeps all.
+    pub max_axis_sine: f64,
+    pub max_range_m: f64,
+}
+
+impl Footprint {
+    pub fn contains(&self, position_m: DVec3) -> bool {
+        let d = position_m - self.apex_m;
+        let range_squared = d.length_squared();
+        let along = d.dot(self.axis);
+        range_squared <= self.max_range_m * self.max_range_m
+            && (self.max_axis_sine >= 1.0
+                || along * along <= self.max_axis_sine * self.max_axis_sine * range_squared)
+    }
+}
+
 /// A named strong target, for the truth file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
@@ -555,4 +634,60 @@ pub struct Datagram {
     /// The protocol's own number (7038, 7018, ...).
     pub record_type: u32,
     pub bytes: Vec<u8>,
+}
+
+/// For the tests of any stage.
+#[cfg(test)]
+pub mod testing {
+    use super::*;
+
+    /// A ping of a platform at rest in the origin.
+    pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64) -> PingPlan {
+        let trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, glam::DQuat::IDENTITY);
+        PingPlan {
+            sonar: 0,
+            ping_number: 1,
+            transmit_utc: UtcNs(0),
+            stamp_utc: UtcNs(0),
+            ping_period_s: 0.0,
+            settings: SonarSettings {
+                pinging: true,
+                range_m: 10.0,
+                max_ping_rate_hz: 1.0,
+                source_level_db: 220.0,
+                gain_db: 0.0,
+                pulse_duration_s: pulse.duration_s,
+            },
+            ping_rate_hz: 1.0,
+            pulse: *pulse,
+            sound_speed_m_per_s,
+            absorption_db_per_m: 0.0,
+            sample_count,
+            first_sample_s: 0.0,
+            model: ModelChoice {
+                path: PathModel::Polyline,
+                doppler: DopplerModel::Stretch,
+                synthesis: Synthesis::Direct,
+                segment_s: 1.0,
+                cull_db: None,
+            },
+            nav: NavState {
+                utc: UtcNs(0),
+                pose: trajectory.pose_at(0.0),
+                roll_rad: 0.0,
+                pitch_rad: 0.0,
+                heading_rad: 0.0,
+                heave_down_m: 0.0,
+                latitude_rad: 0.0,
+                longitude_rad: 0.0,
+                height_m: 0.0,
+                fix: FixQuality::None,
+                position_age_s: 0.0,
+                attitude_age_s: 0.0,
+                extrapolated: false,
+            },
+            trajectory,
+            segments: Vec::new(),
+        }
+    }
 }

@@ -31,7 +31,7 @@ pub fn angles_from_rotation(world_from_body: DQuat) -> (f64, f64, f64) {
 }
 
 /// Position, velocity and attitude of the platform's reference point at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
     /// World, metres.
     pub position_m: DVec3,

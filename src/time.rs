@@ -104,3 +104,34 @@ impl Timeline {
         MonoNs(utc.0.saturating_sub(self.utc_minus_mono_ns))
     }
 }
+
+/// A clock that stands still until it is told: for `replay` and tests.
+#[derive(Default)]
+pub struct VirtualClock {
+    mono_ns: std::sync::atomic::AtomicI64,
+    host_minus_mono_ns: i64,
+}
+
+impl VirtualClock {
+    /// Mono starts at zero, when the host's clock shows `host_utc`.
+    pub fn starting_at(host_utc: UtcNs) -> Self {
+        Self {
+            mono_ns: 0.into(),
+            host_minus_mono_ns: host_utc.0,
+        }
+    }
+}
+
+impl Clock for VirtualClock {
+    fn mono(&self) -> MonoNs {
+        MonoNs(self.mono_ns.load(std::sync::atomic::Ordering::Acquire))
+    }
+    fn host_utc(&self) -> UtcNs {
+        UtcNs(self.mono().0.saturating_add(self.host_minus_mono_ns))
+    }
+    /// Time passes at once.
+    fn sleep_until(&self, deadline: MonoNs) {
+        self.mono_ns
+            .fetch_max(deadline.0, std::sync::atomic::Ordering::AcqRel);
+    }
+}

@@ -79,23 +79,14 @@ def load_rig(path, sonar_name=None):
     sonars = config["sonar"]
     sonar = next(s for s in sonars if s.get("name") == sonar_name) if sonar_name else sonars[0]
     pulse = sonar["pulse"]
-    transmit_names = [t.get("name") for t in sonar["transmit_array"]]
-
-    def which_transmit(value):
-        return transmit_names.index(value) if isinstance(value, str) else int(value)
-
-    source_level_db = float(sonar.get("settings", {}).get("source_level_db", 0.0))
+    transmit_names = [t.get("name") for t in sonar["transmit"]]
+    source_level_db = float(sonar["ping"].get("source_level_db", 0.0))
     receive = [ReceiveArray(
         name=a.get("name", str(i)), elements=int(a["elements"]), spacing_m=float(a.get("spacing_m", 0.0)),
         position_m=np.array(a.get("position_m", [0, 0, 0]), float),
         roll_pitch_yaw_deg=(float(a.get("roll_deg", 0)), float(a.get("pitch_deg", 0)), float(a.get("yaw_deg", 0))),
-        transmit=which_transmit(a.get("transmit", 0)), level_db=source_level_db + float(a.get("sensitivity_db", 0.0)),
-    ) for i, a in enumerate(sonar["receive_array"])]
-    points_path = config["scene"]["points"]
-    points_path = points_path["path"] if isinstance(points_path, dict) else points_path
-    nav = config["nav"]
-    source = nav["source"][0] if isinstance(nav.get("source"), list) else nav.get("source", nav)
-    nav_path = source["csv"] if "csv" in source else source["path"]
+        transmit=transmit_names.index(a["transmit"]), level_db=source_level_db + float(a.get("sensitivity_db", -190.0)),
+    ) for i, a in enumerate(sonar["receive"])]
     return Rig(
         sound_speed_m_per_s=float(config["medium"]["sound_speed_m_per_s"]),
         center_frequency_hz=exact_scale(pulse["center_frequency_khz"], 3),
@@ -103,11 +94,11 @@ def load_rig(path, sonar_name=None):
         bandwidth_hz=exact_scale(pulse.get("bandwidth_khz", 0), 3),
         duration_s=exact_scale(pulse["duration_ms"], -3),
         sweep_sign=-1.0 if pulse.get("sweep", "up") == "down" else 1.0,
-        tukey=float(pulse.get("taper_fraction", 0.0)),
+        tukey=float(pulse.get("taper", 0.0)),
         receive=receive,
-        transmit_positions_m=[np.array(t.get("position_m", [0, 0, 0]), float) for t in sonar["transmit_array"]],
-        points=read_points(path.parent / points_path),
-        nav=read_nav(path.parent / nav_path),
+        transmit_positions_m=[np.array(t.get("position_m", [0, 0, 0]), float) for t in sonar["transmit"]],
+        points=read_points(path.parent / config["scene"]["points"]),
+        nav=read_nav(path.parent / config["nav"]["source"][0]["path"]),
     )
 
 

@@ -452,6 +452,8 @@ DEFAULT_SUBSCRIPTION = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 10
 
 # 7KTIME keeps the seconds as f32: just under 60 s one step is 3.8 us.
 STAMP_STEP_NS = 4000
+# Answers and pings stamped farther apart than this come from different clocks (a log's and the host's).
+SAME_CLOCK_S = 30.0
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1042,6 +1044,7 @@ class Session:
         self.echoes = []        # 7500 records from the server
         self.device_id, self.enumerator = CENTER_DEVICE_ID, 0
         self.ticket = 0x45540000
+        self.latency_s = 0.0    # from a ping's stamp to its arrival, see Contract.latency_s
         self.bytes = 0
         self.started = time.monotonic()
         if udp:
@@ -1111,6 +1114,10 @@ class Session:
         record, begun = self.replies[ticket]
         self.findings.check("reply", record.where, "tracking number echoed to command %d" % command,
                             record.header["tracking_number"], tracking)
+        if begun and None not in (record.stamp_ns, self.pings[begun - 1].stamp_ns):
+            behind_s = (record.stamp_ns - self.pings[begun - 1].stamp_ns) / 1e9
+            if abs(behind_s) < SAME_CLOCK_S:
+                self.latency_s = behind_s
         if record.kind == 7502:
             raise Refused(record.header["error_code"])
         return record, begun
@@ -1153,8 +1160,13 @@ class Contract:
         steps = [(b.stamp_ns - a.stamp_ns) / 1e9 for a, b in zip(recent, recent[1:])]
         return statistics.median(steps) if steps else 1.0
 
+    def latency_s(self):
+        """How long after its pulse a ping reaches us, as far as the server's answers tell: one that settles its navigation, or one that
+        buffers, delivers seconds late and stamps truly. Zero where answers and pings are stamped from different clocks."""
+        return max(0.0, self.session.latency_s)
+
     def patience_s(self):
-        return max(5.0, 8.0 * self.period_s())
+        return max(5.0, 8.0 * self.period_s()) + self.latency_s()
 
     def wait_pings(self, count, why):
         pings = self.session.pings
@@ -1169,7 +1181,7 @@ class Contract:
         the order of arrival can be judged, with two pings of grace."""
         pings = self.session.pings
         last = pings[-1].stamp_ns
-        same_clock = reply.stamp_ns is not None and last is not None and abs(reply.stamp_ns - last) < 30e9
+        same_clock = reply.stamp_ns is not None and last is not None and abs(reply.stamp_ns - last) < SAME_CLOCK_S * 1e9
         if not same_clock:
             late = [p for p in pings[begun + 2:] if not obeyed(p)]
             rule = "by order of arrival"
@@ -1247,6 +1259,7 @@ class Contract:
             raise StepFailed("refused " + "; ".join(refusals))
         before = session.pings[begun - 1].settings[field] if begun else None
         wanted = value
+        self.session.pump(self.latency_s())
         self.wait_pings(4, "after %s %.6g" % (field, value))
         first, after, rule = self.judge(reply, begun, lambda p: p.settings[field] == wanted, lambda p: "%s %.7g, expected %.7g" % (
             field, p.settings[field], wanted))
@@ -1313,7 +1326,7 @@ class Contract:
         stopped = self.request_settings()
         if stopped["ping_state"] != 0:
             raise StepFailed("7503 says ping state %d after stop, expected 0" % stopped["ping_state"])
-        session.pump(max(0.5, 2.0 * period))
+        session.pump(max(0.5, 2.0 * period) + self.latency_s())
         count = len(session.pings)
         session.pump(max(1.0, 3.0 * period))
         if len(session.pings) != count:

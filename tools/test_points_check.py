@@ -149,7 +149,7 @@ RIG = """
 [medium]
 sound_speed_m_per_s = 1500.0
 [nav]
-source = [{ csv = "track.csv" }]
+source = [{ kind = "csv", path = "track.csv" }]
 [scene]
 points = "points.csv"
 [[sonar]]
@@ -160,17 +160,22 @@ center_frequency_khz = 400.0
 bandwidth_khz = 20.0
 duration_ms = 1.0
 sweep = "down"
-[[sonar.transmit_array]]
+[sonar.ping]
+source_level_db = 0.0
+[[sonar.transmit]]
 name = "tx"
 position_m = [0.5, 0.0, 0.2]
-[[sonar.receive_array]]
+[[sonar.receive]]
 name = "port"
+transmit = "tx"
+sensitivity_db = 0.0
 elements = 2
 spacing_m = 0.002
 position_m = [0.1, -0.2, 0.3]
 roll_deg = 60.0
-[[sonar.receive_array]]
+[[sonar.receive]]
 name = "starboard"
+sensitivity_db = 0.0
 elements = 3
 spacing_m = 0.003
 position_m = [0.1, 0.2, 0.3]

@@ -1,1 +1,14 @@
 //! Sonar wire formats, sans I/O.
+//!
+//! Bytes come in as slices and go out into buffers that belong to the caller. There is no socket, no file and no clock here, and nothing of
+//! the program around it: a format is one folder, and every file in it keeps the same order: what it is and where its layout was read,
+//! frame, records, length, parse, emit, print, tests.
+//!
+//! Two promises hold for every format. Parsing never panics, whatever the bytes; emitting allocates nothing but the growth of the
+//! caller's buffer.
+//!
+//! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
+
+#![forbid(unsafe_code)]
+
+pub mod sevenk;

@@ -12,5 +12,5 @@ mod phasor;
 pub mod receiver;
 
 pub use direct::Direct;
-pub use filter::{Decimator, oversample};
+pub use filter::{Decimator, FilterError, oversample};
 pub use receiver::receive;

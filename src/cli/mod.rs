@@ -1,1 +1,192 @@
-//! One file per subcommand.
+//! The command line: one file per subcommand.
+//!
+//! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
+
+pub mod check;
+pub mod listen;
+pub mod replay;
+pub mod run;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::config::{self, spec::RigSpec};
+
+/// Feeds a real sonar topside, DSP or acquisition board as though it were in the water.
+///
+/// Navigation comes in (a recorded log, UDP or a serial port), an echo model runs at the ping rate over a virtual seabed, and element
+/// samples, beams and side-scan lines go out in the binary protocol of a real sonar (Teledyne RESON 7k).
+///
+/// Without a subcommand: `run` with the quickstart configuration.
+#[derive(Parser)]
+#[command(name = "echotank", version, max_term_width = 120)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// The daemon: navigation in, pings in real time, protocols out, until stopped
+    Run(run::RunArgs),
+    /// The same pipeline offline, as fast as it goes: files out, the same bytes every time
+    Replay(replay::ReplayArgs),
+    /// Check a configuration and print what follows from it
+    Check(check::CheckArgs),
+    /// A small topside for people: connect to a 7k server, subscribe, print records
+    Listen(listen::ListenArgs),
+}
+
+/// A configuration and the changes to it that the command line makes.
+#[derive(Args, Clone, Debug)]
+pub struct ConfigArgs {
+    /// Configuration file (TOML); `echotank check --template` prints one to start from
+    pub config: PathBuf,
+    /// Change a value before checking, e.g. --set 'sonar.model.synthesis="reference"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let done = match cli
+        .command
+        .unwrap_or_else(|| Command::Run(run::RunArgs::default()))
+    {
+        Command::Run(args) => run::main(&args),
+        Command::Replay(args) => replay::main(&args),
+        Command::Check(args) => check::main(&args),
+        Command::Listen(args) => listen::main(&args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Configuration(text)) => {
+            eprintln!("{text}");
+            ExitCode::from(2)
+        }
+        Err(Failure::Running(text)) => {
+            eprintln!("echotank: {text}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Why a command ended without success.
+#[derive(Debug)]
+pub enum Failure {
+    /// The operator's: the whole list of problems.
+    Configuration(String),
+    /// The world's.
+    Running(String),
+}
+
+impl Failure {
+    pub fn running(error: impl std::fmt::Display) -> Self {
+        Self::Running(error.to_string())
+    }
+}
+
+/// Reads and checks a configuration with the command line's changes in it.
+pub fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
+    let refuse = |text: String| Failure::Configuration(text);
+    if set.is_empty() {
+        return config::load(path).map_err(|e| refuse(e.to_string()));
+    }
+    let text =
+        std::fs::read_to_string(path).map_err(|e| refuse(format!("{}: {e}", path.display())))?;
+    let mut table: toml::Table = text
+        .parse()
+        .map_err(|e| refuse(format!("{}: {e}", path.display())))?;
+    for change in set {
+        apply(&mut table, change).map_err(|why| refuse(format!("--set {change}: {why}")))?;
+    }
+    let text = toml::to_string(&table).map_err(|e| refuse(e.to_string()))?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    config::parse(&text, folder)
+        .map_err(|e| refuse(format!("{} (with --set)\n{e}", path.display())))
+}
+
+/// Sets `a.b.c=VALUE`. A list of tables is changed in every entry, or in one where the key has a number; absent tables are made.
+fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
+    let (key, value) = change.split_once('=').ok_or("expected KEY=VALUE")?;
+    let value = parse_value(value.trim());
+    let path: Vec<&str> = key.trim().split('.').collect();
+    if path.iter().any(|part| part.is_empty()) {
+        return Err("a part of the key is empty".into());
+    }
+    set_in(table, &path, &value)
+}
+
+/// A TOML value, or else the text itself, so that simple words need no quotes.
+fn parse_value(text: &str) -> toml::Value {
+    match format!("v = {text}").parse::<toml::Table>() {
+        Ok(mut table) => table
+            .remove("v")
+            .unwrap_or_else(|| toml::Value::String(text.into())),
+        Err(_) => toml::Value::String(text.into()),
+    }
+}
+
+fn set_in(table: &mut toml::Table, path: &[&str], value: &toml::Value) -> Result<(), String> {
+    let (first, rest) = path.split_first().ok_or("empty key")?;
+    if rest.is_empty() {
+        table.insert((*first).to_string(), value.clone());
+        return Ok(());
+    }
+    let next = table
+        .entry((*first).to_string())
+        .or_insert_with(|| toml::Value::Table(toml::Table::new()));
+    match next {
+        toml::Value::Table(inner) => set_in(inner, rest, value),
+        toml::Value::Array(entries) => {
+            let (one, below) = match rest[0].parse::<usize>() {
+                Ok(index) => (Some(index), &rest[1..]),
+                Err(_) => (None, rest),
+            };
+            if one.is_some_and(|index| index >= entries.len()) {
+                return Err(format!("{first} has {} entries", entries.len()));
+            }
+            for (index, entry) in entries.iter_mut().enumerate() {
+                if one.is_none_or(|wanted| wanted == index) {
+                    let inner = entry
+                        .as_table_mut()
+                        .ok_or_else(|| format!("{first} is not a list of tables"))?;
+                    set_in(inner, below, value)?;
+                }
+            }
+            Ok(())
+        }
+        _ => Err(format!("{first} is a value, not a table")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn set_reaches_every_sonar_or_the_one_named() {
+        let mut table: toml::Table = "[[sonar]]\nname = 'a'\n[[sonar]]\nname = 'b'\n"
+            .parse()
+            .unwrap();
+        apply(&mut table, "sonar.ping.range_m=75").unwrap();
+        apply(&mut table, "sonar.1.name=c").unwrap();
+        let text = toml::to_string(&table).unwrap();
+        assert_eq!(text.matches("range_m = 75").count(), 2, "{text}");
+        assert!(
+            text.contains("name = \"a\"") && text.contains("name = \"c\""),
+            "{text}"
+        );
+        assert!(apply(&mut table, "sonar.7.name=c").is_err());
+        assert!(apply(&mut table, "sonar").is_err());
+        assert!(apply(&mut table, "sonar..name=1").is_err());
+    }
+
+    #[test]
+    fn command_line_is_well_formed() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+}

@@ -183,6 +183,16 @@ impl Default for Rays {
     }
 }
 
+impl Rays {
+    /// Nothing placed yet.
+    fn begin(&mut self) {
+        *self = Self {
+            delay_s: [f64::INFINITY; CHUNK],
+            ..Self::default()
+        };
+    }
+}
+
 /// What went other than plainly while a batch was solved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Oddities {
@@ -197,10 +207,13 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     let square = x * x + y * y + z * z;
     let root = (along * along + c2_minus_v2 * square).sqrt();
     let sum = along.abs() + root;
-    let (over, under) = if along >= 0.0 {
-        (square, sum.max(f64::MIN_POSITIVE)) // 0/0 where the receiver sits on the scatterer
+    let ahead = along >= 0.0;
+    let over = if ahead { square } else { sum };
+    // Not 0/0 where the receiver sits on the scatterer.
+    let under = if ahead {
+        sum.max(f64::MIN_POSITIVE)
     } else {
-        (sum, c2_minus_v2)
+        c2_minus_v2
     };
     over / under
 }
@@ -236,27 +249,26 @@ fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Odditie
         let early = root_s < leg.start_s;
         let on_time = root_s < leg.end_s;
         let take = open & on_time;
-        placed += take as u64;
-        none += (open & early) as u64;
-        two += (!open & !early & on_time) as u64;
+        // Wrapping: a check for overflow would be a branch. They count to 256.
+        placed = u64::wrapping_add(placed, take as u64);
+        none = u64::wrapping_add(none, (open & early) as u64);
+        two = u64::wrapping_add(two, (!open & !early & on_time) as u64);
 
         // Early means that every earlier leg found its root late: the element jumped at the vertex, and the vertex it is.
         let delay_s = root_s.max(leg.start_s);
         let after_s = delay_s - leg.start_s;
         let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
-        let keep = |new: f64, old: f64| if take { new } else { old };
-        rays.delay_s[i] = keep(delay_s, rays.delay_s[i]);
-        rays.x_m[i] = keep(x, rays.x_m[i]);
-        rays.y_m[i] = keep(y, rays.y_m[i]);
-        rays.z_m[i] = keep(z, rays.z_m[i]);
-        let array_x = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
-        let array_y = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
-        let array_z = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
-        rays.array_x_m[i] = keep(array_x, rays.array_x_m[i]);
-        rays.array_y_m[i] = keep(array_y, rays.array_y_m[i]);
-        rays.array_z_m[i] = keep(array_z, rays.array_z_m[i]);
-        let closing = w.x * x + w.y * y + w.z * z;
-        rays.closing_m2_per_s[i] = keep(closing, rays.closing_m2_per_s[i]);
+        // Each scatterer is placed once, on arrays that began as zeros: adding 0 or 1 times is a choice that still vectorises, where an
+        // `if` would become a branch around the stores.
+        let chosen = if take { 1.0 } else { 0.0 };
+        rays.delay_s[i] = rays.delay_s[i].min(if take { delay_s } else { f64::INFINITY });
+        rays.x_m[i] += chosen * x;
+        rays.y_m[i] += chosen * y;
+        rays.z_m[i] += chosen * z;
+        rays.array_x_m[i] += chosen * (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z);
+        rays.array_y_m[i] += chosen * (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z);
+        rays.array_z_m[i] += chosen * (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z);
+        rays.closing_m2_per_s[i] += chosen * (w.x * x + w.y * y + w.z * z);
     }
     odd.no_root += none;
     odd.two_roots += two;
@@ -274,7 +286,7 @@ fn solve_leg_avx2(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Od
 pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
     let n = batch.range_m.len();
     let mut odd = Oddities::default();
-    rays.delay_s[..n].fill(f64::INFINITY);
+    rays.begin();
     let mut placed = 0;
     for leg in &track.legs {
         // c (t - t1) - |S - r(t)| grows along a leg, so its sign at the ends says whether the root lies between. Two triangle
@@ -340,7 +352,7 @@ mod tests {
         };
         let run = |wide: bool| {
             let mut rays = Rays::default();
-            rays.delay_s.fill(f64::INFINITY);
+            rays.begin();
             let mut odd = Oddities::default();
             let placed = if wide {
                 // SAFETY: asked above.

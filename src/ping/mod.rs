@@ -143,12 +143,27 @@ pub fn polyline(
     }
 }
 
-/// Longest polyline a plan of this sonar can need, for sizing buffers.
-pub fn segments_at_most(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
-    let mut widest = spec.settings;
-    widest.range_m = spec.limits.range_m.1;
-    widest.pulse_duration_s = spec.limits.pulse_duration_s.1;
-    (window_s(&widest, sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
+/// The longest window within the sonar's limits.
+fn longest(spec: &SonarSpec) -> SonarSettings {
+    SonarSettings {
+        range_m: spec.limits.range_m.1,
+        pulse_duration_s: spec.limits.pulse_duration_s.1,
+        ..spec.settings
+    }
+}
+
+/// Samples of the longest window within the limits, for sizing buffers.
+pub fn most_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+    sample_count(
+        &longest(spec),
+        sound_speed_m_per_s,
+        spec.receiver.sample_rate_hz,
+    )
+}
+
+/// Longest polyline within the limits, for sizing buffers.
+fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+    (window_s(&longest(spec), sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
 }
 
 /// A plan with room for every setting within the limits; [`fill`] makes it a particular ping.
@@ -157,7 +172,6 @@ pub fn blank(
     spec: &SonarSpec,
     medium: &MediumSpec,
     absorption_db_per_m: f64,
-    nav: NavState,
 ) -> PingPlan {
     PingPlan {
         sonar,
@@ -173,9 +187,9 @@ pub fn blank(
         sample_count: 0,
         first_sample_s: 0.0,
         model: spec.model,
-        nav,
+        nav: NavState::default(),
         trajectory: Trajectory::default(),
-        segments: Vec::with_capacity(segments_at_most(spec, medium.sound_speed_m_per_s)),
+        segments: Vec::with_capacity(most_segments(spec, medium.sound_speed_m_per_s)),
     }
 }
 

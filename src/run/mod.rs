@@ -1,3 +1,9 @@
-//! Who knows the order: pipeline, pacing, settings.
+//! Who knows the order: one ping through the house, the rig around it, and the two ways to run it.
+pub mod counters;
+pub mod daemon;
+pub mod outputs;
 pub mod pipeline;
+pub mod recorders;
+pub mod replay;
+pub mod rig;
 pub mod settings;

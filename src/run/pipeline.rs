@@ -1,1 +1,354 @@
-//! One ping through the house.
+//! One ping through the house: the function to read first is [`SonarPipeline::compute_ping`].
+//!
+//! In: a [`PingPlan`] and the scatterers around it. Out: [`PingOutput`]. Infallible, no allocation after the first ping at the largest
+//! settings, no log: it counts. Work is split by element and by beam, and no floating-point sum crosses threads, so the samples are the
+//! same bits for any number of threads.
+
+use std::f64::consts::PI;
+use std::sync::{Mutex, PoisonError};
+
+use glam::DVec3;
+use num_complex::Complex64;
+use rayon::prelude::*;
+
+use crate::array::direct::Direct;
+use crate::array::filter::{self, Decimator, FilterError};
+use crate::array::receiver::receive;
+use crate::beam::RowLimits;
+use crate::beam::conventional::FanFormer;
+use crate::beam::sidescan::LineFormer;
+use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::echo::reference::reference;
+use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+use crate::flow::{
+    BeamFrame, EchoCounts, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan, Pulse,
+    ReceiverFilter, Scatterers, Synthesis,
+};
+use crate::ping;
+
+/// Fastest platform the receiver filter leaves room for, m/s.
+pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
+
+/// What one thread needs while it computes one element.
+#[derive(Default)]
+struct Scratch {
+    walk: Workspace,
+    /// The element's signal ahead of the receiver filter's sampling.
+    dense: Vec<Complex64>,
+}
+
+/// What one element met, kept apart until all are done: sums of integers only.
+#[derive(Clone, Copy, Default)]
+struct ElementResult {
+    counts: EchoCounts,
+    saturated: u64,
+}
+
+/// Everything that turns plans of one sonar into samples, beams and lines, with every buffer it needs.
+pub struct SonarPipeline {
+    spec: SonarSpec,
+    /// One per transmit array.
+    lit: Vec<Illuminated>,
+    /// One per thread of the pool: no lock ever waits.
+    scratch: Vec<Mutex<Scratch>>,
+    /// One per element of the largest array.
+    results: Vec<ElementResult>,
+    footprints: Vec<Footprint>,
+    /// The receiver filter; none samples the sum at its points.
+    decimator: Option<Decimator>,
+    lines: Vec<LineFormer>,
+    fan: Option<FanFormer>,
+}
+
+impl SonarPipeline {
+    /// Sizes every buffer for the largest ping within the sonar's limits. To be made inside the pool that will run it.
+    pub fn new(spec: &SonarSpec, medium: &MediumSpec) -> Result<Self, FilterError> {
+        let limits = RowLimits {
+            sample_rate_hz: spec.receiver.sample_rate_hz,
+            samples: ping::most_samples(spec, medium.sound_speed_m_per_s),
+            pulse_s: spec.limits.pulse_duration_s.1,
+        };
+        let decimator = match spec.receiver.filter {
+            ReceiverFilter::None => None,
+            ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
+        };
+        let dense = decimator
+            .as_ref()
+            .map_or(0, |d| d.dense_len(limits.samples));
+        let scratch = || Scratch {
+            walk: Workspace::default(),
+            dense: Vec::with_capacity(dense),
+        };
+        let elements = spec
+            .receive
+            .iter()
+            .map(|array| array.elements)
+            .max()
+            .unwrap_or(0);
+        let fan = spec.beams.fan.as_ref().map(|fan| {
+            let array = &spec.receive[fan.array];
+            FanFormer::new(array, fan, limits, &spec.pulse, medium.sound_speed_m_per_s)
+        });
+        Ok(Self {
+            lit: spec
+                .transmit
+                .iter()
+                .map(|_| Illuminated::default())
+                .collect(),
+            scratch: (0..rayon::current_num_threads())
+                .map(|_| Mutex::new(scratch()))
+                .collect(),
+            results: vec![ElementResult::default(); elements],
+            footprints: Vec::with_capacity(spec.transmit.len()),
+            decimator,
+            lines: spec
+                .beams
+                .lines
+                .iter()
+                .map(|line| LineFormer::new(line, limits, &spec.pulse))
+                .collect(),
+            fan,
+            spec: spec.clone(),
+        })
+    }
+
+    /// Output buffers of the right number; they grow once to the largest ping.
+    pub fn blank_output(&self) -> PingOutput {
+        PingOutput {
+            elements: self
+                .spec
+                .receive
+                .iter()
+                .map(|_| ElementFrame::default())
+                .collect(),
+            beams: self.fan.iter().map(|_| BeamFrame::default()).collect(),
+            lines: self
+                .spec
+                .beams
+                .lines
+                .iter()
+                .map(|line| Line {
+                    side: line.side,
+                    amplitude: Vec::new(),
+                })
+                .collect(),
+            counts: EchoCounts::default(),
+        }
+    }
+
+    /// Where this ping's transmit arrays light the scene: what lies outside is not asked for.
+    pub fn footprints(&mut self, plan: &PingPlan) -> &[Footprint] {
+        let max_range_m =
+            0.5 * plan.window_s(self.spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
+        let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
+        let pose = plan.trajectory.pose_at(0.0);
+        self.footprints.clear();
+        self.footprints
+            .extend(self.spec.transmit.iter().map(|transmit| Footprint {
+                apex_m: pose.point_m(transmit.mounting.position_m),
+                axis: pose.world_from_body * (transmit.mounting.body_from_array * DVec3::X),
+                max_axis_sine: axis_sine(&transmit.pattern, wavelength_m, plan.model.cull_db),
+                max_range_m,
+            }));
+        &self.footprints
+    }
+
+    /// One ping: scatterers to element samples, beams and lines, into the caller's buffers.
+    pub fn compute_ping(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        output: &mut PingOutput,
+    ) {
+        output.counts = EchoCounts::default();
+        self.light(plan, scatterers, &mut output.counts);
+        for (index, frame) in output.elements.iter_mut().enumerate() {
+            self.synthesise(plan, scatterers, index, frame, &mut output.counts);
+        }
+        for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
+            let array = former.array();
+            former.form(plan, &output.elements[array], line);
+        }
+        if let (Some(former), Some(beams)) = (&mut self.fan, output.beams.first_mut()) {
+            let array = former.array();
+            former.form(plan, &output.elements[array], beams);
+        }
+    }
+
+    /// The transmit leg, once per transmit array. The reference walks the scatterers itself.
+    fn light(&mut self, plan: &PingPlan, scatterers: &Scatterers, counts: &mut EchoCounts) {
+        if plan.model.synthesis == Synthesis::Reference {
+            return;
+        }
+        let (first_s, rate_hz, len) = self.grid(plan);
+        let window = Window::of_samples(first_s, rate_hz, len);
+        for (transmit, lit) in self.spec.transmit.iter().zip(&mut self.lit) {
+            *counts += illuminate(plan, transmit, window, scatterers, lit);
+        }
+    }
+
+    /// Where the sum is evaluated: first instant, rate and number of samples, ahead of the receiver filter.
+    fn grid(&self, plan: &PingPlan) -> (f64, f64, usize) {
+        match &self.decimator {
+            None => (
+                plan.first_sample_s,
+                self.spec.receiver.sample_rate_hz,
+                plan.sample_count,
+            ),
+            Some(d) => (
+                d.dense_first_s(plan.first_sample_s),
+                d.dense_rate_hz(),
+                d.dense_len(plan.sample_count),
+            ),
+        }
+    }
+
+    /// Element samples of one receive array, through the receiver chain.
+    fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        index: usize,
+        frame: &mut ElementFrame,
+        counts: &mut EchoCounts,
+    ) {
+        let elements = self.spec.receive[index].elements;
+        frame.array = index;
+        frame.elements = elements;
+        frame.samples = plan.sample_count;
+        frame
+            .iq
+            .resize(elements * plan.sample_count, Complex64::ZERO);
+        let mut results = std::mem::take(&mut self.results);
+        let this = &*self;
+        frame
+            .iq
+            .par_chunks_mut(plan.sample_count)
+            .zip(&mut results[..elements])
+            .enumerate()
+            .for_each(|(element, (iq, result))| {
+                *result = this.element(plan, scatterers, index, element, iq)
+            });
+        for result in &results[..elements] {
+            *counts += result.counts;
+        }
+        frame.saturated = results[..elements]
+            .iter()
+            .map(|result| result.saturated)
+            .sum();
+        self.results = results;
+    }
+
+    /// One element: its echoes, the receiver filter, the receiver.
+    fn element(
+        &self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        index: usize,
+        element: usize,
+        iq: &mut [Complex64],
+    ) -> ElementResult {
+        let array = &self.spec.receive[index];
+        let thread = rayon::current_thread_index().unwrap_or(0);
+        // A panic in another ping leaves the scratch as good as any: every use overwrites it.
+        let mut scratch = self.scratch[thread]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let Scratch { walk, dense } = &mut *scratch;
+        let (first_s, rate_hz, len) = self.grid(plan);
+        let out = match &self.decimator {
+            None => &mut *iq,
+            Some(_) => {
+                dense.resize(len, Complex64::ZERO);
+                &mut dense[..]
+            }
+        };
+        let counts = match plan.model.synthesis {
+            Synthesis::Reference => {
+                let transmit = &self.spec.transmit[array.transmit];
+                reference(
+                    plan, transmit, array, element, scatterers, rate_hz, first_s, out,
+                )
+            }
+            Synthesis::Direct => {
+                out.fill(Complex64::ZERO);
+                let mut sink = Direct::new(plan, rate_hz, first_s, out);
+                arrivals(
+                    plan,
+                    array,
+                    element,
+                    &self.lit[array.transmit],
+                    walk,
+                    &mut sink,
+                )
+            }
+        };
+        if let Some(decimator) = &self.decimator {
+            decimator.apply(dense, iq);
+        }
+        ElementResult {
+            counts,
+            saturated: receive(plan, &self.spec.receiver, array, index, element, iq),
+        }
+    }
+}
+
+/// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
+fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
+    let shortest = Pulse {
+        duration_s: spec.limits.pulse_duration_s.0,
+        ..spec.pulse
+    };
+    let rate_hz = spec.receiver.sample_rate_hz;
+    let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s
+        * spec.pulse.center_frequency_hz;
+    Decimator::new(
+        &shortest,
+        rate_hz,
+        doppler_hz,
+        filter::oversample(&shortest, rate_hz, spec.model.synthesis),
+    )
+}
+
+/// Sine of the angle from broadside beyond which a line's pattern stays below `cull_db`: the envelope 1/(pi x) of sinc x, x = L s/lambda.
+fn axis_sine(pattern: &Pattern, wavelength_m: f64, cull_db: Option<f64>) -> f64 {
+    match (pattern, cull_db) {
+        (Pattern::Rectangle { length_m, .. }, Some(db)) if *length_m > 0.0 => {
+            (wavelength_m / (PI * length_m) * 10f64.powf(-db / 20.0)).min(1.0)
+        }
+        _ => 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_above_the_floor_lies_beyond_the_axis_sine() {
+        let pattern = Pattern::Rectangle {
+            length_m: 0.45,
+            width_m: 0.0,
+            baffled: false,
+        };
+        let sine = axis_sine(&pattern, 0.015, Some(-30.0));
+        assert!(sine < 0.34, "{sine}");
+        let level = |s: f64| {
+            let x = PI * 0.45 * s / 0.015;
+            (x.sin() / x).abs()
+        };
+        for k in 0..10_000 {
+            let s = sine + (1.0 - sine) * f64::from(k) / 9_999.0;
+            assert!(
+                level(s) <= 10f64.powf(-1.5) * (1.0 + 1e-12),
+                "at {s}: {}",
+                level(s)
+            );
+        }
+        assert_eq!(axis_sine(&pattern, 0.015, None), 1.0);
+        assert_eq!(
+            axis_sine(&Pattern::Omnidirectional, 0.015, Some(-30.0)),
+            1.0
+        );
+    }
+}

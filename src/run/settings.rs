@@ -1,1 +1,435 @@
 //! The one checked path by which anything changes the sonar.
+//!
+//! In: a [`SettingChange`] from any protocol, page or command. Out: the settings that the next scheduled ping obeys, or a refusal that names
+//! key, value and rule and changes nothing. A change is in the store before its acknowledgement is written, so a ping whose settings are
+//! read after the acknowledgement obeys it. Not modelled: a settling time of the hardware.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::config::spec::LimitsSpec;
+use crate::flow::{
+    SettingApplied, SettingChange, SettingRefused, SettingRule, SettingsPort, SonarSettings,
+};
+use crate::time::{Clock, MonoNs, UtcNs};
+
+/// Changes kept for the operator to look at; older ones are only counted.
+pub const RECENT_CHANGES: usize = 64;
+
+/// Relative. A limit of 0.1 ms, sent as f32, comes back 2.5e-8 of itself too small: what is outside by no more than an f32 can tell is the
+/// limit itself.
+const WIRE_PRECISION: f64 = f32::EPSILON as f64;
+
+/// The settings of one sonar. Shared by every thread that reads or changes them.
+pub struct SettingsStore {
+    limits: LimitsSpec,
+    /// Dates the changes.
+    clock: Arc<dyn Clock>,
+    /// Of `state`, readable without the lock.
+    version: AtomicU64,
+    state: Mutex<State>,
+}
+
+struct State {
+    /// `pinging` here is what was asked with start and stop, whatever the rate is.
+    settings: SonarSettings,
+    counts: SettingCounts,
+    recent: VecDeque<RecentChange>,
+    /// What held from when on, oldest first; the first entry stands for all time before.
+    past: VecDeque<(MonoNs, SonarSettings)>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SettingCounts {
+    pub applied: u64,
+    pub refused: u64,
+}
+
+/// One line of the list of recent changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecentChange {
+    pub asked_utc: UtcNs,
+    pub change: SettingChange,
+    /// The version that obeys it, or why it was refused.
+    pub outcome: Result<u64, SettingRefused>,
+}
+
+impl SettingsStore {
+    /// `start` comes from the checked configuration, and lies within `limits`.
+    pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
+        let mut past = VecDeque::with_capacity(RECENT_CHANGES);
+        past.push_back((clock.mono(), start));
+        Self {
+            limits,
+            clock,
+            version: AtomicU64::new(0),
+            state: Mutex::new(State {
+                settings: start,
+                counts: SettingCounts::default(),
+                recent: VecDeque::with_capacity(RECENT_CHANGES),
+                past,
+            }),
+        }
+    }
+
+    /// What a ping scheduled now obeys, and the version of it. Where `pinging` is true, `max_ping_rate_hz` is above 0.
+    pub fn snapshot(&self) -> (SonarSettings, u64) {
+        let state = self.lock();
+        (
+            effective(state.settings),
+            self.version.load(Ordering::Acquire),
+        )
+    }
+
+    /// What held at an instant, for a ping whose order is written a little late. A change holds from just after its acknowledgement on:
+    /// only a pulse later than it obeys it.
+    pub fn at(&self, instant: MonoNs) -> SonarSettings {
+        let state = self.lock();
+        let held = state
+            .past
+            .iter()
+            .rev()
+            .find(|(since, _)| *since < instant)
+            .or(state.past.front());
+        effective(held.map_or(state.settings, |&(_, settings)| settings))
+    }
+
+    /// Changes whenever the settings do: a plan made from an older version is out of date.
+    pub fn version(&self) -> u64 {
+        self.version.load(Ordering::Acquire)
+    }
+
+    pub fn limits(&self) -> &LimitsSpec {
+        &self.limits
+    }
+
+    /// Obeys or refuses one change, and counts it. `asked_utc` only goes into the list of recent changes.
+    pub fn apply(
+        &self,
+        change: SettingChange,
+        asked_utc: UtcNs,
+    ) -> Result<SettingApplied, SettingRefused> {
+        let mut state = self.lock();
+        let outcome = changed(state.settings, change, &self.limits).map(|settings| {
+            state.settings = settings;
+            if state.past.len() == RECENT_CHANGES {
+                state.past.pop_front();
+            }
+            state.past.push_back((self.clock.mono(), settings));
+            let version = self.version.load(Ordering::Acquire) + 1;
+            self.version.store(version, Ordering::Release);
+            SettingApplied {
+                settings: effective(settings),
+                version,
+            }
+        });
+        match outcome {
+            Ok(_) => state.counts.applied += 1,
+            Err(_) => state.counts.refused += 1,
+        }
+        if state.recent.len() == RECENT_CHANGES {
+            state.recent.pop_front();
+        }
+        state.recent.push_back(RecentChange {
+            asked_utc,
+            change,
+            outcome: outcome.map(|applied| applied.version),
+        });
+        outcome
+    }
+
+    pub fn counts(&self) -> SettingCounts {
+        self.lock().counts
+    }
+
+    /// The last [`RECENT_CHANGES`] changes, oldest first.
+    pub fn recent(&self) -> Vec<RecentChange> {
+        self.lock().recent.iter().copied().collect()
+    }
+
+    /// A thread that panicked with the lock held leaves whole settings: each is written in one assignment.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl SettingsPort for SettingsStore {
+    fn settings(&self) -> SonarSettings {
+        self.snapshot().0
+    }
+    fn apply(
+        &self,
+        change: SettingChange,
+        asked_utc: UtcNs,
+    ) -> Result<SettingApplied, SettingRefused> {
+        SettingsStore::apply(self, change, asked_utc)
+    }
+}
+
+/// A rate of 0 keeps a started sonar from pinging.
+fn effective(settings: SonarSettings) -> SonarSettings {
+    SonarSettings {
+        pinging: settings.pinging && settings.max_ping_rate_hz > 0.0,
+        ..settings
+    }
+}
+
+fn changed(
+    mut settings: SonarSettings,
+    change: SettingChange,
+    limits: &LimitsSpec,
+) -> Result<SonarSettings, SettingRefused> {
+    match change {
+        SettingChange::RangeM(value) => {
+            settings.range_m = within("range_m", value, limits.range_m)?;
+        }
+        SettingChange::MaxPingRateHz(0.0) => settings.max_ping_rate_hz = 0.0,
+        SettingChange::MaxPingRateHz(value) => {
+            settings.max_ping_rate_hz = within("max_ping_rate_hz", value, limits.ping_rate_hz)
+                .map_err(|refused| match refused.rule {
+                    SettingRule::Between { min, max } => SettingRefused {
+                        rule: SettingRule::ZeroOrBetween { min, max },
+                        ..refused
+                    },
+                    _ => refused,
+                })?;
+        }
+        SettingChange::SourceLevelDb(value) => {
+            settings.source_level_db = within("source_level_db", value, limits.source_level_db)?;
+        }
+        SettingChange::GainDb(value) => {
+            settings.gain_db = within("gain_db", value, limits.gain_db)?;
+        }
+        SettingChange::PulseDurationS(value) => {
+            settings.pulse_duration_s = within("pulse_duration_s", value, limits.pulse_duration_s)?;
+        }
+        SettingChange::Start => settings.pinging = true,
+        SettingChange::Stop => settings.pinging = false,
+    }
+    Ok(settings)
+}
+
+/// `value` where it lies within the limits, both included, to the precision of an f32.
+fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, SettingRefused> {
+    let refused = |rule| Err(SettingRefused { key, value, rule });
+    if !value.is_finite() {
+        return refused(SettingRule::Finite);
+    }
+    let held = value.clamp(min, max);
+    if (value - held).abs() > WIRE_PRECISION * held.abs() {
+        return refused(SettingRule::Between { min, max });
+    }
+    Ok(held)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::VirtualClock;
+    use proptest::prelude::*;
+
+    const LIMITS: LimitsSpec = LimitsSpec {
+        range_m: (5.0, 200.0),
+        ping_rate_hz: (0.1, 20.0),
+        source_level_db: (160.0, 220.0),
+        gain_db: (0.0, 60.0),
+        pulse_duration_s: (1e-4, 1e-2),
+    };
+    const START: SonarSettings = SonarSettings {
+        pinging: true,
+        range_m: 50.0,
+        max_ping_rate_hz: 10.0,
+        source_level_db: 200.0,
+        gain_db: 20.0,
+        pulse_duration_s: 1e-3,
+    };
+    const NOW: UtcNs = UtcNs(1_700_000_000_000_000_000);
+
+    #[test]
+    fn an_accepted_change_is_in_the_next_snapshot_under_a_new_version() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        assert_eq!(store.snapshot(), (START, 0));
+        let applied = store.apply(SettingChange::RangeM(75.5), NOW).unwrap();
+        let want = SonarSettings {
+            range_m: 75.5,
+            ..START
+        };
+        assert_eq!(applied.settings, want);
+        assert_eq!(store.snapshot(), (want, applied.version));
+        assert_eq!((applied.version, store.version()), (1, 1));
+    }
+
+    #[test]
+    fn a_refusal_names_key_value_and_rule_and_changes_nothing() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for (change, words) in [
+            (
+                SettingChange::RangeM(4.9),
+                "range_m = 4.9: must be from 5 to 200",
+            ),
+            (
+                SettingChange::RangeM(f64::NAN),
+                "range_m = NaN: must be a finite number",
+            ),
+            (
+                SettingChange::MaxPingRateHz(-1.0),
+                "max_ping_rate_hz = -1: must be 0 or from 0.1 to 20",
+            ),
+            (
+                SettingChange::MaxPingRateHz(21.0),
+                "max_ping_rate_hz = 21: must be 0 or from 0.1 to 20",
+            ),
+            (
+                SettingChange::SourceLevelDb(221.0),
+                "source_level_db = 221: must be from 160 to 220",
+            ),
+            (
+                SettingChange::GainDb(f64::INFINITY),
+                "gain_db = inf: must be a finite number",
+            ),
+            (
+                SettingChange::GainDb(-0.1),
+                "gain_db = -0.1: must be from 0 to 60",
+            ),
+            (
+                SettingChange::PulseDurationS(0.0),
+                "pulse_duration_s = 0: must be from 0.0001 to 0.01",
+            ),
+        ] {
+            let refused = store.apply(change, NOW).unwrap_err();
+            assert_eq!(refused.to_string(), words);
+            assert_eq!(store.snapshot(), (START, 0), "{change:?}");
+        }
+        assert_eq!(
+            store.counts(),
+            SettingCounts {
+                applied: 0,
+                refused: 8
+            }
+        );
+    }
+
+    #[test]
+    fn limits_survive_the_way_through_an_f32() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for value in [f64::from(1e-4_f32), f64::from(1e-2_f32)] {
+            let applied = store
+                .apply(SettingChange::PulseDurationS(value), NOW)
+                .unwrap();
+            let got = applied.settings.pulse_duration_s;
+            assert!(
+                (LIMITS.pulse_duration_s.0..=LIMITS.pulse_duration_s.1).contains(&got),
+                "{got}"
+            );
+        }
+        assert!(
+            store
+                .apply(SettingChange::PulseDurationS(0.999e-4), NOW)
+                .is_err()
+        );
+    }
+
+    #[test]
+    fn a_rate_of_zero_holds_the_sonar_until_the_rate_returns() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let held = store.apply(SettingChange::MaxPingRateHz(0.0), NOW).unwrap();
+        assert!(!held.settings.pinging && held.settings.max_ping_rate_hz == 0.0);
+        let started = store.apply(SettingChange::Start, NOW).unwrap();
+        assert!(
+            !started.settings.pinging,
+            "a rate of 0 stops pinging from starting"
+        );
+        let going = store.apply(SettingChange::MaxPingRateHz(4.0), NOW).unwrap();
+        assert!(going.settings.pinging && going.settings.max_ping_rate_hz == 4.0);
+        store.apply(SettingChange::Stop, NOW).unwrap();
+        let stopped = store.apply(SettingChange::MaxPingRateHz(5.0), NOW).unwrap();
+        assert!(!stopped.settings.pinging, "a stop outlives a rate");
+    }
+
+    #[test]
+    fn recent_changes_are_bounded_and_the_newest_stay() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for k in 0..(RECENT_CHANGES + 10) {
+            let _ = store.apply(SettingChange::GainDb(k as f64), NOW.plus_ns(k as i64));
+        }
+        let recent = store.recent();
+        assert_eq!(recent.len(), RECENT_CHANGES);
+        assert_eq!(recent[0].change, SettingChange::GainDb(10.0));
+        assert_eq!(recent[0].outcome, Ok(11));
+        let last = recent.last().unwrap();
+        assert_eq!(last.asked_utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
+        assert!(last.outcome.is_err(), "73 dB is over the limit");
+        assert_eq!(
+            store.counts(),
+            SettingCounts {
+                applied: 61,
+                refused: 13
+            }
+        );
+    }
+
+    #[test]
+    fn every_change_of_many_threads_is_counted_once() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for k in 0..500 {
+                        let _ = store.apply(SettingChange::RangeM(f64::from(k)), NOW);
+                    }
+                });
+            }
+        });
+        let counts = store.counts();
+        assert_eq!(
+            counts,
+            SettingCounts {
+                applied: 4 * 196,
+                refused: 4 * 304
+            }
+        );
+        assert_eq!(store.version(), counts.applied);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_asked_the_settings_stay_within_their_limits(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
+            let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+            for (kind, value) in values {
+                let change = match kind {
+                    0 => SettingChange::RangeM(value),
+                    1 => SettingChange::MaxPingRateHz(value),
+                    2 => SettingChange::SourceLevelDb(value),
+                    3 => SettingChange::GainDb(value),
+                    4 => SettingChange::PulseDurationS(value),
+                    5 => SettingChange::Start,
+                    _ => SettingChange::Stop,
+                };
+                let _ = store.apply(change, NOW);
+                let (s, _) = store.snapshot();
+                prop_assert!((5.0..=200.0).contains(&s.range_m));
+                prop_assert!((160.0..=220.0).contains(&s.source_level_db));
+                prop_assert!((0.0..=60.0).contains(&s.gain_db));
+                prop_assert!((1e-4..=1e-2).contains(&s.pulse_duration_s));
+                prop_assert!((0.1..=20.0).contains(&s.max_ping_rate_hz) || (s.max_ping_rate_hz == 0.0 && !s.pinging));
+            }
+        }
+    }
+
+    #[test]
+    fn only_a_pulse_later_than_the_acknowledgement_obeys_a_change() {
+        let clock = Arc::new(VirtualClock::default());
+        let store = SettingsStore::new(START, LIMITS, clock.clone());
+        let acknowledged = MonoNs(5_000_000_000);
+        clock.sleep_until(acknowledged);
+        let range_m = LIMITS.range_m.0;
+        store
+            .apply(SettingChange::RangeM(range_m), UtcNs(0))
+            .unwrap();
+        // The order of a ping that went out before may be written after.
+        assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged.plus_ns(1)).range_m, range_m);
+    }
+}

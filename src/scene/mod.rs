@@ -1,1 +1,248 @@
 //! Seabed, points and targets: scatterers on demand.
+//!
+//! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
+//! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
+//! coordinates, so that the seabed does not depend on where the scene is put.
+//! Not modelled: occlusion (shadows), bottom laws other than Lambert's, simplification, volume and surface scattering.
+
+pub mod ascii_grid;
+pub mod points;
+pub mod seabed;
+pub mod targets;
+mod text;
+pub mod tiles;
+
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec2, DVec3};
+
+use crate::config::spec::SceneSpec;
+use crate::flow::{Footprint, ScatterLaw, Scatterers, Target};
+use seabed::Surface;
+pub use text::{MAX_FILE_BYTES, Misread};
+use tiles::{Recipe, TILE_BYTES, TilePool};
+
+/// Normal of things that have none.
+const UP: [f32; 3] = [0.0, 0.0, -1.0];
+
+/// What is wrong with a scene's files or limits.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    #[error("{}: cannot be read: {source}", path.display())]
+    Unreadable {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
+    TooLarge { path: PathBuf },
+    #[error("{}: {fault}", path.display())]
+    Misread { path: PathBuf, fault: Misread },
+    #[error(
+        "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
+    )]
+    NoRoomForATile { limit_bytes: u64 },
+}
+
+/// What one gathering met.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SceneCounts {
+    /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
+    pub tiles_used: u64,
+    pub tiles_made: u64,
+    /// Tiles around the footprints that were out of reach or held no seabed.
+    pub culled_tiles: u64,
+    /// Scatterers of the seabed, explicit points and targets handed on.
+    pub scatterers: u64,
+    pub points: u64,
+    pub targets: u64,
+}
+
+/// The virtual world around the platform.
+#[derive(Debug)]
+pub struct Scene {
+    /// The scene's zero in the world, metres north and east.
+    anchor_m: DVec2,
+    anchor_first_fix: bool,
+    seabed: Option<(Recipe, TilePool)>,
+    /// Own coordinates.
+    points: Scatterers,
+    own_targets: Vec<Target>,
+    /// World.
+    targets: Vec<Target>,
+    /// The footprints of the gathering under way that hear something.
+    heard: Vec<Footprint>,
+}
+
+impl Scene {
+    /// Reads the scene's files. Its zero lies at the world's origin until [`Scene::place`].
+    /// `memory_limit_bytes` bounds the tiles; a grid takes 8 bytes a cell and explicit points about 53 each besides.
+    pub fn open(spec: &SceneSpec) -> Result<Self, SceneError> {
+        let seabed = match &spec.seabed {
+            None => None,
+            Some(seabed) => {
+                let block_m = tiles::side_m(seabed.density_per_m2);
+                let surface = Surface::open(&seabed.shape, spec.mirror, block_m)?;
+                let capacity = spec.memory_limit_bytes / TILE_BYTES;
+                if capacity == 0 {
+                    return Err(SceneError::NoRoomForATile {
+                        limit_bytes: spec.memory_limit_bytes,
+                    });
+                }
+                let capacity = usize::try_from(capacity).unwrap_or(usize::MAX);
+                let recipe = Recipe::new(surface, seabed, spec.seed);
+                Some((recipe, TilePool::new(capacity)))
+            }
+        };
+        let points = match &spec.points {
+            None => Scatterers::default(),
+            Some(path) => read(path, points::parse)?,
+        };
+        let targets = match &spec.targets {
+            None => Vec::new(),
+            Some(path) => read(path, |bytes| {
+                targets::parse(bytes, |north_m, east_m| {
+                    let (recipe, _) = seabed.as_ref()?;
+                    Some(recipe.surface().sample(north_m, east_m)?.down_m)
+                })
+            })?,
+        };
+        Ok(Self {
+            anchor_m: DVec2::ZERO,
+            anchor_first_fix: spec.anchor_first_fix,
+            seabed,
+            points,
+            own_targets: targets.clone(),
+            targets,
+            heard: Vec::new(),
+        })
+    }
+
+    /// Puts the scene's zero under the first fix, once that is known. A scene that is not anchored there stays at the world's origin.
+    pub fn place(&mut self, anchor_north_m: f64, anchor_east_m: f64) {
+        debug_assert!(anchor_north_m.is_finite() && anchor_east_m.is_finite());
+        if !self.anchor_first_fix {
+            return;
+        }
+        self.anchor_m = DVec2::new(anchor_north_m, anchor_east_m);
+        for (target, own) in self.targets.iter_mut().zip(&self.own_targets) {
+            target.position_m = own.position_m + self.anchor_m.extend(0.0);
+        }
+    }
+
+    /// The targets, in world coordinates, in the order of their file.
+    pub fn targets(&self) -> &[Target] {
+        &self.targets
+    }
+
+    /// Depth of the seabed below a place of the world; none in a hole, beyond the end and without a seabed.
+    pub fn seabed_down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        Some(recipe.surface().sample(own.x, own.y)?.down_m)
+    }
+
+    /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: all explicit points
+    /// (whatever the footprints, so that an outside calculation meets the same ones), the targets within range of any footprint, then the
+    /// seabed's scatterers that any footprint contains, tile by tile northward and in each row eastward.
+    ///
+    /// Allocates only where `out` has never been so full and where the pool has not reached its limit; making a tile anew does not.
+    /// Walks over all tiles of the rectangle around all footprints: for arrays far apart, gather one after the other.
+    pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
+        self.heard.clear();
+        self.heard
+            .extend(footprints.iter().filter(|f| hears_something(f)));
+        out.clear();
+        let mut counts = SceneCounts::default();
+        self.gather_points(out, &mut counts);
+        self.gather_targets(out, &mut counts);
+        self.gather_seabed(out, &mut counts);
+        counts
+    }
+
+    fn gather_points(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let points = &self.points;
+        out.north_m
+            .extend(points.north_m.iter().map(|n| n + self.anchor_m.x));
+        out.east_m
+            .extend(points.east_m.iter().map(|e| e + self.anchor_m.y));
+        out.down_m.extend_from_slice(&points.down_m);
+        out.normal.extend_from_slice(&points.normal);
+        out.strength.extend_from_slice(&points.strength);
+        out.law.extend_from_slice(&points.law);
+        counts.points = points.len() as u64;
+    }
+
+    fn gather_targets(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
+        for target in &self.targets {
+            let in_range = |f: &Footprint| f.apex_m.distance(target.position_m) <= f.max_range_m;
+            if self.heard.iter().any(in_range) {
+                let strength = targets::strength(target);
+                out.push(target.position_m, UP, strength, ScatterLaw::Point);
+                counts.targets += 1;
+            }
+        }
+    }
+
+    fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let Some((recipe, pool)) = &mut self.seabed else {
+            return;
+        };
+        let anchor_m = self.anchor_m.extend(0.0);
+        let Some((low, high)) = reach(&self.heard, anchor_m) else {
+            return;
+        };
+        for row in recipe.index_at(low.x)..=recipe.index_at(high.x) {
+            for col in recipe.index_at(low.y)..=recipe.index_at(high.y) {
+                let in_reach = recipe.bounds((row, col)).is_some_and(|tile_box| {
+                    self.heard
+                        .iter()
+                        .any(|f| tile_box.may_meet(f, f.apex_m - anchor_m))
+                });
+                if !in_reach {
+                    counts.culled_tiles += 1;
+                    continue;
+                }
+                let (tile, made) = pool.tile(recipe, (row, col));
+                counts.tiles_used += 1;
+                counts.tiles_made += u64::from(made);
+                for i in 0..tile.len() {
+                    let position_m = tile.position_m(i) + anchor_m;
+                    if self.heard.iter().any(|f| f.contains(position_m)) {
+                        out.push(position_m, tile.normal[i], tile.strength[i], tile.law[i]);
+                        counts.scatterers += 1;
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn hears_something(f: &Footprint) -> bool {
+    f.apex_m.is_finite()
+        && f.axis.is_finite()
+        && f.max_axis_sine >= 0.0
+        && f.max_range_m >= 0.0
+        && f.max_range_m.is_finite()
+}
+
+/// The horizontal rectangle around all footprints in the scene's own coordinates; none without footprints.
+fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
+    footprints
+        .iter()
+        .map(|f| {
+            let apex = (f.apex_m - anchor_m).truncate();
+            (apex - f.max_range_m, apex + f.max_range_m)
+        })
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
+/// Reads a file and gives its faults the file's name.
+fn read<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, Misread>) -> Result<T, SceneError> {
+    parse(&text::read_file(path)?).map_err(|fault| SceneError::Misread {
+        path: path.to_owned(),
+        fault,
+    })
+}

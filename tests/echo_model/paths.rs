@@ -147,7 +147,8 @@ fn models_without_doppler_or_motion_say_zero() {
     assert_eq!(one(&ahead(0.0), DVec3::ZERO, DVec3::X, at_m).doppler, 0.0);
 }
 
-/// Every leg of the polyline solved by itself, plainly: (first that holds its root, how many do, whether none does and at which vertex).
+/// Every leg of the polyline solved by itself, plainly: the delay on the first that holds its root (or the vertex that none reaches), and
+/// how many hold theirs.
 fn by_hand(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: DVec3) -> (f64, usize) {
     let first = &plan.segments[0];
     let transmit_m = first.position_m + first.world_from_body * tx_m;

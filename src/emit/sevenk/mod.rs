@@ -1,1 +1,390 @@
 //! Teledyne RESON 7k records of a ping, and the session of one client.
+//!
+//! - [`SevenKEmitter`]: a ping's plan and output to records, only those that somebody wants
+//! - [`DeviceSheet`]: what fills their fields
+//! - [`quantise`]: volts to the wire's integers
+//! - [`session`]: one client's commands and subscriptions, bytes in and records out
+//!
+//! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
+//! the time at which the state holds, the start of the pulse. Not modelled: bottom detection (7027), snippets, 7042.
+
+pub mod quantise;
+pub mod records;
+pub mod session;
+
+use std::sync::Arc;
+
+use echotank_protocols::sevenk::records::{
+    BeamAngles, BeamSample, Rth7007, Rth7018, Rth7038, SAMPLE_TYPE_I16, SideSamples, emit_7004,
+    emit_7007, emit_7018, emit_7038_element_major,
+};
+
+use crate::emit::pool::DatagramPool;
+use crate::flow::{BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Side};
+use records::{DeviceSheet, View};
+
+/// Every record that a sonar of ours can send. Those of one ping are sent in this order: readers group by what follows a 7000.
+pub const RECORDS: [u32; 12] = [
+    7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013, 7500, 7001,
+];
+/// The first so many of [`RECORDS`] belong to a ping; 7500 are echoes and 7001 is only sent when asked for.
+const PING_RECORDS: usize = 10;
+
+/// A set of records out of [`RECORDS`], small enough for an atomic.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct RecordSet(u32);
+
+impl RecordSet {
+    pub const EMPTY: Self = Self(0);
+    pub const ALL: Self = Self((1 << RECORDS.len()) - 1);
+
+    /// Those of `ids` that are ours.
+    pub fn of(ids: &[u32]) -> Self {
+        let mut set = Self::EMPTY;
+        for &id in ids {
+            set.insert(id);
+        }
+        set
+    }
+    /// False, and nothing changed, if `id` is none of [`RECORDS`].
+    pub fn insert(&mut self, id: u32) -> bool {
+        let bit = bit(id);
+        self.0 |= bit;
+        bit != 0
+    }
+    pub fn remove(&mut self, id: u32) {
+        self.0 &= !bit(id);
+    }
+    pub fn contains(self, id: u32) -> bool {
+        self.0 & bit(id) != 0
+    }
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+    pub fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+    pub fn intersection(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+    pub fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+    pub fn iter(self) -> impl Iterator<Item = u32> {
+        RECORDS.into_iter().filter(move |&id| self.contains(id))
+    }
+    /// For an atomic; [`RecordSet::from_bits`] turns it back.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+    pub fn from_bits(bits: u32) -> Self {
+        Self(bits & Self::ALL.0)
+    }
+}
+
+/// 0 for a record that is none of ours.
+fn bit(id: u32) -> u32 {
+    RECORDS
+        .iter()
+        .position(|&known| known == id)
+        .map_or(0, |at| 1 << at)
+}
+
+/// What one ping, or all so far, put out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EmitCounts {
+    pub records: u64,
+    pub bytes: u64,
+    /// Values that did not fit the wire's integers.
+    pub saturated: u64,
+}
+
+impl std::ops::AddAssign for EmitCounts {
+    fn add_assign(&mut self, o: Self) {
+        self.records += o.records;
+        self.bytes += o.bytes;
+        self.saturated += o.saturated;
+    }
+}
+
+/// Turns pings into 7k records. Holds its buffers; one thread's.
+pub struct SevenKEmitter {
+    sheet: Arc<DeviceSheet>,
+    /// One per ping record, as [`RECORDS`].
+    pools: Vec<DatagramPool>,
+    element_numbers: Vec<u16>,
+    iq_element_major: Vec<[i16; 2]>,
+    beams: Vec<BeamSample>,
+    port: Vec<u16>,
+    starboard: Vec<u16>,
+    angles: [Vec<f32>; 4],
+    totals: EmitCounts,
+}
+
+impl SevenKEmitter {
+    /// `waiting_pings`: records of so many pings may be held by clients and recorders at once without a new buffer.
+    pub fn new(sheet: Arc<DeviceSheet>, waiting_pings: usize) -> Self {
+        let elements = u16::try_from(sheet.wire_elements())
+            .expect("the configuration keeps 7038 to 65535 elements");
+        let pools = RECORDS[..PING_RECORDS]
+            .iter()
+            .map(|&id| DatagramPool::new(id, waiting_pings + 1))
+            .collect();
+        Self {
+            element_numbers: (0..elements).collect(),
+            sheet,
+            pools,
+            iq_element_major: Vec::new(),
+            beams: Vec::new(),
+            port: Vec::new(),
+            starboard: Vec::new(),
+            angles: Default::default(),
+            totals: EmitCounts::default(),
+        }
+    }
+
+    pub fn sheet(&self) -> &Arc<DeviceSheet> {
+        &self.sheet
+    }
+
+    /// Since the start.
+    pub fn totals(&self) -> EmitCounts {
+        self.totals
+    }
+
+    /// Records that found every buffer in use and were given a new one.
+    pub fn pool_misses(&self) -> u64 {
+        self.pools.iter().map(DatagramPool::misses).sum()
+    }
+
+    /// Appends those records of one ping that are wanted and that this ping has, in the order of [`RECORDS`]. Allocates nothing once the
+    /// buffers have met the longest ping, unless consumers hold more than `waiting_pings` of them.
+    pub fn emit_ping(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        wanted: RecordSet,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> EmitCounts {
+        let mut counts = EmitCounts::default();
+        for (place, &id) in RECORDS[..PING_RECORDS].iter().enumerate() {
+            if !wanted.contains(id) {
+                continue;
+            }
+            let Some((record, saturated)) = self.record(place, id, plan, output) else {
+                continue;
+            };
+            counts += EmitCounts {
+                records: 1,
+                bytes: record.bytes.len() as u64,
+                saturated,
+            };
+            into.push(record);
+        }
+        self.totals += counts;
+        counts
+    }
+
+    /// One record, and how many of its values were saturated; none if this ping has nothing for it.
+    fn record(
+        &mut self,
+        place: usize,
+        id: u32,
+        plan: &PingPlan,
+        output: &PingOutput,
+    ) -> Option<(Arc<Datagram>, u64)> {
+        let sheet = Arc::clone(&self.sheet);
+        let pool = &mut self.pools[place];
+        let ping_stamp = sheet.ping_stamp(plan);
+        let nav_stamp = sheet.nav_stamp(plan);
+        let view = View::of_plan(plan);
+        let exact = |record| Some((record, 0));
+        match id {
+            7000 => {
+                let beam_width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
+                let settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
+                exact(pool.write(|buf| {
+                    settings.emit(buf, &ping_stamp);
+                }))
+            }
+            7503 => {
+                let settings = sheet.settings_7503(plan.ping_number, &view);
+                exact(pool.write(|buf| {
+                    settings.emit(buf, &ping_stamp);
+                }))
+            }
+            7004 => {
+                let fan = output.beams.first()?;
+                fill_angles(&mut self.angles, fan, sheet.along_track_width_rad(&view));
+                let [along, across, width_y, width_x] = &self.angles;
+                let angles = BeamAngles {
+                    along_track_rad: along,
+                    across_track_rad: across,
+                    width_y_rad: width_y,
+                    width_x_rad: width_x,
+                };
+                exact(pool.write(|buf| {
+                    emit_7004(buf, &ping_stamp, sheet.sonar_id(), &angles);
+                }))
+            }
+            7007 => {
+                if output.lines.is_empty() {
+                    return None;
+                }
+                let scale_v = sheet.full_scale_v();
+                let saturated = fill_side(&mut self.port, &output.lines, Side::Port, scale_v)
+                    + fill_side(&mut self.starboard, &output.lines, Side::Starboard, scale_v);
+                // A side that is not there is silent.
+                let samples = self.port.len().max(self.starboard.len());
+                self.port.resize(samples, 0);
+                self.starboard.resize(samples, 0);
+                let rth = Rth7007 {
+                    sonar_id: sheet.sonar_id(),
+                    ping_number: plan.ping_number,
+                    ..Rth7007::default()
+                };
+                let sides = SideSamples::U16 {
+                    port: &self.port,
+                    starboard: &self.starboard,
+                };
+                let record = pool.write(|buf| {
+                    emit_7007(buf, &ping_stamp, &rth, &sides);
+                });
+                Some((record, saturated))
+            }
+            7018 => {
+                let fan = output.beams.first()?;
+                let before = silent_samples(plan, sheet.sample_rate_hz());
+                let saturated = fill_beams(&mut self.beams, fan, before, sheet.full_scale_v());
+                let rth = Rth7018 {
+                    sonar_id: sheet.sonar_id(),
+                    ping_number: plan.ping_number,
+                    multi_ping_sequence: 0,
+                    beams: fan.beams as u16,
+                    samples: (before + fan.samples) as u32,
+                };
+                let record = pool.write(|buf| {
+                    emit_7018(buf, &ping_stamp, &rth, &self.beams);
+                });
+                Some((record, saturated))
+            }
+            7038 => {
+                let samples = plan.sample_count;
+                if samples == 0 || sheet.wire_arrays().is_empty() {
+                    return None;
+                }
+                self.iq_element_major.clear();
+                let mut saturated = 0;
+                for &array in sheet.wire_arrays() {
+                    let frame = output.elements.iter().find(|frame| frame.array == array)?;
+                    saturated += fill_elements(
+                        &mut self.iq_element_major,
+                        frame,
+                        samples,
+                        sheet.full_scale_v(),
+                    );
+                }
+                let elements = self.element_numbers.len();
+                let start = silent_samples(plan, sheet.sample_rate_hz()) as u32;
+                let rth = Rth7038 {
+                    sonar_serial: sheet.sonar_id(),
+                    ping_number: plan.ping_number,
+                    channel_count: sheet.receive_elements() as u16,
+                    samples: start + samples as u32,
+                    elements: elements as u16,
+                    start_sample: start,
+                    stop_sample: start + samples as u32 - 1,
+                    sample_type: SAMPLE_TYPE_I16,
+                };
+                let record = pool.write(|buf| {
+                    emit_7038_element_major(
+                        buf,
+                        &ping_stamp,
+                        &rth,
+                        &self.element_numbers,
+                        &self.iq_element_major,
+                    );
+                });
+                Some((record, saturated))
+            }
+            7610 => {
+                let sound = records::sound_velocity_7610(plan.sound_speed_m_per_s);
+                exact(pool.write(|buf| {
+                    sound.emit(buf, &ping_stamp);
+                }))
+            }
+            1003 => {
+                let position = records::position_1003(&plan.nav);
+                exact(pool.write(|buf| {
+                    position.emit(buf, &nav_stamp);
+                }))
+            }
+            1012 => {
+                let attitude = records::roll_pitch_heave_1012(&plan.nav);
+                exact(pool.write(|buf| {
+                    attitude.emit(buf, &nav_stamp);
+                }))
+            }
+            1013 => {
+                let heading = records::heading_1013(&plan.nav);
+                exact(pool.write(|buf| {
+                    heading.emit(buf, &nav_stamp);
+                }))
+            }
+            other => unreachable!("{other} is no ping record"),
+        }
+    }
+}
+
+/// Samples between the start of the pulse and the first sample computed: the wire counts from range 0.
+fn silent_samples(plan: &PingPlan, sample_rate_hz: f64) -> usize {
+    (plan.first_sample_s * sample_rate_hz).round().max(0.0) as usize
+}
+
+fn fill_angles(angles: &mut [Vec<f32>; 4], fan: &BeamFrame, along_track_width_rad: f64) {
+    let [along, across, width_y, width_x] = angles;
+    along.clear();
+    along.resize(fan.beams, 0.0);
+    across.clear();
+    across.extend(fan.angle_rad.iter().map(|&a| a as f32));
+    width_y.clear();
+    width_y.resize(fan.beams, along_track_width_rad as f32);
+    width_x.clear();
+    width_x.extend(fan.width_rad.iter().map(|&w| w as f32));
+}
+
+fn fill_side(counts: &mut Vec<u16>, lines: &[Line], side: Side, full_scale_v: f64) -> u64 {
+    counts.clear();
+    lines
+        .iter()
+        .find(|line| line.side == side)
+        .map_or(0, |line| {
+            quantise::line(&line.amplitude, full_scale_v, counts)
+        })
+}
+
+fn fill_beams(
+    samples: &mut Vec<BeamSample>,
+    fan: &BeamFrame,
+    silent: usize,
+    full_scale_v: f64,
+) -> u64 {
+    samples.clear();
+    samples.resize((silent + fan.samples) * fan.beams, BeamSample::default());
+    (0..fan.beams)
+        .map(|b| quantise::beam_column(fan.beam(b), full_scale_v, (b, fan.beams), silent, samples))
+        .sum()
+}
+
+/// All frames of a ping have `samples` samples.
+fn fill_elements(
+    counts: &mut Vec<[i16; 2]>,
+    frame: &ElementFrame,
+    samples: usize,
+    full_scale_v: f64,
+) -> u64 {
+    debug_assert_eq!(frame.samples, samples, "array {}", frame.array);
+    (0..frame.elements)
+        .map(|e| quantise::iq(frame.element(e), full_scale_v, counts))
+        .sum()
+}

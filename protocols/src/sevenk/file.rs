@@ -1,0 +1,464 @@
+//! `.s7k` files: the header 7200, the catalogue 7300, and the walk through the records between. Source: DFD 3.12.
+//!
+//! ```text
+//! 7200 header, its optional data point to the 7300 | records, bare, one behind the other | 7300 catalogue, one row per record before it
+//!
+//! 7200 RTH   0 u64 x 2 file_id   16 u16 version   20 u64 x 2 session_id   36 u32 record_data_size   40 u32 devices
+//!            44 char[64] recording_name   108 char[16] program_version   124 char[64] user_defined_name   188 char[128] notes   316 bytes
+//! 7200 RD    per device: u32 device_id, u16 enumerator
+//! 7200 OD    (7300) u32 size, u64 offset of the catalogue
+//! 7300 RTH   0 u32 size of RTH   4 u16 version   6 u32 records   10 u32 reserved                                                 14 bytes
+//! 7300 RD    per record 48 bytes, see CatalogueRow
+//! ```
+//!
+//! A file is written front to back; only when it is closed is the header written once more, now with the pointer. A file that was cut off
+//! has a header that points nowhere and no catalogue, and is read all the same.
+
+use std::fmt;
+use std::iter::FusedIterator;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::frame::{
+    DataRecordFrame, Fixed, MIN_RECORD_BYTES, OpenRecord, Record, RecordStamp, read_fixed,
+    write_fixed,
+};
+use super::records::{data_at, rth, text_field, text_of};
+use super::{SevenKTime, WireError, record_id};
+
+#[derive(Debug, Clone, Copy, BinRead, BinWrite)]
+struct Rth7200 {
+    file_id: [u64; 2],
+    #[brw(pad_after = 2)]
+    version: u16,
+    session_id: [u64; 2],
+    record_data_size_bytes: u32,
+    devices: u32,
+    recording_name: [u8; 64],
+    program_version: [u8; 16],
+    user_defined_name: [u8; 64],
+    notes: [u8; 128],
+}
+
+rth!(Rth7200, 316, "7200 file header");
+
+/// 7200: what a file is. The texts end in a NUL on the wire; what does not fit before it is cut.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct FileHeader7200 {
+    pub file_id: [u64; 2],
+    pub session_id: [u64; 2],
+    /// At most 63 bytes.
+    pub recording_name: String,
+    /// At most 15 bytes.
+    pub program_version: String,
+    /// At most 63 bytes.
+    pub user_defined_name: String,
+    /// At most 127 bytes.
+    pub notes: String,
+    /// Whose records the file holds.
+    pub devices: Vec<FileDevice>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct FileDevice {
+    pub device_id: u32,
+    pub system_enumerator: u16,
+}
+
+rth!(FileDevice, 6, "7200 device");
+
+/// The optional data of 7200: where the catalogue is. All 0 while the file is being written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct CataloguePointer {
+    /// The whole 7300 record.
+    pub size_bytes: u32,
+    /// From the start of the file.
+    pub offset_bytes: u64,
+}
+
+rth!(CataloguePointer, 12, "7200 catalogue pointer");
+
+impl CataloguePointer {
+    /// The pointer in a 7200 record; none if it has none or the file was never closed.
+    pub fn of_record(record: &Record<'_>) -> Option<Self> {
+        let (id, data) = record.optional_data()?;
+        let pointer: Self = read_fixed(data).ok()?;
+        (record.frame.record_type_id == record_id::FILE_HEADER
+            && id == record_id::FILE_CATALOGUE
+            && pointer.offset_bytes != 0)
+            .then_some(pointer)
+    }
+}
+
+impl FileHeader7200 {
+    pub const RECORD_TYPE_ID: u32 = record_id::FILE_HEADER;
+    pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
+
+    pub fn parse(body: &[u8]) -> Result<Self, WireError> {
+        let rth: Rth7200 = read_fixed(body)?;
+        let devices_len = u64::from(rth.devices) * FileDevice::SIZE_BYTES as u64;
+        let devices = data_at(body, Rth7200::RTH_BYTES, devices_len, "7200 devices")?;
+        Ok(Self {
+            file_id: rth.file_id,
+            session_id: rth.session_id,
+            recording_name: text_of(&rth.recording_name),
+            program_version: text_of(&rth.program_version),
+            user_defined_name: text_of(&rth.user_defined_name),
+            notes: text_of(&rth.notes),
+            devices: devices
+                .chunks_exact(FileDevice::SIZE_BYTES)
+                .map(read_fixed)
+                .collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Appends the 7200 record. Its length depends on nothing but the number of devices.
+    pub fn emit(
+        &self,
+        buf: &mut Vec<u8>,
+        stamp: &RecordStamp,
+        catalogue: CataloguePointer,
+    ) -> Range<usize> {
+        let open = OpenRecord::begin(buf, record_id::FILE_HEADER, stamp);
+        let rth = Rth7200 {
+            file_id: self.file_id,
+            version: 1,
+            session_id: self.session_id,
+            record_data_size_bytes: (self.devices.len() * FileDevice::SIZE_BYTES) as u32,
+            devices: self.devices.len() as u32,
+            recording_name: text_field(&self.recording_name),
+            program_version: text_field(&self.program_version),
+            user_defined_name: text_field(&self.user_defined_name),
+            notes: text_field(&self.notes),
+        };
+        write_fixed(&rth, buf);
+        self.devices
+            .iter()
+            .for_each(|device| write_fixed(device, buf));
+        open.optional_data(buf, record_id::FILE_CATALOGUE);
+        write_fixed(&catalogue, buf);
+        open.finish(buf)
+    }
+}
+
+// --------------------------------------------------------------------------------------------------------------------------- catalogue
+
+#[derive(Debug, Clone, Copy, BinRead, BinWrite)]
+struct Rth7300 {
+    size_bytes: u32,
+    version: u16,
+    #[brw(pad_after = 4)]
+    records: u32,
+}
+
+rth!(Rth7300, 14, "7300 file catalogue");
+
+/// One record of a file.
+#[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
+pub struct CatalogueRow {
+    pub size_bytes: u32,
+    /// From the start of the file.
+    pub offset_bytes: u64,
+    pub record_type_id: u16,
+    pub device_id: u16,
+    pub system_enumerator: u16,
+    pub time: SevenKTime,
+    /// 0.
+    #[brw(pad_after = 16)]
+    pub record_count: u32,
+}
+
+rth!(CatalogueRow, 48, "7300 row");
+
+/// 7300, read: the rows stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Catalogue7300<'a> {
+    /// All records of the file but the catalogue itself.
+    pub records: u32,
+    rows: &'a [u8],
+}
+
+impl<'a> Catalogue7300<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::FILE_CATALOGUE;
+    pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7300 = read_fixed(body)?;
+        // The RTH states its own size, so that a longer one of a later version can be passed over.
+        if (rth.size_bytes as usize) < Rth7300::RTH_BYTES {
+            return Err(WireError::Unsupported {
+                what: "7300 header size",
+                got: u64::from(rth.size_bytes),
+            });
+        }
+        let len = u64::from(rth.records) * CatalogueRow::SIZE_BYTES as u64;
+        Ok(Self {
+            records: rth.records,
+            rows: data_at(body, rth.size_bytes as usize, len, "7300 rows")?,
+        })
+    }
+
+    pub fn rows(&self) -> impl Iterator<Item = CatalogueRow> + 'a {
+        self.rows
+            .chunks_exact(CatalogueRow::SIZE_BYTES)
+            .filter_map(|row| read_fixed(row).ok())
+    }
+}
+
+/// Appends a 7300 record.
+pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) -> Range<usize> {
+    let open = OpenRecord::begin(buf, record_id::FILE_CATALOGUE, stamp);
+    buf.reserve(Rth7300::SIZE_BYTES + rows.len() * CatalogueRow::SIZE_BYTES + 4);
+    write_fixed(
+        &Rth7300 {
+            size_bytes: Rth7300::SIZE_BYTES as u32,
+            version: 1,
+            records: rows.len() as u32,
+        },
+        buf,
+    );
+    rows.iter().for_each(|row| write_fixed(row, buf));
+    open.finish(buf)
+}
+
+// ------------------------------------------------------------------------------------------------------------------------------- write
+
+/// Rows that fit into a catalogue whose size is a u32.
+pub const MAX_CATALOGUE_ROWS: usize =
+    (u32::MAX as usize - MIN_RECORD_BYTES - Rth7300::RTH_BYTES) / CatalogueRow::RTH_BYTES;
+
+/// Why a record does not go into a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum FileError {
+    #[error("not a record: {0}")]
+    Record(#[from] WireError),
+    #[error("the file has its 7001 record; readers want exactly one")]
+    SecondConfiguration,
+    #[error("record {record_type_id} belongs to the file's own frame")]
+    Reserved { record_type_id: u32 },
+    #[error("the catalogue is full")]
+    CatalogueFull,
+}
+
+/// Keeps the catalogue of a file that somebody else writes.
+///
+/// Write what [`FileBuilder::begin`] appended; for every record call [`FileBuilder::append`] and write the record; at the end write
+/// [`FileEnd::catalogue`] behind the last record and [`FileEnd::header`] over the start of the file.
+#[derive(Debug)]
+pub struct FileBuilder {
+    header: FileHeader7200,
+    stamp: RecordStamp,
+    rows: Vec<CatalogueRow>,
+    position_bytes: u64,
+    has_configuration: bool,
+}
+
+/// What closes a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FileEnd {
+    /// Goes behind the last record.
+    pub catalogue: Vec<u8>,
+    /// Goes over the start of the file; as long as what was there.
+    pub header: Vec<u8>,
+}
+
+impl FileBuilder {
+    /// Appends the header to `out`, with a pointer to nowhere.
+    pub fn begin(header: FileHeader7200, stamp: RecordStamp, out: &mut Vec<u8>) -> Self {
+        let range = header.emit(out, &stamp, CataloguePointer::default());
+        let row = CatalogueRow {
+            size_bytes: range.len() as u32,
+            offset_bytes: 0,
+            record_type_id: record_id::FILE_HEADER as u16,
+            device_id: row_u16(stamp.device_id),
+            system_enumerator: stamp.system_enumerator,
+            time: stamp.time,
+            record_count: 0,
+        };
+        Self {
+            header,
+            stamp,
+            rows: vec![row],
+            position_bytes: range.len() as u64,
+            has_configuration: false,
+        }
+    }
+
+    /// Notes a whole record that the caller now writes, and returns its place in the file. After an error the caller leaves it out.
+    pub fn append(&mut self, record: &[u8]) -> Result<u64, FileError> {
+        let frame = DataRecordFrame::parse(record)?;
+        frame.check()?;
+        if frame.size_bytes as usize != record.len() {
+            return Err(WireError::RecordSize {
+                stated_bytes: frame.size_bytes,
+                got_bytes: record.len() as u64,
+            }
+            .into());
+        }
+        match frame.record_type_id {
+            record_id::FILE_HEADER | record_id::FILE_CATALOGUE => {
+                return Err(FileError::Reserved {
+                    record_type_id: frame.record_type_id,
+                });
+            }
+            record_id::CONFIGURATION if self.has_configuration => {
+                return Err(FileError::SecondConfiguration);
+            }
+            _ if self.rows.len() == MAX_CATALOGUE_ROWS => return Err(FileError::CatalogueFull),
+            record_id::CONFIGURATION => self.has_configuration = true,
+            _ => {}
+        }
+        let offset_bytes = self.position_bytes;
+        self.rows.push(CatalogueRow {
+            size_bytes: frame.size_bytes,
+            offset_bytes,
+            record_type_id: row_u16(frame.record_type_id),
+            device_id: row_u16(frame.device_id),
+            system_enumerator: frame.system_enumerator,
+            time: frame.time,
+            record_count: 0,
+        });
+        self.position_bytes += u64::from(frame.size_bytes);
+        Ok(offset_bytes)
+    }
+
+    /// Length of the file so far.
+    pub fn position_bytes(&self) -> u64 {
+        self.position_bytes
+    }
+
+    /// Records so far, the header among them.
+    pub fn records(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The catalogue, and the header with the pointer to it.
+    pub fn close(self) -> FileEnd {
+        let (mut catalogue, mut header) = (Vec::new(), Vec::new());
+        emit_7300(&mut catalogue, &self.stamp, &self.rows);
+        let pointer = CataloguePointer {
+            size_bytes: catalogue.len() as u32,
+            offset_bytes: self.position_bytes,
+        };
+        self.header.emit(&mut header, &self.stamp, pointer);
+        FileEnd { catalogue, header }
+    }
+}
+
+/// Catalogue rows are narrower than frames; a number that does not fit is written as the largest.
+fn row_u16(value: u32) -> u16 {
+    u16::try_from(value).unwrap_or(u16::MAX)
+}
+
+// -------------------------------------------------------------------------------------------------------------------------------- read
+
+/// A record and its place in the file.
+#[derive(Debug, Clone, Copy)]
+pub struct FileRecord<'a> {
+    pub offset_bytes: u64,
+    pub record: Record<'a>,
+}
+
+/// Bytes of a file that are no record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("at byte {offset_bytes}: {error}")]
+pub struct FileReadError {
+    pub offset_bytes: u64,
+    pub error: WireError,
+}
+
+/// Walks through the records of a file, closed or cut off. After an error it goes on at the next thing that looks like a record; the
+/// bytes between are counted.
+#[derive(Debug, Clone)]
+pub struct FileReader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    searching: bool,
+    skipped_bytes: u64,
+}
+
+impl<'a> FileReader<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            bytes,
+            at: 0,
+            searching: false,
+            skipped_bytes: 0,
+        }
+    }
+
+    /// Bytes so far that belonged to no record.
+    pub fn skipped_bytes(&self) -> u64 {
+        self.skipped_bytes
+    }
+}
+
+impl<'a> Iterator for FileReader<'a> {
+    type Item = Result<FileRecord<'a>, FileReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while self.at < self.bytes.len() {
+            let (offset_bytes, rest) = (self.at as u64, &self.bytes[self.at..]);
+            let frame =
+                DataRecordFrame::parse(rest).and_then(|frame| frame.check().map(|()| frame));
+            let outcome = frame.and_then(|frame| {
+                let truncated = WireError::Truncated {
+                    what: "record in the file",
+                    need_bytes: u64::from(frame.size_bytes),
+                    got_bytes: rest.len() as u64,
+                };
+                Record::parse(rest.get(..frame.size_bytes as usize).ok_or(truncated)?)
+            });
+            let error = match outcome {
+                Ok(record) => {
+                    self.at += record.bytes().len();
+                    self.searching = false;
+                    return Some(Ok(FileRecord {
+                        offset_bytes,
+                        record,
+                    }));
+                }
+                Err(error) => error,
+            };
+            self.at += 1;
+            self.skipped_bytes += 1;
+            let is_news = frame.is_ok() || !self.searching;
+            self.searching = true;
+            if is_news {
+                return Some(Err(FileReadError {
+                    offset_bytes,
+                    error,
+                }));
+            }
+        }
+        None
+    }
+}
+
+impl FusedIterator for FileReader<'_> {}
+
+// ------------------------------------------------------------------------------------------------------------------------------- print
+
+impl fmt::Display for FileHeader7200 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "file header: {:?} by {:?}, {:?}, {:?}",
+            self.recording_name, self.program_version, self.user_defined_name, self.notes
+        )?;
+        self.devices.iter().try_for_each(|device| {
+            write!(
+                f,
+                ", device {}:{}",
+                device.device_id, device.system_enumerator
+            )
+        })
+    }
+}
+
+impl fmt::Display for Catalogue7300<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "file catalogue: {} records", self.records)
+    }
+}

@@ -1,0 +1,191 @@
+//! Teledyne RESON 7k: what it is, and the words and numbers that all its files share.
+//!
+//! Source: "DATA FORMAT DEFINITION - 7k Data Format" v3.12, Drawing 20723, 5 May 2020, marked for public use; record 7038 from the MIT
+//! licensed reader pyread7k, which calls it draft, and so do we. Little endian throughout; angles in rad, lengths in m, UTC.
+//!
+//! A record is a data record frame ([`DataRecordFrame`], 64 bytes), a record type header (RTH), record data (RD), sometimes optional data
+//! (OD), and a checksum. On the network each record is cut in packets, each behind a [`NetworkFrame`] (36 bytes); in a file records stand
+//! bare, one behind the other.
+//!
+//! - [`records`]: what records hold; each parses from a record's body and emits a whole record
+//! - [`control`]: commands (7500) and their answers (7501, 7502)
+//! - [`packet`]: records to packets and back, for datagrams
+//! - [`stream`]: bytes of a TCP connection to records, with resynchronisation
+//! - [`file`](mod@file): the header, the catalogue and the walk through a `.s7k` file
+//! - [`describe`](fn@describe): any record in words
+
+pub mod control;
+mod describe;
+pub mod file;
+pub mod frame;
+pub mod packet;
+pub mod records;
+pub mod stream;
+pub mod time;
+
+pub use control::{Command, CommandError, CommandErrorKind, ControlRequest, ErrorCode};
+pub use describe::{Description, describe};
+pub use frame::{DataRecordFrame, NetworkFrame, OpenRecord, Record, RecordStamp, checksum};
+pub use packet::{Packetiser, Reassembler};
+pub use records::RecordBody;
+pub use stream::StreamDecoder;
+pub use time::{SevenKTime, TimeError};
+
+/// TCP and UDP port of a 7k Center.
+pub const PORT: u16 = 7000;
+
+/// Version in network frames and in data record frames.
+pub const PROTOCOL_VERSION: u16 = 5;
+
+/// Device identifiers of the record frame.
+pub mod device_id {
+    pub const SEABAT_T20: u32 = 20;
+    pub const SEABAT_T50: u32 = 50;
+    pub const GENERIC_MULTIBEAM: u32 = 103;
+    pub const GENERIC_SIDE_SCAN: u32 = 104;
+    /// The 7k Center itself: where a client asks before it knows the sonar.
+    pub const SONAR_SOURCE: u32 = 7000;
+    pub const USER_INTERFACE: u32 = 7001;
+    pub const LOGGER: u32 = 7004;
+    /// Enumerator 0 is 200 kHz, 1 is 400 kHz.
+    pub const SEABAT_7125: u32 = 7125;
+    pub const NORBIT_13003: u32 = 13003;
+    pub const NORBIT_13016: u32 = 13016;
+}
+
+/// Record type identifiers of the records this crate reads or writes.
+pub mod record_id {
+    pub const POSITION: u32 = 1003;
+    pub const ROLL_PITCH_HEAVE: u32 = 1012;
+    pub const HEADING: u32 = 1013;
+    pub const SONAR_SETTINGS: u32 = 7000;
+    pub const CONFIGURATION: u32 = 7001;
+    pub const BEAM_GEOMETRY: u32 = 7004;
+    pub const SIDE_SCAN: u32 = 7007;
+    pub const BEAMFORMED: u32 = 7018;
+    pub const RAW_IQ: u32 = 7038;
+    pub const FILE_HEADER: u32 = 7200;
+    pub const FILE_CATALOGUE: u32 = 7300;
+    pub const REMOTE_CONTROL: u32 = 7500;
+    pub const REMOTE_CONTROL_ACK: u32 = 7501;
+    pub const REMOTE_CONTROL_NACK: u32 = 7502;
+    pub const REMOTE_CONTROL_SETTINGS: u32 = 7503;
+    pub const SOUND_VELOCITY: u32 = 7610;
+}
+
+/// Bits of `control_flags` in 7000 and 7503.
+pub mod control_flags {
+    pub const SYSTEM_ACTIVE: u32 = 1 << 15;
+    pub const TIMESTAMP_STATE_SHIFT: u32 = 27;
+    pub const TIMESTAMP_STATE_MASK: u32 = 0b11 << TIMESTAMP_STATE_SHIFT;
+    /// Time stamps are disciplined.
+    pub const TIMESTAMP_STATE_OK: u32 = 3 << TIMESTAMP_STATE_SHIFT;
+    /// The data come from a simulator. A program that makes them up sets it.
+    pub const SIMULATOR: u32 = 1 << 31;
+
+    /// The time stamp state, 0..=3.
+    pub const fn timestamp_state(flags: u32) -> u32 {
+        (flags & TIMESTAMP_STATE_MASK) >> TIMESTAMP_STATE_SHIFT
+    }
+}
+
+/// Order of the records of one ping. Readers group a file by what stands between two 7000 records, so 7000 comes first.
+pub const PING_RECORD_ORDER: [u32; 29] = [
+    7000, 7503, 1750, 7002, 7004, 7017, 7006, 7027, 7007, 7008, 7010, 7011, 7012, 7013, 7018, 7019,
+    7028, 7029, 7037, 7038, 7039, 7041, 7042, 7048, 7049, 7057, 7058, 7068, 7070,
+];
+
+/// Place of a record within its ping, to sort by; records that belong to no ping (navigation, answers) come after all that do.
+pub fn ping_order_rank(record_type_id: u32) -> usize {
+    PING_RECORD_ORDER
+        .iter()
+        .position(|&id| id == record_type_id)
+        .unwrap_or(PING_RECORD_ORDER.len())
+}
+
+/// What is wrong with bytes that should be 7k. Every variant names what was looked at and the numbers that disagree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum WireError {
+    #[error("{what} needs {need_bytes} bytes, {got_bytes} are there")]
+    Truncated {
+        what: &'static str,
+        need_bytes: u64,
+        got_bytes: u64,
+    },
+    #[error("network frame has protocol version {got}, not 5")]
+    NetworkVersion { got: u16 },
+    #[error("network frame has offset {got}, not 36")]
+    NetworkOffset { got: u16 },
+    #[error("record of {total_bytes} bytes is over the limit of {limit_bytes}")]
+    Oversized { total_bytes: u32, limit_bytes: u32 },
+    #[error(
+        "network frame contradicts itself: packet {sequence_number} of {total_packets}, {packet_bytes} bytes of a record of {total_bytes}"
+    )]
+    PacketSizes {
+        packet_bytes: u32,
+        total_bytes: u32,
+        sequence_number: u32,
+        total_packets: u32,
+    },
+    #[error("packet {got} came where packet {expected} of the record was due")]
+    FragmentSequence { expected: u32, got: u32 },
+    #[error("data record frame has protocol version {got}, not 5")]
+    DataVersion { got: u16 },
+    #[error("data record frame has sync pattern {got:#010x}, not 0x0000ffff")]
+    SyncPattern { got: u32 },
+    #[error("data record frame has offset {got}, neither 60 nor 64")]
+    RecordOffset { got: u16 },
+    #[error("data record frame states {stated_bytes} bytes, the record has {got_bytes}")]
+    RecordSize { stated_bytes: u32, got_bytes: u64 },
+    #[error("optional data at {offset_bytes} lie outside the record of {size_bytes} bytes")]
+    OptionalData { offset_bytes: u32, size_bytes: u32 },
+    #[error("checksum is {stored:#010x}, the bytes sum to {computed:#010x}")]
+    Checksum { stored: u32, computed: u32 },
+    #[error("{what} of {got} is not one we read")]
+    Unsupported { what: &'static str, got: u64 },
+}
+
+impl WireError {
+    /// What a server answers to a command that came in so.
+    pub fn nack_code(&self) -> ErrorCode {
+        match self {
+            Self::NetworkVersion { .. } => ErrorCode::NetworkProtocolVersion,
+            Self::NetworkOffset { .. } => ErrorCode::NetworkOffset,
+            Self::DataVersion { .. } => ErrorCode::DataProtocolVersion,
+            Self::SyncPattern { .. } => ErrorCode::DataSyncPattern,
+            Self::Checksum { .. } => ErrorCode::DataChecksum,
+            Self::Truncated { .. }
+            | Self::Oversized { .. }
+            | Self::PacketSizes { .. }
+            | Self::FragmentSequence { .. }
+            | Self::RecordOffset { .. }
+            | Self::RecordSize { .. }
+            | Self::OptionalData { .. }
+            | Self::Unsupported { .. } => ErrorCode::InvalidParameter,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_come_first_in_a_ping_and_navigation_after_it() {
+        let mut ids = [1003, 7038, 7018, 7004, 7000, 7007, 7503];
+        ids.sort_by_key(|&id| ping_order_rank(id));
+        assert_eq!(ids, [7000, 7503, 7004, 7007, 7018, 7038, 1003]);
+    }
+
+    #[test]
+    fn timestamp_state_is_bits_27_and_28() {
+        assert_eq!(control_flags::timestamp_state(0x1800_0000), 3);
+        assert_eq!(control_flags::timestamp_state(0x0800_0000), 1);
+        assert_eq!(
+            control_flags::SIMULATOR
+                | control_flags::SYSTEM_ACTIVE
+                | control_flags::TIMESTAMP_STATE_OK,
+            0x9800_8000
+        );
+    }
+}

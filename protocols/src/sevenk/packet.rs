@@ -1,0 +1,329 @@
+//! Records to packets and back. Source: DFD 3.12, network frame.
+//!
+//! A record longer than a packet may be is cut; all packets are equally long except the last, and the data record frame is only in the
+//! first. The DFD allows 60 000 bytes per packet, network frame included. A reader in wide use (MBARI's) does not put packets together
+//! again: for it, [`Packetiser::whole_records`].
+//!
+//! Datagrams are put together by [`Reassembler`]; a TCP connection is read by [`StreamDecoder`](super::StreamDecoder).
+
+use std::iter::FusedIterator;
+use std::ops::Range;
+
+use super::frame::{
+    DATA_RECORD_FRAME_BYTES, MIN_RECORD_BYTES, NETWORK_FRAME_BYTES, NetworkFrame, Record, u16_at,
+    u32_at,
+};
+use super::{PROTOCOL_VERSION, WireError};
+
+/// What the DFD allows, network frame included.
+pub const DEFAULT_MAX_PACKET_BYTES: u32 = 60_000;
+/// Less would cut the data record frame.
+pub const MIN_MAX_PACKET_BYTES: u32 = (NETWORK_FRAME_BYTES + DATA_RECORD_FRAME_BYTES) as u32;
+/// The longest payload of a UDP datagram over IPv4.
+pub const MAX_DATAGRAM_BYTES: u32 = 65_507;
+
+const DEVICE_ID_AT: usize = 36;
+const SYSTEM_ENUMERATOR_AT: usize = 42;
+
+/// A packet limit below [`MIN_MAX_PACKET_BYTES`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "packets of at most {max_packet_bytes} bytes cannot hold both frames of 7k: {MIN_MAX_PACKET_BYTES} is the least"
+)]
+pub struct PacketLimitError {
+    pub max_packet_bytes: u32,
+}
+
+/// Cuts records into packets and numbers the transmissions.
+#[derive(Debug, Clone)]
+pub struct Packetiser {
+    max_packet_bytes: u32,
+    next_transmission_id: u16,
+}
+
+impl Default for Packetiser {
+    fn default() -> Self {
+        Self {
+            max_packet_bytes: DEFAULT_MAX_PACKET_BYTES,
+            next_transmission_id: 0,
+        }
+    }
+}
+
+impl Packetiser {
+    /// `max_packet_bytes` includes the network frame. For datagrams it should not be over [`MAX_DATAGRAM_BYTES`].
+    pub fn new(max_packet_bytes: u32) -> Result<Self, PacketLimitError> {
+        if max_packet_bytes < MIN_MAX_PACKET_BYTES {
+            return Err(PacketLimitError { max_packet_bytes });
+        }
+        Ok(Self {
+            max_packet_bytes,
+            next_transmission_id: 0,
+        })
+    }
+
+    /// One packet per record, however long; for TCP readers that do not reassemble.
+    pub fn whole_records() -> Self {
+        Self {
+            max_packet_bytes: u32::MAX,
+            next_transmission_id: 0,
+        }
+    }
+
+    /// Appends the packets of one record and says where each lies in `buf`: over TCP send all of them, over UDP each as a datagram.
+    ///
+    /// # Panics
+    /// If `record` is shorter than 68 bytes or so long that it does not fit a u32 with its network frame: this crate emits neither.
+    pub fn packetise(&mut self, record: &[u8], buf: &mut Vec<u8>) -> PacketRanges {
+        assert!(
+            record.len() >= MIN_RECORD_BYTES,
+            "a record of {} bytes",
+            record.len()
+        );
+        let longest_record = u32::MAX as usize - NETWORK_FRAME_BYTES;
+        assert!(
+            record.len() <= longest_record,
+            "a record of {} bytes",
+            record.len()
+        );
+        let fragment_bytes = self.max_packet_bytes as usize - NETWORK_FRAME_BYTES;
+        let total_packets = record.len().div_ceil(fragment_bytes);
+        let transmission_id = self.next_transmission_id;
+        self.next_transmission_id = transmission_id.wrapping_add(1);
+        let start = buf.len();
+        buf.reserve(record.len() + total_packets * NETWORK_FRAME_BYTES);
+        for (sequence_number, fragment) in record.chunks(fragment_bytes).enumerate() {
+            let frame = NetworkFrame {
+                protocol_version: PROTOCOL_VERSION,
+                offset_bytes: NETWORK_FRAME_BYTES as u16,
+                total_packets: total_packets as u32,
+                total_records: 1,
+                transmission_id,
+                packet_size_bytes: (NETWORK_FRAME_BYTES + fragment.len()) as u32,
+                total_size_bytes: record.len() as u32,
+                sequence_number: sequence_number as u32,
+                dest_device_id: 0,
+                dest_enumerator: 0,
+                source_enumerator: u16_at(record, SYSTEM_ENUMERATOR_AT).unwrap_or_default(),
+                source_device_id: u32_at(record, DEVICE_ID_AT).unwrap_or_default(),
+            };
+            frame.emit(buf);
+            buf.extend_from_slice(fragment);
+        }
+        PacketRanges {
+            next: start,
+            end: buf.len(),
+            packet_bytes: self.max_packet_bytes as usize,
+        }
+    }
+}
+
+/// Where the packets of one record lie in the buffer, in order of sending.
+#[derive(Debug, Clone)]
+pub struct PacketRanges {
+    next: usize,
+    end: usize,
+    packet_bytes: usize,
+}
+
+impl PacketRanges {
+    /// All packets as one piece: what goes into a TCP connection.
+    pub fn whole(&self) -> Range<usize> {
+        self.next..self.end
+    }
+}
+
+impl Iterator for PacketRanges {
+    type Item = Range<usize>;
+
+    fn next(&mut self) -> Option<Range<usize>> {
+        if self.next == self.end {
+            return None;
+        }
+        let packet = self.next..self.end.min(self.next.saturating_add(self.packet_bytes));
+        self.next = packet.end;
+        Some(packet)
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let left = (self.end - self.next).div_ceil(self.packet_bytes);
+        (left, Some(left))
+    }
+}
+
+impl ExactSizeIterator for PacketRanges {}
+impl FusedIterator for PacketRanges {}
+
+// ------------------------------------------------------------------------------------------------------------------------- reassembly
+
+/// Records that are put together at the same time; a further one drops the oldest.
+pub const PARTIAL_RECORDS: usize = 4;
+
+/// What a [`Reassembler`] has seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ReassemblyCounters {
+    /// Whole records handed out.
+    pub records: u64,
+    /// Packets refused, and records that were whole but wrong.
+    pub errors: u64,
+    /// Packets that came before an earlier one of their record; they were put in place.
+    pub out_of_order_packets: u64,
+    pub duplicate_packets: u64,
+    /// Records given up with packets missing.
+    pub abandoned_records: u64,
+}
+
+/// Puts datagrams together to records, in whatever order the packets of a record come. Holds at most [`PARTIAL_RECORDS`] unfinished
+/// records and one finished, each no longer than the limit it was made with.
+#[derive(Debug)]
+pub struct Reassembler {
+    max_record_bytes: u32,
+    /// Oldest first.
+    partial: Vec<PartialRecord>,
+    complete: Vec<u8>,
+    counters: ReassemblyCounters,
+}
+
+#[derive(Debug)]
+struct PartialRecord {
+    /// The frame of the packet that came first.
+    frame: NetworkFrame,
+    fragment_bytes: u32,
+    bytes: Vec<u8>,
+    received: Vec<bool>,
+    missing: u32,
+}
+
+impl PartialRecord {
+    /// Whether a packet belongs to the same record.
+    fn matches(&self, frame: &NetworkFrame, fragment_bytes: u32) -> bool {
+        self.same_transmission(frame)
+            && self.frame.total_size_bytes == frame.total_size_bytes
+            && self.frame.total_packets == frame.total_packets
+            && self.fragment_bytes == fragment_bytes
+    }
+
+    fn same_transmission(&self, frame: &NetworkFrame) -> bool {
+        let key = |frame: &NetworkFrame| {
+            (
+                frame.transmission_id,
+                frame.source_device_id,
+                frame.source_enumerator,
+            )
+        };
+        key(&self.frame) == key(frame)
+    }
+}
+
+impl Reassembler {
+    pub fn new(max_record_bytes: u32) -> Self {
+        Self {
+            max_record_bytes,
+            partial: Vec::new(),
+            complete: Vec::new(),
+            counters: ReassemblyCounters::default(),
+        }
+    }
+
+    pub fn counters(&self) -> ReassemblyCounters {
+        self.counters
+    }
+
+    /// Takes one datagram; returns the record if it is now whole.
+    pub fn push_datagram<'a>(
+        &'a mut self,
+        datagram: &'a [u8],
+    ) -> Result<Option<Record<'a>>, WireError> {
+        // Counted here so that no error path below can forget it; the borrow of the record ends before the counters are touched.
+        let whole = match self.place(datagram) {
+            Ok(Placed::Waiting) => return Ok(None),
+            Ok(Placed::Alone) => &datagram[NETWORK_FRAME_BYTES..],
+            Ok(Placed::Complete) => &self.complete[..],
+            Err(error) => {
+                self.counters.errors += 1;
+                return Err(error);
+            }
+        };
+        match Record::parse(whole) {
+            Ok(record) => {
+                self.counters.records += 1;
+                Ok(Some(record))
+            }
+            Err(error) => {
+                self.counters.errors += 1;
+                Err(error)
+            }
+        }
+    }
+
+    fn place(&mut self, datagram: &[u8]) -> Result<Placed, WireError> {
+        let frame = NetworkFrame::parse(datagram)?;
+        frame.check(self.max_record_bytes)?;
+        let fragment_bytes = frame.fragment_bytes()?;
+        if frame.packet_size_bytes as usize != datagram.len() {
+            return Err(WireError::Truncated {
+                what: "datagram",
+                need_bytes: u64::from(frame.packet_size_bytes),
+                got_bytes: datagram.len() as u64,
+            });
+        }
+        if frame.total_packets == 1 {
+            return Ok(Placed::Alone);
+        }
+        let index = self.partial_of(&frame, fragment_bytes);
+        let partial = &mut self.partial[index];
+        let sequence = frame.sequence_number as usize;
+        if partial.received[sequence] {
+            self.counters.duplicate_packets += 1;
+            return Ok(Placed::Waiting);
+        }
+        let has_later = partial.received[sequence..].contains(&true);
+        self.counters.out_of_order_packets += u64::from(has_later);
+        let data = &datagram[NETWORK_FRAME_BYTES..];
+        let at = sequence * fragment_bytes as usize;
+        partial.bytes[at..at + data.len()].copy_from_slice(data);
+        partial.received[sequence] = true;
+        partial.missing -= 1;
+        if partial.missing > 0 {
+            return Ok(Placed::Waiting);
+        }
+        self.complete = self.partial.remove(index).bytes;
+        Ok(Placed::Complete)
+    }
+
+    /// The unfinished record that a packet belongs to, begun if need be.
+    fn partial_of(&mut self, frame: &NetworkFrame, fragment_bytes: u32) -> usize {
+        if let Some(index) = self
+            .partial
+            .iter()
+            .position(|partial| partial.matches(frame, fragment_bytes))
+        {
+            return index;
+        }
+        // The same transmission with other sizes is a new one whose number came round again: what was left of the old is dead.
+        let stale = self
+            .partial
+            .iter()
+            .position(|partial| partial.same_transmission(frame));
+        if let Some(index) = stale.or_else(|| (self.partial.len() == PARTIAL_RECORDS).then_some(0))
+        {
+            self.partial.remove(index);
+            self.counters.abandoned_records += 1;
+        }
+        self.partial.push(PartialRecord {
+            frame: *frame,
+            fragment_bytes,
+            bytes: vec![0; frame.total_size_bytes as usize],
+            received: vec![false; frame.total_packets as usize],
+            missing: frame.total_packets,
+        });
+        self.partial.len() - 1
+    }
+}
+
+enum Placed {
+    Waiting,
+    /// The datagram is the whole record.
+    Alone,
+    Complete,
+}

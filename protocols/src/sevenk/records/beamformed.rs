@@ -1,0 +1,132 @@
+//! 7018: magnitude and phase of every sample of every beam. Source: DFD 3.12.
+//!
+//! ```text
+//! RTH   52 bytes, see Rth7018
+//! RD    sample-major: per sample, per beam (u16 amplitude, i16 phase); sample 0 is range 0
+//! ```
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{
+    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_fixed,
+};
+use crate::sevenk::{WireError, record_id};
+
+/// Counts of phase per radian.
+pub const PHASE_COUNTS_PER_RAD: f32 = 10_430.0;
+
+/// The RTH of 7018.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct Rth7018 {
+    /// Serial number.
+    pub sonar_id: u64,
+    /// Sequential from 1.
+    pub ping_number: u32,
+    /// 0 when not in multi-ping mode.
+    pub multi_ping_sequence: u16,
+    pub beams: u16,
+    /// Per beam.
+    #[brw(pad_after = 32)]
+    pub samples: u32,
+}
+
+rth!(Rth7018, 52, "7018 beamformed");
+
+/// One sample of one beam.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct BeamSample {
+    pub amplitude: u16,
+    /// [`PHASE_COUNTS_PER_RAD`] per radian.
+    pub phase: i16,
+}
+
+impl BeamSample {
+    const BYTES: usize = 4;
+
+    fn to_le_bytes(self) -> [u8; 4] {
+        let ([a0, a1], [p0, p1]) = (self.amplitude.to_le_bytes(), self.phase.to_le_bytes());
+        [a0, a1, p0, p1]
+    }
+}
+
+/// 7018, read: the samples stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Beamformed7018<'a> {
+    pub rth: Rth7018,
+    data: &'a [u8],
+}
+
+impl<'a> Beamformed7018<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::BEAMFORMED;
+    pub const RTH_BYTES: usize = Rth7018::RTH_BYTES;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7018 = read_fixed(body)?;
+        let len = u64::from(rth.beams) * u64::from(rth.samples) * BeamSample::BYTES as u64;
+        Ok(Self {
+            rth,
+            data: data_at(body, Rth7018::RTH_BYTES, len, "7018 samples")?,
+        })
+    }
+
+    pub fn sample(&self, sample: u32, beam: u16) -> Option<BeamSample> {
+        if sample >= self.rth.samples || beam >= self.rth.beams {
+            return None;
+        }
+        let at =
+            (sample as usize * usize::from(self.rth.beams) + usize::from(beam)) * BeamSample::BYTES;
+        Some(BeamSample {
+            amplitude: u16_at(self.data, at)?,
+            phase: u16_at(self.data, at + 2)? as i16,
+        })
+    }
+
+    /// All samples as they lie: per sample, per beam.
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = BeamSample> + 'a {
+        self.data
+            .chunks_exact(BeamSample::BYTES)
+            .map(|bytes| BeamSample {
+                amplitude: u16::from_le_bytes([bytes[0], bytes[1]]),
+                phase: i16::from_le_bytes([bytes[2], bytes[3]]),
+            })
+    }
+}
+
+/// Appends a 7018 record from samples that lie per sample, per beam.
+///
+/// # Panics
+/// If there are not `rth.samples * rth.beams` of them.
+pub fn emit_7018(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7018,
+    samples_sample_major: &[BeamSample],
+) -> Range<usize> {
+    let expected = rth.samples as usize * usize::from(rth.beams);
+    assert_eq!(
+        samples_sample_major.len(),
+        expected,
+        "7018 of {} samples x {} beams",
+        rth.samples,
+        rth.beams
+    );
+    let open = OpenRecord::begin(buf, record_id::BEAMFORMED, stamp);
+    buf.reserve(Rth7018::SIZE_BYTES + expected * BeamSample::BYTES + 4);
+    write_fixed(rth, buf);
+    extend_encoded(buf, samples_sample_major, BeamSample::to_le_bytes);
+    open.finish(buf)
+}
+
+impl fmt::Display for Beamformed7018<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "beamformed: ping {} of sonar {}, {} beams x {} samples, amplitude and phase",
+            self.rth.ping_number, self.rth.sonar_id, self.rth.beams, self.rth.samples
+        )
+    }
+}

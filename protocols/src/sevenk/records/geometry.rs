@@ -1,0 +1,144 @@
+//! 7004: where the beams point and how wide they are. Source: DFD 3.12.
+//!
+//! ```text
+//! RTH   0 u64 sonar_id   8 u32 beams N                                          12 bytes
+//! RD    N f32 each: along-track angle, across-track angle, -3 dB width along track (Y), -3 dB width across track (X)
+//! ```
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{
+    OpenRecord, RecordStamp, extend_encoded, read_fixed, u32_at, write_fixed,
+};
+use crate::sevenk::{WireError, record_id};
+
+#[derive(Debug, Clone, Copy, BinRead, BinWrite)]
+struct Rth7004 {
+    sonar_id: u64,
+    beams: u32,
+}
+
+rth!(Rth7004, 12, "7004 beam geometry");
+
+/// The angles of all beams, beam 0 port-most; four slices of one length.
+#[derive(Debug, Clone, Copy)]
+pub struct BeamAngles<'a> {
+    pub along_track_rad: &'a [f32],
+    /// Starboard is positive.
+    pub across_track_rad: &'a [f32],
+    /// At -3 dB, along track.
+    pub width_y_rad: &'a [f32],
+    /// At -3 dB, across track.
+    pub width_x_rad: &'a [f32],
+}
+
+/// 7004, read: the angles stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BeamGeometry7004<'a> {
+    pub sonar_id: u64,
+    pub beams: u32,
+    data: &'a [u8],
+}
+
+impl<'a> BeamGeometry7004<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::BEAM_GEOMETRY;
+    pub const RTH_BYTES: usize = Rth7004::RTH_BYTES;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7004 = read_fixed(body)?;
+        let data = data_at(
+            body,
+            Rth7004::RTH_BYTES,
+            16 * u64::from(rth.beams),
+            "7004 beam angles",
+        )?;
+        Ok(Self {
+            sonar_id: rth.sonar_id,
+            beams: rth.beams,
+            data,
+        })
+    }
+
+    pub fn along_track_rad(&self, beam: u32) -> Option<f32> {
+        self.value(0, beam)
+    }
+
+    /// Starboard is positive.
+    pub fn across_track_rad(&self, beam: u32) -> Option<f32> {
+        self.value(1, beam)
+    }
+
+    pub fn width_y_rad(&self, beam: u32) -> Option<f32> {
+        self.value(2, beam)
+    }
+
+    pub fn width_x_rad(&self, beam: u32) -> Option<f32> {
+        self.value(3, beam)
+    }
+
+    fn value(&self, block: usize, beam: u32) -> Option<f32> {
+        if beam >= self.beams {
+            return None;
+        }
+        u32_at(self.data, (block * self.beams as usize + beam as usize) * 4).map(f32::from_bits)
+    }
+}
+
+/// Appends a 7004 record.
+///
+/// # Panics
+/// If the slices differ in length.
+pub fn emit_7004(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    sonar_id: u64,
+    angles: &BeamAngles<'_>,
+) -> Range<usize> {
+    let blocks = [
+        angles.along_track_rad,
+        angles.across_track_rad,
+        angles.width_y_rad,
+        angles.width_x_rad,
+    ];
+    let beams = blocks[0].len();
+    let open = OpenRecord::begin(buf, record_id::BEAM_GEOMETRY, stamp);
+    write_fixed(
+        &Rth7004 {
+            sonar_id,
+            beams: beams as u32,
+        },
+        buf,
+    );
+    for block in blocks {
+        assert_eq!(block.len(), beams, "7004 needs every angle of every beam");
+        extend_encoded(buf, block, f32::to_le_bytes);
+    }
+    open.finish(buf)
+}
+
+impl fmt::Display for BeamGeometry7004<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "beam geometry: {} beams of sonar {}",
+            self.beams, self.sonar_id
+        )?;
+        let ends = (
+            self.across_track_rad(0),
+            self.across_track_rad(self.beams.saturating_sub(1)),
+        );
+        if let (Some(first), Some(last)) = ends {
+            write!(
+                f,
+                ", across track {:.2} to {:.2} deg",
+                first.to_degrees(),
+                last.to_degrees()
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,184 @@
+//! What 7k records hold: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a
+//! [`Record`] (RTH and RD) and tolerates bytes beyond what it knows, as later versions append; `emit` appends a whole record, frame and
+//! checksum included, and says where it lies. Reserved bytes are written 0 and read past.
+//!
+//! Records with samples parse to views that borrow the body. They are emitted by `emit_NNNN`, from slices of finished wire numbers:
+//! quantising is the caller's. Slices that do not fit each other are the programmer's mistake and panic.
+
+mod beamformed;
+mod configuration;
+mod geometry;
+mod platform;
+mod raw_iq;
+mod settings;
+mod side_scan;
+
+pub(crate) use configuration::{text_field, text_of};
+
+pub use beamformed::{BeamSample, Beamformed7018, PHASE_COUNTS_PER_RAD, Rth7018, emit_7018};
+pub use configuration::{Configuration7001, Module, emit_7001};
+pub use geometry::{BeamAngles, BeamGeometry7004, emit_7004};
+pub use platform::{Heading1013, Position1003, RollPitchHeave1012, SoundVelocity7610};
+pub use raw_iq::{RawIq7038, Rth7038, SAMPLE_TYPE_I16, emit_7038, emit_7038_element_major};
+pub use settings::{RemoteSettings7503, SonarSettings7000};
+pub use side_scan::{Rth7007, SideSamples, SideScan7007, emit_7007};
+
+use std::fmt;
+
+use super::control::{Ack7501, CommandError, ControlRequest, Nack7502};
+use super::file::{Catalogue7300, FileHeader7200};
+use super::frame::Record;
+use super::{WireError, record_id};
+
+/// Implements parse, emit and the constants for a record that is nothing but its RTH.
+macro_rules! rth_record {
+    ($record:ty, $id:expr, $size:expr, $name:literal) => {
+        impl crate::sevenk::frame::Fixed for $record {
+            const SIZE_BYTES: usize = $size;
+            const NAME: &'static str = $name;
+        }
+
+        impl $record {
+            pub const RECORD_TYPE_ID: u32 = $id;
+            pub const RTH_BYTES: usize = $size;
+
+            /// Reads a record's body.
+            pub fn parse(body: &[u8]) -> Result<Self, crate::sevenk::WireError> {
+                crate::sevenk::frame::read_fixed(body)
+            }
+
+            /// Appends the whole record and says where it lies in `buf`.
+            pub fn emit(
+                &self,
+                buf: &mut Vec<u8>,
+                stamp: &crate::sevenk::RecordStamp,
+            ) -> std::ops::Range<usize> {
+                let open = crate::sevenk::OpenRecord::begin(buf, $id, stamp);
+                crate::sevenk::frame::write_fixed(self, buf);
+                open.finish(buf)
+            }
+        }
+    };
+}
+pub(crate) use rth_record;
+
+/// Implements length and name for the RTH of a record that has data behind it.
+macro_rules! rth {
+    ($rth:ty, $size:expr, $name:literal) => {
+        impl crate::sevenk::frame::Fixed for $rth {
+            const SIZE_BYTES: usize = $size;
+            const NAME: &'static str = $name;
+        }
+
+        impl $rth {
+            pub const RTH_BYTES: usize = $size;
+        }
+    };
+}
+pub(crate) use rth;
+
+/// The `len` bytes of record data from `at`, or what is missing.
+pub(crate) fn data_at<'a>(
+    body: &'a [u8],
+    at: usize,
+    len: u64,
+    what: &'static str,
+) -> Result<&'a [u8], WireError> {
+    let data = body.get(at..).unwrap_or_default();
+    // A length from the wire may be beyond usize on a 32-bit machine: compare as u64 before it becomes one.
+    if (data.len() as u64) < len {
+        return Err(WireError::Truncated {
+            what,
+            need_bytes: at as u64 + len,
+            got_bytes: body.len() as u64,
+        });
+    }
+    Ok(&data[..len as usize])
+}
+
+/// The body of any record, by its type.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RecordBody<'a> {
+    Position(Position1003),
+    RollPitchHeave(RollPitchHeave1012),
+    Heading(Heading1013),
+    SonarSettings(Box<SonarSettings7000>),
+    Configuration(Configuration7001),
+    BeamGeometry(BeamGeometry7004<'a>),
+    SideScan(SideScan7007<'a>),
+    Beamformed(Beamformed7018<'a>),
+    RawIq(RawIq7038<'a>),
+    FileHeader(Box<FileHeader7200>),
+    FileCatalogue(Catalogue7300<'a>),
+    RemoteControl(ControlRequest),
+    Ack(Ack7501),
+    Nack(Nack7502),
+    RemoteSettings(Box<RemoteSettings7503>),
+    SoundVelocity(SoundVelocity7610),
+    /// A type this crate does not read.
+    Other(&'a [u8]),
+}
+
+/// A record body that could not be read.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum BodyError {
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    #[error(transparent)]
+    Command(#[from] CommandError),
+}
+
+impl<'a> RecordBody<'a> {
+    pub fn parse(record: &Record<'a>) -> Result<Self, BodyError> {
+        let body = record.body();
+        Ok(match record.frame.record_type_id {
+            record_id::POSITION => Self::Position(Position1003::parse(body)?),
+            record_id::ROLL_PITCH_HEAVE => Self::RollPitchHeave(RollPitchHeave1012::parse(body)?),
+            record_id::HEADING => Self::Heading(Heading1013::parse(body)?),
+            record_id::SONAR_SETTINGS => {
+                Self::SonarSettings(Box::new(SonarSettings7000::parse(body)?))
+            }
+            record_id::CONFIGURATION => Self::Configuration(Configuration7001::parse(body)?),
+            record_id::BEAM_GEOMETRY => Self::BeamGeometry(BeamGeometry7004::parse(body)?),
+            record_id::SIDE_SCAN => Self::SideScan(SideScan7007::parse(body)?),
+            record_id::BEAMFORMED => Self::Beamformed(Beamformed7018::parse(body)?),
+            record_id::RAW_IQ => Self::RawIq(RawIq7038::parse(body)?),
+            record_id::FILE_HEADER => Self::FileHeader(Box::new(FileHeader7200::parse(body)?)),
+            record_id::FILE_CATALOGUE => Self::FileCatalogue(Catalogue7300::parse(body)?),
+            record_id::REMOTE_CONTROL => Self::RemoteControl(ControlRequest::parse(body)?),
+            record_id::REMOTE_CONTROL_ACK => Self::Ack(Ack7501::parse(body)?),
+            record_id::REMOTE_CONTROL_NACK => Self::Nack(Nack7502::parse(body)?),
+            record_id::REMOTE_CONTROL_SETTINGS => {
+                Self::RemoteSettings(Box::new(RemoteSettings7503::parse(body)?))
+            }
+            record_id::SOUND_VELOCITY => Self::SoundVelocity(SoundVelocity7610::parse(body)?),
+            _ => Self::Other(body),
+        })
+    }
+}
+
+impl fmt::Display for RecordBody<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Position(record) => record.fmt(f),
+            Self::RollPitchHeave(record) => record.fmt(f),
+            Self::Heading(record) => record.fmt(f),
+            Self::SonarSettings(record) => record.fmt(f),
+            Self::Configuration(record) => record.fmt(f),
+            Self::BeamGeometry(record) => record.fmt(f),
+            Self::SideScan(record) => record.fmt(f),
+            Self::Beamformed(record) => record.fmt(f),
+            Self::RawIq(record) => record.fmt(f),
+            Self::FileHeader(record) => record.fmt(f),
+            Self::FileCatalogue(record) => record.fmt(f),
+            Self::RemoteControl(record) => record.fmt(f),
+            Self::Ack(record) => record.fmt(f),
+            Self::Nack(record) => record.fmt(f),
+            Self::RemoteSettings(record) => record.fmt(f),
+            Self::SoundVelocity(record) => record.fmt(f),
+            Self::Other(body) => {
+                write!(f, "a record type we do not read, {} B of data", body.len())
+            }
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! What the platform tells: 1003 position, 1012 roll, pitch and heave, 1013 heading, 7610 sound velocity. Source: DFD 3.12.
+//!
+//! Signs: roll port up, pitch bow up, heave up. A server on the network needs 7610 for readers that refuse bathymetry without it.
+
+use std::fmt;
+
+use binrw::{BinRead, BinWrite};
+
+use super::rth_record;
+use crate::sevenk::record_id;
+
+/// 1003: a position, geographic or on a grid.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Position1003 {
+    /// 0 is WGS84.
+    pub datum_id: u32,
+    pub latency_s: f32,
+    /// rad when geographic, m on a grid.
+    pub latitude_rad_or_northing_m: f64,
+    /// rad when geographic, m on a grid.
+    pub longitude_rad_or_easting_m: f64,
+    pub height_m: f64,
+    /// See [`Position1003::GEOGRAPHIC`].
+    pub position_type: u8,
+    pub utm_zone: u8,
+    /// 0 navigation, 1 dead reckoning.
+    pub quality_flag: u8,
+    /// 0 GPS, 1 DGPS, 15 RTK fixed, 16 RTK float.
+    pub positioning_method: u8,
+    pub satellites: u8,
+}
+
+impl Position1003 {
+    pub const GEOGRAPHIC: u8 = 0;
+    pub const GRID: u8 = 1;
+}
+
+/// 1012: attitude and heave.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct RollPitchHeave1012 {
+    /// Port up is positive.
+    pub roll_rad: f32,
+    /// Bow up is positive.
+    pub pitch_rad: f32,
+    /// Up is positive.
+    pub heave_up_m: f32,
+}
+
+/// 1013: true heading.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Heading1013 {
+    pub heading_rad: f32,
+}
+
+/// 7610: sound velocity at the sonar head.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct SoundVelocity7610 {
+    pub sound_velocity_m_per_s: f32,
+    /// 0 when not known.
+    pub temperature_k: f32,
+    /// 0 when not known.
+    pub pressure_pa: f32,
+}
+
+rth_record!(Position1003, record_id::POSITION, 37, "1003 position");
+rth_record!(
+    RollPitchHeave1012,
+    record_id::ROLL_PITCH_HEAVE,
+    12,
+    "1012 roll pitch heave"
+);
+rth_record!(Heading1013, record_id::HEADING, 4, "1013 heading");
+rth_record!(
+    SoundVelocity7610,
+    record_id::SOUND_VELOCITY,
+    12,
+    "7610 sound velocity"
+);
+
+impl fmt::Display for Position1003 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (a, b) = (
+            self.latitude_rad_or_northing_m,
+            self.longitude_rad_or_easting_m,
+        );
+        if self.position_type == Self::GEOGRAPHIC {
+            write!(
+                f,
+                "position: latitude {:.8} deg, longitude {:.8} deg",
+                a.to_degrees(),
+                b.to_degrees()
+            )?;
+        } else {
+            write!(
+                f,
+                "position: northing {a:.3} m, easting {b:.3} m, zone {}",
+                self.utm_zone
+            )?;
+        }
+        write!(
+            f,
+            ", height {:.3} m, latency {:.3} s, method {}, {} satellites",
+            self.height_m, self.latency_s, self.positioning_method, self.satellites
+        )
+    }
+}
+
+impl fmt::Display for RollPitchHeave1012 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "attitude: roll {:.3} deg port up, pitch {:.3} deg bow up, heave {:.3} m up",
+            self.roll_rad.to_degrees(),
+            self.pitch_rad.to_degrees(),
+            self.heave_up_m
+        )
+    }
+}
+
+impl fmt::Display for Heading1013 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "heading: {:.3} deg", self.heading_rad.to_degrees())
+    }
+}
+
+impl fmt::Display for SoundVelocity7610 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "sound velocity: {:.2} m/s, temperature {:.2} K, pressure {:.0} Pa",
+            self.sound_velocity_m_per_s, self.temperature_k, self.pressure_pa
+        )
+    }
+}

@@ -1,0 +1,230 @@
+//! 7038 (draft): raw I/Q of the receive elements. Source: `_DataRecord7038` of the MIT licensed pyread7k; DFD 3.12 lists the number only.
+//!
+//! ```text
+//! RTH   60 bytes, see Rth7038
+//! RD    u16 element_number[E], then sample-major: for each sample start..=stop, for each listed element, i16 I, i16 Q
+//! ```
+//!
+//! Teledyne's reader takes an element number as a column of an array E wide: number the elements of a record 0..E.
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{
+    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_fixed,
+};
+use crate::sevenk::{WireError, record_id};
+
+/// `sample_type` of i16 I, i16 Q: the only one written and read here.
+pub const SAMPLE_TYPE_I16: u16 = 16;
+
+const SAMPLE_BYTES: usize = 4;
+
+/// The RTH of 7038.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct Rth7038 {
+    pub sonar_serial: u64,
+    #[brw(pad_after = 2)]
+    pub ping_number: u32,
+    /// Receive elements of the system.
+    pub channel_count: u16,
+    /// Samples in the ping.
+    pub samples: u32,
+    /// Elements in this record.
+    pub elements: u16,
+    /// First sample present.
+    pub start_sample: u32,
+    /// Last sample present: inclusive.
+    pub stop_sample: u32,
+    /// See [`SAMPLE_TYPE_I16`].
+    #[brw(pad_after = 28)]
+    pub sample_type: u16,
+}
+
+rth!(Rth7038, 60, "7038 raw I/Q");
+
+impl Rth7038 {
+    /// Samples per element in this record; 0 if stop lies before start.
+    pub fn samples_present(&self) -> u64 {
+        (u64::from(self.stop_sample) + 1).saturating_sub(u64::from(self.start_sample))
+    }
+}
+
+/// 7038, read: the samples stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RawIq7038<'a> {
+    pub rth: Rth7038,
+    element_numbers: &'a [u8],
+    iq: &'a [u8],
+}
+
+impl<'a> RawIq7038<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::RAW_IQ;
+    pub const RTH_BYTES: usize = Rth7038::RTH_BYTES;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7038 = read_fixed(body)?;
+        if rth.sample_type != SAMPLE_TYPE_I16 {
+            return Err(WireError::Unsupported {
+                what: "7038 sample type",
+                got: u64::from(rth.sample_type),
+            });
+        }
+        let element_numbers = data_at(
+            body,
+            Rth7038::RTH_BYTES,
+            2 * u64::from(rth.elements),
+            "7038 element numbers",
+        )?;
+        let iq_len = rth.samples_present() * u64::from(rth.elements) * SAMPLE_BYTES as u64;
+        let iq = data_at(
+            body,
+            Rth7038::RTH_BYTES + element_numbers.len(),
+            iq_len,
+            "7038 samples",
+        )?;
+        Ok(Self {
+            rth,
+            element_numbers,
+            iq,
+        })
+    }
+
+    pub fn element_numbers(&self) -> impl ExactSizeIterator<Item = u16> + 'a {
+        self.element_numbers
+            .chunks_exact(2)
+            .map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
+    }
+
+    /// I and Q at a sample counted from `start_sample`, for the element in a column of the record.
+    pub fn iq(&self, sample_from_start: u32, column: u16) -> Option<[i16; 2]> {
+        if u64::from(sample_from_start) >= self.rth.samples_present() || column >= self.rth.elements
+        {
+            return None;
+        }
+        let at = (sample_from_start as usize * usize::from(self.rth.elements)
+            + usize::from(column))
+            * SAMPLE_BYTES;
+        Some([u16_at(self.iq, at)? as i16, u16_at(self.iq, at + 2)? as i16])
+    }
+
+    /// All I and Q as they lie: per sample, per element.
+    pub fn iq_sample_major(&self) -> impl ExactSizeIterator<Item = [i16; 2]> + 'a {
+        self.iq.chunks_exact(SAMPLE_BYTES).map(|bytes| {
+            [
+                i16::from_le_bytes([bytes[0], bytes[1]]),
+                i16::from_le_bytes([bytes[2], bytes[3]]),
+            ]
+        })
+    }
+}
+
+fn iq_bytes([i, q]: [i16; 2]) -> [u8; SAMPLE_BYTES] {
+    let ([i0, i1], [q0, q1]) = (i.to_le_bytes(), q.to_le_bytes());
+    [i0, i1, q0, q1]
+}
+
+/// Appends a 7038 record from I/Q that lie per sample, per element: the fast way.
+///
+/// # Panics
+/// If `rth.elements` is not the number of element numbers, the sample type not [`SAMPLE_TYPE_I16`], `stop_sample` before `start_sample`, or
+/// the number of I/Q pairs not samples present x elements.
+pub fn emit_7038(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7038,
+    element_numbers: &[u16],
+    iq_sample_major: &[[i16; 2]],
+) -> Range<usize> {
+    let open = begin_7038(buf, stamp, rth, element_numbers, iq_sample_major.len());
+    extend_encoded(buf, iq_sample_major, iq_bytes);
+    open.finish(buf)
+}
+
+/// Appends a 7038 record from I/Q that lie per element, per sample, and turns them over on the way.
+///
+/// # Panics
+/// As [`emit_7038`].
+pub fn emit_7038_element_major(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7038,
+    element_numbers: &[u16],
+    iq_element_major: &[[i16; 2]],
+) -> Range<usize> {
+    /// Tile edge: 32 x 32 pairs are 4 KiB on either side, within the first-level cache.
+    const TILE: usize = 32;
+    let open = begin_7038(buf, stamp, rth, element_numbers, iq_element_major.len());
+    let (elements, samples) = (element_numbers.len(), rth.samples_present() as usize);
+    let data_at = buf.len();
+    buf.resize(data_at + iq_element_major.len() * SAMPLE_BYTES, 0);
+    let out = &mut buf[data_at..];
+    for sample_tile in (0..samples).step_by(TILE) {
+        for element_tile in (0..elements).step_by(TILE) {
+            for sample in sample_tile..samples.min(sample_tile + TILE) {
+                for element in element_tile..elements.min(element_tile + TILE) {
+                    let at = (sample * elements + element) * SAMPLE_BYTES;
+                    out[at..at + SAMPLE_BYTES]
+                        .copy_from_slice(&iq_bytes(iq_element_major[element * samples + sample]));
+                }
+            }
+        }
+    }
+    open.finish(buf)
+}
+
+fn begin_7038(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7038,
+    element_numbers: &[u16],
+    pairs: usize,
+) -> OpenRecord {
+    assert_eq!(
+        rth.sample_type, SAMPLE_TYPE_I16,
+        "7038 is written with sample type {SAMPLE_TYPE_I16} only"
+    );
+    assert_eq!(
+        usize::from(rth.elements),
+        element_numbers.len(),
+        "7038 needs a number for every element"
+    );
+    assert!(
+        rth.start_sample <= rth.stop_sample,
+        "7038 of samples {}..={}",
+        rth.start_sample,
+        rth.stop_sample
+    );
+    let expected = rth.samples_present() as usize * element_numbers.len();
+    assert_eq!(
+        pairs,
+        expected,
+        "7038 of {} samples x {} elements",
+        rth.samples_present(),
+        rth.elements
+    );
+    let open = OpenRecord::begin(buf, record_id::RAW_IQ, stamp);
+    buf.reserve(Rth7038::SIZE_BYTES + 2 * element_numbers.len() + pairs * SAMPLE_BYTES + 4);
+    write_fixed(rth, buf);
+    extend_encoded(buf, element_numbers, u16::to_le_bytes);
+    open
+}
+
+impl fmt::Display for RawIq7038<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "raw I/Q (draft): ping {} of sonar {}, {} of {} elements, samples {}..={} of {}, i16",
+            self.rth.ping_number,
+            self.rth.sonar_serial,
+            self.rth.elements,
+            self.rth.channel_count,
+            self.rth.start_sample,
+            self.rth.stop_sample,
+            self.rth.samples
+        )
+    }
+}

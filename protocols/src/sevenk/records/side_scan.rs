@@ -1,0 +1,175 @@
+//! 7007: one side-scan line, port and starboard. Source: DFD 3.12.
+//!
+//! ```text
+//! RTH   64 bytes, see Rth7007
+//! RD    samples_per_side port samples, then as many starboard; unsigned, 1, 2 or 4 bytes; the first is range 0
+//! ```
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{
+    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_fixed,
+};
+use crate::sevenk::{WireError, record_id};
+
+/// The RTH of 7007.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Rth7007 {
+    /// Serial number.
+    pub sonar_id: u64,
+    /// Sequential from 1.
+    pub ping_number: u32,
+    /// 0 when not in multi-ping mode.
+    pub multi_ping_sequence: u16,
+    /// Forward of beam 0.
+    pub beam_position_m: f32,
+    /// Bit 0: the nadir depth field is used.
+    pub control_flags: u32,
+    /// Written from the slices.
+    pub samples_per_side: u32,
+    /// In samples, one way.
+    #[brw(pad_after = 28)]
+    pub nadir_depth_samples: u32,
+    /// Written 1.
+    pub beams_per_side: u16,
+    pub current_beam: u16,
+    /// Written from the slices: 1, 2 or 4.
+    pub bytes_per_sample: u8,
+    /// 0.
+    pub data_types: u8,
+}
+
+rth!(Rth7007, 64, "7007 side scan");
+
+/// Both sides of a line, in the width that goes on the wire.
+#[derive(Debug, Clone, Copy)]
+pub enum SideSamples<'a> {
+    U8 {
+        port: &'a [u8],
+        starboard: &'a [u8],
+    },
+    U16 {
+        port: &'a [u16],
+        starboard: &'a [u16],
+    },
+    U32 {
+        port: &'a [u32],
+        starboard: &'a [u32],
+    },
+}
+
+/// 7007, read: the samples stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SideScan7007<'a> {
+    pub rth: Rth7007,
+    port: &'a [u8],
+    starboard: &'a [u8],
+}
+
+impl<'a> SideScan7007<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::SIDE_SCAN;
+    pub const RTH_BYTES: usize = Rth7007::RTH_BYTES;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7007 = read_fixed(body)?;
+        if !matches!(rth.bytes_per_sample, 1 | 2 | 4) {
+            return Err(WireError::Unsupported {
+                what: "7007 bytes per sample",
+                got: u64::from(rth.bytes_per_sample),
+            });
+        }
+        let side_bytes = u64::from(rth.samples_per_side) * u64::from(rth.bytes_per_sample);
+        let data = data_at(body, Rth7007::RTH_BYTES, 2 * side_bytes, "7007 samples")?;
+        let (port, starboard) = data.split_at(side_bytes as usize);
+        Ok(Self {
+            rth,
+            port,
+            starboard,
+        })
+    }
+
+    /// Port samples, widened; the first is range 0.
+    pub fn port(&self) -> impl ExactSizeIterator<Item = u32> + 'a {
+        samples_of(self.port, self.rth.bytes_per_sample)
+    }
+
+    /// Starboard samples, widened; the first is range 0.
+    pub fn starboard(&self) -> impl ExactSizeIterator<Item = u32> + 'a {
+        samples_of(self.starboard, self.rth.bytes_per_sample)
+    }
+}
+
+fn samples_of(bytes: &[u8], bytes_per_sample: u8) -> impl ExactSizeIterator<Item = u32> + '_ {
+    bytes
+        .chunks_exact(usize::from(bytes_per_sample))
+        .map(|sample| {
+            let mut wide = [0; 4];
+            wide[..sample.len()].copy_from_slice(sample);
+            u32::from_le_bytes(wide)
+        })
+}
+
+/// Appends a 7007 record. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are not used: the first two follow from the
+/// slices, the last is 1.
+///
+/// # Panics
+/// If the sides differ in length.
+pub fn emit_7007(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7007,
+    samples: &SideSamples<'_>,
+) -> Range<usize> {
+    let (port_len, starboard_len, bytes_per_sample) = match samples {
+        SideSamples::U8 { port, starboard } => (port.len(), starboard.len(), 1),
+        SideSamples::U16 { port, starboard } => (port.len(), starboard.len(), 2),
+        SideSamples::U32 { port, starboard } => (port.len(), starboard.len(), 4),
+    };
+    assert_eq!(
+        port_len, starboard_len,
+        "7007 has as many port samples as starboard"
+    );
+    let open = OpenRecord::begin(buf, record_id::SIDE_SCAN, stamp);
+    buf.reserve(Rth7007::SIZE_BYTES + 2 * port_len * usize::from(bytes_per_sample));
+    write_fixed(
+        &Rth7007 {
+            samples_per_side: port_len as u32,
+            bytes_per_sample,
+            beams_per_side: 1,
+            ..*rth
+        },
+        buf,
+    );
+    match samples {
+        SideSamples::U8 { port, starboard } => {
+            buf.extend_from_slice(port);
+            buf.extend_from_slice(starboard);
+        }
+        SideSamples::U16 { port, starboard } => {
+            extend_encoded(buf, port, u16::to_le_bytes);
+            extend_encoded(buf, starboard, u16::to_le_bytes);
+        }
+        SideSamples::U32 { port, starboard } => {
+            extend_encoded(buf, port, u32::to_le_bytes);
+            extend_encoded(buf, starboard, u32::to_le_bytes);
+        }
+    }
+    open.finish(buf)
+}
+
+impl fmt::Display for SideScan7007<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "side scan: ping {} of sonar {}, {} samples of {} B per side",
+            self.rth.ping_number,
+            self.rth.sonar_id,
+            self.rth.samples_per_side,
+            self.rth.bytes_per_sample
+        )
+    }
+}

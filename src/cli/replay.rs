@@ -1,0 +1,104 @@
+//! `echotank replay`: the same pipeline offline.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{ConfigArgs, Failure, load};
+use crate::config::spec::{NavInputSpec, RigSpec};
+use crate::run::replay::{Formats, Replay, ReplayOptions};
+
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    #[command(flatten)]
+    pub config: ConfigArgs,
+    /// Recorded navigation to use instead of the first source's file
+    #[arg(long, value_name = "LOG")]
+    pub nav: Option<PathBuf>,
+    /// Folder for the results; made if absent
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// What to write, separated by commas; truth.jsonl is always written
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "s7k,png")]
+    pub formats: Vec<Format>,
+    /// Element samples and beams in .npz as complex128 instead of complex64
+    #[arg(long)]
+    pub f64: bool,
+    /// Only these pings, counted from 1, both ends included, e.g. 1..600
+    #[arg(long, value_name = "A..B", value_parser = parse_range)]
+    pub pings: Option<(u32, u32)>,
+    /// Threads; 0 means as many as there are cores (default: the configuration's)
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// Teledyne RESON 7k records, one file per sonar
+    S7k,
+    /// Element samples, beams and lines as NumPy arrays, one file per sonar
+    Npz,
+    /// Side-scan waterfall, one picture per sonar
+    Png,
+}
+
+fn parse_range(text: &str) -> Result<(u32, u32), String> {
+    let (a, b) = text.split_once("..").ok_or("expected A..B")?;
+    let parse = |s: &str| s.trim().parse::<u32>().map_err(|e| format!("{s}: {e}"));
+    let (a, b) = (parse(a)?, parse(b.trim_start_matches('='))?);
+    if a == 0 || b < a {
+        return Err("pings count from 1, and B must not be below A".into());
+    }
+    Ok((a, b))
+}
+
+/// Puts `log` in the place of the first recorded source.
+fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure> {
+    for source in &mut spec.nav.sources {
+        if let NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } = &mut source.input {
+            *path = log.to_path_buf();
+            return Ok(());
+        }
+    }
+    Err(Failure::Configuration(
+        "--nav: the configuration has no recorded source (kind = \"log\" or \"csv\") to replace"
+            .into(),
+    ))
+}
+
+pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
+    let mut spec = load(&args.config.config, &args.config.set)?;
+    if let Some(log) = &args.nav {
+        replace_log(&mut spec, log)?;
+    }
+    let formats = Formats {
+        s7k: args.formats.contains(&Format::S7k),
+        npz: args.formats.contains(&Format::Npz),
+        png: args.formats.contains(&Format::Png),
+    };
+    let options = ReplayOptions {
+        out: args.out.clone(),
+        formats,
+        f64: args.f64,
+        pings: args.pings,
+        threads: args.threads.unwrap_or(spec.run.threads),
+    };
+    let replay = Replay::open(spec, options).map_err(Failure::running)?;
+    let bar = match (args.quiet, replay.pings_expected()) {
+        (true, _) => ProgressBar::hidden(),
+        (false, Some(pings)) => ProgressBar::new(pings),
+        (false, None) => ProgressBar::new_spinner(),
+    };
+    bar.set_style(
+        ProgressStyle::with_template("{bar:40} {pos}/{len} pings, {per_sec}, {eta} left {msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    let summary = replay.run(|_| bar.inc(1)).map_err(Failure::running)?;
+    bar.finish_and_clear();
+    println!("{summary}");
+    Ok(())
+}

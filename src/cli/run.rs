@@ -1,0 +1,75 @@
+//! `echotank run`: the daemon.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::{Failure, load};
+use crate::io::signals;
+use crate::run::daemon::Daemon;
+use crate::time::SystemClock;
+
+/// Runs when no configuration is named: a real navigation log over a real seabed, both in the repository.
+const QUICKSTART: &str = "hil-configs/quickstart.toml";
+
+#[derive(Args, Clone, Debug, Default)]
+pub struct RunArgs {
+    /// Configuration file (TOML) [default: hil-configs/quickstart.toml]
+    pub config: Option<PathBuf>,
+    /// Change a value before checking, e.g. --set 'sonar.output.sevenk.listen="127.0.0.1:7001"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Threads; 0 means as many as there are cores (default: the configuration's)
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Stop after this many seconds (default: run until SIGINT or SIGTERM)
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+}
+
+/// The quickstart: in the folder we are in or, for a build from source, where it was built.
+fn quickstart() -> Result<PathBuf, Failure> {
+    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join(QUICKSTART);
+    [PathBuf::from(QUICKSTART), built].into_iter().find(|path| path.exists()).ok_or_else(|| {
+        Failure::Configuration(format!(
+            "no configuration was named, and {QUICKSTART} is not here; name one (`echotank check --template` prints one to start from)"
+        ))
+    })
+}
+
+pub fn main(args: &RunArgs) -> Result<(), Failure> {
+    let path = match &args.config {
+        Some(path) => path.clone(),
+        None => quickstart()?,
+    };
+    let spec = load(&path, &args.set)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    signals::stop_on_signals(&stop).map_err(Failure::running)?;
+    let threads = args.threads.unwrap_or(spec.run.threads);
+    let daemon = Daemon::open(&spec, threads, Arc::new(SystemClock::new()), stop.clone())
+        .map_err(Failure::running)?;
+    println!("echotank {}: {}", env!("CARGO_PKG_VERSION"), path.display());
+    for line in daemon.describe() {
+        println!("{line}");
+    }
+    println!("pinging; stop with Ctrl-C");
+    if let Some(seconds) = args.seconds {
+        if !(seconds.is_finite() && seconds > 0.0) {
+            return Err(Failure::Configuration(format!(
+                "--seconds {seconds}: must be above 0"
+            )));
+        }
+        let stop = stop.clone();
+        thread::spawn(move || {
+            thread::sleep(Duration::from_secs_f64(seconds.min(1e9)));
+            stop.store(true, Ordering::Release);
+        });
+    }
+    daemon
+        .run(|status| println!("{status}"))
+        .map_err(Failure::running)
+}

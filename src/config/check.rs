@@ -1,0 +1,670 @@
+//! Raw tables to checked specifications: every rule that needs more than one key, and the change to SI.
+//!
+//! Each function reads one table and gives its part of the specification, or none if something in it is on the list of problems already.
+//! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
+
+pub(super) mod sonar;
+
+use std::collections::HashMap;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use super::keys;
+use super::problem::{ConfigErrors, Problem};
+use super::raw::{self, Problems, RawEntry, RawTable, plain};
+use super::spec::*;
+
+/// Storage of one scatterer of the scene, bytes: three coordinates, a normal, a complex strength, a law, and its share of the tiles' edges.
+const BYTES_PER_SCATTERER: f64 = 64.0;
+const MIB: u64 = 1 << 20;
+
+/// Reads and checks a configuration file, and that the files it names can be read. Opens nothing else.
+pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
+    let unreadable = |why: String| ConfigErrors {
+        file: Some(path.to_owned()),
+        problems: vec![Problem {
+            rule: format!("cannot be read: {why}"),
+            ..Problem::default()
+        }],
+    };
+    let bytes = std::fs::read(path).map_err(|e| unreadable(plain(&e)))?;
+    let text = String::from_utf8(bytes).map_err(|e| {
+        let byte = e.utf8_error().valid_up_to();
+        unreadable(format!("byte {byte} is not UTF-8"))
+    })?;
+    let base_dir = path.parent().unwrap_or(Path::new("."));
+    parse(&text, base_dir).map_err(|errors| ConfigErrors {
+        file: Some(path.to_owned()),
+        ..errors
+    })
+}
+
+/// Checks a configuration's text; relative file names in it count from `base_dir`.
+pub fn parse(text: &str, base_dir: &Path) -> Result<RigSpec, ConfigErrors> {
+    let mut problems = Problems::default();
+    let checked = raw::read(text, base_dir, &keys::RIG, &mut problems)
+        .and_then(|table| rig(&table, text, &mut problems));
+    let mut problems = problems.0;
+    // Problems without a line concern the whole file and come first.
+    problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));
+    problems.dedup();
+    if checked.is_none() && problems.is_empty() {
+        // The programmer's mistake, found by tests; the operator gets a sentence and no panic.
+        debug_assert!(false, "a part is missing and no problem says why");
+        problems.push(Problem {
+            rule: "refused without a reason: please report this file".to_owned(),
+            ..Problem::default()
+        });
+    }
+    match checked {
+        Some(spec) if problems.is_empty() => Ok(spec),
+        _ => Err(ConfigErrors {
+            file: None,
+            problems,
+        }),
+    }
+}
+
+// ---------------------------------------------------------------- what the rules share
+
+/// `keys` mean something only while `holds`; given otherwise they are a misunderstanding.
+fn only_with(
+    table: &RawTable,
+    keys: &[&str],
+    holds: Option<bool>,
+    condition: &str,
+    problems: &mut Problems,
+) {
+    if holds != Some(false) {
+        return;
+    }
+    let entries = keys.iter().map(|key| table.entry(key));
+    // What is wrong already is on the list.
+    for entry in entries.filter(|e| e.given && e.value.is_some()) {
+        problems.refuse(entry, format!("only with {condition}"));
+    }
+}
+
+/// `key` must be given where `holds`.
+fn needed_with(
+    table: &RawTable,
+    key: &str,
+    holds: Option<bool>,
+    condition: &str,
+    problems: &mut Problems,
+) {
+    if holds == Some(true) && !table.given(key) {
+        problems.refuse(
+            table.entry(key),
+            format!("missing: needed with {condition}"),
+        );
+    }
+}
+
+/// Names of `tables`, each of which must be another.
+fn unique_names<'t>(tables: &'t [RawTable], problems: &mut Problems) -> Vec<Option<&'t str>> {
+    let mut seen = HashMap::new();
+    tables
+        .iter()
+        .map(|table| {
+            let name = table.text("name")?;
+            if let Some(other) = seen.insert(name, &table.path) {
+                problems.refuse(
+                    table.entry("name"),
+                    format!("must be a name of its own; {other} has it too"),
+                );
+            }
+            Some(name)
+        })
+        .collect()
+}
+
+/// Index of the table called `name`.
+fn index_of(
+    name: &str,
+    entry: &RawEntry,
+    names: &[Option<&str>],
+    what: &str,
+    problems: &mut Problems,
+) -> Option<usize> {
+    let found = names.iter().position(|n| *n == Some(name));
+    // Among names that cannot be read it may be there.
+    if found.is_none() && names.iter().all(Option::is_some) {
+        let rule = format!("must be the name of a {what}");
+        problems.refuse_name(entry, rule, name, names.iter().flatten().copied());
+    }
+    found
+}
+
+fn address(table: &RawTable, key: &str, problems: &mut Problems) -> Option<SocketAddr> {
+    let parsed = table.text(key)?.parse();
+    if parsed.is_err() {
+        problems.refuse(
+            table.entry(key),
+            "must be an address and a port, such as \"127.0.0.1:7000\"",
+        );
+    }
+    parsed.ok()
+}
+
+/// All of `parts`, or none if one is missing.
+fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
+    parts.into_iter().collect()
+}
+
+/// Somebody who wants a port of this machine.
+pub(super) struct Listener<'t> {
+    entry: &'t RawEntry,
+    protocol: &'static str,
+    address: SocketAddr,
+    multicast: bool,
+}
+
+/// Two cannot have one port; port 0 means any free one, and members of multicast groups share.
+fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
+    for (i, one) in listeners.iter().enumerate() {
+        let clash = listeners[..i].iter().find(|other| {
+            let same_host = one.address.ip() == other.address.ip()
+                || one.address.ip().is_unspecified()
+                || other.address.ip().is_unspecified();
+            one.protocol == other.protocol
+                && one.address.port() != 0
+                && one.address.port() == other.address.port()
+                && same_host
+                && !(one.multicast && other.multicast)
+        });
+        if let Some(other) = clash {
+            problems.refuse(
+                one.entry,
+                format!(
+                    "{} port taken already by {}",
+                    one.protocol, other.entry.path
+                ),
+            );
+        }
+    }
+}
+
+// ---------------------------------------------------------------- the rig
+
+fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec> {
+    let mut listeners = Vec::new();
+    let medium = table.table("medium").and_then(medium);
+    let nav = table
+        .table("nav")
+        .and_then(|t| nav(t, &mut listeners, problems));
+    let run = table.table("run").and_then(run);
+
+    let tables = table.tables("sonar");
+    unique_names(tables, problems);
+    let sonars: Vec<_> = tables
+        .iter()
+        .map(|t| sonar::sonar(t, medium.as_ref(), &mut listeners, problems))
+        .collect();
+    let longest_range_m = tables
+        .iter()
+        .filter_map(sonar::longest_range_m)
+        .fold(0.0, f64::max);
+    let scene = table
+        .table("scene")
+        .and_then(|t| scene(t, longest_range_m, problems));
+    refuse_port_clashes(&listeners, problems);
+
+    Some(RigSpec {
+        source_text: text.to_owned(),
+        medium: medium?,
+        nav: nav?,
+        scene: scene?,
+        run: run?,
+        record: match table.given("record") {
+            true => Some(RecordSpec {
+                directory: table.table("record")?.path("directory")?,
+            }),
+            false => None,
+        },
+        control: ControlSpec {},
+        sonars: all(sonars).filter(|s| !s.is_empty())?,
+    })
+}
+
+fn medium(table: &RawTable) -> Option<MediumSpec> {
+    let water = || {
+        Some(Water {
+            temperature_c: table.number("temperature_c")?,
+            salinity: table.number("salinity_psu")?,
+            depth_m: table.number("depth_m")?,
+            ph: table.number("ph")?,
+        })
+    };
+    let absorption = match (table.text("absorption"), table.table("absorption")) {
+        (Some("none"), _) => Some(AbsorptionSpec::None),
+        (Some("francois-garrison"), _) => water().map(AbsorptionSpec::FrancoisGarrison),
+        (Some("ainslie-mccolm"), _) => water().map(AbsorptionSpec::AinslieMcColm),
+        (_, Some(fixed)) => fixed
+            .scaled("db_per_km", -3)
+            .map(|db_per_m| AbsorptionSpec::Fixed { db_per_m }),
+        _ => None,
+    };
+    Some(MediumSpec {
+        sound_speed_m_per_s: table.number("sound_speed_m_per_s")?,
+        absorption: absorption?,
+    })
+}
+
+fn run(table: &RawTable) -> Option<RunSpec> {
+    Some(RunSpec {
+        threads: table.count("threads")?,
+        latency_s: table.scaled("latency_ms", -3)?,
+        status_interval_s: table.number("status_interval_s")?,
+        queue_pings: table.count("queue_pings")?,
+    })
+}
+
+// ---------------------------------------------------------------- navigation
+
+fn nav<'t>(
+    table: &'t RawTable,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<NavSpec> {
+    let tables = table.tables("source");
+    unique_names(tables, problems);
+    let sources: Vec<_> = tables
+        .iter()
+        .map(|t| nav_source(t, listeners, problems))
+        .collect();
+    refuse_missing_channels(table, tables, problems);
+
+    let kinds: Vec<_> = tables.iter().map(|t| t.text("kind")).collect();
+    let recorded = |kind: &Option<&str>| matches!(kind, Some("log" | "csv"));
+    let kinds_known = !kinds.is_empty() && kinds.iter().all(Option::is_some);
+    let any_recorded = kinds_known.then(|| kinds.iter().any(recorded));
+    let mode = match table.text("mode") {
+        Some("predict") => NavMode::Predict,
+        None if !kinds.iter().all(recorded) => NavMode::Predict,
+        _ => NavMode::Settle,
+    };
+    let mode_known = match table.given("mode") {
+        true => table.text("mode").is_some(),
+        false => kinds_known,
+    };
+    only_with(
+        table,
+        &["max_extrapolation_ms"],
+        mode_known.then_some(mode == NavMode::Predict),
+        "mode = \"predict\"",
+        problems,
+    );
+    if table.bool("loop") == Some(true) {
+        let condition = "a source of kind \"log\" or \"csv\"";
+        only_with(table, &["loop"], any_recorded, condition, problems);
+    }
+    let vertical = vertical(table, problems);
+    let origin = origin(table);
+    refuse_unfit_track(table, tables, vertical, problems);
+
+    Some(NavSpec {
+        origin: origin?,
+        mode,
+        vertical: vertical?,
+        stamp: match table.text("stamp")? {
+            "host" => StampSpec::Host,
+            _ => StampSpec::Log,
+        },
+        loop_log: table.bool("loop")?,
+        max_extrapolation_s: table.scaled("max_extrapolation_ms", -3)?,
+        history_s: table.number("history_s")?,
+        fallback_heading_from_course: table.bool("heading_from_course")?,
+        sources: all(sources).filter(|s| !s.is_empty())?,
+    })
+}
+
+fn origin(table: &RawTable) -> Option<OriginSpec> {
+    match table.table("origin") {
+        Some(given) => Some(OriginSpec::Geodetic {
+            latitude_rad: given.angle_rad("latitude_deg")?,
+            longitude_rad: given.angle_rad("longitude_deg")?,
+        }),
+        None => table.text("origin").map(|_| OriginSpec::FirstFix),
+    }
+}
+
+fn vertical(table: &RawTable, problems: &mut Problems) -> Option<VerticalSpec> {
+    let choice = table.text("vertical");
+    for (key, needs) in [
+        ("reference_depth_m", "waterline"),
+        ("datum_offset_m", "gnss"),
+    ] {
+        only_with(
+            table,
+            &[key],
+            choice.map(|c| c == needs),
+            &format!("vertical = \"{needs}\""),
+            problems,
+        );
+    }
+    Some(match choice? {
+        "waterline" => VerticalSpec::Waterline {
+            reference_down_m: table.number("reference_depth_m")?,
+        },
+        "gnss" => VerticalSpec::Gnss {
+            datum_offset_m: table.number("datum_offset_m")?,
+        },
+        _ => VerticalSpec::Depth,
+    })
+}
+
+/// The first source that provides `channel`; none also while a source's list is not known.
+fn owner<'t>(tables: &'t [RawTable], channel: &str) -> Option<&'t RawTable> {
+    tables.iter().find(|t| {
+        t.texts("provides")
+            .is_some_and(|p| p.iter().any(|c| c == channel))
+    })
+}
+
+fn refuse_missing_channels(table: &RawTable, tables: &[RawTable], problems: &mut Problems) {
+    if tables.is_empty() || tables.iter().any(|t| t.texts("provides").is_none()) {
+        return;
+    }
+    let sources = table.entry("source");
+    if owner(tables, "position").is_none() {
+        problems.refuse(sources, "one source must provide \"position\"");
+    }
+    if owner(tables, "heading").is_some() {
+        return;
+    }
+    match table.bool("heading_from_course") {
+        Some(false) => problems.refuse(
+            sources,
+            "one source must provide \"heading\", or heading_from_course must be true",
+        ),
+        Some(true) if owner(tables, "course-speed").is_none() => problems.refuse(
+            sources,
+            "heading_from_course needs a source that provides \"course-speed\"",
+        ),
+        _ => {}
+    }
+}
+
+/// A CSV track says its depth itself and knows no latitude.
+fn refuse_unfit_track(
+    table: &RawTable,
+    tables: &[RawTable],
+    vertical: Option<VerticalSpec>,
+    problems: &mut Problems,
+) {
+    let (Some(vertical), Some(owner)) = (vertical, owner(tables, "position")) else {
+        return;
+    };
+    let Some(kind) = owner.text("kind") else {
+        return;
+    };
+    let (is_csv, is_depth) = (kind == "csv", vertical == VerticalSpec::Depth);
+    if is_csv && !is_depth {
+        problems.refuse(
+            table.entry("vertical"),
+            "must be \"depth\" where the position comes from a CSV track",
+        );
+    }
+    if is_depth && !is_csv {
+        problems.refuse(
+            table.entry("vertical"),
+            "needs a position from a CSV track; depth sensors are known, not yet built",
+        );
+    }
+    if is_csv && table.text("origin").is_some() {
+        problems.refuse(
+            table.entry("origin"),
+            "a CSV track has no latitude: must be { latitude_deg, longitude_deg }",
+        );
+    }
+}
+
+fn nav_source<'t>(
+    table: &'t RawTable,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<NavSourceSpec> {
+    let kind = table.text("kind");
+    let is = |wanted: &str| kind.map(|k| k == wanted);
+    let is_file = kind.map(|k| k == "log" || k == "csv");
+    only_with(
+        table,
+        &["path"],
+        is_file,
+        "kind = \"log\" or \"csv\"",
+        problems,
+    );
+    needed_with(
+        table,
+        "path",
+        is_file,
+        "kind = \"log\" or \"csv\"",
+        problems,
+    );
+    only_with(
+        table,
+        &["plain_rate_hz"],
+        is("log"),
+        "kind = \"log\"",
+        problems,
+    );
+    only_with(
+        table,
+        &["listen", "multicast"],
+        is("udp"),
+        "kind = \"udp\"",
+        problems,
+    );
+    needed_with(table, "listen", is("udp"), "kind = \"udp\"", problems);
+    only_with(
+        table,
+        &["port", "baud"],
+        is("serial"),
+        "kind = \"serial\"",
+        problems,
+    );
+    needed_with(table, "port", is("serial"), "kind = \"serial\"", problems);
+    needed_with(table, "baud", is("serial"), "kind = \"serial\"", problems);
+    only_with(
+        table,
+        &["time", "latency_ms", "checksum"],
+        is("csv").map(|csv| !csv),
+        "sentences, which a CSV track has not",
+        problems,
+    );
+    only_with(
+        table,
+        &["latency_ms"],
+        table.text("time").map(|t| t == "arrival"),
+        "time = \"arrival\"",
+        problems,
+    );
+
+    let input = nav_input(table, listeners, problems);
+    Some(NavSourceSpec {
+        name: table.text("name")?.to_owned(),
+        input: input?,
+        time: match table.text("time")? {
+            "burst" => TimePolicy::Burst,
+            "arrival" => TimePolicy::Arrival {
+                latency_s: table.scaled("latency_ms", -3)?,
+            },
+            _ => TimePolicy::Message,
+        },
+        checksum: match table.text("checksum")? {
+            "accept-missing" => ChecksumPolicy::AcceptMissing,
+            "ignore" => ChecksumPolicy::Ignore,
+            _ => ChecksumPolicy::Require,
+        },
+        lever_arm_m: table.vector("lever_arm_m")?,
+        provides: table
+            .texts("provides")?
+            .iter()
+            .map(|c| channel(c))
+            .collect(),
+    })
+}
+
+fn channel(name: &str) -> NavChannel {
+    match name {
+        "position" => NavChannel::Position,
+        "course-speed" => NavChannel::CourseSpeed,
+        "heading" => NavChannel::Heading,
+        "roll-pitch" => NavChannel::RollPitch,
+        _ => NavChannel::Heave,
+    }
+}
+
+fn nav_input<'t>(
+    table: &'t RawTable,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<NavInputSpec> {
+    match table.text("kind")? {
+        "log" => Some(NavInputSpec::Log {
+            path: table.path("path")?,
+            plain_rate_hz_times_1000: table.scaled("plain_rate_hz", 3)?.round() as u64,
+        }),
+        "csv" => Some(NavInputSpec::Csv {
+            path: table.path("path")?,
+        }),
+        "udp" => {
+            let multicast = table.text("multicast").map(|text| {
+                let group = text.parse().ok().filter(Ipv4Addr::is_multicast);
+                if group.is_none() {
+                    problems.refuse(
+                        table.entry("multicast"),
+                        "must be an IPv4 multicast group, 224.0.0.0 to 239.255.255.255",
+                    );
+                }
+                group
+            });
+            let listen = address(table, "listen", problems)?;
+            if multicast.is_some() && !matches!(listen.ip(), IpAddr::V4(_)) {
+                problems.refuse(
+                    table.entry("listen"),
+                    "must be an IPv4 address where there is a multicast group",
+                );
+            }
+            listeners.push(Listener {
+                entry: table.entry("listen"),
+                protocol: "UDP",
+                address: listen,
+                multicast: multicast.is_some(),
+            });
+            Some(NavInputSpec::Udp {
+                listen,
+                multicast: match multicast {
+                    Some(group) => Some(group?),
+                    None => None,
+                },
+            })
+        }
+        _ => Some(NavInputSpec::Serial {
+            port: table.text("port")?.to_owned(),
+            baud: u32::try_from(table.integer("baud")?).ok()?,
+        }),
+    }
+}
+
+// ---------------------------------------------------------------- the scene
+
+fn scene(table: &RawTable, longest_range_m: f64, problems: &mut Problems) -> Option<SceneSpec> {
+    let seabed_table = table.table("seabed");
+    let seabed = seabed_table.and_then(|t| seabed(t, problems));
+    let gridded = match seabed_table {
+        Some(t) => t.text("shape").map(|s| s == "esri-ascii"),
+        None => Some(table.given("seabed")),
+    };
+    if table.text("extend") == Some("mirror") {
+        let condition = "a seabed of shape \"esri-ascii\"";
+        only_with(table, &["extend"], gridded, condition, problems);
+    }
+    only_with(
+        table,
+        &["targets"],
+        Some(table.given("seabed")),
+        "a seabed, on which they lie",
+        problems,
+    );
+    let memory_limit_bytes = u64::try_from(table.integer("memory_mib")?).ok()? * MIB;
+    if let Some(density_per_m2) = seabed_table.and_then(|t| t.number("density_per_m2")) {
+        let scatterers = density_per_m2 * std::f64::consts::PI * longest_range_m.powi(2);
+        let needed_mib = (scatterers * BYTES_PER_SCATTERER / MIB as f64).ceil();
+        if needed_mib > (memory_limit_bytes / MIB) as f64 {
+            problems.refuse(
+                table.entry("memory_mib"),
+                format!(
+                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers within {longest_range_m} m of the sonar (density_per_m2 = {density_per_m2})"
+                ),
+            );
+        }
+    }
+    Some(SceneSpec {
+        seed: u64::try_from(table.integer("seed")?).ok()?,
+        anchor_first_fix: table.text("anchor")? == "first-fix",
+        mirror: table.text("extend")? == "mirror",
+        seabed: match table.given("seabed") {
+            true => Some(seabed?),
+            false => None,
+        },
+        points: optional_file(table, "points")?,
+        targets: optional_file(table, "targets")?,
+        memory_limit_bytes,
+    })
+}
+
+/// The file, or that none was given; none if the one given is no good.
+fn optional_file(table: &RawTable, key: &str) -> Option<Option<PathBuf>> {
+    match table.given(key) {
+        true => table.path(key).map(Some),
+        false => Some(None),
+    }
+}
+
+fn seabed(table: &RawTable, problems: &mut Problems) -> Option<SeabedSpec> {
+    let shape = table.text("shape");
+    let is = |wanted: &str| shape.map(|s| s == wanted);
+    only_with(
+        table,
+        &["depth_m", "slope_north", "slope_east"],
+        is("plane"),
+        "shape = \"plane\"",
+        problems,
+    );
+    needed_with(table, "depth_m", is("plane"), "shape = \"plane\"", problems);
+    only_with(
+        table,
+        &["path", "values", "offset_north_m", "offset_east_m"],
+        is("esri-ascii"),
+        "shape = \"esri-ascii\"",
+        problems,
+    );
+    needed_with(
+        table,
+        "path",
+        is("esri-ascii"),
+        "shape = \"esri-ascii\"",
+        problems,
+    );
+    let shape = match shape? {
+        "plane" => SeabedShape::Plane {
+            depth_m: table.number("depth_m")?,
+            slope_north: table.number("slope_north")?,
+            slope_east: table.number("slope_east")?,
+        },
+        _ => SeabedShape::EsriAscii {
+            path: table.path("path")?,
+            positive_up: table.text("values")? == "elevation",
+            offset_north_m: table.number("offset_north_m")?,
+            offset_east_m: table.number("offset_east_m")?,
+        },
+    };
+    Some(SeabedSpec {
+        shape,
+        density_per_m2: table.number("density_per_m2")?,
+        lambert_db: table.number("lambert_db")?,
+        speckle: table.bool("speckle")?,
+    })
+}

@@ -1,0 +1,692 @@
+//! One `[[sonar]]`.
+
+use std::collections::HashSet;
+
+use glam::{DQuat, DVec3};
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
+use crate::flow::{
+    ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
+    Receiver, ReceiverFilter, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
+};
+use crate::frames::rotation_from_angles;
+
+/// The fastest platform the sample rate is made for, m/s.
+pub const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;
+/// Sample rate over signal bandwidth, at least: what a matched filter and an interpolation need to leave a margin at the band's edges.
+const OVERSAMPLING: f64 = 1.25;
+/// Samples of all elements of one ping, bytes at most: a slip in a unit must not end in an allocation that ends the process.
+const MAX_PING_BYTES: f64 = 8.0 * (1u64 << 30) as f64;
+const BYTES_PER_COMPLEX_F64: f64 = 16.0;
+/// Record 7038 holds 16-bit I and Q.
+pub const BYTES_PER_7038_SAMPLE: f64 = 4.0;
+/// 7k counts elements in 16 bits.
+const MAX_7K_ELEMENTS: usize = 65_535;
+/// A boresight or axis is held to point to a side when its starboard component is beyond this: half a degree is no mistake of sign.
+const SIDE_MARGIN: f64 = 0.01;
+/// A fan's line must have this much of its length across the track for port and starboard to mean something.
+const MIN_ACROSS: f64 = 0.5;
+
+/// Shortest to longest, from the limits or else the setting.
+pub fn longest_range_m(table: &RawTable) -> Option<f64> {
+    let limit = table
+        .table("limits")
+        .and_then(|t| t.pair("range_m", 0))
+        .map(|(_, longest)| longest);
+    limit.or_else(|| table.table("ping")?.number("range_m"))
+}
+
+pub fn sonar<'t>(
+    table: &'t RawTable,
+    medium: Option<&MediumSpec>,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<SonarSpec> {
+    let pulse = table.table("pulse").and_then(|t| pulse(t, problems));
+    let settings = settings(table, problems);
+    let limits = limits(table, problems);
+
+    let transmit_tables = table.tables("transmit");
+    let transmit_names = unique_names(transmit_tables, problems);
+    let transmit: Vec<_> = transmit_tables
+        .iter()
+        .map(|t| transmit(t, problems))
+        .collect();
+    let receive_tables = table.tables("receive");
+    let receive_names = unique_names(receive_tables, problems);
+    let receive: Vec<_> = receive_tables
+        .iter()
+        .map(|t| receive(t, &transmit_names, problems))
+        .collect();
+
+    let receiver = table
+        .table("receiver")
+        .and_then(|t| receiver(t, medium, problems));
+    if let Some(t) = table.table("receiver") {
+        refuse_slow_sampling(t, pulse.as_ref(), limits.as_ref(), medium, problems);
+    }
+    let arrays = Arrays {
+        names: &receive_names,
+        specs: &receive,
+    };
+    let largest = LargestPing {
+        range_m: longest_range_m(table),
+        pulse_duration_s: limits.map(|l| l.pulse_duration_s.1),
+        sound_speed_m_per_s: medium.map(|m| m.sound_speed_m_per_s),
+        sample_rate_hz: receiver.as_ref().map(|r| r.sample_rate_hz),
+    };
+    refuse_huge_ping(table, &arrays, &largest, problems);
+    let beams = table
+        .table("beams")
+        .and_then(|t| beams(t, &arrays, problems));
+    let outputs = table
+        .table("output")
+        .and_then(|t| outputs(t, &arrays, &largest, listeners, problems));
+
+    Some(SonarSpec {
+        name: table.text("name")?.to_owned(),
+        serial: u64::try_from(table.integer("serial")?).ok()?,
+        pulse: pulse?,
+        transmit: all(transmit).filter(|t| !t.is_empty())?,
+        transmit_names: owned(&transmit_names)?,
+        receive: all(receive.clone()).filter(|r| !r.is_empty())?,
+        receive_names: owned(&receive_names)?,
+        receiver: receiver?,
+        settings: settings?,
+        limits: limits?,
+        model: table.table("model").and_then(model)?,
+        beams: beams?,
+        outputs: outputs?,
+    })
+}
+
+fn owned(names: &[Option<&str>]) -> Option<Vec<String>> {
+    names.iter().map(|n| n.map(str::to_owned)).collect()
+}
+
+// ---------------------------------------------------------------- pulse and settings
+
+fn pulse(table: &RawTable, problems: &mut Problems) -> Option<Pulse> {
+    let kind = table.text("kind");
+    let is_lfm = kind.map(|k| k == "lfm");
+    let condition = "kind = \"lfm\"";
+    only_with(
+        table,
+        &["sweep", "bandwidth_khz"],
+        is_lfm,
+        condition,
+        problems,
+    );
+    needed_with(table, "bandwidth_khz", is_lfm, condition, problems);
+    let center_frequency_hz = table.scaled("center_frequency_khz", 3);
+    let bandwidth_hz = table.scaled("bandwidth_khz", 3);
+    if let (Some(true), Some(center_hz), Some(band_hz)) =
+        (is_lfm, center_frequency_hz, bandwidth_hz)
+        && band_hz >= 2.0 * center_hz
+    {
+        problems.refuse(
+            table.entry("bandwidth_khz"),
+            "must be below twice center_frequency_khz: the sweep stays above 0 Hz",
+        );
+    }
+    let kind = match (kind?, table.text("sweep")?) {
+        ("cw", _) => PulseKind::Cw,
+        (_, "down") => PulseKind::LfmDown,
+        _ => PulseKind::LfmUp,
+    };
+    Some(Pulse {
+        kind,
+        center_frequency_hz: center_frequency_hz?,
+        bandwidth_hz: match kind {
+            PulseKind::Cw => 0.0,
+            _ => bandwidth_hz?,
+        },
+        duration_s: table.scaled("duration_ms", -3)?,
+        taper: table.number("taper")?,
+    })
+}
+
+/// Pings per second: given as such, or as a period.
+fn ping_rate_hz(ping: &RawTable) -> Option<f64> {
+    match ping.given("rate_hz") {
+        true => ping.number("rate_hz"),
+        false => ping.scaled("period_ms", -3).map(|s| 1.0 / s),
+    }
+}
+
+fn settings(sonar: &RawTable, problems: &mut Problems) -> Option<SonarSettings> {
+    let ping = sonar.table("ping")?;
+    match (ping.given("rate_hz"), ping.given("period_ms")) {
+        (true, true) => problems.refuse(
+            ping.entry("period_ms"),
+            "must not be given together with rate_hz",
+        ),
+        (false, false) => problems.refuse(
+            ping.entry("rate_hz"),
+            "missing: give either rate_hz or period_ms",
+        ),
+        _ => {}
+    }
+    Some(SonarSettings {
+        pinging: true,
+        range_m: ping.number("range_m")?,
+        max_ping_rate_hz: ping_rate_hz(ping)?,
+        source_level_db: ping.number("source_level_db")?,
+        gain_db: ping.number("gain_db")?,
+        pulse_duration_s: sonar.table("pulse")?.scaled("duration_ms", -3)?,
+    })
+}
+
+/// Each limit, or the setting alone where none is given; the setting must lie inside.
+fn limits(sonar: &RawTable, problems: &mut Problems) -> Option<LimitsSpec> {
+    let table = sonar.table("limits")?;
+    let ping = sonar.table("ping");
+    let pulse = sonar.table("pulse");
+    let rate_key = match ping.is_some_and(|p| p.given("rate_hz")) {
+        true => "rate_hz",
+        false => "period_ms",
+    };
+    let mut limit = |key: &str, power, owner: Option<&RawTable>, setting_key: &str, setting| {
+        let given = table.pair(key, power);
+        if let Some((low, high)) = given {
+            if low > high {
+                problems.refuse(table.entry(key), "must have the lowest first");
+            } else if let (Some(owner), Some(setting)) = (owner, setting)
+                && !(low..=high).contains(&setting)
+            {
+                problems.refuse(
+                    owner.entry(setting_key),
+                    format!("must lie within limits.{key} = {}", table.entry(key).text),
+                );
+            }
+        }
+        match table.given(key) {
+            true => given,
+            false => setting.map(|s| (s, s)),
+        }
+    };
+    let number = |key: &str| ping.and_then(|p| p.number(key));
+    let range_m = limit("range_m", 0, ping, "range_m", number("range_m"));
+    let rate_hz = ping.and_then(ping_rate_hz);
+    let ping_rate_hz = limit("ping_rate_hz", 0, ping, rate_key, rate_hz);
+    let level = number("source_level_db");
+    let source_level_db = limit("source_level_db", 0, ping, "source_level_db", level);
+    let gain_db = limit("gain_db", 0, ping, "gain_db", number("gain_db"));
+    let duration_s = pulse.and_then(|p| p.scaled("duration_ms", -3));
+    let pulse_duration_s = limit("pulse_duration_ms", -3, pulse, "duration_ms", duration_s);
+    Some(LimitsSpec {
+        range_m: range_m?,
+        ping_rate_hz: ping_rate_hz?,
+        source_level_db: source_level_db?,
+        gain_db: gain_db?,
+        pulse_duration_s: pulse_duration_s?,
+    })
+}
+
+// ---------------------------------------------------------------- arrays
+
+fn mounting(table: &RawTable) -> Option<Mounting> {
+    Some(Mounting {
+        position_m: table.vector("position_m")?,
+        body_from_array: rotation_from_angles(
+            table.angle_rad("roll_deg")?,
+            table.angle_rad("pitch_deg")?,
+            table.angle_rad("yaw_deg")?,
+        ),
+    })
+}
+
+/// The pattern in `pattern_key`, its sides in `length_key` (along the array's x) and `width_key`.
+fn pattern(
+    table: &RawTable,
+    [pattern_key, length_key, width_key]: [&str; 3],
+    problems: &mut Problems,
+) -> Option<Pattern> {
+    let is_rectangle = table.text(pattern_key).map(|p| p == "rectangle");
+    only_with(
+        table,
+        &[length_key, width_key, "baffled"],
+        is_rectangle,
+        &format!("{pattern_key} = \"rectangle\""),
+        problems,
+    );
+    if !is_rectangle? {
+        return Some(Pattern::Omnidirectional);
+    }
+    let length_m = table.number(length_key)?;
+    let width_m = table.number(width_key)?;
+    if length_m == 0.0 && width_m == 0.0 {
+        problems.refuse(
+            table.entry(pattern_key),
+            format!("must have {length_key} or {width_key} above 0"),
+        );
+    }
+    Some(Pattern::Rectangle {
+        length_m,
+        width_m,
+        baffled: table.bool("baffled")?,
+    })
+}
+
+fn transmit(table: &RawTable, problems: &mut Problems) -> Option<TransmitArray> {
+    let pattern = pattern(table, ["pattern", "length_m", "width_m"], problems);
+    Some(TransmitArray {
+        mounting: mounting(table)?,
+        pattern: pattern?,
+        level_offset_db: table.number("level_offset_db")?,
+    })
+}
+
+fn receive(
+    table: &RawTable,
+    transmit_names: &[Option<&str>],
+    problems: &mut Problems,
+) -> Option<ArrayGeometry> {
+    let elements = table.count("elements");
+    let several = elements.map(|e| e > 1);
+    needed_with(
+        table,
+        "spacing_m",
+        several,
+        "more than one element",
+        problems,
+    );
+    let spacing_m = match table.given("spacing_m") {
+        true => table.number("spacing_m"),
+        false => Some(0.0),
+    };
+    let keys = ["element_pattern", "element_length_m", "element_width_m"];
+    let element_pattern = pattern(table, keys, problems);
+    if let (Some(true), Some(spacing_m), Some(Pattern::Rectangle { length_m, .. })) =
+        (several, spacing_m, element_pattern)
+        && length_m > spacing_m
+        && spacing_m > 0.0
+    {
+        problems.refuse(
+            table.entry("element_length_m"),
+            format!("must be at most spacing_m = {spacing_m}: elements do not overlap"),
+        );
+    }
+    let transmit = match table.given("transmit") {
+        true => table.text("transmit").and_then(|name| {
+            let entry = table.entry("transmit");
+            index_of(name, entry, transmit_names, "transmit array", problems)
+        }),
+        false if transmit_names.len() <= 1 => Some(0),
+        false => {
+            problems.refuse(
+                table.entry("transmit"),
+                "missing: needed where there are several transmit arrays",
+            );
+            None
+        }
+    };
+    Some(ArrayGeometry {
+        mounting: mounting(table)?,
+        elements: elements?,
+        spacing_m: spacing_m?,
+        element_pattern: element_pattern?,
+        sensitivity_db: table.number("sensitivity_db")?,
+        transmit: transmit?,
+    })
+}
+
+/// The receive arrays that beams and outputs name; those that could not be read are none.
+struct Arrays<'a> {
+    names: &'a [Option<&'a str>],
+    specs: &'a [Option<ArrayGeometry>],
+}
+
+impl Arrays<'_> {
+    /// The array that `key` names.
+    fn named(&self, table: &RawTable, key: &str, problems: &mut Problems) -> Option<usize> {
+        let name = table.text(key)?;
+        index_of(
+            name,
+            table.entry(key),
+            self.names,
+            "receive array",
+            problems,
+        )
+    }
+
+    fn body_from_array(&self, index: usize) -> Option<DQuat> {
+        let spec = self.specs.get(index)?.as_ref()?;
+        Some(spec.mounting.body_from_array)
+    }
+}
+
+// ---------------------------------------------------------------- receiver
+
+fn receiver(
+    table: &RawTable,
+    medium: Option<&MediumSpec>,
+    problems: &mut Problems,
+) -> Option<Receiver> {
+    let law = table.text("tvg");
+    let is_law = match (law, table.rows("tvg")) {
+        (Some(law), _) => Some(law != "none"),
+        (None, rows) => rows.map(|_| false),
+    };
+    only_with(table, &["tvg_max_db"], is_law, "a tvg law", problems);
+    let tvg = match (law, table.rows("tvg")) {
+        (Some("none"), _) => Some(TimeVaryingGain::None),
+        (Some(law), _) => table.number("tvg_max_db").map(|max_db| {
+            let spreading = match law {
+                "20logr" => 20.0,
+                "30logr" => 30.0,
+                _ => 40.0,
+            };
+            TimeVaryingGain::Law {
+                spreading,
+                absorption_db_per_m: known_absorption_db_per_m(medium),
+                max_db,
+            }
+        }),
+        (None, Some(rows)) => {
+            let increasing = rows.windows(2).all(|w| w[0].0 < w[1].0);
+            if !increasing || rows[0].0 < 0.0 {
+                problems.refuse(
+                    table.entry("tvg"),
+                    "must have ranges from 0 on, each beyond the one before",
+                );
+            }
+            Some(TimeVaryingGain::Table(rows.to_vec()))
+        }
+        (None, None) => None,
+    };
+    let adc_bits = match table.given("adc_bits") {
+        true => Some(u32::try_from(table.integer("adc_bits")?).ok()?),
+        false => None,
+    };
+    Some(Receiver {
+        sample_rate_hz: table.scaled("sample_rate_khz", 3)?,
+        filter: match table.text("rx_filter")? {
+            "fir" => ReceiverFilter::Fir,
+            _ => ReceiverFilter::None,
+        },
+        tvg: tvg?,
+        noise_db: match table.given("noise_db") {
+            true => Some(table.number("noise_db")?),
+            false => None,
+        },
+        adc_bits,
+        full_scale_v: table.number("full_scale_v")?,
+        seed: u64::try_from(table.integer("seed")?).ok()?,
+    })
+}
+
+/// What the configuration itself says about absorption. The formulas belong to the echo model; the rig puts their value in.
+fn known_absorption_db_per_m(medium: Option<&MediumSpec>) -> f64 {
+    match medium.map(|m| m.absorption) {
+        Some(AbsorptionSpec::Fixed { db_per_m }) => db_per_m,
+        _ => 0.0,
+    }
+}
+
+/// 1.25 (max(B, 4/T) + 2 f_d) for the shortest pulse allowed and the highest frequency of the sweep.
+pub fn min_sample_rate_hz(pulse: &Pulse, shortest_s: f64, sound_speed_m_per_s: f64) -> f64 {
+    OVERSAMPLING
+        * (pulse.bandwidth_hz.max(4.0 / shortest_s)
+            + 2.0 * max_doppler_hz(pulse, sound_speed_m_per_s))
+}
+
+/// Doppler shift of an echo from straight ahead at the fastest speed.
+pub fn max_doppler_hz(pulse: &Pulse, sound_speed_m_per_s: f64) -> f64 {
+    let highest_hz = pulse.center_frequency_hz + pulse.bandwidth_hz / 2.0;
+    2.0 * MAX_PLATFORM_SPEED_M_PER_S / sound_speed_m_per_s * highest_hz
+}
+
+fn refuse_slow_sampling(
+    table: &RawTable,
+    pulse: Option<&Pulse>,
+    limits: Option<&LimitsSpec>,
+    medium: Option<&MediumSpec>,
+    problems: &mut Problems,
+) {
+    let (Some(rate_hz), Some(pulse), Some(limits), Some(medium)) =
+        (table.scaled("sample_rate_khz", 3), pulse, limits, medium)
+    else {
+        return;
+    };
+    let shortest_s = limits.pulse_duration_s.0;
+    let c = medium.sound_speed_m_per_s;
+    let least_hz = min_sample_rate_hz(pulse, shortest_s, c);
+    if rate_hz < least_hz {
+        // Rounded up, so that the number named is enough.
+        let least_khz = (least_hz / 10.0).ceil() / 100.0;
+        problems.refuse(
+            table.entry("sample_rate_khz"),
+            format!(
+                "must be at least {least_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
+                pulse.bandwidth_hz / 1e3,
+                shortest_s * 1e3,
+                max_doppler_hz(pulse, c) / 1e3,
+            ),
+        );
+    }
+}
+
+/// What bounds the number of samples of a ping.
+struct LargestPing {
+    range_m: Option<f64>,
+    pulse_duration_s: Option<f64>,
+    sound_speed_m_per_s: Option<f64>,
+    sample_rate_hz: Option<f64>,
+}
+
+impl LargestPing {
+    /// Samples of one element: two-way time to the longest range plus the longest pulse.
+    fn samples(&self) -> Option<f64> {
+        let window_s = 2.0 * self.range_m? / self.sound_speed_m_per_s? + self.pulse_duration_s?;
+        Some((window_s * self.sample_rate_hz?).ceil())
+    }
+}
+
+fn refuse_huge_ping(
+    table: &RawTable,
+    arrays: &Arrays<'_>,
+    largest: &LargestPing,
+    problems: &mut Problems,
+) {
+    let Some(samples) = largest.samples() else {
+        return;
+    };
+    let elements: usize = arrays.specs.iter().flatten().map(|a| a.elements).sum();
+    let bytes = elements as f64 * samples * BYTES_PER_COMPLEX_F64;
+    if bytes > MAX_PING_BYTES {
+        problems.refuse(
+            table.entry("receive"),
+            format!(
+                "{elements} elements of {samples} samples are {:.1} GiB in one ping; at most {} GiB",
+                bytes / (1u64 << 30) as f64,
+                MAX_PING_BYTES / (1u64 << 30) as f64,
+            ),
+        );
+    }
+}
+
+// ---------------------------------------------------------------- model, beams, outputs
+
+fn model(table: &RawTable) -> Option<ModelChoice> {
+    Some(ModelChoice {
+        path: match table.text("path")? {
+            "stop-and-hop" => PathModel::StopAndHop,
+            _ => PathModel::Polyline,
+        },
+        doppler: match table.text("doppler")? {
+            "none" => DopplerModel::None,
+            _ => DopplerModel::Stretch,
+        },
+        synthesis: match table.text("synthesis")? {
+            "reference" => Synthesis::Reference,
+            _ => Synthesis::Direct,
+        },
+        segment_s: table.scaled("segment_ms", -3)?,
+        cull_db: match table.given("cull_db") {
+            true => Some(table.number("cull_db")?),
+            false => None,
+        },
+    })
+}
+
+fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<BeamsSpec> {
+    let mut lines = Vec::new();
+    for (key, side, sign) in [
+        ("port", Side::Port, -1.0),
+        ("starboard", Side::Starboard, 1.0),
+    ] {
+        if !table.given(key) {
+            continue;
+        }
+        let array = arrays.named(table, key, problems);
+        let looks_across = array
+            .and_then(|a| arrays.body_from_array(a))
+            .map(|r| sign * (r * DVec3::Z).y);
+        if looks_across.is_some_and(|y| y < -SIDE_MARGIN) {
+            problems.refuse(
+                table.entry(key),
+                "that array looks to the other side (roll_deg is positive to port)",
+            );
+        }
+        lines.push(array.map(|array| LineSpec { side, array }));
+    }
+    let fan = table.table("fan").and_then(|t| fan(t, arrays, problems));
+    Some(BeamsSpec {
+        lines: all(lines)?,
+        fan: match table.given("fan") {
+            true => Some(fan?),
+            false => None,
+        },
+    })
+}
+
+fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<FanSpec> {
+    let array = arrays.named(table, "array", problems);
+    let spec = array.and_then(|a| arrays.specs.get(a)?.as_ref());
+    if spec.is_some_and(|s| s.elements < 2) {
+        problems.refuse(
+            table.entry("array"),
+            "must be an array of at least two elements",
+        );
+    }
+    let across = spec.map(|s| (s.mounting.body_from_array * DVec3::X).y);
+    if across.is_some_and(|y| y < MIN_ACROSS) {
+        problems.refuse(
+            table.entry("array"),
+            "must be an array across the track whose +x end points to starboard (yaw_deg = 90)",
+        );
+    }
+    Some(FanSpec {
+        array: array?,
+        beams: table.count("beams")?,
+        sector_rad: table.angle_rad("sector_deg")?,
+        shading: match table.text("shading")? {
+            "hann" => Shading::Hann,
+            _ => Shading::Uniform,
+        },
+    })
+}
+
+fn outputs<'t>(
+    table: &'t RawTable,
+    arrays: &Arrays<'_>,
+    largest: &LargestPing,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<Vec<OutputSpec>> {
+    let mut outputs = Vec::new();
+    if table.given("sevenk") {
+        let spec = table
+            .table("sevenk")
+            .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
+        outputs.push(spec.map(OutputSpec::SevenK));
+    }
+    all(outputs)
+}
+
+fn sevenk<'t>(
+    table: &'t RawTable,
+    arrays: &Arrays<'_>,
+    largest: &LargestPing,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<SevenKSpec> {
+    let listen = address(table, "listen", problems);
+    if let Some(address) = listen {
+        listeners.push(Listener {
+            entry: table.entry("listen"),
+            protocol: "TCP",
+            address,
+            multicast: false,
+        });
+    }
+    let client_queue_bytes = table.count("client_queue_mib").map(|mib| mib << 20);
+    let chosen = sevenk_arrays(table, arrays, problems);
+    if let (Some(chosen), Some(samples)) = (&chosen, largest.samples()) {
+        let elements: usize = chosen
+            .iter()
+            .filter_map(|&a| arrays.specs.get(a)?.as_ref())
+            .map(|a| a.elements)
+            .sum();
+        if elements > MAX_7K_ELEMENTS {
+            problems.refuse(
+                table.entry("arrays"),
+                format!("{elements} elements; a 7k record counts to {MAX_7K_ELEMENTS}"),
+            );
+        }
+        let record_bytes = elements as f64 * samples * BYTES_PER_7038_SAMPLE;
+        if record_bytes > f64::from(u32::MAX) {
+            problems.refuse(
+                table.entry("arrays"),
+                format!("{record_bytes} bytes in one 7038; a 7k record counts to 2^32 - 1"),
+            );
+        } else if client_queue_bytes.is_some_and(|queue| (queue as f64) < record_bytes) {
+            problems.refuse(
+                table.entry("client_queue_mib"),
+                format!(
+                    "must hold a ping's element samples: at least {}",
+                    (record_bytes / f64::from(1 << 20)).ceil() + 1.0
+                ),
+            );
+        }
+    }
+    Some(SevenKSpec {
+        listen: listen?,
+        device_id: u32::try_from(table.integer("id")?).ok()?,
+        enumerator: u16::try_from(table.integer("enumerator")?).ok()?,
+        arrays: chosen?,
+        max_packet: table.count("max_packet_bytes")?,
+        client_queue_bytes: client_queue_bytes?,
+        max_clients: table.count("max_clients")?,
+    })
+}
+
+/// The arrays named, or all where none are.
+fn sevenk_arrays(
+    table: &RawTable,
+    arrays: &Arrays<'_>,
+    problems: &mut Problems,
+) -> Option<Vec<usize>> {
+    if !table.given("arrays") {
+        return Some((0..arrays.specs.len()).collect());
+    }
+    let entry = table.entry("arrays");
+    let mut seen = HashSet::new();
+    let mut chosen = Vec::new();
+    for name in table.texts("arrays")? {
+        if !seen.insert(name) {
+            problems.refuse(entry, format!("names \"{name}\" twice"));
+        }
+        chosen.push(index_of(
+            name,
+            entry,
+            arrays.names,
+            "receive array",
+            problems,
+        ));
+    }
+    all(chosen)
+}

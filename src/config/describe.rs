@@ -1,0 +1,199 @@
+//! What a configuration may hold, written for people (the template) and for editors (the JSON Schema), both from `keys`.
+
+use std::sync::OnceLock;
+
+use serde_json::{Map, Value, json};
+
+use super::keys::{Key, Kind, Presence, RIG, Range, Table};
+use super::raw::rule;
+
+/// Columns of the template's lines.
+const COLUMNS: usize = 110;
+/// Where a rule beside its key begins.
+const RULE_COLUMN: usize = 34;
+
+/// A commented configuration with every key: those that must be there with an example, the others commented out with their defaults.
+pub fn template() -> &'static str {
+    static TEXT: OnceLock<String> = OnceLock::new();
+    TEXT.get_or_init(|| {
+        let mut text = String::new();
+        comment(&mut text, RIG.doc);
+        comment(
+            &mut text,
+            "Every key there is, with its rule. What is commented out shows its default, or an example where there is none. \
+             Keys end in their unit. Check with: echotank check FILE",
+        );
+        table(&mut text, &RIG, "", false);
+        text
+    })
+}
+
+/// `text` wrapped into comment lines.
+fn comment(out: &mut String, text: &str) {
+    let mut column = 0;
+    for word in text.split_whitespace() {
+        if column > 0 && column + 1 + word.len() > COLUMNS {
+            out.push('\n');
+            column = 0;
+        }
+        if column == 0 {
+            out.push('#');
+            column = 1;
+        }
+        out.push(' ');
+        out.push_str(word);
+        column += 1 + word.len();
+    }
+    if column > 0 {
+        out.push('\n');
+    }
+}
+
+/// The keys of a table, values ahead of tables, as TOML wants them.
+fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
+    let is_table = |key: &&Key| matches!(key.kind, Kind::Table(_) | Kind::Tables(_));
+    for key in declared.keys.iter().filter(|k| !is_table(k)) {
+        value(out, key, commented_out);
+    }
+    for key in declared.keys.iter().filter(is_table) {
+        let path = match path {
+            "" => key.name.to_owned(),
+            path => format!("{path}.{}", key.name),
+        };
+        let (inner, header) = match &key.kind {
+            Kind::Table(inner) => (inner, format!("[{path}]")),
+            Kind::Tables(inner) => (inner, format!("[[{path}]]")),
+            _ => continue,
+        };
+        let commented_out = commented_out || matches!(key.presence, Presence::Optional(_));
+        out.push('\n');
+        comment(out, inner.doc);
+        let mark = if commented_out { "# " } else { "" };
+        out.push_str(&format!("{mark}{header}\n"));
+        table(out, inner, &path, commented_out);
+    }
+}
+
+fn value(out: &mut String, key: &Key, commented_out: bool) {
+    let (shown, text, standing) = match key.presence {
+        Presence::Required(example) => (true, example, "; required".to_owned()),
+        Presence::Shown(example) => (true, example, String::new()),
+        Presence::Optional(example) => (false, example, "; an example".to_owned()),
+        Presence::Default(text) => (false, text, "; the default".to_owned()),
+        Presence::Set(text, example) => (true, example, format!("; default {text}")),
+    };
+    let mark = if shown && !commented_out { "" } else { "# " };
+    let assignment = format!("{mark}{} = {text}", key.name);
+    let rule = format!("{}{standing}", rule(&key.kind));
+    let one_line = format!("{assignment:RULE_COLUMN$} # {rule}");
+    if one_line.len() <= COLUMNS {
+        comment(out, key.doc);
+        out.push_str(&one_line);
+    } else {
+        comment(out, &format!("{} [{rule}]", key.doc));
+        out.push_str(&assignment);
+    }
+    out.push('\n');
+}
+
+/// JSON Schema (draft 2020-12) of a configuration. Rules between keys are beyond it.
+pub fn schema() -> String {
+    let mut root = table_schema(&RIG);
+    root.insert(
+        "$schema".to_owned(),
+        json!("https://json-schema.org/draft/2020-12/schema"),
+    );
+    root.insert("title".to_owned(), json!("echotank configuration"));
+    serde_json::to_string_pretty(&Value::Object(root)).expect("text and finite numbers")
+}
+
+fn table_schema(declared: &Table) -> Map<String, Value> {
+    let mut properties = Map::new();
+    let mut required = Vec::new();
+    for key in declared.keys {
+        let mut schema = kind_schema(&key.kind);
+        if !key.doc.is_empty() {
+            schema.insert("description".to_owned(), json!(key.doc));
+        }
+        match key.presence {
+            Presence::Required(_) => required.push(key.name),
+            Presence::Default(text) | Presence::Set(text, _) => {
+                schema.insert("default".to_owned(), default_value(text));
+            }
+            _ => {}
+        }
+        properties.insert(key.name.to_owned(), Value::Object(schema));
+    }
+    object(json!({
+        "type": "object",
+        "description": declared.doc,
+        "properties": properties,
+        "required": required,
+        "additionalProperties": false,
+    }))
+}
+
+fn kind_schema(kind: &Kind) -> Map<String, Value> {
+    let array_of = |count: usize, items: Value| {
+        object(json!({ "type": "array", "items": items, "minItems": count, "maxItems": count }))
+    };
+    match kind {
+        Kind::Bool => object(json!({ "type": "boolean" })),
+        Kind::Number(range) => range_schema(range),
+        Kind::Integer(min, max) => {
+            object(json!({ "type": "integer", "minimum": min, "maximum": max }))
+        }
+        Kind::Name => object(json!({ "type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$" })),
+        Kind::Text | Kind::File | Kind::Folder => {
+            object(json!({ "type": "string", "minLength": 1 }))
+        }
+        Kind::Choice(built, _) => object(json!({ "enum": built })),
+        Kind::Numbers(count, range) => array_of(*count, Value::Object(range_schema(range))),
+        Kind::Rows => object(json!({
+            "type": "array",
+            "minItems": 1,
+            "items": array_of(2, json!({ "type": "number" })),
+        })),
+        Kind::Names => object(json!({
+            "type": "array",
+            "minItems": 1,
+            "items": kind_schema(&Kind::Name),
+        })),
+        Kind::Choices(built) => object(json!({
+            "type": "array",
+            "minItems": 1,
+            "items": { "enum": built },
+        })),
+        Kind::Table(inner) => table_schema(inner),
+        Kind::Tables(inner) => object(json!({
+            "type": "array",
+            "minItems": 1,
+            "items": table_schema(inner),
+        })),
+        Kind::Either(first, second) => {
+            object(json!({ "anyOf": [kind_schema(first), kind_schema(second)] }))
+        }
+    }
+}
+
+fn range_schema(range: &Range) -> Map<String, Value> {
+    let least = match range.min_included {
+        true => "minimum",
+        false => "exclusiveMinimum",
+    };
+    object(json!({ "type": "number", least: range.min, "maximum": range.max }))
+}
+
+fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}
+
+/// The default's TOML text as JSON.
+fn default_value(text: &str) -> Value {
+    let parsed: Option<toml::Table> = format!("v = {text}").parse().ok();
+    let value = parsed.and_then(|mut table| table.remove("v"));
+    serde_json::to_value(value).expect("a default is plain data")
+}

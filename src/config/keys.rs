@@ -1,0 +1,954 @@
+//! Every key of a configuration file, declared once: name, kind, rule, default, meaning.
+//!
+//! The reader (`raw`), the template and the JSON Schema (`describe`) all walk these tables, so that they cannot disagree. Rules that
+//! need more than one key live in `check`.
+
+/// A TOML table.
+pub struct Table {
+    pub doc: &'static str,
+    pub keys: &'static [Key],
+    /// Names the design knows and this version does not build: refused with those words.
+    pub later: &'static [&'static str],
+}
+
+/// One key of a table.
+pub struct Key {
+    pub name: &'static str,
+    pub kind: Kind,
+    pub presence: Presence,
+    pub doc: &'static str,
+}
+
+/// What may stand behind a key.
+pub enum Kind {
+    Bool,
+    /// A finite number.
+    Number(Range),
+    /// A whole number, inclusive.
+    Integer(i64, i64),
+    /// 1 to 32 letters, digits, '-' or '_': fit for file names.
+    Name,
+    /// Text that is not empty.
+    Text,
+    /// The name of a file that must exist, relative to the configuration's folder.
+    File,
+    /// The name of a folder that is there or can be made, relative to the configuration's folder.
+    Folder,
+    Choice(&'static [&'static str], Later),
+    /// So many numbers.
+    Numbers(usize, Range),
+    /// Pairs of numbers.
+    Rows,
+    /// At least one name.
+    Names,
+    /// At least one of the choices.
+    Choices(&'static [&'static str]),
+    Table(&'static Table),
+    /// One or more tables.
+    Tables(&'static Table),
+    /// The first kind whose TOML type fits.
+    Either(&'static Kind, &'static Kind),
+}
+
+/// Choices the design knows and this version does not build.
+pub type Later = &'static [&'static str];
+
+pub enum Presence {
+    /// Must be there. With an example for the template (tables have none).
+    Required(&'static str),
+    /// May be left out: this TOML text then stands in its place.
+    Default(&'static str),
+    /// May be left out, and then does nothing. Commented out in the template.
+    Optional(&'static str),
+    /// As `Default`; the template has the second text in its place.
+    Set(&'static str, &'static str),
+    /// Whether it must be there depends on other keys; the template has it.
+    Shown(&'static str),
+}
+use Presence::{Default, Optional, Required, Set, Shown};
+
+/// Numbers from `min` (itself only if `min_included`) to `max`.
+#[derive(Clone, Copy)]
+pub struct Range {
+    pub min: f64,
+    pub min_included: bool,
+    pub max: f64,
+}
+
+const fn from(min: f64, max: f64) -> Range {
+    Range {
+        min,
+        min_included: true,
+        max,
+    }
+}
+
+const fn above(min: f64, max: f64) -> Range {
+    Range {
+        min,
+        min_included: false,
+        max,
+    }
+}
+
+const fn key(name: &'static str, kind: Kind, presence: Presence, doc: &'static str) -> Key {
+    Key {
+        name,
+        kind,
+        presence,
+        doc,
+    }
+}
+
+// The ranges are those outside of which a value is surely a slip (a wrong unit, a lost digit), not those of good taste.
+const METRES: Range = from(-1.0e6, 1.0e6);
+const ARM_M: Range = from(-1000.0, 1000.0);
+const ANGLE_DEG: Range = from(-360.0, 360.0);
+const RANGE_M: Range = above(0.0, 20_000.0);
+const RATE_HZ: Range = above(0.0, 1000.0);
+const LEVEL_DB: Range = from(-100.0, 300.0);
+const GAIN_DB: Range = from(-200.0, 200.0);
+const PULSE_MS: Range = from(0.001, 10_000.0);
+const SIDE_M: Range = from(0.0, 100.0);
+const MAX_INTEGER: i64 = i64::MAX;
+
+/// The whole file.
+pub static RIG: Table = Table {
+    doc: "An echotank rig: water, navigation, scene, and one or more sonars.",
+    keys: &[
+        key("medium", Kind::Table(&MEDIUM), Default("{}"), ""),
+        key("nav", Kind::Table(&NAV), Required(""), ""),
+        key("scene", Kind::Table(&SCENE), Default("{}"), ""),
+        key("run", Kind::Table(&RUN), Default("{}"), ""),
+        key("record", Kind::Table(&RECORD), Optional(""), ""),
+        key("control", Kind::Table(&CONTROL), Default("{}"), ""),
+        key("sonar", Kind::Tables(&SONAR), Required(""), ""),
+    ],
+    later: &["web", "metrics", "faults", "trigger"],
+};
+
+static MEDIUM: Table = Table {
+    doc: "The water: one sound speed everywhere.",
+    keys: &[
+        key(
+            "sound_speed_m_per_s",
+            Kind::Number(from(300.0, 3000.0)),
+            Default("1500.0"),
+            "",
+        ),
+        key(
+            "absorption",
+            Kind::Either(
+                &Kind::Choice(&["francois-garrison", "ainslie-mccolm", "none"], &["thorp"]),
+                &Kind::Table(&FIXED_ABSORPTION),
+            ),
+            Default("\"francois-garrison\""),
+            "Francois and Garrison 1982, Ainslie and McColm 1998, nothing, or a number: { db_per_km = 30.0 }, one way.",
+        ),
+        key(
+            "temperature_c",
+            Kind::Number(from(-4.0, 40.0)),
+            Default("10.0"),
+            "This and the next three feed the absorption law only.",
+        ),
+        key(
+            "salinity_psu",
+            Kind::Number(from(0.0, 50.0)),
+            Default("35.0"),
+            "0 for a lake.",
+        ),
+        key(
+            "depth_m",
+            Kind::Number(from(0.0, 11_000.0)),
+            Default("50.0"),
+            "",
+        ),
+        key("ph", Kind::Number(from(6.0, 9.0)), Default("8.0"), ""),
+    ],
+    later: &["profile", "sound_speed_profile"],
+};
+
+static FIXED_ABSORPTION: Table = Table {
+    doc: "A given absorption.",
+    keys: &[key(
+        "db_per_km",
+        Kind::Number(from(0.0, 10_000.0)),
+        Required("30.0"),
+        "One way.",
+    )],
+    later: &[],
+};
+
+static NAV: Table = Table {
+    doc: "How measurements become the platform's motion. Axes: body x forward, y starboard, z down; world north, east, down.",
+    keys: &[
+        key(
+            "origin",
+            Kind::Either(
+                &Kind::Choice(&["first-fix"], &[]),
+                &Kind::Table(&GEODETIC_ORIGIN),
+            ),
+            Default("\"first-fix\""),
+            "Where north = east = 0 lies: the first position received, or { latitude_deg = 54.3, longitude_deg = 10.1 }.",
+        ),
+        key(
+            "mode",
+            Kind::Choice(&["settle", "predict"], &[]),
+            Optional("\"predict\""),
+            "\"settle\" waits for measurements on both sides of the ping, \"predict\" extrapolates. Default: settle where every source is a file, else predict.",
+        ),
+        key(
+            "vertical",
+            Kind::Choice(&["waterline", "gnss", "depth"], &[]),
+            Default("\"waterline\""),
+            "What the platform's depth is made of: \"waterline\" a fixed reference_depth_m plus heave, \"gnss\" minus the antenna's height plus datum_offset_m, \"depth\" the source's own (a CSV track).",
+        ),
+        key(
+            "reference_depth_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Of the reference point, positive down. Only with vertical = \"waterline\".",
+        ),
+        key(
+            "datum_offset_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Added to the depth. Only with vertical = \"gnss\".",
+        ),
+        key(
+            "stamp",
+            Kind::Choice(&["log", "host"], &[]),
+            Default("\"log\""),
+            "Which UTC the records carry: the navigation's, or this computer's.",
+        ),
+        key(
+            "loop",
+            Kind::Bool,
+            Default("false"),
+            "Recorded sources start again at their end, their time moved on by whole loops.",
+        ),
+        key(
+            "max_extrapolation_ms",
+            Kind::Number(from(0.0, 60_000.0)),
+            Default("250.0"),
+            "A ping that would need a longer look ahead is skipped. Only with mode = \"predict\".",
+        ),
+        key(
+            "history_s",
+            Kind::Number(from(1.0, 3600.0)),
+            Default("10.0"),
+            "How much of the past is kept.",
+        ),
+        key(
+            "heading_from_course",
+            Kind::Bool,
+            Default("false"),
+            "Where no source gives a heading, take the course over ground.",
+        ),
+        key("source", Kind::Tables(&NAV_SOURCE), Required(""), ""),
+    ],
+    later: &["jump_gate", "on_lost"],
+};
+
+static GEODETIC_ORIGIN: Table = Table {
+    doc: "A given origin, WGS84.",
+    keys: &[
+        key(
+            "latitude_deg",
+            Kind::Number(from(-90.0, 90.0)),
+            Required("54.3"),
+            "North positive.",
+        ),
+        key(
+            "longitude_deg",
+            Kind::Number(from(-180.0, 180.0)),
+            Required("10.1"),
+            "East positive.",
+        ),
+    ],
+    later: &[],
+};
+
+static NAV_SOURCE: Table = Table {
+    doc: "One source of navigation; the first in the file that provides a quantity owns it.",
+    keys: &[
+        key("name", Kind::Name, Required("\"gnss\""), ""),
+        key(
+            "kind",
+            Kind::Choice(
+                &["log", "csv", "udp", "serial"],
+                &["tcp", "pcap", "mavlink"],
+            ),
+            Required("\"udp\""),
+            "\"log\" a recorded log (path), \"csv\" a track (path) with the columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; \"udp\" (listen), \"serial\" (port, baud).",
+        ),
+        key(
+            "path",
+            Kind::File,
+            Optional("\"data/survey.log\""),
+            "File names count from this file's folder. Only with kind = \"log\" or \"csv\".",
+        ),
+        key(
+            "plain_rate_hz",
+            Kind::Number(from(0.001, 1.0e5)),
+            Default("10.0"),
+            "Sentences per second of a log in which neither the lines nor the messages carry a time. Only with kind = \"log\".",
+        ),
+        key(
+            "listen",
+            Kind::Text,
+            Shown("\"127.0.0.1:10110\""),
+            "Address and port. Only with kind = \"udp\".",
+        ),
+        key(
+            "multicast",
+            Kind::Text,
+            Optional("\"239.192.0.1\""),
+            "Group to join. Only with kind = \"udp\".",
+        ),
+        key(
+            "port",
+            Kind::Text,
+            Optional("\"/dev/ttyUSB0\""),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "baud",
+            Kind::Integer(110, 4_000_000),
+            Optional("115200"),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "time",
+            Kind::Choice(&["message", "burst", "arrival"], &[]),
+            Default("\"message\""),
+            "When a measurement holds: the time in its message; the time of the last dated message of its burst, for messages that carry none; its arrival minus latency_ms.",
+        ),
+        key(
+            "latency_ms",
+            Kind::Number(from(0.0, 60_000.0)),
+            Default("0.0"),
+            "Only with time = \"arrival\".",
+        ),
+        key(
+            "checksum",
+            Kind::Choice(&["require", "accept-missing", "ignore"], &[]),
+            Default("\"require\""),
+            "",
+        ),
+        key(
+            "lever_arm_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Where the antenna sits: forward, starboard, down of the reference point.",
+        ),
+        key(
+            "provides",
+            Kind::Choices(&["position", "course-speed", "heading", "roll-pitch", "heave"]),
+            Default("[\"position\", \"course-speed\", \"heading\", \"roll-pitch\", \"heave\"]"),
+            "What is taken from this source.",
+        ),
+    ],
+    later: &[],
+};
+
+static SCENE: Table = Table {
+    doc: "What lies in the water. Without a seabed, points and targets there is only noise.",
+    keys: &[
+        key(
+            "seed",
+            Kind::Integer(0, MAX_INTEGER),
+            Default("1"),
+            "Same seed, same speckle.",
+        ),
+        key(
+            "anchor",
+            Kind::Choice(&["origin", "first-fix"], &[]),
+            Default("\"origin\""),
+            "Where the scene's own zero lies: at nav.origin, or under the first position received.",
+        ),
+        key(
+            "extend",
+            Kind::Choice(&["none", "mirror"], &[]),
+            Default("\"none\""),
+            "Beyond the edge of a gridded seabed: nothing, or its mirror image for ever.",
+        ),
+        key(
+            "points",
+            Kind::File,
+            Optional("\"data/points.csv\""),
+            "CSV of explicit scatterers: north_m, east_m, down_m, amplitude (echo pressure at 1 m for unit pressure), and if wanted amplitude_imag.",
+        ),
+        key(
+            "targets",
+            Kind::File,
+            Optional("\"data/targets.csv\""),
+            "CSV of named strong targets laid over the seabed.",
+        ),
+        key(
+            "memory_mib",
+            Kind::Integer(1, 1_048_576),
+            Default("512"),
+            "Memory for the scatterers around the sonar.",
+        ),
+        key("seabed", Kind::Table(&SEABED), Shown(""), ""),
+    ],
+    later: &["occlusion", "simplify", "incidence"],
+};
+
+static SEABED: Table = Table {
+    doc: "The bottom, as scatterers on a surface. Leave the table out for none.",
+    keys: &[
+        key(
+            "shape",
+            Kind::Choice(&["plane", "esri-ascii"], &["geotiff", "bag", "xyz"]),
+            Required("\"plane\""),
+            "",
+        ),
+        key(
+            "depth_m",
+            Kind::Number(METRES),
+            Shown("40.0"),
+            "Under the scene's zero. Only with shape = \"plane\".",
+        ),
+        key(
+            "slope_north",
+            Kind::Number(from(-10.0, 10.0)),
+            Default("0.0"),
+            "Metres of depth per metre. Only with shape = \"plane\".",
+        ),
+        key(
+            "slope_east",
+            Kind::Number(from(-10.0, 10.0)),
+            Default("0.0"),
+            "Only with shape = \"plane\".",
+        ),
+        key(
+            "path",
+            Kind::File,
+            Optional("\"data/seabed.asc\""),
+            "The grid's centre lies at the scene's zero. Only with shape = \"esri-ascii\".",
+        ),
+        key(
+            "values",
+            Kind::Choice(&["elevation", "depth"], &[]),
+            Default("\"elevation\""),
+            "What the grid holds: heights (up positive) or depths. Only with shape = \"esri-ascii\".",
+        ),
+        key(
+            "offset_north_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Moves the grid's centre. Only with shape = \"esri-ascii\".",
+        ),
+        key(
+            "offset_east_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Only with shape = \"esri-ascii\".",
+        ),
+        key(
+            "density_per_m2",
+            Kind::Number(above(0.0, 1.0e6)),
+            Default("1.0"),
+            "Scatterers per square metre of the horizontal. The mean level does not depend on it; five or more per resolution cell make good speckle.",
+        ),
+        key(
+            "lambert_db",
+            Kind::Number(from(-100.0, 20.0)),
+            Default("-27.0"),
+            "Lambert's mu: mud about -35, sand -27, rock -15.",
+        ),
+        key(
+            "speckle",
+            Kind::Bool,
+            Default("true"),
+            "Circular Gaussian reflectivities; false: all 1.",
+        ),
+    ],
+    later: &[],
+};
+
+static RUN: Table = Table {
+    doc: "Pacing and threads.",
+    keys: &[
+        key(
+            "threads",
+            Kind::Integer(0, 1024),
+            Default("0"),
+            "0: as many as there are cores. The samples do not depend on it.",
+        ),
+        key(
+            "latency_ms",
+            Kind::Number(from(0.0, 600_000.0)),
+            Default("200.0"),
+            "A ping is delivered this long after its listening window; later is a deadline miss.",
+        ),
+        key(
+            "status_interval_s",
+            Kind::Number(from(0.1, 86_400.0)),
+            Default("10.0"),
+            "The counters are printed this often.",
+        ),
+        key(
+            "queue_pings",
+            Kind::Integer(1, 10_000),
+            Default("4"),
+            "Pings that may wait for their delivery.",
+        ),
+        key(
+            "delivery",
+            Kind::Choice(&["ping-end"], &["streaming"]),
+            Default("\"ping-end\""),
+            "",
+        ),
+    ],
+    later: &["clock", "priority", "cores"],
+};
+
+static RECORD: Table = Table {
+    doc: "Records everything that is sent. Leave the table out for no recording.",
+    keys: &[key(
+        "directory",
+        Kind::Folder,
+        Required("\"out\""),
+        "Made if it is not there.",
+    )],
+    later: &["formats", "max_gib"],
+};
+
+static CONTROL: Table = Table {
+    doc: "Local control: no keys yet.",
+    keys: &[],
+    later: &["listen", "token"],
+};
+
+static SONAR: Table = Table {
+    doc: "One sonar head; write the table again for another.",
+    keys: &[
+        key("name", Kind::Name, Required("\"main\""), ""),
+        key("serial", Kind::Integer(0, MAX_INTEGER), Default("1"), ""),
+        key("pulse", Kind::Table(&PULSE), Required(""), ""),
+        key("transmit", Kind::Tables(&TRANSMIT), Required(""), ""),
+        key("receive", Kind::Tables(&RECEIVE), Required(""), ""),
+        key("receiver", Kind::Table(&RECEIVER), Required(""), ""),
+        key("ping", Kind::Table(&PING), Required(""), ""),
+        key("limits", Kind::Table(&LIMITS), Default("{}"), ""),
+        key("model", Kind::Table(&MODEL), Default("{}"), ""),
+        key("beams", Kind::Table(&BEAMS), Default("{}"), ""),
+        key("output", Kind::Table(&OUTPUT), Default("{}"), ""),
+    ],
+    later: &["trigger", "stabilisation"],
+};
+
+static PULSE: Table = Table {
+    doc: "sqrt(2) Re{ a(t) exp(j 2 pi f_c t) }, 0 <= t <= T. LFM: a = taper(t) exp(+-j pi (B/T) (t - T/2)^2), plus for an up sweep, so f_c is the frequency at mid-pulse. CW: a = taper(t).",
+    keys: &[
+        key(
+            "kind",
+            Kind::Choice(&["lfm", "cw"], &["samples"]),
+            Required("\"lfm\""),
+            "",
+        ),
+        key(
+            "sweep",
+            Kind::Choice(&["up", "down"], &[]),
+            Default("\"up\""),
+            "Only with kind = \"lfm\".",
+        ),
+        key(
+            "center_frequency_khz",
+            Kind::Number(from(0.01, 10_000.0)),
+            Required("200.0"),
+            "",
+        ),
+        key(
+            "bandwidth_khz",
+            Kind::Number(above(0.0, 10_000.0)),
+            Shown("20.0"),
+            "The whole sweep. Only with kind = \"lfm\".",
+        ),
+        key("duration_ms", Kind::Number(PULSE_MS), Required("2.0"), ""),
+        key(
+            "taper",
+            Kind::Number(from(0.0, 1.0)),
+            Default("0.0"),
+            "Tukey taper: the part of the pulse under its two cosine flanks together.",
+        ),
+    ],
+    later: &[],
+};
+
+static TRANSMIT: Table = Table {
+    doc: "One transmit array, a single radiator. Angles: with all zero the array's x axis points forward and it looks straight down; roll_deg = -60 looks to starboard and 30 degrees below the horizon, 60 to port; body_from_array = Rz(yaw) Ry(pitch) Rx(roll).",
+    keys: &[
+        key("name", Kind::Name, Required("\"tx\""), ""),
+        key(
+            "position_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Its centre: forward, starboard, down of the reference point.",
+        ),
+        key("roll_deg", Kind::Number(ANGLE_DEG), Default("0.0"), ""),
+        key("pitch_deg", Kind::Number(ANGLE_DEG), Default("0.0"), ""),
+        key("yaw_deg", Kind::Number(ANGLE_DEG), Default("0.0"), ""),
+        key(
+            "pattern",
+            Kind::Choice(&["omnidirectional", "rectangle"], &["circle", "table"]),
+            Default("\"omnidirectional\""),
+            "\"rectangle\": a flat piston, sinc(L u_x/lambda) sinc(W u_y/lambda).",
+        ),
+        key(
+            "length_m",
+            Kind::Number(SIDE_M),
+            Default("0.0"),
+            "Along the array's x; 0: no directivity that way. Only with pattern = \"rectangle\".",
+        ),
+        key(
+            "width_m",
+            Kind::Number(SIDE_M),
+            Default("0.0"),
+            "Along the array's y. Only with pattern = \"rectangle\".",
+        ),
+        key(
+            "baffled",
+            Kind::Bool,
+            Default("true"),
+            "Nothing goes out of the back. Only with pattern = \"rectangle\".",
+        ),
+        key(
+            "level_offset_db",
+            Kind::Number(GAIN_DB),
+            Default("0.0"),
+            "Added to ping.source_level_db.",
+        ),
+    ],
+    later: &[],
+};
+
+static RECEIVE: Table = Table {
+    doc: "One receive array: equal elements in a line along the array's x axis, centred on position_m. Angles as for transmit; yaw_deg = 90 lays the line across the track with its +x end to starboard.",
+    keys: &[
+        key("name", Kind::Name, Required("\"rx\""), ""),
+        key(
+            "transmit",
+            Kind::Name,
+            Shown("\"tx\""),
+            "Whose pulse it listens to; may be left out where there is one transmit array.",
+        ),
+        key("elements", Kind::Integer(1, 65_535), Required("32"), ""),
+        key(
+            "spacing_m",
+            Kind::Number(above(0.0, 100.0)),
+            Shown("0.00375"),
+            "Centre to centre. Needed for more than one element.",
+        ),
+        key(
+            "position_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "",
+        ),
+        key("roll_deg", Kind::Number(ANGLE_DEG), Default("0.0"), ""),
+        key("pitch_deg", Kind::Number(ANGLE_DEG), Default("0.0"), ""),
+        key("yaw_deg", Kind::Number(ANGLE_DEG), Set("0.0", "90.0"), ""),
+        key(
+            "element_pattern",
+            Kind::Choice(&["omnidirectional", "rectangle"], &["circle", "table"]),
+            Default("\"omnidirectional\""),
+            "",
+        ),
+        key(
+            "element_length_m",
+            Kind::Number(SIDE_M),
+            Default("0.0"),
+            "Along the line, at most the spacing. Only with element_pattern = \"rectangle\".",
+        ),
+        key(
+            "element_width_m",
+            Kind::Number(SIDE_M),
+            Default("0.0"),
+            "Across the line. Only with element_pattern = \"rectangle\".",
+        ),
+        key(
+            "baffled",
+            Kind::Bool,
+            Default("true"),
+            "Nothing is heard through the back. Only with element_pattern = \"rectangle\".",
+        ),
+        key(
+            "sensitivity_db",
+            Kind::Number(from(-400.0, 200.0)),
+            Default("-190.0"),
+            "dB re 1 V/uPa; 0 makes volts of micropascals.",
+        ),
+    ],
+    later: &["element_errors", "dead_elements"],
+};
+
+static RECEIVER: Table = Table {
+    doc: "From the elements' volts to samples: complex envelopes about the centre frequency.",
+    keys: &[
+        key(
+            "sample_rate_khz",
+            Kind::Number(from(0.001, 100_000.0)),
+            Required("40.0"),
+            "At least 1.25 (max(B, 4/T) + 2 f_d), f_d the Doppler shift at 10 m/s.",
+        ),
+        key(
+            "rx_filter",
+            Kind::Choice(&["none", "fir"], &[]),
+            Default("\"none\""),
+            "\"fir\": a linear-phase low-pass ahead of the sampling, its delay removed.",
+        ),
+        key(
+            "tvg",
+            Kind::Either(
+                &Kind::Choice(&["none", "20logr", "30logr", "40logr"], &[]),
+                &Kind::Rows,
+            ),
+            Default("\"none\""),
+            "Time-varying gain: N log10 r + 2 alpha r, held between 0 and tvg_max_db, or a table [[range_m, db], ...].",
+        ),
+        key(
+            "tvg_max_db",
+            Kind::Number(from(0.0, 300.0)),
+            Default("120.0"),
+            "Only with one of the laws.",
+        ),
+        key(
+            "noise_db",
+            Kind::Number(from(-200.0, 250.0)),
+            Optional("45.0"),
+            "At the elements, dB re 1 uPa^2/Hz. Left out: no noise.",
+        ),
+        key(
+            "adc_bits",
+            Kind::Integer(2, 32),
+            Optional("16"),
+            "Left out: not quantised.",
+        ),
+        key(
+            "full_scale_v",
+            Kind::Number(above(0.0, 1.0e12)),
+            Default("1.0"),
+            "Volts (rms of the envelope) that fill the converter and the wire's integers.",
+        ),
+        key(
+            "seed",
+            Kind::Integer(0, MAX_INTEGER),
+            Default("1"),
+            "Same seed, same noise.",
+        ),
+    ],
+    later: &["passband"],
+};
+
+static PING: Table = Table {
+    doc: "The settings at the start; a topside may change them within the limits.",
+    keys: &[
+        key("range_m", Kind::Number(RANGE_M), Required("100.0"), ""),
+        key(
+            "rate_hz",
+            Kind::Number(RATE_HZ),
+            Shown("5.0"),
+            "Or period_ms; a range too long for it lowers the rate.",
+        ),
+        key(
+            "period_ms",
+            Kind::Number(above(0.0, 1.0e6)),
+            Optional("200.0"),
+            "In place of rate_hz.",
+        ),
+        key(
+            "source_level_db",
+            Kind::Number(LEVEL_DB),
+            Required("210.0"),
+            "dB re 1 uPa at 1 m, rms.",
+        ),
+        key("gain_db", Kind::Number(GAIN_DB), Default("0.0"), ""),
+    ],
+    later: &[],
+};
+
+static LIMITS: Table = Table {
+    doc: "[lowest, highest] of each setting; buffers are sized from them. Left out: the setting cannot be changed.",
+    keys: &[
+        key(
+            "range_m",
+            Kind::Numbers(2, RANGE_M),
+            Optional("[10.0, 150.0]"),
+            "",
+        ),
+        key(
+            "ping_rate_hz",
+            Kind::Numbers(2, RATE_HZ),
+            Optional("[0.1, 20.0]"),
+            "",
+        ),
+        key(
+            "source_level_db",
+            Kind::Numbers(2, LEVEL_DB),
+            Optional("[170.0, 220.0]"),
+            "",
+        ),
+        key(
+            "gain_db",
+            Kind::Numbers(2, GAIN_DB),
+            Optional("[0.0, 80.0]"),
+            "",
+        ),
+        key(
+            "pulse_duration_ms",
+            Kind::Numbers(2, PULSE_MS),
+            Optional("[1.0, 5.0]"),
+            "",
+        ),
+    ],
+    later: &[],
+};
+
+static MODEL: Table = Table {
+    doc: "How the echoes are computed.",
+    keys: &[
+        key(
+            "path",
+            Kind::Choice(&["stop-and-hop", "polyline"], &["continuous"]),
+            Default("\"polyline\""),
+            "Whether the platform moves between pulse and echo.",
+        ),
+        key(
+            "doppler",
+            Kind::Choice(&["none", "stretch"], &["paper-eq21", "common", "rank-r"]),
+            Default("\"stretch\""),
+            "",
+        ),
+        key(
+            "synthesis",
+            Kind::Choice(
+                &["reference", "direct"],
+                &[
+                    "spectral",
+                    "gridded",
+                    "gridded-1d",
+                    "gridded-2d",
+                    "nearest",
+                    "linear",
+                ],
+            ),
+            Default("\"direct\""),
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes.",
+        ),
+        key(
+            "segment_ms",
+            Kind::Number(from(0.1, 60_000.0)),
+            Default("50.0"),
+            "Longest piece of the polyline.",
+        ),
+        key(
+            "cull_db",
+            Kind::Number(from(-300.0, -1.0)),
+            Optional("-60.0"),
+            "Scatterers whose two-way pattern lies below are left out. Left out: all are kept.",
+        ),
+    ],
+    later: &["tolerance", "tolerance_image", "simd", "incidence"],
+};
+
+static BEAMS: Table = Table {
+    doc: "What is made of the elements: side-scan lines and a fan of beams.",
+    keys: &[
+        key(
+            "port",
+            Kind::Name,
+            Optional("\"rx-port\""),
+            "The receive array of the port side-scan line.",
+        ),
+        key(
+            "starboard",
+            Kind::Name,
+            Optional("\"rx-starboard\""),
+            "The receive array of the starboard side-scan line.",
+        ),
+        key("fan", Kind::Table(&FAN), Shown(""), ""),
+    ],
+    later: &["focus", "multi_pulse", "synthetic_aperture"],
+};
+
+static FAN: Table = Table {
+    doc: "Beams across the track, equally spaced in angle about the array's boresight, beam 0 port-most. Leave the table out for none.",
+    keys: &[
+        key(
+            "array",
+            Kind::Name,
+            Required("\"rx\""),
+            "A receive array whose +x end points to starboard.",
+        ),
+        key("beams", Kind::Integer(1, 4096), Required("64"), ""),
+        key(
+            "sector_deg",
+            Kind::Number(above(0.0, 180.0)),
+            Required("120.0"),
+            "From the first beam to the last.",
+        ),
+        key(
+            "shading",
+            Kind::Choice(&["uniform", "hann"], &["taylor", "chebyshev"]),
+            Default("\"uniform\""),
+            "",
+        ),
+    ],
+    later: &[],
+};
+
+static OUTPUT: Table = Table {
+    doc: "The protocols this sonar speaks; one table for each.",
+    keys: &[key("sevenk", Kind::Table(&SEVENK), Shown(""), "")],
+    later: &[
+        "jsf", "xtf", "norbit", "vita49", "ping", "kmall", "r2sonic", "imagenex", "sigmf",
+    ],
+};
+
+static SEVENK: Table = Table {
+    doc: "Teledyne RESON 7k over TCP.",
+    keys: &[
+        key(
+            "id",
+            Kind::Integer(1, u32::MAX as i64),
+            Required("7125"),
+            "7k device id: 7125 SeaBat 7125, 103 a multibeam, 104 a side-scan.",
+        ),
+        key(
+            "enumerator",
+            Kind::Integer(0, u16::MAX as i64),
+            Default("0"),
+            "Tells heads with one device id apart.",
+        ),
+        key(
+            "arrays",
+            Kind::Names,
+            Shown("[\"rx\"]"),
+            "Receive arrays whose elements fill record 7038, in this order. Left out: all.",
+        ),
+        key(
+            "listen",
+            Kind::Text,
+            Default("\"127.0.0.1:7000\""),
+            "Only this computer by default: the protocol knows no password.",
+        ),
+        key(
+            "max_packet_bytes",
+            Kind::Integer(1024, 1 << 30),
+            Default("60000"),
+            "Longer records go out in several packets of this length.",
+        ),
+        key(
+            "client_queue_mib",
+            Kind::Integer(1, 65_536),
+            Default("64"),
+            "What may wait for one slow client before its records are dropped.",
+        ),
+        key("max_clients", Kind::Integer(1, 1000), Default("8"), ""),
+    ],
+    later: &["udp"],
+};

@@ -1,0 +1,67 @@
+//! What is wrong with a configuration: all of it at once.
+
+use std::fmt;
+use std::path::PathBuf;
+
+/// One thing wrong, in one line.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Problem {
+    /// Where: `sonar[0].pulse.duration_ms`; empty for a file that is no TOML or cannot be read.
+    pub path: String,
+    /// From 1; none where there is no place in the file.
+    pub line: Option<usize>,
+    /// As written in the file, shortened; empty where nothing was written.
+    pub value: String,
+    /// What holds there.
+    pub rule: String,
+    /// What may have been meant.
+    pub hint: Option<String>,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(line) = self.line {
+            write!(f, "line {line}: ")?;
+        }
+        f.write_str(&self.path)?;
+        if !self.value.is_empty() {
+            let equals = if self.path.is_empty() { "" } else { " = " };
+            write!(f, "{equals}{}", self.value)?;
+        }
+        if !(self.path.is_empty() && self.value.is_empty()) {
+            f.write_str(": ")?;
+        }
+        f.write_str(&self.rule)?;
+        if let Some(hint) = &self.hint {
+            write!(f, "; {hint}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Everything wrong with one configuration, in the order of its lines; prints one problem per line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigErrors {
+    /// The file it came from, printed first.
+    pub file: Option<PathBuf>,
+    pub problems: Vec<Problem>,
+}
+
+impl fmt::Display for ConfigErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(file) = &self.file {
+            let count = self.problems.len();
+            let plural = if count == 1 { "" } else { "s" };
+            writeln!(f, "{}: {count} problem{plural}", file.display())?;
+        }
+        for (i, problem) in self.problems.iter().enumerate() {
+            if i > 0 {
+                f.write_str("\n")?;
+            }
+            write!(f, "{problem}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for ConfigErrors {}

@@ -1,0 +1,408 @@
+//! What follows from a configuration, for people.
+
+use std::fmt::{self, Write};
+
+use super::check::sonar::{
+    BYTES_PER_7038_SAMPLE, MAX_PLATFORM_SPEED_M_PER_S, max_doppler_hz, min_sample_rate_hz,
+};
+use super::spec::*;
+use crate::flow::{
+    ArrayGeometry, DopplerModel, PathModel, Pattern, PulseKind, Receiver, ReceiverFilter, Side,
+    Synthesis, TimeVaryingGain,
+};
+
+/// -3 dB width of a uniform line, in wavelengths over its length: sinc^2(0.443) = 1/2.
+const BEAMWIDTH: f64 = 0.886;
+/// Quiet time between listening window and next pulse: `ping::TURNAROUND_S`, which may not be imported here.
+const TURNAROUND_S: f64 = 1e-3;
+/// Names line up in a column this wide.
+const LABEL: usize = 12;
+
+/// The derived quantities of a rig, several lines, ending in notes on what may surprise.
+pub fn summary(rig: &RigSpec) -> String {
+    let mut text = String::new();
+    write_rig(&mut text, rig).expect("a String takes everything");
+    text
+}
+
+fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
+    let c = rig.medium.sound_speed_m_per_s;
+    let absorption = match rig.medium.absorption {
+        AbsorptionSpec::None => "none".to_owned(),
+        AbsorptionSpec::Fixed { db_per_m } => format!("{} dB/km", db_per_m * 1e3),
+        AbsorptionSpec::FrancoisGarrison(water) => format!("Francois-Garrison, {}", words(&water)),
+        AbsorptionSpec::AinslieMcColm(water) => format!("Ainslie-McColm, {}", words(&water)),
+    };
+    line(out, "medium", &format!("{c} m/s, absorption {absorption}"))?;
+    let mode = match rig.nav.mode {
+        NavMode::Settle => "settle: pings wait for measurements on both sides",
+        NavMode::Predict => "predict: pings are extrapolated to",
+    };
+    line(out, "nav", mode)?;
+    for source in &rig.nav.sources {
+        let input = match &source.input {
+            NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } => {
+                path.display().to_string()
+            }
+            NavInputSpec::Udp { listen, .. } => format!("UDP {listen}"),
+            NavInputSpec::Serial { port, baud } => format!("{port} at {baud} Bd"),
+        };
+        line(out, "", &format!("{}: {input}", source.name))?;
+    }
+    line(out, "scene", &scene(&rig.scene))?;
+    let threads = match rig.run.threads {
+        0 => "a thread per core".to_owned(),
+        n => format!("{n} threads"),
+    };
+    let latency_ms = rig.run.latency_s * 1e3;
+    line(
+        out,
+        "run",
+        &format!("{threads}, delivery {latency_ms} ms after each listening window"),
+    )?;
+    if let Some(record) = &rig.record {
+        line(out, "record", &record.directory.display().to_string())?;
+    }
+    let mut notes = Vec::new();
+    for sonar in &rig.sonars {
+        write_sonar(out, sonar, c, &mut notes)?;
+    }
+    if rig.scene.seabed.is_none() && rig.scene.points.is_none() {
+        notes.push("the scene is empty: there is only noise".to_owned());
+    }
+    for note in notes {
+        line(out, "note", &note)?;
+    }
+    Ok(())
+}
+
+fn line(out: &mut String, label: &str, text: &str) -> fmt::Result {
+    writeln!(out, "{label:LABEL$} {text}")
+}
+
+fn words(water: &Water) -> String {
+    format!(
+        "{} C, salinity {}, {} m deep, pH {}",
+        water.temperature_c, water.salinity, water.depth_m, water.ph
+    )
+}
+
+fn scene(scene: &SceneSpec) -> String {
+    let mut parts = Vec::new();
+    if let Some(seabed) = &scene.seabed {
+        let shape = match &seabed.shape {
+            SeabedShape::Plane { depth_m, .. } => format!("plane {depth_m} m deep"),
+            SeabedShape::EsriAscii { path, .. } => path.display().to_string(),
+        };
+        let mirrored = if scene.mirror { " mirrored" } else { "" };
+        parts.push(format!(
+            "{shape}{mirrored}, {} scatterers/m^2, Lambert {} dB",
+            seabed.density_per_m2, seabed.lambert_db
+        ));
+    }
+    for (what, path) in [("points", &scene.points), ("targets", &scene.targets)] {
+        if let Some(path) = path {
+            parts.push(format!("{what} {}", path.display()));
+        }
+    }
+    match parts.is_empty() {
+        true => "empty".to_owned(),
+        false => parts.join("; "),
+    }
+}
+
+/// The rates, lengths and sizes of one sonar at its starting settings.
+struct Derived {
+    wavelength_m: f64,
+    window_s: f64,
+    samples: f64,
+    /// Kept: what was asked, or as fast as the range allows.
+    ping_rate_hz: f64,
+    longest_rate_hz: f64,
+}
+
+impl Derived {
+    fn of(sonar: &SonarSpec, c: f64) -> Self {
+        let settings = &sonar.settings;
+        let window_s = 2.0 * settings.range_m / c + settings.pulse_duration_s;
+        let longest_rate_hz = 1.0 / (window_s + TURNAROUND_S);
+        Self {
+            wavelength_m: c / sonar.pulse.center_frequency_hz,
+            window_s,
+            samples: (window_s * sonar.receiver.sample_rate_hz).ceil(),
+            ping_rate_hz: settings.max_ping_rate_hz.min(longest_rate_hz),
+            longest_rate_hz,
+        }
+    }
+}
+
+fn write_sonar(
+    out: &mut String,
+    sonar: &SonarSpec,
+    c: f64,
+    notes: &mut Vec<String>,
+) -> fmt::Result {
+    let d = Derived::of(sonar, c);
+    let (pulse, settings) = (&sonar.pulse, &sonar.settings);
+    let elements: usize = sonar.receive.iter().map(|a| a.elements).sum();
+    line(
+        out,
+        "sonar",
+        &format!(
+            "\"{}\", {elements} elements in {} receive arrays, {} transmit arrays",
+            sonar.name,
+            sonar.receive.len(),
+            sonar.transmit.len()
+        ),
+    )?;
+    let (kind, resolution_m) = match pulse.kind {
+        PulseKind::Cw => ("CW", c * pulse.duration_s / 2.0),
+        PulseKind::LfmUp => ("LFM up", c / (2.0 * pulse.bandwidth_hz)),
+        PulseKind::LfmDown => ("LFM down", c / (2.0 * pulse.bandwidth_hz)),
+    };
+    line(
+        out,
+        "  pulse",
+        &format!(
+            "{kind} {} kHz, B {} kHz, T {} ms, BT {:.0}; wavelength {:.2} mm, range resolution {:.1} cm",
+            pulse.center_frequency_hz / 1e3,
+            pulse.bandwidth_hz / 1e3,
+            pulse.duration_s * 1e3,
+            pulse.bandwidth_hz * pulse.duration_s,
+            d.wavelength_m * 1e3,
+            resolution_m * 1e2,
+        ),
+    )?;
+    line(
+        out,
+        "  ping",
+        &format!(
+            "range {} m: window {:.1} ms, at most {:.2} pings/s; asked {:.2}, kept {:.2}; {:.0} samples per element and ping",
+            settings.range_m,
+            d.window_s * 1e3,
+            d.longest_rate_hz,
+            settings.max_ping_rate_hz,
+            d.ping_rate_hz,
+            d.samples
+        ),
+    )?;
+    line(out, "  receiver", &receiver(sonar, c))?;
+    line(
+        out,
+        "  gain",
+        &format!(
+            "source level {} dB, gain {} dB, {}",
+            settings.source_level_db,
+            settings.gain_db,
+            gain(&sonar.receiver, settings.range_m)
+        ),
+    )?;
+    write_arrays(out, sonar, d.wavelength_m)?;
+    write_beams(out, sonar)?;
+    line(out, "  model", &model(sonar))?;
+    write_outputs(out, sonar, &d)?;
+    note_surprises(sonar, &d, c, notes);
+    Ok(())
+}
+
+fn receiver(sonar: &SonarSpec, c: f64) -> String {
+    let receiver = &sonar.receiver;
+    let least_hz = min_sample_rate_hz(&sonar.pulse, sonar.limits.pulse_duration_s.0, c);
+    let doppler_hz = max_doppler_hz(&sonar.pulse, c);
+    let filter = match receiver.filter {
+        ReceiverFilter::None => "no filter",
+        ReceiverFilter::Fir => "low-pass filter",
+    };
+    let noise = match receiver.noise_db {
+        Some(db) => format!("noise {db} dB re 1 uPa^2/Hz"),
+        None => "no noise".to_owned(),
+    };
+    let converter = match receiver.adc_bits {
+        Some(bits) => format!("{bits} bits for {} V", receiver.full_scale_v),
+        None => "not quantised".to_owned(),
+    };
+    format!(
+        "{} kHz (needs {:.2}; Doppler at {MAX_PLATFORM_SPEED_M_PER_S} m/s is {doppler_hz:.0} Hz), {filter}, {noise}, {converter}",
+        receiver.sample_rate_hz / 1e3,
+        least_hz / 1e3,
+    )
+}
+
+fn gain(receiver: &Receiver, range_m: f64) -> String {
+    match &receiver.tvg {
+        TimeVaryingGain::None => "no TVG".to_owned(),
+        TimeVaryingGain::Law {
+            spreading, max_db, ..
+        } => format!(
+            "TVG {spreading} log r + 2 alpha r, at most {max_db} dB ({:.1} dB of spreading at {range_m} m)",
+            spreading * range_m.max(1.0).log10()
+        ),
+        TimeVaryingGain::Table(rows) => format!("TVG table of {} rows", rows.len()),
+    }
+}
+
+/// -3 dB width of an aperture of this length, degrees; 180 where it is too short to have one.
+fn beamwidth_deg(wavelength_m: f64, length_m: f64) -> f64 {
+    let sine = BEAMWIDTH * wavelength_m / length_m;
+    if sine.is_finite() && sine < 2.0 {
+        (2.0 * (sine / 2.0).asin()).to_degrees()
+    } else {
+        180.0
+    }
+}
+
+fn pattern(pattern: &Pattern, wavelength_m: f64) -> String {
+    match pattern {
+        Pattern::Omnidirectional => "omnidirectional".to_owned(),
+        Pattern::Rectangle {
+            length_m, width_m, ..
+        } => format!(
+            "{:.1} x {:.1} deg",
+            beamwidth_deg(wavelength_m, *length_m),
+            beamwidth_deg(wavelength_m, *width_m)
+        ),
+    }
+}
+
+fn aperture_m(array: &ArrayGeometry) -> f64 {
+    array.elements as f64 * array.spacing_m
+}
+
+fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::Result {
+    for (name, array) in sonar.transmit_names.iter().zip(&sonar.transmit) {
+        let pattern = pattern(&array.pattern, wavelength_m);
+        line(
+            out,
+            "  transmit",
+            &format!("{name}: {pattern} (along x, along y)"),
+        )?;
+    }
+    for (name, array) in sonar.receive_names.iter().zip(&sonar.receive) {
+        line(
+            out,
+            "  receive",
+            &format!(
+                "{name}: {} elements every {:.2} mm ({:.2} wavelengths), together {:.2} deg, each {}",
+                array.elements,
+                array.spacing_m * 1e3,
+                array.spacing_m / wavelength_m,
+                beamwidth_deg(wavelength_m, aperture_m(array)),
+                pattern(&array.element_pattern, wavelength_m),
+            ),
+        )?;
+    }
+    Ok(())
+}
+
+fn write_beams(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
+    for line_spec in &sonar.beams.lines {
+        let side = match line_spec.side {
+            Side::Port => "port",
+            Side::Starboard => "starboard",
+        };
+        let name = &sonar.receive_names[line_spec.array];
+        line(out, "  line", &format!("{side} from {name}"))?;
+    }
+    if let Some(fan) = &sonar.beams.fan {
+        let step_deg = fan.sector_rad.to_degrees() / (fan.beams.max(2) - 1) as f64;
+        line(
+            out,
+            "  fan",
+            &format!(
+                "{} beams over {:.1} deg from {}, every {step_deg:.2} deg",
+                fan.beams,
+                fan.sector_rad.to_degrees(),
+                sonar.receive_names[fan.array],
+            ),
+        )?;
+    }
+    Ok(())
+}
+
+fn model(sonar: &SonarSpec) -> String {
+    let model = &sonar.model;
+    let path = match model.path {
+        PathModel::StopAndHop => "stop-and-hop".to_owned(),
+        PathModel::Polyline => format!("polyline of {} ms", model.segment_s * 1e3),
+    };
+    let doppler = match model.doppler {
+        DopplerModel::None => "no Doppler",
+        DopplerModel::Stretch => "Doppler stretch",
+    };
+    let cull = match model.cull_db {
+        Some(db) => format!("scatterers below {db} dB left out"),
+        None => "no scatterer left out".to_owned(),
+    };
+    match model.synthesis {
+        Synthesis::Reference => format!("reference, {cull}"),
+        Synthesis::Direct => format!("direct, {path}, {doppler}, {cull}"),
+    }
+}
+
+fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
+    for OutputSpec::SevenK(output) in &sonar.outputs {
+        let elements: usize = output
+            .arrays
+            .iter()
+            .map(|&a| sonar.receive[a].elements)
+            .sum();
+        let mbit_per_s = |channels: usize| {
+            channels as f64 * d.samples * BYTES_PER_7038_SAMPLE * d.ping_rate_hz * 8.0 / 1e6
+        };
+        let beams = match &sonar.beams.fan {
+            Some(fan) => format!(", beams (7018) {:.2} Mbit/s", mbit_per_s(fan.beams)),
+            None => String::new(),
+        };
+        line(
+            out,
+            "  7k",
+            &format!(
+                "TCP {}, device {}.{}; elements (7038) {:.2} Mbit/s{beams} to each client that asks",
+                output.listen,
+                output.device_id,
+                output.enumerator,
+                mbit_per_s(elements),
+            ),
+        )?;
+    }
+    Ok(())
+}
+
+fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String>) {
+    let name = &sonar.name;
+    if sonar.settings.max_ping_rate_hz > d.longest_rate_hz {
+        notes.push(format!(
+            "{name}: the range of {} m is too long for {:.2} pings/s; {:.2} are kept",
+            sonar.settings.range_m, sonar.settings.max_ping_rate_hz, d.longest_rate_hz
+        ));
+    }
+    let longest_window_s = 2.0 * sonar.limits.range_m.1 / c + sonar.limits.pulse_duration_s.1;
+    let slowest_rate_hz = 1.0 / (longest_window_s + TURNAROUND_S);
+    if sonar.limits.range_m.1 > sonar.settings.range_m
+        && sonar.settings.max_ping_rate_hz > slowest_rate_hz
+    {
+        notes.push(format!(
+            "{name}: at the longest range allowed, {} m, {:.2} pings/s are kept",
+            sonar.limits.range_m.1, slowest_rate_hz
+        ));
+    }
+    if let Some(fan) = &sonar.beams.fan {
+        let array = &sonar.receive[fan.array];
+        // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe out of sight.
+        let reach = 1.0 + (fan.sector_rad / 2.0).sin();
+        if array.spacing_m * reach > d.wavelength_m {
+            notes.push(format!(
+                "{name}: the fan's elements lie {:.2} wavelengths apart; its outer beams have grating lobes",
+                array.spacing_m / d.wavelength_m
+            ));
+        }
+    }
+    for OutputSpec::SevenK(output) in &sonar.outputs {
+        if !output.listen.ip().is_loopback() {
+            notes.push(format!(
+                "{name}: {} can be reached from other computers, and 7k knows no password",
+                output.listen
+            ));
+        }
+    }
+}

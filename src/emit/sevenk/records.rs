@@ -1,0 +1,509 @@
+//! What fills the fields of the 7k records.
+//!
+//! 7k axes are X starboard, Y forward, Z up; ours are x forward, y starboard, z down. Fields that a sonar of ours has nothing for are 0.
+//! Source: DFD 3.12 (2020).
+
+use std::fmt::Write;
+
+use glam::DVec3;
+
+use echotank_protocols::sevenk::records::{
+    Heading1013, Module, Position1003, RemoteSettings7503, RollPitchHeave1012, SonarSettings7000,
+    SoundVelocity7610, emit_7001,
+};
+use echotank_protocols::sevenk::{RecordStamp, SevenKTime, control_flags, device_id};
+
+use super::RecordSet;
+use crate::config::spec::{SevenKSpec, SonarSpec};
+use crate::flow::{
+    BeamFrame, Datagram, FixQuality, NavState, Pattern, PingPlan, Pulse, PulseKind, SonarSettings,
+    TimeVaryingGain,
+};
+use crate::time::UtcNs;
+
+/// Where sinc(pi u) falls to -3 dB (1/sqrt 2): half the width of a line source's beam is asin(HALF_POWER lambda / length); the customary
+/// 0.886 lambda / length is twice this for small angles.
+const HALF_POWER: f64 = 0.442_946_47;
+
+/// Devices that a client may address besides ours: nobody in particular, the Center itself, and the two that MBARI's client sends
+/// whatever sonar it talks to.
+const ACCEPTED_DEVICES: [u32; 4] = [
+    0,
+    device_id::SONAR_SOURCE,
+    device_id::SEABAT_7125,
+    device_id::SEABAT_T50,
+];
+
+/// What one sonar is, to a 7k client. Fixed for a run; shared by the emitter and the sessions.
+#[derive(Clone, Debug)]
+pub struct DeviceSheet {
+    output: SevenKSpec,
+    sonar: SonarSpec,
+    sound_speed_m_per_s: f64,
+    absorption_db_per_m: f64,
+    info_xml: String,
+}
+
+/// What changes from ping to ping in the settings records.
+#[derive(Clone, Copy, Debug)]
+pub struct View {
+    pub settings: SonarSettings,
+    pub pulse: Pulse,
+    pub ping_period_s: f64,
+    pub sound_speed_m_per_s: f64,
+    /// One way.
+    pub absorption_db_per_m: f64,
+}
+
+impl View {
+    pub fn of_plan(plan: &PingPlan) -> Self {
+        Self {
+            settings: plan.settings,
+            pulse: plan.pulse,
+            ping_period_s: plan.ping_period_s,
+            sound_speed_m_per_s: plan.sound_speed_m_per_s,
+            absorption_db_per_m: plan.absorption_db_per_m,
+        }
+    }
+    fn wavelength_m(&self) -> f64 {
+        self.sound_speed_m_per_s / self.pulse.center_frequency_hz
+    }
+}
+
+impl DeviceSheet {
+    /// Sound speed and absorption (dB/m, one way) of the medium, for settings that are asked for before a ping has them.
+    pub fn new(
+        output: &SevenKSpec,
+        sonar: &SonarSpec,
+        sound_speed_m_per_s: f64,
+        absorption_db_per_m: f64,
+    ) -> Self {
+        Self {
+            output: output.clone(),
+            info_xml: describe(output, sonar),
+            sonar: sonar.clone(),
+            sound_speed_m_per_s,
+            absorption_db_per_m,
+        }
+    }
+
+    pub fn name(&self) -> &str {
+        &self.sonar.name
+    }
+    pub fn sonar_id(&self) -> u64 {
+        self.sonar.serial
+    }
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.sonar.receiver.sample_rate_hz
+    }
+    pub fn full_scale_v(&self) -> f64 {
+        self.sonar.receiver.full_scale_v
+    }
+    /// Receive arrays whose elements go into 7038, in this order.
+    pub fn wire_arrays(&self) -> &[usize] {
+        &self.output.arrays
+    }
+    /// Elements in 7038.
+    pub fn wire_elements(&self) -> usize {
+        self.output
+            .arrays
+            .iter()
+            .map(|&a| self.sonar.receive[a].elements)
+            .sum()
+    }
+    /// Elements of the whole sonar.
+    pub fn receive_elements(&self) -> usize {
+        self.sonar.receive.iter().map(|array| array.elements).sum()
+    }
+
+    /// The records that this sonar sends while it pings.
+    pub fn ping_records(&self) -> RecordSet {
+        let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013]);
+        if self.sonar.beams.fan.is_some() {
+            set = set.union(RecordSet::of(&[7004, 7018]));
+        }
+        if !self.sonar.beams.lines.is_empty() {
+            set.insert(7007);
+        }
+        if !self.output.arrays.is_empty() {
+            set.insert(7038);
+        }
+        set
+    }
+
+    /// Whether a command to this device is for us. Enumerator 0 means all heads; the Center and nobody in particular have none.
+    pub fn accepts(&self, device: u32, enumerator: u16) -> bool {
+        let ours = device == self.output.device_id;
+        let known = ours || ACCEPTED_DEVICES.contains(&device);
+        let head = enumerator == 0
+            || enumerator == self.output.enumerator
+            || device == 0
+            || device == device_id::SONAR_SOURCE;
+        known && head
+    }
+
+    // ------------------------------------------------------------ stamps
+
+    /// A time before 1970, which 7k cannot write, becomes 1970.
+    pub fn stamp(&self, utc: UtcNs) -> RecordStamp {
+        RecordStamp {
+            time: SevenKTime::from_utc_ns_clamped(utc.0),
+            device_id: self.output.device_id,
+            system_enumerator: self.output.enumerator,
+        }
+    }
+    /// Ping records: the end of the transmission.
+    pub fn ping_stamp(&self, plan: &PingPlan) -> RecordStamp {
+        self.stamp(plan.stamp_utc.plus_s(plan.pulse.duration_s))
+    }
+    /// Navigation records: when the state holds, on the time axis of the ping's stamp.
+    pub fn nav_stamp(&self, plan: &PingPlan) -> RecordStamp {
+        let after_transmit_ns = plan.nav.utc.0.saturating_sub(plan.transmit_utc.0);
+        self.stamp(plan.stamp_utc.plus_ns(after_transmit_ns))
+    }
+
+    // ------------------------------------------------------------ settings
+
+    /// 7000 of one ping.
+    pub fn settings_7000(
+        &self,
+        ping_number: u32,
+        view: &View,
+        receive_beam_width_rad: f64,
+    ) -> SonarSettings7000 {
+        let s = self.settings_7503(ping_number, view);
+        SonarSettings7000 {
+            sonar_id: s.sonar_id,
+            ping_number: s.ping_number,
+            frequency_hz: s.frequency_hz,
+            sample_rate_hz: s.sample_rate_hz,
+            receiver_bandwidth_hz: s.receiver_bandwidth_hz,
+            tx_pulse_width_s: s.tx_pulse_width_s,
+            tx_pulse_type: s.tx_pulse_type,
+            tx_pulse_envelope: s.tx_pulse_envelope,
+            tx_pulse_envelope_parameter: s.tx_pulse_envelope_parameter,
+            tx_pulse_mode: s.tx_pulse_mode,
+            max_ping_rate_hz: s.max_ping_rate_hz,
+            ping_period_s: s.ping_period_s,
+            range_m: s.range_m,
+            power_db: s.power_db,
+            gain_db: s.gain_db,
+            control_flags: s.control_flags,
+            projector_beam_width_vertical_rad: s.projector_beam_width_vertical_rad,
+            projector_beam_width_horizontal_rad: s.projector_beam_width_horizontal_rad,
+            receive_flags: s.receive_flags,
+            receive_beam_width_rad: receive_beam_width_rad as f32,
+            absorption_db_per_km: s.absorption_db_per_km,
+            sound_velocity_m_per_s: s.sound_velocity_m_per_s,
+            spreading_db: s.spreading_db,
+            ..SonarSettings7000::default()
+        }
+    }
+
+    /// 7503 of one ping; ping number 0 means "the settings now".
+    pub fn settings_7503(&self, ping_number: u32, view: &View) -> RemoteSettings7503 {
+        let (along_rad, across_rad) = self.transmit_widths_rad(view);
+        let mounting = self.sonar.transmit.first().map(|t| t.mounting);
+        let offset = mounting.map_or(DVec3::ZERO, |m| m.position_m);
+        let boresight = mounting.map_or(DVec3::Z, |m| m.body_from_array * DVec3::Z);
+        RemoteSettings7503 {
+            sonar_id: self.sonar.serial,
+            ping_number,
+            frequency_hz: view.pulse.center_frequency_hz as f32,
+            sample_rate_hz: self.sample_rate_hz() as f32,
+            // Complex samples: the band is as wide as the rate.
+            receiver_bandwidth_hz: self.sample_rate_hz() as f32,
+            tx_pulse_width_s: view.pulse.duration_s as f32,
+            tx_pulse_type: match view.pulse.kind {
+                PulseKind::Cw => 0,
+                PulseKind::LfmUp | PulseKind::LfmDown => 1,
+            },
+            tx_pulse_envelope: if view.pulse.taper == 0.0 { 4 } else { 1 },
+            tx_pulse_envelope_parameter: view.pulse.taper as f32,
+            tx_pulse_mode: 1,
+            max_ping_rate_hz: view.settings.max_ping_rate_hz as f32,
+            ping_period_s: view.ping_period_s as f32,
+            range_m: view.settings.range_m as f32,
+            power_db: view.settings.source_level_db as f32,
+            gain_db: view.settings.gain_db as f32,
+            control_flags: control_flags::SIMULATOR
+                | control_flags::SYSTEM_ACTIVE
+                | control_flags::TIMESTAMP_STATE_OK,
+            projector_beam_width_vertical_rad: along_rad as f32,
+            projector_beam_width_horizontal_rad: across_rad as f32,
+            receive_flags: self.receive_flags(),
+            absorption_db_per_km: (view.absorption_db_per_m * 1000.0) as f32,
+            sound_velocity_m_per_s: view.sound_speed_m_per_s as f32,
+            spreading_db: self.spreading_db() as f32,
+            tx_array_offset_x_m: offset.y as f32,
+            tx_array_offset_y_m: offset.x as f32,
+            tx_array_offset_z_m: -offset.z as f32,
+            // Right-handed about X starboard: bow up; about Y forward: starboard down.
+            head_tilt_x_rad: boresight.x.clamp(-1.0, 1.0).asin() as f32,
+            head_tilt_y_rad: (-boresight.y).atan2(boresight.z) as f32,
+            ping_state: if view.settings.pinging {
+                RemoteSettings7503::PING_ENABLED
+            } else {
+                RemoteSettings7503::PING_DISABLED
+            },
+            beam_spacing_mode: u16::from(self.sonar.beams.fan.is_some()),
+            coverage_angle_rad: self
+                .sonar
+                .beams
+                .fan
+                .as_ref()
+                .map_or(0.0, |fan| fan.sector_rad) as f32,
+            applied_frequency_hz: view.pulse.center_frequency_hz as f32,
+            ..RemoteSettings7503::default()
+        }
+    }
+
+    /// Answer to a single-record request for 7503: the settings that the next ping will obey, ping number 0.
+    pub fn current_settings_7503(&self, settings: &SonarSettings, now: UtcNs) -> Datagram {
+        let view = View {
+            settings: *settings,
+            pulse: Pulse {
+                duration_s: settings.pulse_duration_s,
+                ..self.sonar.pulse
+            },
+            ping_period_s: 0.0,
+            sound_speed_m_per_s: self.sound_speed_m_per_s,
+            absorption_db_per_m: self.absorption_db_per_m,
+        };
+        let mut bytes = Vec::new();
+        self.settings_7503(0, &view)
+            .emit(&mut bytes, &self.stamp(now));
+        Datagram {
+            record_type: 7503,
+            bytes,
+        }
+    }
+
+    /// 7001: what the sonar is, with a description of our own.
+    pub fn configuration_7001(&self, now: UtcNs) -> Datagram {
+        let module = Module {
+            identifier: self.output.device_id,
+            description: self.sonar.name.clone(),
+            alphadata_card: 0,
+            serial_number: self.sonar.serial,
+            info_xml: self.info_xml.clone(),
+        };
+        let mut bytes = Vec::new();
+        emit_7001(&mut bytes, &self.stamp(now), self.sonar.serial, &[module]);
+        Datagram {
+            record_type: 7001,
+            bytes,
+        }
+    }
+
+    /// Bits 12..=15: what is behind a fan or a line is matched filtered. Bits 16..=19: time-varying gain.
+    fn receive_flags(&self) -> u32 {
+        let beams = &self.sonar.beams;
+        let is_filtered = beams.fan.is_some() || !beams.lines.is_empty();
+        let has_tvg = self.sonar.receiver.tvg != TimeVaryingGain::None;
+        (u32::from(is_filtered) << 12) | (u32::from(has_tvg) << 16)
+    }
+
+    /// The coefficient of log10(r) in the gain law; 0 where there is no law.
+    fn spreading_db(&self) -> f64 {
+        match self.sonar.receiver.tvg {
+            TimeVaryingGain::Law { spreading, .. } => spreading,
+            TimeVaryingGain::None | TimeVaryingGain::Table(_) => 0.0,
+        }
+    }
+
+    // ------------------------------------------------------------ beams
+
+    /// -3 dB widths of the first transmit array, along and across track.
+    fn transmit_widths_rad(&self, view: &View) -> (f64, f64) {
+        let Some(transmit) = self.sonar.transmit.first() else {
+            return (std::f64::consts::TAU, std::f64::consts::TAU);
+        };
+        let (x_rad, y_rad) = match transmit.pattern {
+            Pattern::Omnidirectional => (std::f64::consts::TAU, std::f64::consts::TAU),
+            Pattern::Rectangle {
+                length_m,
+                width_m,
+                baffled,
+            } => {
+                let wavelength_m = view.wavelength_m();
+                (
+                    line_width_rad(length_m, wavelength_m, baffled),
+                    line_width_rad(width_m, wavelength_m, baffled),
+                )
+            }
+        };
+        // The array axis that lies closer to the bow is the one along track.
+        let rotation = transmit.mounting.body_from_array;
+        let (x, y) = (rotation * DVec3::X, rotation * DVec3::Y);
+        if x.x.abs() >= y.x.abs() {
+            (x_rad, y_rad)
+        } else {
+            (y_rad, x_rad)
+        }
+    }
+
+    pub fn along_track_width_rad(&self, view: &View) -> f64 {
+        self.transmit_widths_rad(view).0
+    }
+
+    /// -3 dB width of the receive beam: of a fan's middle beam across track, else of the first line's array.
+    pub fn receive_beam_width_rad(&self, plan: &PingPlan, fan: Option<&BeamFrame>) -> f64 {
+        if let Some(width_rad) = fan.and_then(|fan| fan.width_rad.get(fan.beams / 2)) {
+            return *width_rad;
+        }
+        let array = self.sonar.beams.lines.first().map_or(0, |line| line.array);
+        self.sonar.receive.get(array).map_or(0.0, |array| {
+            let length_m = array.elements as f64 * array.spacing_m;
+            line_width_rad(length_m, View::of_plan(plan).wavelength_m(), true)
+        })
+    }
+}
+
+/// -3 dB width of a uniform line source; without length, or shorter than the angle can show, all that its baffle leaves.
+fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
+    let sine = HALF_POWER * wavelength_m / length_m;
+    if length_m > 0.0 && sine < 1.0 {
+        2.0 * sine.asin()
+    } else if baffled {
+        std::f64::consts::PI
+    } else {
+        std::f64::consts::TAU
+    }
+}
+
+// ---------------------------------------------------------------- navigation
+
+/// Of the platform's reference point.
+pub fn position_1003(nav: &NavState) -> Position1003 {
+    Position1003 {
+        datum_id: 0,
+        latency_s: 0.0,
+        latitude_rad_or_northing_m: nav.latitude_rad,
+        longitude_rad_or_easting_m: nav.longitude_rad,
+        height_m: nav.height_m,
+        position_type: Position1003::GEOGRAPHIC,
+        utm_zone: 0,
+        quality_flag: u8::from(nav.fix == FixQuality::DeadReckoning),
+        positioning_method: match nav.fix {
+            FixQuality::None | FixQuality::Autonomous | FixQuality::DeadReckoning => 0,
+            FixQuality::Differential => 1,
+            FixQuality::RtkFixed => 15,
+            FixQuality::RtkFloat => 16,
+        },
+        satellites: 0,
+    }
+}
+
+/// 7k: roll port up, pitch bow up, as ours; heave up, ours is down.
+pub fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
+    RollPitchHeave1012 {
+        roll_rad: nav.roll_rad as f32,
+        pitch_rad: nav.pitch_rad as f32,
+        heave_up_m: -nav.heave_down_m as f32,
+    }
+}
+
+pub fn heading_1013(nav: &NavState) -> Heading1013 {
+    Heading1013 {
+        heading_rad: nav.heading_rad as f32,
+    }
+}
+
+/// Temperature and pressure 0: not known.
+pub fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610 {
+    SoundVelocity7610 {
+        sound_velocity_m_per_s: sound_speed_m_per_s as f32,
+        ..SoundVelocity7610::default()
+    }
+}
+
+// ---------------------------------------------------------------- 7001
+
+/// The sonar in XML of our own, SI units, body axes x forward, y starboard, z down.
+fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
+    let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
+    let pulse = &sonar.pulse;
+    let mut line = |text: std::fmt::Arguments<'_>| {
+        xml.write_fmt(text)
+            .expect("writing to a String cannot fail");
+        xml.push('\n');
+    };
+    line(format_args!(
+        "<sonar name=\"{}\" serial=\"{}\" device=\"{}\" enumerator=\"{}\" simulator=\"true\" software=\"echotank {}\">",
+        escaped(&sonar.name),
+        sonar.serial,
+        output.device_id,
+        output.enumerator,
+        env!("CARGO_PKG_VERSION")
+    ));
+    line(format_args!(
+        "  <pulse kind=\"{:?}\" center_frequency_hz=\"{}\" bandwidth_hz=\"{}\" taper=\"{}\"/>",
+        pulse.kind, pulse.center_frequency_hz, pulse.bandwidth_hz, pulse.taper
+    ));
+    line(format_args!(
+        "  <receiver sample_rate_hz=\"{}\" full_scale_v=\"{}\"/>",
+        sonar.receiver.sample_rate_hz, sonar.receiver.full_scale_v
+    ));
+    for (name, array) in sonar.transmit_names.iter().zip(&sonar.transmit) {
+        line(format_args!(
+            "  <transmit name=\"{}\" {}/>",
+            escaped(name),
+            placed(&array.mounting)
+        ));
+    }
+    for (index, (name, array)) in sonar.receive_names.iter().zip(&sonar.receive).enumerate() {
+        let first = output
+            .arrays
+            .iter()
+            .position(|&a| a == index)
+            .map(|at| -> usize {
+                output.arrays[..at]
+                    .iter()
+                    .map(|&a| sonar.receive[a].elements)
+                    .sum()
+            });
+        let column = first.map_or(String::new(), |n| format!(" first_element_7038=\"{n}\""));
+        line(format_args!(
+            "  <receive name=\"{}\" elements=\"{}\" spacing_m=\"{}\" sensitivity_db=\"{}\"{column} {}/>",
+            escaped(name),
+            array.elements,
+            array.spacing_m,
+            array.sensitivity_db,
+            placed(&array.mounting)
+        ));
+    }
+    if let Some(fan) = &sonar.beams.fan {
+        line(format_args!(
+            "  <fan beams=\"{}\" sector_rad=\"{}\"/>",
+            fan.beams, fan.sector_rad
+        ));
+    }
+    line(format_args!("</sonar>"));
+    xml
+}
+
+fn placed(mounting: &crate::flow::Mounting) -> String {
+    let (roll, pitch, yaw) = crate::frames::angles_from_rotation(mounting.body_from_array);
+    let p = mounting.position_m;
+    format!(
+        "x_m=\"{}\" y_m=\"{}\" z_m=\"{}\" roll_rad=\"{roll}\" pitch_rad=\"{pitch}\" yaw_rad=\"{yaw}\"",
+        p.x, p.y, p.z
+    )
+}
+
+/// A text within an attribute; control characters, which XML cannot hold, become blanks.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            c if c.is_control() => out.push(' '),
+            c => out.push(c),
+        }
+    }
+    out
+}

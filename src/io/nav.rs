@@ -1,1 +1,0 @@
-//! Navigation inputs: recorded logs, CSV tracks, UDP and serial ports.

@@ -1,0 +1,423 @@
+//! Live sources: one blocking thread per UDP socket or serial port, a bounded queue, and rig time.
+//!
+//! Threads hand over raw bytes with the monotonic arrival of the first one; whoever pulls decodes them. Until rig time is known they are
+//! kept as bytes, so that every sample is decoded on the timeline it belongs to.
+
+use std::collections::VecDeque;
+use std::io::Read;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{
+    AtomicBool, AtomicU64,
+    Ordering::{Acquire, Relaxed, Release},
+};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::{LiveCounters, NavOpenError, SourceCounters};
+use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
+use crate::flow::NavSample;
+use crate::nav::{NavDecoder, NavHistory};
+use crate::time::{Clock, MonoNs, NS_PER_S, Timeline};
+
+/// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
+const QUEUE: usize = 4096;
+/// Asked of the kernel for a socket, bytes: a second of a stalled pull at any navigation rate. It may give less.
+const SOCKET_BUFFER_BYTES: usize = 1 << 20;
+/// Threads look this often whether they should end.
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
+/// A vanished serial port is looked for this often.
+const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
+/// Start bit, eight data bits, stop bit.
+const BITS_PER_BYTE: i64 = 10;
+/// Navigation closer than this to the host's clock is on the host's timeline.
+const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
+/// With bytes coming but no dated message for this long, the host's clock rules.
+const PATIENCE_NS: i64 = 5 * NS_PER_S;
+
+/// Bytes as they came.
+struct Chunk {
+    /// Index into `Live::sources`.
+    source: usize,
+    /// Of the first byte.
+    mono: MonoNs,
+    bytes: Vec<u8>,
+}
+
+/// Counted by a source's thread.
+#[derive(Default)]
+struct Stats {
+    received: AtomicU64,
+    dropped_full: AtomicU64,
+    read_errors: AtomicU64,
+    reopened: AtomicU64,
+}
+
+struct LiveSource {
+    /// Index into `NavSpec::sources`.
+    index: usize,
+    name: String,
+    decoder: NavDecoder,
+    /// Looks for the first dated message while there is no timeline; none where messages do not rule.
+    scout: Option<NavDecoder>,
+    /// Between two bytes on the wire; zero for datagrams.
+    byte_ns: i64,
+    address: Option<SocketAddr>,
+    stats: Arc<Stats>,
+}
+
+pub(super) struct Live {
+    sources: Vec<LiveSource>,
+    chunks: Receiver<Chunk>,
+    clock: Arc<dyn Clock>,
+    host: Timeline,
+    timeline: Option<Timeline>,
+    /// The timeline comes from outside.
+    foreign: bool,
+    kept: VecDeque<Chunk>,
+    samples: Vec<NavSample>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Live {
+    /// `foreign`: rig time is not found here but given by `set_timeline`.
+    pub fn open(
+        spec: &NavSpec,
+        clock: Arc<dyn Clock>,
+        foreign: bool,
+    ) -> Result<Self, NavOpenError> {
+        let (sender, chunks) = bounded(QUEUE);
+        let host = Timeline::through(clock.mono(), clock.host_utc());
+        let mut live = Self {
+            sources: Vec::new(),
+            chunks,
+            clock,
+            host,
+            timeline: None,
+            foreign,
+            kept: VecDeque::new(),
+            samples: Vec::new(),
+            stop: Arc::new(AtomicBool::new(false)),
+            threads: Vec::new(),
+        };
+        for (index, source) in spec.sources.iter().enumerate() {
+            live.start(index, source, &sender)?;
+        }
+        let by_messages = live.sources.iter().any(|s| s.scout.is_some());
+        if !foreign && !by_messages {
+            live.timeline = Some(host);
+        }
+        Ok(live)
+    }
+
+    fn start(
+        &mut self,
+        index: usize,
+        spec: &NavSourceSpec,
+        sender: &Sender<Chunk>,
+    ) -> Result<(), NavOpenError> {
+        let id = u16::try_from(index).unwrap_or(u16::MAX);
+        let stats = Arc::new(Stats::default());
+        let mut source = LiveSource {
+            index,
+            name: spec.name.clone(),
+            decoder: NavDecoder::new(id, spec),
+            scout: (!matches!(spec.time, TimePolicy::Arrival { .. }))
+                .then(|| NavDecoder::new(id, spec)),
+            byte_ns: 0,
+            address: None,
+            stats: stats.clone(),
+        };
+        let outlet = Outlet {
+            source: self.sources.len(),
+            sender: sender.clone(),
+            clock: self.clock.clone(),
+            stats,
+            stop: self.stop.clone(),
+        };
+        let thread = std::thread::Builder::new().name(format!("nav {}", spec.name));
+        let started = match &spec.input {
+            NavInputSpec::Udp { listen, multicast } => {
+                let socket = open_udp(*listen, *multicast).map_err(|reason| NavOpenError::Udp {
+                    name: spec.name.clone(),
+                    listen: *listen,
+                    reason: reason.to_string(),
+                })?;
+                source.address = socket.local_addr().ok();
+                thread.spawn(move || read_udp(&socket, &outlet))
+            }
+            NavInputSpec::Serial { port, baud } => {
+                let open = open_serial(port, *baud).map_err(|reason| NavOpenError::Serial {
+                    name: spec.name.clone(),
+                    port: port.clone(),
+                    baud: *baud,
+                    reason: reason.to_string(),
+                })?;
+                source.byte_ns = BITS_PER_BYTE * NS_PER_S / i64::from((*baud).max(1));
+                let (port, baud, byte_ns) = (port.clone(), *baud, source.byte_ns);
+                thread.spawn(move || read_serial(open, &port, baud, byte_ns, &outlet))
+            }
+            NavInputSpec::Log { .. } | NavInputSpec::Csv { .. } => return Ok(()),
+        };
+        let handle = started.map_err(|reason| NavOpenError::Thread {
+            name: spec.name.clone(),
+            reason: reason.to_string(),
+        })?;
+        self.threads.push(handle);
+        self.sources.push(source);
+        Ok(())
+    }
+
+    pub fn timeline(&self) -> Option<Timeline> {
+        self.timeline
+    }
+
+    pub fn set_timeline(&mut self, timeline: Timeline) {
+        self.timeline.get_or_insert(timeline);
+    }
+
+    pub fn listening(&self) -> Vec<(String, SocketAddr)> {
+        let bound = |s: &LiveSource| Some((s.name.clone(), s.address?));
+        self.sources.iter().filter_map(bound).collect()
+    }
+
+    pub fn count(&self, counters: &mut [SourceCounters]) {
+        for source in &self.sources {
+            let Stats {
+                received,
+                dropped_full,
+                read_errors,
+                reopened,
+            } = &*source.stats;
+            counters[source.index].decoder = *source.decoder.counters();
+            counters[source.index].live = LiveCounters {
+                received: received.load(Acquire),
+                dropped_full: dropped_full.load(Relaxed),
+                read_errors: read_errors.load(Relaxed),
+                reopened: reopened.load(Relaxed),
+            };
+        }
+    }
+
+    /// Decodes what has come; keeps it while rig time is unknown.
+    pub fn pull(&mut self, history: &mut NavHistory) {
+        if self.timeline.is_none() {
+            self.keep();
+        }
+        let Some(timeline) = self.timeline else {
+            return;
+        };
+        while let Some(chunk) = self
+            .kept
+            .pop_front()
+            .or_else(|| self.chunks.try_recv().ok())
+        {
+            let source = &mut self.sources[chunk.source];
+            let samples = &mut self.samples;
+            decode(
+                &mut source.decoder,
+                &chunk,
+                source.byte_ns,
+                timeline,
+                samples,
+            );
+            for sample in samples.drain(..) {
+                history.insert(&sample);
+            }
+        }
+    }
+
+    /// Sets waiting chunks aside and looks in them for rig time.
+    fn keep(&mut self) {
+        while let Ok(chunk) = self.chunks.try_recv() {
+            let source = &mut self.sources[chunk.source];
+            if self.timeline.is_none()
+                && !self.foreign
+                && let Some(scout) = &mut source.scout
+            {
+                decode(scout, &chunk, source.byte_ns, self.host, &mut self.samples);
+                self.samples.clear();
+                self.timeline = timeline_of(scout, self.host);
+            }
+            if self.kept.len() == QUEUE {
+                let oldest = self.kept.pop_front();
+                let source = oldest.map_or(chunk.source, |c| c.source);
+                self.sources[source]
+                    .stats
+                    .dropped_full
+                    .fetch_add(1, Relaxed);
+            }
+            self.kept.push_back(chunk);
+        }
+        let waited_ns = self
+            .kept
+            .front()
+            .map_or(0, |first| self.clock.mono().0 - first.mono.0);
+        if self.timeline.is_none() && !self.foreign && waited_ns > PATIENCE_NS {
+            self.timeline = Some(self.host);
+        }
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        for thread in self.threads.drain(..) {
+            // A thread that panicked has nothing left to clean up.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Rig time from the first dated message; `None` until there is one.
+fn timeline_of(scout: &NavDecoder, host: Timeline) -> Option<Timeline> {
+    let (message, arrival) = scout.last_message_time().filter(|_| scout.is_dated())?;
+    let off_ns = message.0.saturating_sub(arrival.0).saturating_abs();
+    Some(if off_ns > HOST_TOLERANCE_NS {
+        Timeline::through(host.mono(arrival), message)
+    } else {
+        host
+    })
+}
+
+fn decode(
+    decoder: &mut NavDecoder,
+    chunk: &Chunk,
+    byte_ns: i64,
+    timeline: Timeline,
+    out: &mut Vec<NavSample>,
+) {
+    let arrival = timeline.utc(chunk.mono);
+    if byte_ns == 0 {
+        // A datagram that begins with a sentence ends whatever the one before left open; others go on with it.
+        let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
+        if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
+            decoder.flush(out);
+        }
+        decoder.push(&chunk.bytes, arrival, out);
+        return;
+    }
+    // Each sentence has the arrival of its own first byte.
+    let mut start = 0;
+    for at in 1..=chunk.bytes.len() {
+        if at == chunk.bytes.len() || matches!(chunk.bytes[at], b'$' | b'!') {
+            let first = arrival.plus_ns(start as i64 * byte_ns);
+            decoder.push(&chunk.bytes[start..at], first, out);
+            start = at;
+        }
+    }
+}
+
+/// A thread's end of the queue.
+struct Outlet {
+    source: usize,
+    sender: Sender<Chunk>,
+    clock: Arc<dyn Clock>,
+    stats: Arc<Stats>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Outlet {
+    fn stopped(&self) -> bool {
+        self.stop.load(Relaxed)
+    }
+
+    /// Just read: `bytes`, the last of which came now.
+    fn send(&self, bytes: &[u8], byte_ns: i64) {
+        let mono = self.clock.mono().plus_ns(-byte_ns * bytes.len() as i64);
+        let chunk = Chunk {
+            source: self.source,
+            mono,
+            bytes: bytes.to_vec(),
+        };
+        if self.sender.try_send(chunk).is_err() {
+            self.stats.dropped_full.fetch_add(1, Relaxed);
+        }
+        // After the queue has it: who reads the counter finds the chunk.
+        self.stats.received.fetch_add(1, Release);
+    }
+
+    /// Waits in small steps, so that stopping is not delayed.
+    fn pause(&self, time: Duration) {
+        let end = std::time::Instant::now() + time;
+        while !self.stopped() && std::time::Instant::now() < end {
+            std::thread::sleep(READ_TIMEOUT);
+        }
+    }
+}
+
+fn is_timeout(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+// ---------------------------------------------------------------- UDP
+
+fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<UdpSocket> {
+    let socket = Socket::new(
+        Domain::for_address(listen),
+        Type::DGRAM,
+        Some(Protocol::UDP),
+    )?;
+    // Other programs on this machine may listen to the same broadcast.
+    socket.set_reuse_address(true)?;
+    // What the kernel does not give is seen in its own drop counters.
+    let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
+    socket.set_read_timeout(Some(READ_TIMEOUT))?;
+    socket.bind(&listen.into())?;
+    if let Some(group) = multicast {
+        socket.join_multicast_v4(&group, &Ipv4Addr::UNSPECIFIED)?;
+    }
+    Ok(socket.into())
+}
+
+fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
+    let mut buffer = vec![0; 65_536];
+    while !outlet.stopped() {
+        match socket.recv(&mut buffer) {
+            Ok(len) => outlet.send(&buffer[..len], 0),
+            Err(error) if is_timeout(&error) => {}
+            Err(_) => {
+                outlet.stats.read_errors.fetch_add(1, Relaxed);
+                outlet.pause(READ_TIMEOUT);
+            }
+        }
+    }
+}
+
+// ---------------------------------------------------------------- serial
+
+type Port = Box<dyn serialport::SerialPort>;
+
+fn open_serial(port: &str, baud: u32) -> serialport::Result<Port> {
+    serialport::new(port, baud).timeout(READ_TIMEOUT).open()
+}
+
+fn read_serial(open: Port, path: &str, baud: u32, byte_ns: i64, outlet: &Outlet) {
+    let mut port = Some(open);
+    let mut buffer = vec![0; 4096];
+    while !outlet.stopped() {
+        let Some(open) = &mut port else {
+            outlet.pause(REOPEN_INTERVAL);
+            port = open_serial(path, baud).ok();
+            outlet
+                .stats
+                .reopened
+                .fetch_add(u64::from(port.is_some()), Relaxed);
+            continue;
+        };
+        match open.read(&mut buffer) {
+            Ok(len) if len > 0 => outlet.send(&buffer[..len], byte_ns),
+            Err(error) if is_timeout(&error) => {}
+            // No bytes without a timeout: the line hung up.
+            Ok(_) | Err(_) => {
+                outlet.stats.read_errors.fetch_add(1, Relaxed);
+                port = None;
+            }
+        }
+    }
+}

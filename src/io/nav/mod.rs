@@ -1,0 +1,219 @@
+//! Navigation inputs: recorded logs, CSV tracks, UDP and serial ports, into a [`NavHistory`].
+//!
+//! Recorded sources are read whole when opened and merged by arrival; live ones are read by one blocking thread each, and decoded by whoever
+//! pulls. A rig may have both.
+mod live;
+mod recorded;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::config::spec::{NavInputSpec, NavSpec};
+use crate::nav::log::LogCounts;
+use crate::nav::track::TrackError;
+use crate::nav::{NavCounters, NavHistory};
+use crate::time::{Clock, Timeline, UtcNs};
+
+use live::Live;
+use recorded::Recorded;
+
+/// Why the navigation cannot start.
+#[derive(Debug, Error)]
+pub enum NavOpenError {
+    #[error("nav source `{name}`: cannot read {path}: {reason}")]
+    Read {
+        name: String,
+        path: String,
+        reason: String,
+    },
+    #[error("nav source `{name}`: {path} has {bytes} bytes; at most {limit} are read")]
+    TooLarge {
+        name: String,
+        path: String,
+        bytes: u64,
+        limit: u64,
+    },
+    #[error("nav source `{name}`: {reason}")]
+    Track { name: String, reason: TrackError },
+    #[error(
+        "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without one, {} refused for it, \
+         {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides",
+        .counters.sentences, .counters.bad_checksum, .counters.missing_checksum, .counters.refused_checksum,
+        .counters.unsupported, .counters.malformed, .counters.empty_fields, .counters.not_taken
+    )]
+    NothingUsable {
+        name: String,
+        path: String,
+        counters: Box<NavCounters>,
+    },
+    #[error(
+        "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
+    )]
+    NothingToLoop,
+    #[error("nav source `{name}`: cannot listen on udp {listen}: {reason}")]
+    Udp {
+        name: String,
+        listen: SocketAddr,
+        reason: String,
+    },
+    #[error("nav source `{name}`: cannot open serial port {port} at {baud} baud: {reason}")]
+    Serial {
+        name: String,
+        port: String,
+        baud: u32,
+        reason: String,
+    },
+    #[error("nav source `{name}`: cannot start its thread: {reason}")]
+    Thread { name: String, reason: String },
+}
+
+/// Everything counted about one source.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SourceCounters {
+    pub name: String,
+    pub decoder: NavCounters,
+    pub log: LogCounts,
+    pub live: LiveCounters,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LiveCounters {
+    /// Datagrams, or reads of a serial port.
+    pub received: u64,
+    /// Of those: dropped, the queue to the decoder was full.
+    pub dropped_full: u64,
+    pub read_errors: u64,
+    /// A serial port that had vanished was found again.
+    pub reopened: u64,
+}
+
+pub struct NavInputs {
+    recorded: Option<Recorded>,
+    live: Option<Live>,
+    /// One per configured source, in the file's order.
+    counters: Vec<SourceCounters>,
+}
+
+impl NavInputs {
+    /// Opens every source. Recorded files are read and decoded here; the threads of live sources run from here on until the value is dropped.
+    pub fn open(spec: &NavSpec, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
+        let mut counters: Vec<SourceCounters> = spec
+            .sources
+            .iter()
+            .map(|s| SourceCounters {
+                name: s.name.clone(),
+                ..Default::default()
+            })
+            .collect();
+        let recorded = Recorded::open(spec, &mut counters)?;
+        let has_live = spec.sources.iter().any(|s| {
+            matches!(
+                s.input,
+                NavInputSpec::Udp { .. } | NavInputSpec::Serial { .. }
+            )
+        });
+        let live = if has_live {
+            Some(Live::open(spec, clock, recorded.is_some())?)
+        } else {
+            None
+        };
+        Ok(Self {
+            recorded,
+            live,
+            counters,
+        })
+    }
+
+    /// Arrival of the first recorded sample.
+    pub fn recorded_start(&self) -> Option<UtcNs> {
+        self.recorded.as_ref().map(Recorded::start)
+    }
+
+    /// Arrival of the last recorded sample, of the first loop where they are repeated.
+    pub fn recorded_end(&self) -> Option<UtcNs> {
+        self.recorded.as_ref().map(Recorded::end)
+    }
+
+    /// Inserts everything recorded that had arrived by `until`, and everything received live.
+    pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
+        if let Some(recorded) = &mut self.recorded {
+            while recorded
+                .next_arrival()
+                .is_some_and(|arrival| arrival <= until)
+            {
+                recorded.take(history);
+            }
+        }
+        if let Some(live) = &mut self.live {
+            live.pull(history);
+        }
+    }
+
+    /// Inserts one more recorded sample; false when there is none.
+    pub fn pull_next(&mut self, history: &mut NavHistory) -> bool {
+        match &mut self.recorded {
+            Some(recorded) if recorded.next_arrival().is_some() => {
+                recorded.take(history);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// No sample will come any more.
+    pub fn finished(&self) -> bool {
+        let recorded_ended = self
+            .recorded
+            .as_ref()
+            .is_none_or(|r| r.next_arrival().is_none());
+        self.live.is_none() && recorded_ended
+    }
+
+    /// Rig time of live sources, once known: that of the first dated message where it is more than two seconds off the host's clock, else
+    /// the host's. With recorded sources beside them it is whatever [`NavInputs::set_timeline`] says. None without live sources.
+    pub fn timeline(&self) -> Option<Timeline> {
+        self.live.as_ref().and_then(Live::timeline)
+    }
+
+    /// Gives live sources their rig time, if they have none yet; what they received before is kept and decoded with it.
+    pub fn set_timeline(&mut self, timeline: Timeline) {
+        if let Some(live) = &mut self.live {
+            live.set_timeline(timeline);
+        }
+    }
+
+    /// Bound addresses of the UDP sources, by name (a configured port of 0 is any free one).
+    pub fn listening(&self) -> Vec<(String, SocketAddr)> {
+        self.live.as_ref().map_or(Vec::new(), Live::listening)
+    }
+
+    /// A line per source.
+    pub fn lines(&mut self) -> Vec<String> {
+        let line = |s: &SourceCounters| {
+            let d = &s.decoder;
+            let mut text = format!(
+                "nav {}: {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} samples",
+                s.name, d.sentences, d.used, d.bad_checksum, d.malformed, d.unsupported, d.samples
+            );
+            let l = &s.live;
+            if *l != LiveCounters::default() {
+                text += &format!(
+                    ", {} received, {} dropped, {} read errors, {} reopened",
+                    l.received, l.dropped_full, l.read_errors, l.reopened
+                );
+            }
+            text
+        };
+        self.counters().iter().map(line).collect()
+    }
+
+    /// One entry per configured source, in the file's order.
+    pub fn counters(&mut self) -> &[SourceCounters] {
+        if let Some(live) = &self.live {
+            live.count(&mut self.counters);
+        }
+        &self.counters
+    }
+}

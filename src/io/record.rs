@@ -1,1 +1,0 @@
-//! Recorders: `.s7k`, `.npz`, `.png` and the truth file.

@@ -1,0 +1,316 @@
+//! `truth.jsonl`: what the emulator knows and a sonar has to find out. One JSON object per line and ping:
+//!
+//! | key | |
+//! |---|---|
+//! | `sonar`, `ping_number` | as in the records |
+//! | `utc`, `utc_ns`, `stamp_utc_ns` | start of the pulse; what the records are stamped with |
+//! | `pose` | of the reference point at the start of the pulse: `position_m` (north, east, down), `roll_deg`, `pitch_deg`, `heading_deg`, `heave_down_m`, `latitude_deg`, `longitude_deg`, `height_m` |
+//! | `velocity_m_per_s` | north, east, down |
+//! | `plan` | settings, pulse, window and models of this ping |
+//! | `segments` | the polyline on which its echoes were computed |
+//! | `targets` | every named target, see below |
+//!
+//! Of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse and `delay_s`
+//! = 2 range / c (geometry at one instant: the echo itself comes later or earlier by the platform's motion); `ranges_m` from every
+//! transmit array; `bearing_deg` in the horizontal, from the bow, starboard positive; `side`; `along_m`, `across_m` and `below_m` from the
+//! first transmit array in body axes (forward, starboard, down).
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use chrono::{DateTime, SecondsFormat};
+use glam::DVec3;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::{RecordError, plan_text};
+use crate::config::spec::SonarSpec;
+use crate::flow::{PingPlan, Side, Target};
+use crate::frames::{Pose, angles_from_rotation};
+
+#[derive(Serialize)]
+struct PingTruth<'a> {
+    sonar: &'a str,
+    ping_number: u32,
+    utc: String,
+    utc_ns: i64,
+    stamp_utc_ns: i64,
+    pose: PoseTruth,
+    velocity_m_per_s: [f64; 3],
+    plan: Value,
+    segments: Value,
+    targets: Vec<TargetTruth<'a>>,
+}
+
+#[derive(Serialize)]
+struct PoseTruth {
+    position_m: [f64; 3],
+    roll_deg: f64,
+    pitch_deg: f64,
+    heading_deg: f64,
+    heave_down_m: f64,
+    latitude_deg: f64,
+    longitude_deg: f64,
+    height_m: f64,
+}
+
+#[derive(Serialize)]
+struct TargetTruth<'a> {
+    name: &'a str,
+    target_strength_db: f64,
+    position_m: [f64; 3],
+    range_m: f64,
+    delay_s: f64,
+    ranges_m: Vec<f64>,
+    bearing_deg: f64,
+    side: &'static str,
+    along_m: f64,
+    across_m: f64,
+    below_m: f64,
+}
+
+/// Writes `truth.jsonl`, one line at a time.
+#[derive(Debug)]
+pub struct TruthRecorder {
+    path: PathBuf,
+    file: File,
+    line: Vec<u8>,
+}
+
+impl TruthRecorder {
+    /// Makes `dir/truth.jsonl`; the folder must exist. All sonars of a rig share one file.
+    pub fn create(dir: &Path) -> Result<Self, RecordError> {
+        Self::at(dir.join("truth.jsonl"))
+    }
+
+    fn at(path: PathBuf) -> Result<Self, RecordError> {
+        let file = File::create(&path).map_err(RecordError::io(&path, "create"))?;
+        Ok(Self {
+            path,
+            file,
+            line: Vec::new(),
+        })
+    }
+
+    /// Adds a ping of `sonar`. The line is on its way to the disk, whole, when this returns.
+    pub fn push(
+        &mut self,
+        sonar: &SonarSpec,
+        plan: &PingPlan,
+        targets: &[Target],
+    ) -> Result<(), RecordError> {
+        let truth = ping_truth(sonar, plan, targets);
+        self.line.clear();
+        serde_json::to_writer(&mut self.line, &truth)
+            .map_err(|e| RecordError::io(&self.path, "write")(e.into()))?;
+        self.line.push(b'\n');
+        self.file
+            .write_all(&self.line)
+            .map_err(RecordError::io(&self.path, "write"))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) -> PingTruth<'a> {
+    let pose = plan.trajectory.pose_at(0.0);
+    let (roll_rad, pitch_rad, heading_rad) = angles_from_rotation(pose.world_from_body);
+    PingTruth {
+        sonar: &sonar.name,
+        ping_number: plan.ping_number,
+        utc: DateTime::from_timestamp_nanos(plan.transmit_utc.0)
+            .to_rfc3339_opts(SecondsFormat::Nanos, true),
+        utc_ns: plan.transmit_utc.0,
+        stamp_utc_ns: plan.stamp_utc.0,
+        pose: PoseTruth {
+            position_m: pose.position_m.to_array(),
+            roll_deg: roll_rad.to_degrees(),
+            pitch_deg: pitch_rad.to_degrees(),
+            heading_deg: heading_rad.to_degrees(),
+            heave_down_m: plan.nav.heave_down_m,
+            latitude_deg: plan.nav.latitude_rad.to_degrees(),
+            longitude_deg: plan.nav.longitude_rad.to_degrees(),
+            height_m: plan.nav.height_m,
+        },
+        velocity_m_per_s: pose.velocity_m_per_s.to_array(),
+        plan: plan_text::plan_summary(plan),
+        segments: plan_text::segments(&plan.segments),
+        targets: targets
+            .iter()
+            .map(|target| target_truth(sonar, plan, &pose, heading_rad, target))
+            .collect(),
+    }
+}
+
+fn target_truth<'a>(
+    sonar: &SonarSpec,
+    plan: &PingPlan,
+    pose: &Pose,
+    heading_rad: f64,
+    target: &'a Target,
+) -> TargetTruth<'a> {
+    let from = |body_m: DVec3| target.position_m - pose.point_m(body_m);
+    let transmit = sonar.transmit.iter().map(|t| t.mounting.position_m);
+    let ranges_m: Vec<_> = transmit.clone().map(|t| from(t).length()).collect();
+    let offset = from(transmit.clone().next().unwrap_or(DVec3::ZERO));
+    let range_m = offset.length();
+    let body = pose.world_from_body.inverse() * offset;
+    let bearing_deg = wrap_half_turn_deg((offset.y.atan2(offset.x) - heading_rad).to_degrees());
+    let side = if bearing_deg < 0.0 {
+        Side::Port
+    } else {
+        Side::Starboard
+    };
+    TargetTruth {
+        name: &target.name,
+        target_strength_db: target.target_strength_db,
+        position_m: target.position_m.to_array(),
+        range_m,
+        delay_s: 2.0 * range_m / plan.sound_speed_m_per_s,
+        ranges_m,
+        bearing_deg,
+        side: plan_text::side(side),
+        along_m: body.x,
+        across_m: body.y,
+        below_m: body.z,
+    }
+}
+
+/// Into -180..=180.
+fn wrap_half_turn_deg(angle_deg: f64) -> f64 {
+    angle_deg - 360.0 * (angle_deg / 360.0).round()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::Segment;
+    use crate::frames::{Trajectory, rotation_from_angles};
+    use crate::io::record::testing::{plan, sonar};
+    use crate::time::UtcNs;
+
+    fn target(name: &str, position_m: DVec3) -> Target {
+        Target {
+            name: name.into(),
+            position_m,
+            target_strength_db: -20.0,
+        }
+    }
+
+    /// Heading east at 2 m/s, rolled 10 degrees, somewhere in the world.
+    fn heading_east() -> PingPlan {
+        let attitude = rotation_from_angles(10_f64.to_radians(), 0.0, 90_f64.to_radians());
+        let start = DVec3::new(100.0, -50.0, 1.0);
+        let mut plan = plan(17);
+        plan.trajectory = Trajectory::uniform(start, DVec3::new(0.0, 2.0, 0.0), attitude);
+        plan.segments = vec![Segment {
+            start_s: 0.0,
+            position_m: start,
+            velocity_m_per_s: DVec3::new(0.0, 2.0, 0.0),
+            world_from_body: attitude,
+        }];
+        plan.transmit_utc = UtcNs(1_400_000_000_250_000_000);
+        plan
+    }
+
+    fn lines(pings: &[PingPlan], targets: &[Target]) -> Vec<Value> {
+        let dir = tempfile::tempdir().expect("dir");
+        let mut truth = TruthRecorder::create(dir.path()).expect("create");
+        for plan in pings {
+            truth.push(&sonar(), plan, targets).expect("push");
+        }
+        let text = std::fs::read_to_string(truth.path()).expect("read");
+        assert!(text.ends_with('\n'));
+        text.lines()
+            .map(|l| serde_json::from_str(l).expect("each line is JSON"))
+            .collect()
+    }
+
+    #[test]
+    fn targets_lie_where_plane_geometry_puts_them() {
+        let plan = heading_east();
+        let pose = plan.trajectory.pose_at(0.0);
+        let transmit = pose.point_m(sonar().transmit[0].mounting.position_m);
+        // Heading east: north is port, south is starboard, east ahead.
+        let targets = [
+            target("port", transmit + DVec3::new(30.0, 0.0, 40.0)),
+            target("starboard bow", transmit + DVec3::new(-10.0, 10.0, 0.0)),
+            target("astern", transmit + DVec3::new(-1e-9, -5.0, 0.0)),
+        ];
+        let line = &lines(&[plan], &targets)[0];
+        let near = |got: &Value, want: f64| {
+            let got = got.as_f64().expect("a number");
+            assert!((got - want).abs() < 1e-6, "got {got} want {want}");
+        };
+        let [port, bow, astern] = [0, 1, 2].map(|i| &line["targets"][i]);
+        near(&port["range_m"], 50.0);
+        near(&port["delay_s"], 100.0 / 1500.0);
+        near(&port["bearing_deg"], -90.0);
+        assert_eq!(
+            (&port["side"], &port["name"]),
+            (&Value::from("port"), &Value::from("port"))
+        );
+        near(&port["along_m"], 0.0);
+        // Rolled starboard down by 10 degrees: what lies to port and below moves outwards in the body's axes.
+        let (sin, cos) = 10_f64.to_radians().sin_cos();
+        near(&port["across_m"], -30.0 * cos + 40.0 * sin);
+        near(&port["below_m"], 30.0 * sin + 40.0 * cos);
+        near(&bow["bearing_deg"], 45.0);
+        assert_eq!(bow["side"], "starboard");
+        near(&bow["along_m"], 10.0);
+        near(
+            &astern["bearing_deg"].as_f64().expect("number").abs().into(),
+            180.0,
+        );
+        let second = pose.point_m(sonar().transmit[1].mounting.position_m);
+        near(
+            &port["ranges_m"][1],
+            (targets[0].position_m - second).length(),
+        );
+    }
+
+    #[test]
+    fn a_line_tells_time_pose_velocity_and_plan() {
+        let line = &lines(&[heading_east()], &[])[0];
+        assert_eq!(line["sonar"], sonar().name.as_str());
+        assert_eq!(line["ping_number"], 17);
+        assert_eq!(line["utc"], "2014-05-13T16:53:20.250000000Z");
+        assert_eq!(line["utc_ns"], 1_400_000_000_250_000_000_i64);
+        let heading = line["pose"]["heading_deg"].as_f64().expect("number");
+        let roll = line["pose"]["roll_deg"].as_f64().expect("number");
+        assert!((heading - 90.0).abs() < 1e-9 && (roll - 10.0).abs() < 1e-9);
+        assert_eq!(line["velocity_m_per_s"], serde_json::json!([0.0, 2.0, 0.0]));
+        assert_eq!(line["plan"]["model"]["path"], "polyline");
+        assert_eq!(line["plan"]["sample_count"], 20);
+        assert_eq!(line["segments"][0]["velocity_m_per_s"][1], 2.0);
+    }
+
+    #[test]
+    fn equal_pings_make_equal_lines_one_per_ping() {
+        let all = lines(&[heading_east(), plan(18), heading_east()], &[]);
+        assert_eq!(all.len(), 3);
+        assert_eq!(all[0], all[2]);
+        assert_ne!(all[0], all[1]);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_missing_folder_and_a_full_disk_are_errors_that_name_the_file() {
+        let error = TruthRecorder::create(Path::new("/no/such/folder")).expect_err("no folder");
+        assert!(
+            error
+                .to_string()
+                .starts_with("/no/such/folder/truth.jsonl: cannot create"),
+            "{error}"
+        );
+        let mut full = TruthRecorder::at("/dev/full".into()).expect("opens");
+        let error = full.push(&sonar(), &plan(1), &[]).expect_err("full disk");
+        assert!(
+            error.to_string().starts_with("/dev/full: cannot write"),
+            "{error}"
+        );
+    }
+}

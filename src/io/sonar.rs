@@ -1,1 +1,0 @@
-//! Servers for the sonar protocols.

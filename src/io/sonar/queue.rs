@@ -1,0 +1,269 @@
+//! One client as the threads share it: what it wants, what waits for it, what it cost.
+
+use std::collections::VecDeque;
+use std::net::SocketAddr;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use super::{ClientCounts, ClientReport, Transport};
+use crate::emit::sevenk::RecordSet;
+use crate::emit::sevenk::session::SessionCounts;
+use crate::flow::Datagram;
+
+/// Answers that may wait for a client before it is no longer listened to (TCP) or loses them (UDP): a few dozen configurations.
+const REPLY_BYTES: usize = 256 * 1024;
+
+/// All counters are statistics: relaxed ordering throughout.
+pub(super) struct Client {
+    peer: SocketAddr,
+    transport: Transport,
+    subscribed: AtomicU32,
+    /// Wanted once, of the next ping.
+    requested: AtomicU32,
+    queue: Mutex<Queue>,
+    /// Something was queued, or the client is leaving.
+    wake: Notify,
+    /// Answers were written.
+    room: Notify,
+    leaving: AtomicBool,
+    bytes_sent: AtomicU64,
+    records_sent: AtomicU64,
+    records_dropped: AtomicU64,
+    commands: AtomicU64,
+    nacks: AtomicU64,
+    framing_errors: AtomicU64,
+}
+
+#[derive(Default)]
+struct Queue {
+    replies: VecDeque<Arc<Datagram>>,
+    records: VecDeque<Arc<Datagram>>,
+    /// Queued or being written.
+    reply_bytes: usize,
+    record_bytes: usize,
+}
+
+/// A datagram on its way; give it back with [`Client::written`].
+pub(super) struct Taken {
+    pub datagram: Arc<Datagram>,
+    is_reply: bool,
+}
+
+impl Client {
+    pub fn new(peer: SocketAddr, transport: Transport) -> Self {
+        Self {
+            peer,
+            transport,
+            subscribed: AtomicU32::new(0),
+            requested: AtomicU32::new(0),
+            queue: Mutex::new(Queue::default()),
+            wake: Notify::new(),
+            room: Notify::new(),
+            leaving: AtomicBool::new(false),
+            bytes_sent: AtomicU64::new(0),
+            records_sent: AtomicU64::new(0),
+            records_dropped: AtomicU64::new(0),
+            commands: AtomicU64::new(0),
+            nacks: AtomicU64::new(0),
+            framing_errors: AtomicU64::new(0),
+        }
+    }
+
+    /// A queue is whole between any two statements that hold the lock.
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    // ------------------------------------------------------------ wants
+
+    pub fn wants(&self) -> RecordSet {
+        self.subscribed()
+            .union(RecordSet::from_bits(self.requested.load(Ordering::Acquire)))
+    }
+
+    pub fn subscribed(&self) -> RecordSet {
+        RecordSet::from_bits(self.subscribed.load(Ordering::Acquire))
+    }
+
+    /// Sets the subscriptions, adds single requests, and takes records off the queue that are no longer wanted.
+    pub fn want(&self, subscribed: RecordSet, requested: RecordSet) {
+        let before =
+            RecordSet::from_bits(self.subscribed.swap(subscribed.bits(), Ordering::AcqRel));
+        self.requested.fetch_or(requested.bits(), Ordering::AcqRel);
+        let ended = before.without(subscribed);
+        if !ended.is_empty() {
+            let mut queue = self.lock();
+            let mut freed = 0;
+            queue.records.retain(|datagram| {
+                let stays = !ended.contains(datagram.record_type);
+                if !stays {
+                    freed += datagram.bytes.len();
+                }
+                stays
+            });
+            queue.record_bytes -= freed;
+        }
+    }
+
+    // ------------------------------------------------------------ queue in
+
+    /// Queues those of `records` that the client wants and that fit.
+    pub fn offer(&self, records: &[Arc<Datagram>], limit_bytes: usize) {
+        let wants = self.wants();
+        if wants.is_empty() {
+            return;
+        }
+        let mut queue = self.lock();
+        let mut queued = false;
+        for datagram in records {
+            if !wants.contains(datagram.record_type) {
+                continue;
+            }
+            let len = datagram.bytes.len();
+            let fits = queue.record_bytes == 0 || queue.record_bytes + len <= limit_bytes;
+            if !fits {
+                self.records_dropped.fetch_add(1, Ordering::Relaxed);
+                continue;
+            }
+            queue.record_bytes += len;
+            queue.records.push_back(Arc::clone(datagram));
+            let once = RecordSet::of(&[datagram.record_type]);
+            self.requested.fetch_and(!once.bits(), Ordering::AcqRel);
+            queued = true;
+        }
+        drop(queue);
+        if queued {
+            self.wake.notify_one();
+        }
+    }
+
+    /// Queues an answer ahead of the records.
+    pub fn reply(&self, datagram: Arc<Datagram>) {
+        let mut queue = self.lock();
+        if self.transport == Transport::Udp && queue.reply_bytes > REPLY_BYTES {
+            self.records_dropped.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        queue.reply_bytes += datagram.bytes.len();
+        queue.replies.push_back(datagram);
+        drop(queue);
+        self.wake.notify_one();
+    }
+
+    /// Returns once the answers that wait are few enough for more commands.
+    pub async fn room_for_replies(&self) {
+        while self.lock().reply_bytes > REPLY_BYTES {
+            self.room.notified().await;
+        }
+    }
+
+    // ------------------------------------------------------------ queue out
+
+    pub fn take(&self) -> Option<Taken> {
+        let mut queue = self.lock();
+        if let Some(datagram) = queue.replies.pop_front() {
+            return Some(Taken {
+                datagram,
+                is_reply: true,
+            });
+        }
+        let datagram = queue.records.pop_front()?;
+        Some(Taken {
+            datagram,
+            is_reply: false,
+        })
+    }
+
+    /// Waits until there may be something to take, or the client is leaving.
+    pub async fn woken(&self) {
+        self.wake.notified().await;
+    }
+
+    /// `wire_bytes`: as sent, or why it was lost.
+    pub fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
+        match wire_bytes {
+            Some(bytes) => {
+                self.bytes_sent.fetch_add(bytes as u64, Ordering::Relaxed);
+                self.records_sent.fetch_add(1, Ordering::Relaxed);
+            }
+            None => {
+                self.records_dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+        // The pool may have the buffer back before the client is seen to have room.
+        let len = taken.datagram.bytes.len();
+        drop(taken.datagram);
+        let mut queue = self.lock();
+        if taken.is_reply {
+            queue.reply_bytes -= len;
+        } else {
+            queue.record_bytes -= len;
+        }
+        drop(queue);
+        if taken.is_reply {
+            self.room.notify_one();
+        }
+    }
+
+    // ------------------------------------------------------------ leaving
+
+    /// The client has closed: what waits for it is written, nothing more comes.
+    pub fn leave(&self) {
+        self.subscribed.store(0, Ordering::Release);
+        self.requested.store(0, Ordering::Release);
+        self.leaving.store(true, Ordering::Release);
+        self.wake.notify_one();
+    }
+
+    pub fn is_leaving(&self) -> bool {
+        self.leaving.load(Ordering::Acquire)
+    }
+
+    /// The last word on a client: its counts, with what is still queued as unsent.
+    pub fn close(&self) -> ClientCounts {
+        let mut queue = self.lock();
+        let unsent = queue.replies.len() + queue.records.len();
+        *queue = Queue::default();
+        drop(queue);
+        ClientCounts {
+            records_unsent: unsent as u64,
+            ..self.counts()
+        }
+    }
+
+    // ------------------------------------------------------------ counts
+
+    pub fn note(&self, session: SessionCounts) {
+        self.commands.store(session.commands, Ordering::Relaxed);
+        self.nacks.store(session.nacks, Ordering::Relaxed);
+        self.framing_errors
+            .store(session.framing_errors, Ordering::Relaxed);
+    }
+
+    fn counts(&self) -> ClientCounts {
+        ClientCounts {
+            bytes_sent: self.bytes_sent.load(Ordering::Relaxed),
+            records_sent: self.records_sent.load(Ordering::Relaxed),
+            records_dropped: self.records_dropped.load(Ordering::Relaxed),
+            records_unsent: 0,
+            commands: self.commands.load(Ordering::Relaxed),
+            nacks: self.nacks.load(Ordering::Relaxed),
+            framing_errors: self.framing_errors.load(Ordering::Relaxed),
+        }
+    }
+
+    pub fn report(&self) -> ClientReport {
+        let queue = self.lock();
+        let queued_bytes = queue.reply_bytes + queue.record_bytes;
+        drop(queue);
+        ClientReport {
+            peer: self.peer,
+            transport: self.transport,
+            subscribed: self.subscribed(),
+            queued_bytes,
+            counts: self.counts(),
+        }
+    }
+}

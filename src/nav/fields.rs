@@ -1,0 +1,108 @@
+//! The comma-separated fields of a sentence, and the numbers, times and angles in them.
+
+use super::sentence::Refusal::{self, Malformed};
+use crate::time::NS_PER_S;
+
+/// Fields looked at; the sentences decoded here have at most 16.
+const MAX_FIELDS: usize = 32;
+
+/// The comma-separated fields of a sentence; field 0 is the address. Absent fields read as empty.
+pub struct Fields<'a> {
+    text: [&'a str; MAX_FIELDS],
+    pub count: usize,
+}
+
+impl<'a> Fields<'a> {
+    pub fn split(body: &'a str) -> Self {
+        let mut fields = Self {
+            text: [""; MAX_FIELDS],
+            count: 0,
+        };
+        for (slot, text) in fields.text.iter_mut().zip(body.split(',')) {
+            *slot = text.trim();
+            fields.count += 1;
+        }
+        fields
+    }
+
+    pub fn text(&self, i: usize) -> &'a str {
+        self.text[i]
+    }
+
+    /// `None` where the field is empty.
+    pub fn number(&self, i: usize) -> Result<Option<f64>, Refusal> {
+        if self.text(i).is_empty() {
+            return Ok(None);
+        }
+        match self.text(i).parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(Some(number)),
+            _ => Err(Malformed),
+        }
+    }
+
+    /// hhmmss or hhmmss.sss to nanoseconds since midnight, exactly.
+    pub fn time_of_day(&self, i: usize) -> Result<Option<i64>, Refusal> {
+        if self.text(i).is_empty() {
+            return Ok(None);
+        }
+        time_of_day_ns(self.text(i)).map(Some).ok_or(Malformed)
+    }
+
+    /// Four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W, in degrees.
+    pub fn position(&self, i: usize) -> Result<Option<(f64, f64)>, Refusal> {
+        let (Some(latitude), Some(longitude)) = (self.number(i)?, self.number(i + 2)?) else {
+            return Ok(None);
+        };
+        let degrees = |value: f64| {
+            let whole = (value / 100.0).floor();
+            let minutes = value - whole * 100.0;
+            (value >= 0.0 && minutes < 60.0).then_some(whole + minutes / 60.0)
+        };
+        let sign = |text: &str, plus: &str, minus: &str| match text {
+            t if t == plus => Some(1.0),
+            t if t == minus => Some(-1.0),
+            _ => None,
+        };
+        let north = sign(self.text(i + 1), "N", "S").ok_or(Malformed)?;
+        let east = sign(self.text(i + 3), "E", "W").ok_or(Malformed)?;
+        Ok(Some((
+            north * degrees(latitude).ok_or(Malformed)?,
+            east * degrees(longitude).ok_or(Malformed)?,
+        )))
+    }
+
+    /// ddmmyy.
+    pub fn day_month_year(&self, i: usize) -> Result<(u32, u32, i32), Refusal> {
+        let text = self.text(i);
+        if text.len() != 6 || !text.bytes().all(|b| b.is_ascii_digit()) {
+            return Err(Malformed);
+        }
+        let two = |at: usize| text[at..at + 2].parse::<u32>().map_err(|_| Malformed);
+        Ok((two(0)?, two(2)?, two(4)? as i32))
+    }
+}
+
+/// hhmmss[.fraction] as nanoseconds since midnight, exact to nine decimals; second 60 is accepted.
+pub fn time_of_day_ns(text: &str) -> Option<i64> {
+    let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
+    let digits = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
+    if whole.len() != 6 || !digits(whole) || !digits(fraction) {
+        return None;
+    }
+    let two = |at: usize| whole[at..at + 2].parse::<i64>().ok();
+    let (hour, minute, second) = (two(0)?, two(2)?, two(4)?);
+    if hour > 23 || minute > 59 || second > 60 {
+        return None;
+    }
+    let nanos = fraction_ns(fraction);
+    Some(((hour * 60 + minute) * 60 + second) * NS_PER_S + nanos)
+}
+
+/// Decimal digits after a point, as nanoseconds; digits beyond the ninth are cut.
+pub fn fraction_ns(digits: &str) -> i64 {
+    let padded = digits
+        .bytes()
+        .map(|b| i64::from(b - b'0'))
+        .chain(std::iter::repeat(0));
+    padded.take(9).fold(0, |ns, digit| ns * 10 + digit)
+}

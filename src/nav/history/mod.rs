@@ -1,0 +1,401 @@
+//! Samples to motion: per-channel rings, and the platform's state and trajectory at a ping.
+//!
+//! - The first source of the file that provides a channel owns it; nobody else's samples are taken.
+//! - Positions are reduced from the antenna to the body's reference point each at its own time: between two fixes the antenna sways with the
+//!   roll, the reference point does not. So [`crate::frames::Trajectory::lever_arm_m`] leaves here as zero.
+//! - Attitude knots lie at the roll-pitch samples; heading is interpolated there the short way round. Without roll and pitch they lie at the
+//!   heading samples.
+//! - A loop seam is a gap: nothing is interpolated across it.
+//! - Not modelled: smoothing, fail-over, outliers other than speed.
+
+mod motion;
+
+use glam::DVec3;
+use thiserror::Error;
+
+use super::geodesy::LocalTangentPlane;
+use super::ring::{Inserted, Knot, Ring};
+use crate::config::spec::{NavChannel, NavInputSpec, NavSpec, OriginSpec, VerticalSpec};
+use crate::flow::{FixQuality, NavQuantity, NavSample};
+use crate::frames::VectorKnot;
+use crate::time::{NS_PER_S, UtcNs};
+
+/// Below this speed, metres per second, course is noise: the last one is kept.
+const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
+/// Seams remembered; a loop shorter than a sixteenth of the history forgets its oldest.
+const MAX_SEAMS: usize = 16;
+
+/// Why there is no state at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum NavGap {
+    #[error("no {0:?} at or before the ping")]
+    NoData(NavChannel),
+    /// Measured from the window's end.
+    #[error("the newest {channel:?} is {age_s:.3} s old")]
+    Stale { channel: NavChannel, age_s: f64 },
+    #[error("{gap_s:.1} s between two samples of {channel:?}")]
+    Hole { channel: NavChannel, gap_s: f64 },
+    #[error("the window lies across the seam of the repeated log")]
+    Seam,
+    #[error("two positions imply {speed_m_per_s:.0} m/s")]
+    TooFast { speed_m_per_s: f64 },
+}
+
+/// Whether a window can be settled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coverage {
+    /// More samples will not change the state.
+    Ready,
+    Waiting,
+    /// This channel has nothing at or before the window's start, and waiting will not bring it.
+    Missing(NavChannel),
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HistoryCounts {
+    pub inserted: u64,
+    /// Of those: valid before a sample already there.
+    pub out_of_order: u64,
+    /// Of those: valid before the last ping asked for.
+    pub late: u64,
+    /// Dropped: the channel has a sample of this time.
+    pub duplicates: u64,
+    /// Dropped: another source owns the channel.
+    pub not_owned: u64,
+    /// Dropped: a position without the height that `nav.vertical` needs.
+    pub no_vertical: u64,
+    /// States refused.
+    pub no_data: u64,
+    pub stale: u64,
+    pub holes: u64,
+    pub seams: u64,
+    pub too_fast: u64,
+}
+
+/// Where heading comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum HeadingFrom {
+    Sensor,
+    Course,
+    Track,
+    Nowhere,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Owner {
+    source: u16,
+    /// A track in a file: its points are joined however far apart.
+    sparse: bool,
+}
+
+pub struct NavHistory {
+    vertical: VerticalSpec,
+    heading_from: HeadingFrom,
+    max_extrapolation_s: f64,
+    depth_ns: i64,
+    lever_arm_m: DVec3,
+    owners: [Option<Owner>; 5],
+    rings: [Ring; 5],
+    plane: Option<LocalTangentPlane>,
+    first_fix_m: Option<DVec3>,
+    seams: Vec<UtcNs>,
+    last_ping: UtcNs,
+    counts: HistoryCounts,
+    /// Scratch: heading in `value.x`, unwrapped.
+    heading: Vec<VectorKnot>,
+}
+
+impl NavHistory {
+    pub fn new(spec: &NavSpec) -> Self {
+        let owners = ALL_CHANNELS.map(|channel| {
+            let i = spec
+                .sources
+                .iter()
+                .position(|s| s.provides.contains(&channel))?;
+            Some(Owner {
+                source: u16::try_from(i).ok()?,
+                sparse: matches!(spec.sources[i].input, NavInputSpec::Csv { .. }),
+            })
+        });
+        let owns = |channel: NavChannel| owners[index(channel)].is_some();
+        let heading_from = if owns(NavChannel::Heading) {
+            HeadingFrom::Sensor
+        } else if !spec.fallback_heading_from_course {
+            HeadingFrom::Nowhere
+        } else if owns(NavChannel::CourseSpeed) {
+            HeadingFrom::Course
+        } else {
+            HeadingFrom::Track
+        };
+        let antenna = owners[index(NavChannel::Position)].map(|o| usize::from(o.source));
+        Self {
+            vertical: spec.vertical,
+            heading_from,
+            max_extrapolation_s: spec.max_extrapolation_s,
+            depth_ns: (spec.history_s * NS_PER_S as f64) as i64,
+            lever_arm_m: antenna.map_or(DVec3::ZERO, |i| spec.sources[i].lever_arm_m),
+            owners,
+            rings: Default::default(),
+            plane: match spec.origin {
+                OriginSpec::Geodetic {
+                    latitude_rad,
+                    longitude_rad,
+                } => Some(LocalTangentPlane::new(latitude_rad, longitude_rad)),
+                OriginSpec::FirstFix => None,
+            },
+            first_fix_m: None,
+            seams: Vec::new(),
+            last_ping: UtcNs(i64::MIN),
+            counts: HistoryCounts::default(),
+            heading: Vec::new(),
+        }
+    }
+
+    /// The world's plane: configured, or set by the first position (a local track alone lies at latitude 0, longitude 0).
+    pub fn origin(&self) -> Option<LocalTangentPlane> {
+        self.plane
+    }
+
+    /// The first position taken, antenna, world metres.
+    pub fn first_fix_local(&self) -> Option<DVec3> {
+        self.first_fix_m
+    }
+
+    /// The first instant at which every channel that a ping needs has a sample; none while one of them is silent.
+    pub fn first_usable_utc(&self) -> Option<UtcNs> {
+        let mut first = UtcNs(i64::MIN);
+        for channel in self.needed() {
+            first = first.max(self.ring(channel).oldest()?);
+        }
+        Some(first)
+    }
+
+    /// Channels that a ping needs and that have been silent so far.
+    pub fn silent(&self) -> Vec<NavChannel> {
+        self.needed()
+            .filter(|&channel| self.ring(channel).oldest().is_none())
+            .collect()
+    }
+
+    fn needed(&self) -> impl Iterator<Item = NavChannel> {
+        let optional = [
+            (NavChannel::RollPitch, self.owns(NavChannel::RollPitch)),
+            (NavChannel::Heave, self.uses_heave()),
+        ];
+        let used = optional.into_iter().filter(|(_, used)| *used);
+        [NavChannel::Position, self.heading_channel().0]
+            .into_iter()
+            .chain(used.map(|(channel, _)| channel))
+    }
+
+    pub fn counts(&self) -> &HistoryCounts {
+        &self.counts
+    }
+
+    /// From here on samples belong to another run of a repeated log.
+    pub fn seam(&mut self, at: UtcNs) {
+        if self.seams.len() == MAX_SEAMS {
+            self.seams.remove(0);
+        }
+        self.seams.push(at);
+    }
+
+    pub fn insert(&mut self, sample: &NavSample) {
+        let channel = channel_of(&sample.quantity);
+        if self.owners[index(channel)].is_none_or(|o| o.source != sample.source) {
+            self.counts.not_owned += 1;
+            return;
+        }
+        let (value, fix) = match sample.quantity {
+            NavQuantity::Position {
+                latitude_rad,
+                longitude_rad,
+                height_m,
+                fix,
+            } => {
+                let Some(down_m) = self.down_m(height_m, None) else {
+                    self.counts.no_vertical += 1;
+                    return;
+                };
+                let plane = self
+                    .plane
+                    .get_or_insert_with(|| LocalTangentPlane::new(latitude_rad, longitude_rad));
+                let (north_m, east_m) = plane.local_m(latitude_rad, longitude_rad);
+                (DVec3::new(north_m, east_m, down_m), fix)
+            }
+            NavQuantity::LocalPosition {
+                north_m,
+                east_m,
+                down_m,
+            } => {
+                let Some(down_m) = self.down_m(None, Some(down_m)) else {
+                    self.counts.no_vertical += 1;
+                    return;
+                };
+                self.plane
+                    .get_or_insert_with(|| LocalTangentPlane::new(0.0, 0.0));
+                (DVec3::new(north_m, east_m, down_m), FixQuality::Autonomous)
+            }
+            NavQuantity::CourseSpeed {
+                course_rad,
+                speed_m_per_s,
+            } => (
+                DVec3::new(self.steady_course(course_rad, speed_m_per_s), 0.0, 0.0),
+                FixQuality::None,
+            ),
+            NavQuantity::Heading { heading_rad } => {
+                (DVec3::new(heading_rad, 0.0, 0.0), FixQuality::None)
+            }
+            NavQuantity::RollPitch {
+                roll_rad,
+                pitch_rad,
+            } => (DVec3::new(roll_rad, pitch_rad, 0.0), FixQuality::None),
+            NavQuantity::Heave { heave_down_m } => {
+                (DVec3::new(0.0, 0.0, heave_down_m), FixQuality::None)
+            }
+        };
+        if channel == NavChannel::Position {
+            self.first_fix_m.get_or_insert(value);
+        }
+        let knot = Knot {
+            utc: sample.valid_utc,
+            value,
+            fix,
+        };
+        match self.rings[index(channel)].insert(knot, self.depth_ns) {
+            Inserted::Duplicate => {
+                self.counts.duplicates += 1;
+                return;
+            }
+            Inserted::OutOfOrder => self.counts.out_of_order += 1,
+            Inserted::AtTheEnd => {}
+        }
+        self.counts.inserted += 1;
+        self.counts.late += u64::from(sample.valid_utc < self.last_ping);
+    }
+
+    /// World down of a position sample (of the antenna, unless the waterline rules); none if the sample does not say.
+    fn down_m(&self, height_m: Option<f64>, local_down_m: Option<f64>) -> Option<f64> {
+        match self.vertical {
+            VerticalSpec::Waterline { reference_down_m } => Some(reference_down_m),
+            VerticalSpec::Gnss { datum_offset_m } => height_m
+                .map(|h| -h)
+                .or(local_down_m)
+                .map(|down| down + datum_offset_m),
+            VerticalSpec::Depth => local_down_m,
+        }
+    }
+
+    fn steady_course(&self, course_rad: f64, speed_m_per_s: f64) -> f64 {
+        match self.rings[index(NavChannel::CourseSpeed)].last() {
+            Some(before) if speed_m_per_s < MIN_COURSE_SPEED_M_PER_S => before.value.x,
+            _ => course_rad,
+        }
+    }
+
+    fn ring(&self, channel: NavChannel) -> &Ring {
+        &self.rings[index(channel)]
+    }
+
+    fn owns(&self, channel: NavChannel) -> bool {
+        self.owners[index(channel)].is_some()
+    }
+
+    fn uses_heave(&self) -> bool {
+        self.owns(NavChannel::Heave) && matches!(self.vertical, VerticalSpec::Waterline { .. })
+    }
+
+    fn has_arm(&self) -> bool {
+        self.lever_arm_m != DVec3::ZERO
+    }
+
+    /// The channel heading is made of, and how many knots past a time it takes to settle it there.
+    fn heading_channel(&self) -> (NavChannel, usize) {
+        match self.heading_from {
+            HeadingFrom::Sensor | HeadingFrom::Nowhere => (NavChannel::Heading, 2),
+            HeadingFrom::Course => (NavChannel::CourseSpeed, 2),
+            // A course knot is a slope, which takes one neighbour more.
+            HeadingFrom::Track => (NavChannel::Position, 3),
+        }
+    }
+
+    /// Whether everything that shapes the motion over `from..=to` is there. A knot's slope needs the knot after it, so each channel needs two
+    /// knots at or after its end; and the channels lean on one another: positions on attitude (lever arm), attitude on heading.
+    pub fn coverage(&self, from: UtcNs, to: UtcNs) -> Coverage {
+        let mut waiting = false;
+        let mut missing = None;
+        // Time of the `ahead`-th knot at or after `to`.
+        let mut reach = |channel: NavChannel, to: UtcNs, ahead: usize| -> UtcNs {
+            let ring = self.ring(channel);
+            if ring.oldest().is_some_and(|oldest| oldest > from) {
+                missing = missing.or(Some(channel));
+            }
+            let reach = ring.nth_at_or_after(to, ahead);
+            waiting |= reach.is_none();
+            reach.unwrap_or(to)
+        };
+        let position_to = reach(NavChannel::Position, to, 2);
+        if self.uses_heave() {
+            reach(NavChannel::Heave, to, 2);
+        }
+        // What the next channel must reach, and whose knots ask for it; none: the window itself.
+        let (mut needed_to, mut asking) = match self.has_arm() {
+            true => (position_to, Some(NavChannel::Position)),
+            false => (to, None),
+        };
+        if self.owns(NavChannel::RollPitch) {
+            let ahead = self.knots_ahead(NavChannel::RollPitch, 2, asking, needed_to);
+            needed_to = reach(NavChannel::RollPitch, needed_to, ahead);
+            asking = Some(NavChannel::RollPitch);
+        }
+        let (heading, ahead) = self.heading_channel();
+        let ahead = self.knots_ahead(heading, ahead, asking, needed_to);
+        reach(heading, needed_to, ahead);
+        match (missing, waiting) {
+            (Some(channel), _) => Coverage::Missing(channel),
+            (None, true) => Coverage::Waiting,
+            (None, false) => Coverage::Ready,
+        }
+    }
+
+    /// One knot less is enough where `channel` has a knot at the very time it is asked for and is asked for nothing between its last two
+    /// knots: there no slope matters. So it is when one sentence gives both.
+    fn knots_ahead(
+        &self,
+        channel: NavChannel,
+        ahead: usize,
+        asking: Option<NavChannel>,
+        to: UtcNs,
+    ) -> usize {
+        let Some(asking) = asking.map(|a| self.ring(a)) else {
+            return ahead;
+        };
+        let just_before = to.plus_ns(-1);
+        let before = |ring: &Ring| ring.last_at_or_before(just_before).map(|k| k.utc);
+        let ring = self.ring(channel);
+        let meets = ring.nth_at_or_after(to, 1) == Some(to) && before(ring) >= before(asking);
+        if meets { ahead - 1 } else { ahead }
+    }
+}
+
+const ALL_CHANNELS: [NavChannel; 5] = [
+    NavChannel::Position,
+    NavChannel::CourseSpeed,
+    NavChannel::Heading,
+    NavChannel::RollPitch,
+    NavChannel::Heave,
+];
+
+fn index(channel: NavChannel) -> usize {
+    channel as usize
+}
+
+fn channel_of(quantity: &NavQuantity) -> NavChannel {
+    match quantity {
+        NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => NavChannel::Position,
+        NavQuantity::CourseSpeed { .. } => NavChannel::CourseSpeed,
+        NavQuantity::Heading { .. } => NavChannel::Heading,
+        NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
+        NavQuantity::Heave { .. } => NavChannel::Heave,
+    }
+}

@@ -1,0 +1,167 @@
+//! When a reading holds. Comes in: time fields and arrivals. Goes out: full UTC instants, and the time of a burst for sentences without one.
+//!
+//! Only ZDA and RMC carry a date; the others carry a time of day that wraps at midnight. A day is chosen as the one nearest to where the
+//! message clock should be by now (before any date: nearest to the arrival).
+
+use super::sentence::Reading;
+use crate::time::{NS_PER_S, UtcNs};
+
+const DAY_NS: i64 = 86_400 * NS_PER_S;
+/// A pause in the arrivals longer than this ends a burst: a Seapath at 1 Hz pauses up to 0.13 s inside one and 0.76 s between two.
+const BURST_GAP_NS: i64 = NS_PER_S / 4;
+/// A message time farther than this from where it should be is doubted.
+const JUMP_NS: i64 = 10 * NS_PER_S;
+/// So many doubted messages that agree with one another are believed.
+const JUMP_CONFIRMATIONS: u32 = 3;
+
+/// What a message's time came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stamp {
+    /// The message has no time.
+    None,
+    At(UtcNs),
+    /// The time jumped; do not use the message.
+    Jumped,
+}
+
+#[derive(Debug, Default)]
+pub struct MessageClock {
+    dated: bool,
+    last: Option<(UtcNs, UtcNs)>,
+    last_sentence: Option<UtcNs>,
+    burst: Option<UtcNs>,
+    doubt: Option<(i64, u32)>,
+}
+
+impl MessageClock {
+    /// Every sentence of the source passes here first, understood or not: pauses between them part the bursts.
+    pub fn arrived(&mut self, arrival: UtcNs) {
+        if let Some(before) = self.last_sentence
+            && arrival.0.saturating_sub(before.0) > BURST_GAP_NS
+        {
+            self.burst = None;
+        }
+        self.last_sentence = Some(arrival);
+    }
+
+    /// Time of the last sentence with a time in the current burst.
+    pub fn burst(&self) -> Option<UtcNs> {
+        self.burst
+    }
+
+    /// The last believed message time and its arrival.
+    pub fn last(&self) -> Option<(UtcNs, UtcNs)> {
+        self.last
+    }
+
+    /// A full date has been seen.
+    pub fn is_dated(&self) -> bool {
+        self.dated
+    }
+
+    pub fn stamp(&mut self, reading: &Reading, arrival: UtcNs) -> Stamp {
+        let Some(time_of_day_ns) = reading.time_of_day_ns else {
+            return Stamp::None;
+        };
+        let expected = match self.last {
+            Some((message, at)) => message.plus_ns(arrival.0.saturating_sub(at.0).max(0)),
+            None => arrival,
+        };
+        let message = match reading.day_ns {
+            Some(day) => UtcNs(day.saturating_add(time_of_day_ns)),
+            None => nearest_day(time_of_day_ns, expected),
+        };
+        let first_date = reading.day_ns.is_some() && !self.dated;
+        if self.last.is_some() && !first_date && self.doubts(message, expected, arrival) {
+            return Stamp::Jumped;
+        }
+        self.dated |= reading.day_ns.is_some();
+        self.last = Some((message, arrival));
+        self.burst = Some(message);
+        Stamp::At(message)
+    }
+
+    fn doubts(&mut self, message: UtcNs, expected: UtcNs, arrival: UtcNs) -> bool {
+        if message.0.saturating_sub(expected.0).saturating_abs() <= JUMP_NS {
+            self.doubt = None;
+            return false;
+        }
+        let offset = message.0.saturating_sub(arrival.0);
+        let seen = match self.doubt {
+            Some((before, seen)) if offset.saturating_sub(before).saturating_abs() <= JUMP_NS => {
+                seen + 1
+            }
+            _ => 1,
+        };
+        self.doubt = (seen < JUMP_CONFIRMATIONS).then_some((offset, seen));
+        seen < JUMP_CONFIRMATIONS
+    }
+}
+
+/// The instant with this time of day that lies nearest to `reference`.
+pub fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
+    let midnight = reference.0.saturating_sub(reference.0.rem_euclid(DAY_NS));
+    let same_day = midnight.saturating_add(time_of_day_ns);
+    let away = same_day.saturating_sub(reference.0);
+    let days = if away > DAY_NS / 2 {
+        -1
+    } else if away < -DAY_NS / 2 {
+        1
+    } else {
+        0
+    };
+    UtcNs(same_day.saturating_add(days * DAY_NS))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nav::sentence::decode;
+
+    fn reading(body: &str) -> Reading {
+        decode(body, &mut String::new()).expect("decodes")
+    }
+    const D: i64 = 1_406_851_200 * NS_PER_S; // 2014-08-01
+
+    #[test]
+    fn midnight_passes_in_either_direction() {
+        let mut clock = MessageClock::default();
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        let rmc = reading("INRMC,235959.50,A,2200.1,S,01756.3,W,9.1,215.11,310714,24.7,W,A");
+        assert_eq!(clock.stamp(&rmc, at(0.2)), Stamp::At(at(-0.5)));
+        let late = reading("INGGA,000000.50,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,");
+        assert_eq!(clock.stamp(&late, at(0.7)), Stamp::At(at(0.5)));
+        let early = reading("INGGA,235959.90,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,");
+        assert_eq!(clock.stamp(&early, at(0.9)), Stamp::At(at(-0.1)));
+    }
+
+    #[test]
+    fn a_single_wild_date_is_doubted_and_three_in_a_row_are_believed() {
+        let mut clock = MessageClock::default();
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        let zda = |year: i32, s: i32| reading(&format!("INZDA,0000{s:02}.00,01,08,{year},,"));
+        assert_eq!(clock.stamp(&zda(2014, 1), at(1.1)), Stamp::At(at(1.0)));
+        assert_eq!(clock.stamp(&zda(2080, 2), at(2.1)), Stamp::Jumped);
+        assert_eq!(clock.stamp(&zda(2014, 3), at(3.1)), Stamp::At(at(3.0)));
+        assert_eq!(clock.stamp(&zda(2015, 4), at(4.1)), Stamp::Jumped);
+        assert_eq!(clock.stamp(&zda(2015, 5), at(5.1)), Stamp::Jumped);
+        let year = 365.0 * 86400.0;
+        assert_eq!(
+            clock.stamp(&zda(2015, 6), at(6.1)),
+            Stamp::At(at(6.0 + year))
+        );
+    }
+
+    #[test]
+    fn a_pause_ends_the_burst() {
+        let mut clock = MessageClock::default();
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        clock.arrived(at(0.28));
+        let zda = reading("INZDA,000000.17,01,08,2014,,");
+        clock.stamp(&zda, at(0.28));
+        clock.arrived(at(0.52));
+        assert_eq!(clock.burst(), Some(at(0.17)));
+        clock.arrived(at(1.28));
+        assert_eq!(clock.burst(), None);
+    }
+}

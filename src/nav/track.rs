@@ -1,0 +1,266 @@
+//! CSV tracks. Comes in: text with the header [`HEADER`]. Goes out: local positions, attitudes and headings.
+//!
+//! `time_s` is UTC, seconds since 1970 in plain decimals, taken digit by digit to the nanosecond; times increase strictly.
+//! Empty lines and lines that start with `#` are passed over.
+
+use thiserror::Error;
+
+use super::fields::fraction_ns;
+use crate::config::spec::NavChannel;
+use crate::flow::{NavQuantity, NavSample};
+use crate::time::{NS_PER_S, UtcNs};
+
+pub const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
+const COLUMNS: [&str; 7] = [
+    "time_s",
+    "north_m",
+    "east_m",
+    "down_m",
+    "roll_deg",
+    "pitch_deg",
+    "heading_deg",
+];
+
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum TrackError {
+    #[error("{file}:{line}: the header must be `{HEADER}`, found `{found}`")]
+    Header {
+        file: String,
+        line: usize,
+        found: String,
+    },
+    #[error("{file}:{line}: column `{column}`: `{value}` {rule}")]
+    Value {
+        file: String,
+        line: usize,
+        column: &'static str,
+        value: String,
+        rule: &'static str,
+    },
+    #[error("{file}:{line}: {found} columns, the header has 7")]
+    Columns {
+        file: String,
+        line: usize,
+        found: usize,
+    },
+    #[error("{file}: a track needs at least two points, found {found}")]
+    TooShort { file: String, found: usize },
+}
+
+/// Samples of a track, three per line (position, attitude, heading) or fewer if `provides` says so; arrival = validity.
+/// `file` is named in errors.
+pub fn read_track(
+    text: &str,
+    file: &str,
+    source: u16,
+    provides: &[NavChannel],
+) -> Result<Vec<NavSample>, TrackError> {
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .map(|(i, line)| (i + 1, line.trim_start_matches('\u{feff}').trim()))
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    let (header_line, header) = lines.next().unwrap_or((1, ""));
+    if !header.split(',').map(str::trim).eq(COLUMNS) {
+        return Err(TrackError::Header {
+            file: file.to_string(),
+            line: header_line,
+            found: header.to_string(),
+        });
+    }
+    let mut samples = Vec::new();
+    let mut points = 0;
+    let mut before = None;
+    for (line, text) in lines {
+        let (time, row) = read_row(text, file, line)?;
+        if before.is_some_and(|b| time <= b) {
+            return Err(TrackError::Value {
+                file: file.to_string(),
+                line,
+                column: COLUMNS[0],
+                value: text.split(',').next().unwrap_or("").to_string(),
+                rule: "is not after the line before",
+            });
+        }
+        before = Some(time);
+        points += 1;
+        push_row(time, &row, source, provides, &mut samples);
+    }
+    if points < 2 {
+        return Err(TrackError::TooShort {
+            file: file.to_string(),
+            found: points,
+        });
+    }
+    Ok(samples)
+}
+
+fn push_row(
+    time: UtcNs,
+    row: &[f64; 6],
+    source: u16,
+    provides: &[NavChannel],
+    samples: &mut Vec<NavSample>,
+) {
+    let [north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg] = *row;
+    let quantities = [
+        (
+            NavChannel::Position,
+            NavQuantity::LocalPosition {
+                north_m,
+                east_m,
+                down_m,
+            },
+        ),
+        (
+            NavChannel::RollPitch,
+            NavQuantity::RollPitch {
+                roll_rad: roll_deg.to_radians(),
+                pitch_rad: pitch_deg.to_radians(),
+            },
+        ),
+        (
+            NavChannel::Heading,
+            NavQuantity::Heading {
+                heading_rad: heading_deg.rem_euclid(360.0).to_radians(),
+            },
+        ),
+    ];
+    for (channel, quantity) in quantities {
+        if provides.contains(&channel) {
+            samples.push(NavSample {
+                source,
+                valid_utc: time,
+                arrival_utc: time,
+                quantity,
+            });
+        }
+    }
+}
+
+fn read_row(text: &str, file: &str, line: usize) -> Result<(UtcNs, [f64; 6]), TrackError> {
+    let found = text.split(',').count();
+    if found != COLUMNS.len() {
+        return Err(TrackError::Columns {
+            file: file.to_string(),
+            line,
+            found,
+        });
+    }
+    let refuse = |column: usize, value: &str, rule| TrackError::Value {
+        file: file.to_string(),
+        line,
+        column: COLUMNS[column],
+        value: value.to_string(),
+        rule,
+    };
+    let mut time = UtcNs(0);
+    let mut row = [0.0; 6];
+    for (column, value) in text.split(',').map(str::trim).enumerate() {
+        if column == 0 {
+            time = seconds_to_ns(value).ok_or_else(|| {
+                refuse(
+                    0,
+                    value,
+                    "is not a time: UTC seconds since 1970 in plain decimals",
+                )
+            })?;
+            continue;
+        }
+        let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
+        let number = number.ok_or_else(|| refuse(column, value, "is not a finite number"))?;
+        if let Some(rule) = out_of_range(column, number) {
+            return Err(refuse(column, value, rule));
+        }
+        row[column - 1] = number;
+    }
+    Ok((time, row))
+}
+
+fn out_of_range(column: usize, number: f64) -> Option<&'static str> {
+    let (limit, rule) = match column {
+        1 | 2 => (1.0e6, "is beyond the local plane (1000 km)"),
+        3 => (12_000.0, "is beyond any ocean (12 km)"),
+        4 => (180.0, "is not a roll (-180..180 degrees)"),
+        5 => (90.0, "is not a pitch (-90..90 degrees)"),
+        _ => (720.0, "is not a heading (degrees)"),
+    };
+    (number.abs() > limit).then_some(rule)
+}
+
+/// Plain decimal seconds to nanoseconds, digit by digit; digits beyond the ninth decimal are cut.
+fn seconds_to_ns(text: &str) -> Option<UtcNs> {
+    let (negative, digits) = match text.strip_prefix('-') {
+        Some(rest) => (true, rest),
+        None => (false, text),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let plain = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
+    if whole.is_empty() || !plain(whole) || !plain(fraction) {
+        return None;
+    }
+    let ns = whole
+        .parse::<i64>()
+        .ok()?
+        .checked_mul(NS_PER_S)?
+        .checked_add(fraction_ns(fraction))?;
+    Some(UtcNs(if negative { -ns } else { ns }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [NavChannel; 3] = [
+        NavChannel::Position,
+        NavChannel::RollPitch,
+        NavChannel::Heading,
+    ];
+    fn read(rows: &str) -> Result<Vec<NavSample>, TrackError> {
+        read_track(&format!("{HEADER}\n{rows}"), "t.csv", 3, &ALL)
+    }
+
+    #[test]
+    fn times_are_exact_to_the_nanosecond() {
+        let samples =
+            read("1406851200.123456789,1,2,3,0,0,90\n1406851200.2,1,2,3,0,0,-90\n").expect("reads");
+        assert_eq!(samples[0].valid_utc, UtcNs(1_406_851_200_123_456_789));
+        assert_eq!(samples[3].valid_utc, UtcNs(1_406_851_200_200_000_000));
+        assert_eq!(samples.len(), 6);
+        let NavQuantity::Heading { heading_rad } = samples[5].quantity else {
+            panic!("a heading")
+        };
+        assert!((heading_rad.to_degrees() - 270.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn errors_name_file_line_column_value_and_rule() {
+        let message = |rows: &str| read(rows).expect_err("refused").to_string();
+        assert_eq!(
+            message("0,1,2,3,0,0,0\n1,1,x,3,0,0,0\n"),
+            "t.csv:3: column `east_m`: `x` is not a finite number"
+        );
+        assert_eq!(
+            message("1e3,1,2,3,0,0,0\n"),
+            "t.csv:2: column `time_s`: `1e3` is not a time: UTC seconds since 1970 in plain decimals"
+        );
+        assert_eq!(
+            message("# a note\n1,1,2,3,0,0,0\n1,1,2,3,0,0,0\n"),
+            "t.csv:4: column `time_s`: `1` is not after the line before"
+        );
+        assert_eq!(
+            message("1,1,2,3,0,91,0\n"),
+            "t.csv:2: column `pitch_deg`: `91` is not a pitch (-90..90 degrees)"
+        );
+        assert_eq!(message("1,1,2,3\n"), "t.csv:2: 4 columns, the header has 7");
+        assert_eq!(
+            message("1,1,2,3,0,0,0\n"),
+            "t.csv: a track needs at least two points, found 1"
+        );
+        let header = read_track("time,north\n", "t.csv", 0, &ALL).expect_err("refused");
+        assert_eq!(
+            header.to_string(),
+            format!("t.csv:1: the header must be `{HEADER}`, found `time,north`")
+        );
+    }
+}

@@ -1,0 +1,97 @@
+//! What happened, in numbers: printed every few seconds and at the end, and the same for `replay`.
+
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::flow::{EchoCounts, NavState};
+
+/// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
+#[derive(Debug, Default)]
+pub struct PingCounters {
+    pub made: AtomicU64,
+    /// Navigation did not cover the ping in time.
+    pub skipped_nav: AtomicU64,
+    /// The deadline had passed before the ping could be computed.
+    pub skipped_late: AtomicU64,
+    /// More pings waited than the queue holds.
+    pub skipped_queue: AtomicU64,
+    /// Delivered, but after the deadline.
+    pub deadline_misses: AtomicU64,
+    /// Worst lateness of a delivery, microseconds.
+    pub worst_late_us: AtomicU64,
+    /// Age of the newest position or attitude sample behind the last ping, milliseconds; interpolated pings have 0.
+    pub nav_age_ms: AtomicU64,
+    /// Sum and worst of the time `compute_ping` took, microseconds.
+    pub compute_us: AtomicU64,
+    pub worst_compute_us: AtomicU64,
+    pub samples_saturated: AtomicU64,
+    pub arrivals: AtomicU64,
+    pub culled: AtomicU64,
+    pub extrapolated: AtomicU64,
+}
+
+pub fn add(counter: &AtomicU64, n: u64) {
+    counter.fetch_add(n, Ordering::Relaxed);
+}
+
+pub fn worst(counter: &AtomicU64, n: u64) {
+    counter.fetch_max(n, Ordering::Relaxed);
+}
+
+fn read(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
+}
+
+impl PingCounters {
+    pub fn ping(&self, counts: &EchoCounts, saturated: u64, compute_us: u64) {
+        add(&self.made, 1);
+        add(&self.arrivals, counts.used);
+        add(&self.culled, counts.culled);
+        add(&self.samples_saturated, saturated);
+        add(&self.compute_us, compute_us);
+        worst(&self.worst_compute_us, compute_us);
+    }
+
+    /// Where the navigation behind a ping came from in time.
+    pub fn nav(&self, state: &NavState) {
+        let age_s = state.position_age_s.max(state.attitude_age_s).max(0.0);
+        self.nav_age_ms
+            .store((age_s * 1e3) as u64, Ordering::Relaxed);
+        add(&self.extrapolated, u64::from(state.extrapolated));
+    }
+
+    /// For `replay`, which has no clock.
+    pub fn replay_line(&self) -> String {
+        format!(
+            "{} pings made, {} skipped (navigation), {} samples saturated",
+            read(&self.made),
+            read(&self.skipped_nav),
+            read(&self.samples_saturated)
+        )
+    }
+
+    pub fn skipped(&self) -> u64 {
+        read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
+    }
+}
+
+impl fmt::Display for PingCounters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let made = read(&self.made);
+        write!(
+            f,
+            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} samples saturated",
+            self.skipped(),
+            read(&self.skipped_nav),
+            read(&self.skipped_late),
+            read(&self.skipped_queue),
+            read(&self.deadline_misses),
+            read(&self.worst_late_us) as f64 / 1e3,
+            read(&self.compute_us) as f64 / 1e3 / made.max(1) as f64,
+            read(&self.worst_compute_us) as f64 / 1e3,
+            read(&self.nav_age_ms),
+            read(&self.extrapolated),
+            read(&self.samples_saturated),
+        )
+    }
+}

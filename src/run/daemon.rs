@@ -1,0 +1,512 @@
+//! The daemon: pings paced in real time on absolute deadlines.
+//!
+//! ```text
+//! pipeline thread                          delivery thread                    server threads (tokio)
+//!   nav in -> orders at t_tx -> compute ->   records -> wait for deadline ->    clients, each with its own queue
+//!        ^------------- free slots ------------'
+//! ```
+//!
+//! The life of a ping: ordered at its instant `t_tx` with the settings then in force; computed when the navigation covers its window (or
+//! by prediction); delivered at `t_tx + window + latency`. What comes later than that is a deadline miss; what cannot come at all is
+//! skipped, with a reason and a counter, and keeps its number.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::thread;
+
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use thiserror::Error;
+
+use crate::config::spec::{NavMode, RigSpec, StampSpec};
+use crate::io::nav::NavInputs;
+use crate::io::sonar::RigTime;
+use crate::nav::Coverage;
+use crate::ping::{PingOrder, Schedule};
+use crate::run::counters::{PingCounters, add, worst};
+use crate::run::outputs::{OutputError, Outputs};
+use crate::run::rig::{PingSlot, Rig, RigError, pool};
+use crate::run::settings::SettingsStore;
+use crate::time::{Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
+
+/// Longest the pipeline sleeps when it waits for something that no clock announces (a live sample, a free slot).
+const POLL_NS: i64 = 2_000_000;
+/// With recorded navigation the first ping is due this long after the start: time to open the doors and to compute it.
+const FIRST_PING_AFTER_NS: i64 = 500_000_000;
+
+/// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
+const MOST_ORDERS: usize = 1000;
+
+#[derive(Debug, Error)]
+pub enum DaemonError {
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    #[error("could not start a thread: {0}")]
+    Thread(std::io::Error),
+    #[error("could not start the threads that compute pings: {0}")]
+    Pool(#[from] rayon::ThreadPoolBuildError),
+    #[error("a thread of the daemon ended in a panic; this is a bug")]
+    Panic,
+}
+
+/// A ping on its way out.
+struct Delivery {
+    slot: Box<PingSlot>,
+    deadline: MonoNs,
+}
+
+/// An order with its sonar and the last instant at which its ping is of use.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    sonar: usize,
+    order: PingOrder,
+    window_s: f64,
+    deadline: MonoNs,
+}
+
+/// A daemon that has opened everything it needs.
+pub struct Daemon {
+    clock: Arc<dyn Clock>,
+    pool: rayon::ThreadPool,
+    rig: Rig,
+    inputs: NavInputs,
+    outputs: Outputs,
+    settings: Vec<Arc<SettingsStore>>,
+    counters: Vec<Arc<PingCounters>>,
+    timeline: Arc<OnceLock<Timeline>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Daemon {
+    /// Opens the scene, the navigation and the outputs. `stop` ends [`Daemon::run`] when it becomes true.
+    pub fn open(
+        spec: &RigSpec,
+        threads: usize,
+        clock: Arc<dyn Clock>,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, DaemonError> {
+        let pool = pool(threads)?;
+        let rig = pool.install(|| Rig::open(spec))?;
+        let inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
+        let settings: Vec<_> = spec
+            .sonars
+            .iter()
+            .map(|sonar| {
+                Arc::new(SettingsStore::new(
+                    sonar.settings,
+                    sonar.limits,
+                    clock.clone(),
+                ))
+            })
+            .collect();
+        let timeline = Arc::new(OnceLock::new());
+        let outputs = Outputs::open(
+            &rig,
+            &settings,
+            &wire_time(spec.nav.stamp, &clock, &timeline),
+        )?;
+        let counters = spec
+            .sonars
+            .iter()
+            .map(|_| Arc::new(PingCounters::default()))
+            .collect();
+        Ok(Self {
+            clock,
+            pool,
+            rig,
+            inputs,
+            outputs,
+            settings,
+            counters,
+            timeline,
+            stop,
+        })
+    }
+
+    /// What it listens to and where to connect, a line each.
+    pub fn describe(&self) -> Vec<String> {
+        let mut lines: Vec<String> = self
+            .inputs
+            .listening()
+            .iter()
+            .map(|(name, address)| format!("nav {name} udp {address}"))
+            .collect();
+        lines.extend(self.outputs.addresses());
+        lines
+    }
+
+    /// Pings until `stop`, or until every recorded source has ended. `status` gets the counters, a few lines of text, every
+    /// `run.status_interval_s` and once at the end.
+    pub fn run(self, mut status: impl FnMut(&str)) -> Result<(), DaemonError> {
+        let Self {
+            clock,
+            pool,
+            rig,
+            inputs,
+            outputs,
+            settings,
+            counters,
+            timeline,
+            stop,
+        } = self;
+        let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
+        let slots = rig.spec.run.queue_pings;
+        let (to_delivery, deliveries) = bounded::<Delivery>(slots);
+        // One row of slots per sonar: they differ in size.
+        let (free, slot_pools): (Vec<_>, Vec<_>) = (0..rig.sonars.len())
+            .map(|_| bounded::<Box<PingSlot>>(slots))
+            .unzip();
+        for (sonar, free) in free.iter().enumerate() {
+            for _ in 0..slots {
+                // Cannot fail: the channel holds exactly this many.
+                let _ = free.try_send(Box::new(rig.slot(sonar)));
+            }
+        }
+        let nav_lines = Arc::new(Mutex::new(Vec::new()));
+        let reports = outputs.reports();
+        let names: Vec<String> = rig
+            .spec
+            .sonars
+            .iter()
+            .map(|sonar| sonar.name.clone())
+            .collect();
+        let finished = Arc::new(AtomicBool::new(false));
+        let pacer = Pacer {
+            schedules: Vec::new(),
+            waiting: VecDeque::with_capacity(MOST_ORDERS),
+            rig,
+            inputs,
+            settings,
+            counters: counters.clone(),
+            clock: clock.clone(),
+            stop: stop.clone(),
+            spare: vec![None; slot_pools.len()],
+            slot_pools,
+            to_delivery,
+            timeline,
+            nav_lines: nav_lines.clone(),
+            next_nav_lines: MonoNs(0),
+        };
+        let delivery_clock = clock.clone();
+        let delivery_counters = counters.clone();
+        let delivery = thread::Builder::new()
+            .name("delivery".into())
+            .spawn(move || {
+                deliver(
+                    outputs,
+                    &deliveries,
+                    &free,
+                    &*delivery_clock,
+                    &delivery_counters,
+                )
+            })
+            .map_err(DaemonError::Thread)?;
+        let done = finished.clone();
+        let pipeline = thread::Builder::new()
+            .name("pipeline".into())
+            .spawn(move || {
+                // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
+                pool.install(move || pacer.run());
+                done.store(true, Ordering::Release);
+            })
+            .map_err(DaemonError::Thread)?;
+        let report = || {
+            let mut lines = Vec::new();
+            for (name, counters) in names.iter().zip(&counters) {
+                lines.push(format!("sonar {name}: {counters}"));
+            }
+            lines.extend(
+                nav_lines
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .iter()
+                    .cloned(),
+            );
+            lines.extend(reports.lines());
+            lines.join("\n")
+        };
+        let mut next_status = clock.mono().plus_ns(status_interval_ns);
+        while !finished.load(Ordering::Acquire) {
+            clock.sleep_until(clock.mono().plus_ns(20_000_000).min(next_status));
+            if clock.mono() >= next_status {
+                status(&report());
+                next_status = next_status.plus_ns(status_interval_ns);
+            }
+        }
+        pipeline.join().map_err(|_| DaemonError::Panic)?;
+        let closed = delivery.join().map_err(|_| DaemonError::Panic)?;
+        status(&report());
+        closed.map_err(DaemonError::Output)
+    }
+}
+
+/// What answers are stamped with: the same clock as the pings.
+fn wire_time(
+    stamp: StampSpec,
+    clock: &Arc<dyn Clock>,
+    timeline: &Arc<OnceLock<Timeline>>,
+) -> RigTime {
+    let (clock, timeline) = (clock.clone(), timeline.clone());
+    Arc::new(move || match (stamp, timeline.get()) {
+        (StampSpec::Log, Some(timeline)) => timeline.utc(clock.mono()),
+        _ => clock.host_utc(),
+    })
+}
+
+/// Turns the passing of time into orders, and orders into pings.
+struct Pacer {
+    rig: Rig,
+    inputs: NavInputs,
+    settings: Vec<Arc<SettingsStore>>,
+    counters: Vec<Arc<PingCounters>>,
+    clock: Arc<dyn Clock>,
+    stop: Arc<AtomicBool>,
+    /// One per sonar, once the first ping's instant is known.
+    schedules: Vec<Schedule>,
+    /// In order of `t_tx`.
+    waiting: VecDeque<Waiting>,
+    slot_pools: Vec<Receiver<Box<PingSlot>>>,
+    /// One per sonar: a slot whose ping was skipped.
+    spare: Vec<Option<Box<PingSlot>>>,
+    to_delivery: Sender<Delivery>,
+    /// Read by whoever stamps answers.
+    timeline: Arc<OnceLock<Timeline>>,
+    /// The navigation's counters as text, renewed every second for whoever prints.
+    nav_lines: Arc<Mutex<Vec<String>>>,
+    next_nav_lines: MonoNs,
+}
+
+/// What became of the order at the front.
+enum Step {
+    /// It was made or skipped.
+    Done,
+    /// Something must come first; look again at this instant at the latest.
+    Wait(MonoNs),
+}
+
+impl Pacer {
+    fn run(mut self) {
+        let Some(timeline) = self.start() else { return };
+        // Set once, here; whoever asked before got the host's time.
+        let timeline = *self.timeline.get_or_init(|| timeline);
+        self.inputs.set_timeline(timeline);
+        while !self.stop.load(Ordering::Acquire) {
+            let now = self.clock.mono();
+            let utc = timeline.utc(now);
+            self.inputs.pull(utc, &mut self.rig.history);
+            self.renew_nav_lines(now);
+            self.order(utc, &timeline);
+            let wait_until = match self.waiting.front().copied() {
+                Some(front) => match self.step(&front, now, &timeline) {
+                    Step::Done => {
+                        self.waiting.pop_front();
+                        continue;
+                    }
+                    Step::Wait(until) => until,
+                },
+                None if self.inputs.finished() => return,
+                None => now.plus_ns(50 * POLL_NS),
+            };
+            let next_order = self
+                .schedules
+                .iter()
+                .map(|s| timeline.mono(s.next_utc()))
+                .min();
+            self.clock
+                .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
+        }
+    }
+
+    /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
+    fn start(&mut self) -> Option<Timeline> {
+        let run = &self.rig.spec.run;
+        let latency_ns = (run.latency_s * NS_PER_S as f64) as i64;
+        let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
+        if self.inputs.recorded_start().is_some() {
+            // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
+            // leaves at once.
+            let first = loop {
+                if let Some(first) = self.rig.history.first_usable_utc() {
+                    break first;
+                }
+                if self.stop.load(Ordering::Acquire)
+                    || !self.inputs.pull_next(&mut self.rig.history)
+                {
+                    return None;
+                }
+            };
+            self.schedules =
+                vec![Schedule::starting_at(first, sound_speed_m_per_s); self.rig.sonars.len()];
+            let window_ns = self
+                .rig
+                .sonars
+                .iter()
+                .map(|unit| {
+                    (crate::ping::window_s(&unit.spec.settings, sound_speed_m_per_s)
+                        * NS_PER_S as f64) as i64
+                })
+                .max()
+                .unwrap_or(0);
+            return Some(Timeline::through(
+                self.clock.mono().plus_ns(FIRST_PING_AFTER_NS),
+                first.plus_ns(window_ns + latency_ns),
+            ));
+        }
+        while !self.stop.load(Ordering::Acquire) {
+            let now = self.clock.mono();
+            self.inputs.pull(UtcNs(i64::MAX), &mut self.rig.history);
+            if let (Some(timeline), Some(first)) =
+                (self.inputs.timeline(), self.rig.history.first_usable_utc())
+            {
+                let first = first.max(timeline.utc(now));
+                self.schedules =
+                    vec![Schedule::starting_at(first, sound_speed_m_per_s); self.rig.sonars.len()];
+                return Some(timeline);
+            }
+            self.clock.sleep_until(now.plus_ns(POLL_NS));
+        }
+        None
+    }
+
+    fn renew_nav_lines(&mut self, now: MonoNs) {
+        if now >= self.next_nav_lines {
+            self.next_nav_lines = now.plus_ns(NS_PER_S);
+            *self
+                .nav_lines
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner) = self.inputs.lines();
+        }
+    }
+
+    /// Freezes every ping whose instant has come.
+    fn order(&mut self, utc: UtcNs, timeline: &Timeline) {
+        let latency_s = self.rig.spec.run.latency_s;
+        for sonar in 0..self.schedules.len() {
+            let settings = self.settings[sonar].clone();
+            while let Some(order) =
+                self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
+            {
+                if self.waiting.len() >= MOST_ORDERS {
+                    add(&self.counters[sonar].skipped_queue, 1);
+                    continue;
+                }
+                let window_s = self.rig.window_s(sonar, &order);
+                let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+                let place = self
+                    .waiting
+                    .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
+                self.waiting.insert(
+                    place,
+                    Waiting {
+                        sonar,
+                        order,
+                        window_s,
+                        deadline,
+                    },
+                );
+            }
+        }
+    }
+
+    fn step(&mut self, front: &Waiting, now: MonoNs, timeline: &Timeline) -> Step {
+        let Waiting {
+            sonar,
+            order,
+            window_s,
+            deadline,
+        } = *front;
+        let mode = self.rig.spec.nav.mode;
+        let covered = match mode {
+            NavMode::Predict => true,
+            NavMode::Settle => {
+                matches!(
+                    self.rig
+                        .history
+                        .coverage(order.transmit_utc, order.transmit_utc.plus_s(window_s)),
+                    Coverage::Ready
+                )
+            }
+        };
+        if now >= deadline {
+            add(
+                if covered {
+                    &self.counters[sonar].skipped_late
+                } else {
+                    &self.counters[sonar].skipped_nav
+                },
+                1,
+            );
+            return Step::Done;
+        }
+        if !covered {
+            return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
+        }
+        let Some(mut slot) = self.spare[sonar]
+            .take()
+            .or_else(|| self.slot_pools[sonar].try_recv().ok())
+        else {
+            return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
+        };
+        let host_now = self.clock.host_utc();
+        let host_utc = host_now.plus_ns(timeline.mono(order.transmit_utc).0 - self.clock.mono().0);
+        let counters = &self.counters[sonar];
+        match self.rig.make(sonar, &order, mode, host_utc, &mut slot) {
+            Ok(()) => {
+                let output = &slot.output;
+                let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
+                counters.ping(
+                    &output.counts,
+                    saturated,
+                    (self.clock.mono().0 - now.0).max(0) as u64 / 1000,
+                );
+                counters.nav(&slot.plan.nav);
+                // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
+                if let Err(TrySendError::Disconnected(_)) =
+                    self.to_delivery.try_send(Delivery { slot, deadline })
+                {
+                    self.stop.store(true, Ordering::Release);
+                }
+            }
+            Err(_gap) => {
+                add(&counters.skipped_nav, 1);
+                self.spare[sonar] = Some(slot);
+            }
+        }
+        Step::Done
+    }
+}
+
+/// Encodes each ping while it waits, and hands its records over at the deadline.
+fn deliver(
+    mut outputs: Outputs,
+    deliveries: &Receiver<Delivery>,
+    free: &[Sender<Box<PingSlot>>],
+    clock: &dyn Clock,
+    counters: &[Arc<PingCounters>],
+) -> Result<(), OutputError> {
+    let mut first_error = None;
+    for Delivery { slot, deadline } in deliveries {
+        let sonar = slot.plan.sonar;
+        outputs.encode(&slot);
+        let _ = free[sonar].try_send(slot);
+        clock.sleep_until(deadline);
+        let late_us = (clock.mono().0 - deadline.0).max(0) as u64 / 1000;
+        worst(&counters[sonar].worst_late_us, late_us);
+        if late_us > DEADLINE_TOLERANCE_US {
+            add(&counters[sonar].deadline_misses, 1);
+        }
+        // A recorder that fails (a full disk) is reported once; the topsides go on.
+        if let Err(error) = outputs.deliver(sonar) {
+            eprintln!("echotank: {error}");
+            first_error.get_or_insert(error);
+        }
+    }
+    outputs.close()?;
+    first_error.map_or(Ok(()), Err)
+}
+
+/// Later than this is a miss, microseconds: what an ordinary kernel's timers may be late under load (p99 measured 3.2 ms) without
+/// anything being wrong with the ping.
+const DEADLINE_TOLERANCE_US: u64 = 5_000;

@@ -1,0 +1,206 @@
+//! What leaves the house live: one server per configured output, and the recorder behind it.
+
+use std::sync::Arc;
+
+use chrono::DateTime;
+use thiserror::Error;
+
+use crate::config::spec::{OutputSpec, RigSpec, SonarSpec};
+use crate::emit::sevenk::records::DeviceSheet;
+use crate::emit::sevenk::{RecordSet, SevenKEmitter};
+use crate::flow::{Datagram, SettingsPort};
+use crate::io::record::s7k::S7kRecorder;
+use crate::io::record::{RecordError, make_folder};
+use crate::io::sonar::{OpenError, RigTime, SonarServer};
+use crate::run::recorders::begin_s7k;
+use crate::run::rig::{PingSlot, Rig};
+use crate::run::settings::SettingsStore;
+use crate::time::UtcNs;
+
+#[derive(Debug, Error)]
+pub enum OutputError {
+    #[error("output {name}: {source}")]
+    Server { name: String, source: OpenError },
+    #[error(transparent)]
+    Record(#[from] RecordError),
+}
+
+/// One 7k output of one sonar.
+struct SevenK {
+    sonar: usize,
+    name: String,
+    emitter: SevenKEmitter,
+    server: Arc<SonarServer>,
+    recorder: Option<S7kRecorder>,
+    /// Records of the ping that waits for its deadline.
+    pending: Vec<Arc<Datagram>>,
+}
+
+/// All outputs of a rig; belongs to the delivery thread.
+pub struct Outputs {
+    sevenk: Vec<SevenK>,
+}
+
+/// Reads the servers' counters from another thread.
+pub struct OutputReports {
+    servers: Vec<(String, Arc<SonarServer>)>,
+}
+
+impl Outputs {
+    pub fn open(
+        rig: &Rig,
+        settings: &[Arc<SettingsStore>],
+        rig_time: &RigTime,
+    ) -> Result<Self, OutputError> {
+        let spec: &RigSpec = &rig.spec;
+        let mut sevenk = Vec::new();
+        for (sonar, unit) in rig.sonars.iter().enumerate() {
+            for output in &unit.spec.outputs {
+                let OutputSpec::SevenK(output) = output;
+                let sheet = Arc::new(DeviceSheet::new(
+                    output,
+                    &unit.spec,
+                    spec.medium.sound_speed_m_per_s,
+                    unit.absorption_db_per_m,
+                ));
+                let port: Arc<dyn SettingsPort> = settings[sonar].clone();
+                let server = SonarServer::start(output, sheet.clone(), port, rig_time.clone())
+                    .map_err(|source| OutputError::Server {
+                        name: unit.spec.name.clone(),
+                        source,
+                    })?;
+                let recorder = match &spec.record {
+                    None => None,
+                    Some(record) => {
+                        make_folder(&record.directory)?;
+                        Some(begin_s7k(
+                            &record.directory.join(file_name(&unit.spec, rig_time())),
+                            &sheet,
+                            rig_time(),
+                        )?)
+                    }
+                };
+                sevenk.push(SevenK {
+                    sonar,
+                    name: unit.spec.name.clone(),
+                    emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
+                    server: Arc::new(server),
+                    recorder,
+                    pending: Vec::new(),
+                });
+            }
+        }
+        Ok(Self { sevenk })
+    }
+
+    /// One line per output: `7k NAME tcp ADDRESS`.
+    pub fn addresses(&self) -> Vec<String> {
+        self.sevenk
+            .iter()
+            .map(|out| format!("7k {} tcp {} (udp too)", out.name, out.server.local_addr()))
+            .collect()
+    }
+
+    pub fn reports(&self) -> OutputReports {
+        OutputReports {
+            servers: self
+                .sevenk
+                .iter()
+                .map(|out| (out.name.clone(), out.server.clone()))
+                .collect(),
+        }
+    }
+
+    /// Makes the records of a ping that somebody wants.
+    pub fn encode(&mut self, slot: &PingSlot) {
+        for out in self
+            .sevenk
+            .iter_mut()
+            .filter(|out| out.sonar == slot.plan.sonar)
+        {
+            let recorded = if out.recorder.is_some() {
+                RecordSet::ALL
+            } else {
+                RecordSet::EMPTY
+            };
+            out.pending.clear();
+            out.emitter.emit_ping(
+                &slot.plan,
+                &slot.output,
+                out.server.wanted().union(recorded),
+                &mut out.pending,
+            );
+        }
+    }
+
+    /// Hands over what [`Self::encode`] made for this sonar. The clients get theirs whatever becomes of the recorder.
+    pub fn deliver(&mut self, sonar: usize) -> Result<(), OutputError> {
+        let mut outcome = Ok(());
+        for out in self.sevenk.iter_mut().filter(|out| out.sonar == sonar) {
+            out.server.deliver(&out.pending);
+            if let Some(recorder) = &mut out.recorder {
+                for record in &out.pending {
+                    if let Err(error) = recorder.write(&record.bytes) {
+                        outcome = Err(error.into());
+                        break;
+                    }
+                }
+                if outcome.is_err() {
+                    // What was written is closed and kept; nothing more is tried.
+                    out.recorder = None;
+                }
+            }
+            out.pending.clear();
+        }
+        outcome
+    }
+
+    /// Closes the recorders. The servers close when the last handle goes.
+    pub fn close(self) -> Result<(), OutputError> {
+        for out in self.sevenk {
+            if let Some(recorder) = out.recorder {
+                recorder.close()?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `NAME-20140801T000010.s7k`: one run's recording does not overwrite another's.
+fn file_name(spec: &SonarSpec, utc: UtcNs) -> String {
+    let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
+    format!("{}-{stamp}.s7k", spec.name)
+}
+
+impl OutputReports {
+    /// A line per client, and one for those that have gone.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (name, server) in &self.servers {
+            let report = server.report();
+            let totals = report.totals();
+            lines.push(format!(
+                "7k {name}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
+                report.clients.len(),
+                report.admitted,
+                report.refused,
+                totals.bytes_sent as f64 / 1e6,
+                totals.commands,
+                totals.nacks,
+                totals.framing_errors,
+            ));
+            for client in &report.clients {
+                lines.push(format!(
+                    "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
+                    client.transport,
+                    client.peer,
+                    client.counts.bytes_sent as f64 / 1e6,
+                    client.counts.records_sent,
+                    client.counts.records_dropped,
+                    client.queued_bytes as f64 / 1e6,
+                ));
+            }
+        }
+        lines
+    }
+}

@@ -1,0 +1,212 @@
+//! The files of a replay: `truth.jsonl` always, the rest as asked.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
+
+use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
+use crate::emit::sevenk::records::DeviceSheet;
+use crate::emit::sevenk::{RecordSet, SevenKEmitter};
+use crate::flow::{Datagram, PingPlan, Target};
+use crate::image::waterfall::{Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::io::record::npz::NpzRecorder;
+use crate::io::record::png::write_waterfall;
+use crate::io::record::s7k::S7kRecorder;
+use crate::io::record::truth::TruthRecorder;
+use crate::io::record::{RecordError, make_folder};
+use crate::run::replay::{Formats, ReplayOptions};
+use crate::run::rig::{PingSlot, Rig};
+use crate::time::UtcNs;
+
+/// Columns of a waterfall on each side, at most: a picture that fits a screen twice over.
+const WATERFALL_COLUMNS: f64 = 1000.0;
+
+/// 7k device identifier of a side-scan of no particular make.
+const GENERIC_SIDE_SCAN: u32 = 104;
+
+/// Files of one sonar.
+struct SonarFiles {
+    spec: SonarSpec,
+    folder: PathBuf,
+    s7k: Option<S7k>,
+    npz: Option<NpzRecorder>,
+    png: Option<Option<Waterfall>>,
+}
+
+struct S7k {
+    path: PathBuf,
+    emitter: SevenKEmitter,
+    recorder: Option<S7kRecorder>,
+    records: Vec<Arc<Datagram>>,
+}
+
+/// Begins a `.s7k`: its header and the configuration, stamped with `utc`. Nothing in it comes from the host's clock or a random source, so
+/// that the same pings make the same file.
+pub fn begin_s7k(path: &Path, sheet: &DeviceSheet, utc: UtcNs) -> Result<S7kRecorder, RecordError> {
+    let stamp = sheet.stamp(utc);
+    let header = FileHeader7200 {
+        file_id: [sheet.sonar_id(), utc.0 as u64],
+        session_id: [sheet.sonar_id(), utc.0 as u64],
+        recording_name: text_of(
+            path.file_stem()
+                .map(|name| name.to_string_lossy())
+                .unwrap_or_default()
+                .as_ref(),
+            63,
+        ),
+        program_version: text_of(concat!("echotank ", env!("CARGO_PKG_VERSION")), 15),
+        user_defined_name: text_of(sheet.name(), 63),
+        notes: "Simulated by Echotank".into(),
+        devices: vec![FileDevice {
+            device_id: stamp.device_id,
+            system_enumerator: stamp.system_enumerator,
+        }],
+    };
+    let mut recorder = S7kRecorder::create(path, header, stamp)?;
+    recorder.write(&sheet.configuration_7001(utc).bytes)?;
+    Ok(recorder)
+}
+
+/// The start of `text` that fits into `bytes`.
+fn text_of(text: &str, bytes: usize) -> String {
+    let end = (0..=bytes.min(text.len()))
+        .rev()
+        .find(|&i| text.is_char_boundary(i))
+        .unwrap_or(0);
+    text[..end].to_string()
+}
+
+pub struct Recorders {
+    truth: TruthRecorder,
+    sonars: Vec<SonarFiles>,
+}
+
+impl Recorders {
+    pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
+        let Formats { s7k, npz, png } = options.formats;
+        let mut sonars = Vec::new();
+        for unit in &rig.sonars {
+            // One sonar's files lie in the folder itself; several sonars have a folder each.
+            let folder = if rig.sonars.len() == 1 {
+                options.out.clone()
+            } else {
+                options.out.join(&unit.spec.name)
+            };
+            make_folder(&folder)?;
+            let sevenk = || {
+                let sheet = DeviceSheet::new(
+                    &sevenk_output(&unit.spec),
+                    &unit.spec,
+                    spec.medium.sound_speed_m_per_s,
+                    unit.absorption_db_per_m,
+                );
+                S7k {
+                    path: folder.join(format!("{}.s7k", unit.spec.name)),
+                    emitter: SevenKEmitter::new(Arc::new(sheet), 1),
+                    recorder: None,
+                    records: Vec::new(),
+                }
+            };
+            sonars.push(SonarFiles {
+                s7k: s7k.then(sevenk),
+                npz: if npz {
+                    Some(NpzRecorder::create(&folder, &unit.spec, options.f64)?)
+                } else {
+                    None
+                },
+                png: png.then_some(None),
+                spec: unit.spec.clone(),
+                folder,
+            });
+        }
+        Ok(Self {
+            truth: TruthRecorder::create(&options.out)?,
+            sonars,
+        })
+    }
+
+    pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
+        let PingSlot { plan, output } = slot;
+        let files = &mut self.sonars[plan.sonar];
+        self.truth.push(&files.spec, plan, targets)?;
+        if let Some(s7k) = &mut files.s7k {
+            s7k.records.clear();
+            let recorder = match &mut s7k.recorder {
+                Some(recorder) => recorder,
+                none => none.insert(begin_s7k(&s7k.path, s7k.emitter.sheet(), plan.stamp_utc)?),
+            };
+            s7k.emitter
+                .emit_ping(plan, output, RecordSet::ALL, &mut s7k.records);
+            for record in &s7k.records {
+                recorder.write(&record.bytes)?;
+            }
+            s7k.records.clear();
+        }
+        if let Some(npz) = &mut files.npz {
+            npz.push(plan, output)?;
+        }
+        if let Some(waterfall) = &mut files.png {
+            waterfall
+                .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
+                .push(plan, &output.lines);
+        }
+        Ok(())
+    }
+
+    /// Closes every file and names those that hold something.
+    pub fn finish(self) -> Result<Vec<PathBuf>, RecordError> {
+        let mut written = vec![self.truth.path().to_path_buf()];
+        for files in self.sonars {
+            if let Some(S7k {
+                path,
+                recorder: Some(recorder),
+                ..
+            }) = files.s7k
+            {
+                recorder.close()?;
+                written.push(path);
+            }
+            if let Some(npz) = files.npz {
+                written.extend(npz.finish()?);
+            }
+            if let Some(Some(waterfall)) = files.png {
+                let path = files.folder.join("waterfall.png");
+                if write_waterfall(&path, &waterfall)? {
+                    written.push(path);
+                }
+            }
+        }
+        Ok(written)
+    }
+}
+
+/// The 7k output whose device and arrays the file speaks for; a sonar without one gets all its arrays on a generic side-scan.
+fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
+    let configured = spec
+        .outputs
+        .iter()
+        .map(|OutputSpec::SevenK(sevenk)| sevenk)
+        .next();
+    configured.cloned().unwrap_or_else(|| SevenKSpec {
+        listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
+        device_id: GENERIC_SIDE_SCAN,
+        enumerator: 0,
+        arrays: (0..spec.receive.len()).collect(),
+        max_packet: 0,
+        client_queue_bytes: 0,
+        max_clients: 0,
+    })
+}
+
+fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
+    let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
+    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
+    let picture = WaterfallSpec {
+        range_m: plan.settings.range_m,
+        metres_per_pixel,
+        rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
+        ..WaterfallSpec::default()
+    };
+    Waterfall::new(picture, spec.receiver.sample_rate_hz)
+}

@@ -1,0 +1,172 @@
+//! A rig assembled: navigation history, scene, and one [`SonarUnit`] per head. The daemon and `replay` differ only in who calls and when.
+
+use thiserror::Error;
+
+use crate::array::filter::FilterError;
+use crate::config::spec::{MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
+use crate::echo::absorption::absorption_db_per_m;
+use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
+use crate::io::nav::NavOpenError;
+use crate::nav::{NavGap, NavHistory};
+use crate::ping::{self, PingOrder};
+use crate::run::pipeline::SonarPipeline;
+use crate::scene::{Scene, SceneCounts, SceneError};
+use crate::time::UtcNs;
+
+#[derive(Debug, Error)]
+pub enum RigError {
+    #[error("scene: {0}")]
+    Scene(#[from] SceneError),
+    #[error("navigation: {0}")]
+    Nav(#[from] NavOpenError),
+    #[error("receiver filter: {0}")]
+    Filter(#[from] FilterError),
+}
+
+/// A ping and everything it made, in buffers that are used again.
+#[derive(Clone, Debug)]
+pub struct PingSlot {
+    pub plan: PingPlan,
+    pub output: PingOutput,
+}
+
+/// One head.
+pub struct SonarUnit {
+    pub spec: SonarSpec,
+    pub pipeline: SonarPipeline,
+    /// One way, at the centre frequency.
+    pub absorption_db_per_m: f64,
+}
+
+/// The parts that every ping passes through.
+pub struct Rig {
+    pub spec: RigSpec,
+    pub history: NavHistory,
+    pub scene: Scene,
+    pub sonars: Vec<SonarUnit>,
+    placed: bool,
+    scatterers: Scatterers,
+    pub scene_counts: SceneCounts,
+}
+
+impl Rig {
+    /// Opens the scene and sizes every buffer. To be called inside the pool that will run it.
+    pub fn open(spec: &RigSpec) -> Result<Self, RigError> {
+        let mut sonars = Vec::new();
+        for sonar in &spec.sonars {
+            let absorption_db_per_m =
+                absorption_db_per_m(&spec.medium.absorption, sonar.pulse.center_frequency_hz);
+            let mut sonar = sonar.clone();
+            if let TimeVaryingGain::Law {
+                absorption_db_per_m: law,
+                ..
+            } = &mut sonar.receiver.tvg
+            {
+                // The law undoes the medium's own absorption, which only now is a number.
+                *law = absorption_db_per_m;
+            }
+            sonars.push(SonarUnit {
+                pipeline: SonarPipeline::new(&sonar, &spec.medium)?,
+                spec: sonar,
+                absorption_db_per_m,
+            });
+        }
+        Ok(Self {
+            spec: spec.clone(),
+            history: NavHistory::new(&spec.nav),
+            scene: Scene::open(&spec.scene)?,
+            sonars,
+            placed: false,
+            scatterers: Scatterers::default(),
+            scene_counts: SceneCounts::default(),
+        })
+    }
+
+    pub fn medium(&self) -> &MediumSpec {
+        &self.spec.medium
+    }
+
+    /// A slot with room for the largest ping of this sonar.
+    pub fn slot(&self, sonar: usize) -> PingSlot {
+        let unit = &self.sonars[sonar];
+        PingSlot {
+            plan: ping::blank(
+                sonar,
+                &unit.spec,
+                &self.spec.medium,
+                unit.absorption_db_per_m,
+            ),
+            output: unit.pipeline.blank_output(),
+        }
+    }
+
+    /// Listening window of an order, seconds.
+    pub fn window_s(&self, sonar: usize, order: &PingOrder) -> f64 {
+        let c = self.spec.medium.sound_speed_m_per_s;
+        let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
+        ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
+    }
+
+    /// Named targets in the world; empty until the scene has been placed.
+    pub fn targets(&self) -> &[Target] {
+        if self.placed {
+            self.scene.targets()
+        } else {
+            &[]
+        }
+    }
+
+    /// The scene lies where it belongs from the first fix on.
+    fn place_scene(&mut self) {
+        if self.placed {
+            return;
+        }
+        if let Some(first) = self.history.first_fix_local() {
+            let (north_m, east_m) = if self.spec.scene.anchor_first_fix {
+                (first.x, first.y)
+            } else {
+                (0.0, 0.0)
+            };
+            self.scene.place(north_m, east_m);
+            self.placed = true;
+        }
+    }
+
+    /// Makes the ping `order` of sonar `sonar` in `slot`, or says what the navigation lacks. `host_utc` is the host's time at the pulse.
+    pub fn make(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        self.place_scene();
+        let window_s = self.window_s(sonar, order);
+        let nav = self.history.motion(
+            order.transmit_utc,
+            window_s,
+            mode,
+            &mut slot.plan.trajectory,
+        )?;
+        let stamp_utc = match self.spec.nav.stamp {
+            StampSpec::Log => order.transmit_utc,
+            StampSpec::Host => host_utc,
+        };
+        let unit = &mut self.sonars[sonar];
+        ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
+        let footprints = unit.pipeline.footprints(&slot.plan);
+        self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        unit.pipeline
+            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
+        Ok(())
+    }
+}
+
+/// The threads that compute pings; 0 means as many as there are cores.
+pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(|k| format!("ping {k}"))
+        .build()
+}

@@ -1,0 +1,262 @@
+//! The seabed's surface: depth, slope and bounds at any place of the scene.
+//!
+//! Coordinates are the scene's own: metres north and east of its zero, down positive.
+
+use super::SceneError;
+use super::ascii_grid::Grid;
+use crate::config::spec::SeabedShape;
+
+/// The surface at one place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Depth {
+    pub down_m: f64,
+    /// d down / d north and d down / d east.
+    pub slope_north: f64,
+    pub slope_east: f64,
+}
+
+impl Depth {
+    /// Unit normal away from the solid (up: its down component is negative).
+    pub fn normal(&self) -> [f64; 3] {
+        let cos = self.slope_cos();
+        [self.slope_north * cos, self.slope_east * cos, -cos]
+    }
+    /// Cosine of the angle between the surface and the horizontal.
+    pub fn slope_cos(&self) -> f64 {
+        1.0 / (1.0 + self.slope_north * self.slope_north + self.slope_east * self.slope_east).sqrt()
+    }
+}
+
+/// The seabed as a function of place.
+#[derive(Clone, Debug)]
+pub enum Surface {
+    /// `down = depth_m + slope_north * north + slope_east * east`, everywhere.
+    Plane {
+        depth_m: f64,
+        slope_north: f64,
+        slope_east: f64,
+    },
+    Grid(GridSurface),
+}
+
+/// A grid whose centre lies at the scene's zero, moved by an offset.
+#[derive(Clone, Debug)]
+pub struct GridSurface {
+    /// Heights are depths: positive down.
+    grid: Grid,
+    /// Beyond its outer cell centres the surface goes on as its mirror image, without end; otherwise it stops there.
+    mirror: bool,
+    /// South-western cell's centre in the scene, metres.
+    south_m: f64,
+    west_m: f64,
+    blocks: Blocks,
+}
+
+/// Least and greatest depth of blocks of cells, so that the bounds of a tile cost a few look-ups.
+#[derive(Clone, Debug)]
+struct Blocks {
+    /// Intervals between cell centres on a block's side.
+    intervals: usize,
+    rows: usize,
+    cols: usize,
+    /// Least and greatest, south-western block first; (inf, -inf) where all is a hole.
+    bounds_m: Vec<(f64, f64)>,
+}
+
+const NOTHING: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+fn united(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
+impl Surface {
+    /// Opens the shape; `block_m` is the size of the areas [`Surface::bounds_m`] will be asked about.
+    pub fn open(shape: &SeabedShape, mirror: bool, block_m: f64) -> Result<Self, SceneError> {
+        match shape {
+            SeabedShape::Plane {
+                depth_m,
+                slope_north,
+                slope_east,
+            } => Ok(Self::Plane {
+                depth_m: *depth_m,
+                slope_north: *slope_north,
+                slope_east: *slope_east,
+            }),
+            SeabedShape::EsriAscii {
+                path,
+                positive_up,
+                offset_north_m,
+                offset_east_m,
+            } => {
+                let mut grid = super::read(path, Grid::parse)?;
+                if *positive_up {
+                    grid.negate();
+                }
+                Ok(Self::from_grid(
+                    grid,
+                    mirror,
+                    *offset_north_m,
+                    *offset_east_m,
+                    block_m,
+                ))
+            }
+        }
+    }
+
+    /// A surface of a grid of depths (positive down), its centre at the offset.
+    pub fn from_grid(
+        grid: Grid,
+        mirror: bool,
+        offset_north_m: f64,
+        offset_east_m: f64,
+        block_m: f64,
+    ) -> Self {
+        Self::Grid(GridSurface {
+            mirror,
+            south_m: offset_north_m - grid.extent_north_m() / 2.0,
+            west_m: offset_east_m - grid.extent_east_m() / 2.0,
+            blocks: Blocks::new(&grid, block_m),
+            grid,
+        })
+    }
+
+    /// The surface at a place; none in a hole and beyond the end.
+    pub fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
+        match self {
+            Self::Plane {
+                depth_m,
+                slope_north,
+                slope_east,
+            } => Some(Depth {
+                down_m: depth_m + slope_north * north_m + slope_east * east_m,
+                slope_north: *slope_north,
+                slope_east: *slope_east,
+            }),
+            Self::Grid(surface) => surface.sample(north_m, east_m),
+        }
+    }
+
+    /// Bounds of the depth over a rectangle (may be wider than need be); none where it holds no seabed.
+    pub fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
+        match self {
+            Self::Plane {
+                depth_m,
+                slope_north,
+                slope_east,
+            } => {
+                let n = (slope_north * north_m.0, slope_north * north_m.1);
+                let e = (slope_east * east_m.0, slope_east * east_m.1);
+                Some((
+                    depth_m + n.0.min(n.1) + e.0.min(e.1),
+                    depth_m + n.0.max(n.1) + e.0.max(e.1),
+                ))
+            }
+            Self::Grid(surface) => surface.bounds_m(north_m, east_m),
+        }
+    }
+}
+
+impl GridSurface {
+    fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
+        let (mut v, mut u) = (north_m - self.south_m, east_m - self.west_m);
+        let (mut sign_v, mut sign_u) = (1.0, 1.0);
+        if self.mirror {
+            (v, sign_v) = fold(v, self.grid.extent_north_m());
+            (u, sign_u) = fold(u, self.grid.extent_east_m());
+        }
+        self.grid.sample(v, u).map(|h| Depth {
+            down_m: h.height_m,
+            slope_north: sign_v * h.slope_north,
+            slope_east: sign_u * h.slope_east,
+        })
+    }
+
+    fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
+        let side = |ends: (f64, f64), first: f64, extent: f64| {
+            let ends = (ends.0 - first, ends.1 - first);
+            if self.mirror {
+                Some(fold_interval(ends, extent))
+            } else {
+                (ends.1 >= 0.0 && ends.0 <= extent).then_some(ends)
+            }
+        };
+        let v = side(north_m, self.south_m, self.grid.extent_north_m())?;
+        let u = side(east_m, self.west_m, self.grid.extent_east_m())?;
+        let rows = self.blocks.reach(v, self.grid.cell_m, self.blocks.rows);
+        let cols = self.blocks.reach(u, self.grid.cell_m, self.blocks.cols);
+        let mut bounds = NOTHING;
+        for row in rows {
+            for col in cols.clone() {
+                bounds = united(bounds, self.blocks.bounds_m[row * self.blocks.cols + col]);
+            }
+        }
+        (bounds.0 <= bounds.1).then_some(bounds)
+    }
+}
+
+/// A coordinate reflected into 0 ..= extent, and the sign its slope takes.
+fn fold(x: f64, extent: f64) -> (f64, f64) {
+    let there_and_back = x.rem_euclid(2.0 * extent);
+    if there_and_back <= extent {
+        (there_and_back, 1.0)
+    } else {
+        (2.0 * extent - there_and_back, -1.0)
+    }
+}
+
+/// An interval that holds all the reflections of an interval.
+fn fold_interval(ends: (f64, f64), extent: f64) -> (f64, f64) {
+    if ends.1 - ends.0 >= extent {
+        return (0.0, extent);
+    }
+    // Shorter than the extent: at most one seam lies inside.
+    let ((a, sign_a), (b, sign_b)) = (fold(ends.0, extent), fold(ends.1, extent));
+    match (sign_a > 0.0, sign_b > 0.0) {
+        (true, false) => (a.min(b), extent),
+        (false, true) => (0.0, a.max(b)),
+        _ => (a.min(b), a.max(b)),
+    }
+}
+
+impl Blocks {
+    fn new(grid: &Grid, block_m: f64) -> Self {
+        let intervals = ((block_m / grid.cell_m).ceil() as usize).max(1);
+        let rows = (grid.rows - 1).div_ceil(intervals);
+        let cols = (grid.cols - 1).div_ceil(intervals);
+        let mut bounds_m = Vec::with_capacity(rows * cols);
+        for row in 0..rows {
+            for col in 0..cols {
+                let mut bounds = NOTHING;
+                // The centres on a block's edge belong to both neighbours: a bilinear surface has its extremes at centres.
+                for r in row * intervals..=((row + 1) * intervals).min(grid.rows - 1) {
+                    for c in col * intervals..=((col + 1) * intervals).min(grid.cols - 1) {
+                        let h = grid.cell_height_m(r, c);
+                        if !h.is_nan() {
+                            bounds = united(bounds, (h, h));
+                        }
+                    }
+                }
+                bounds_m.push(bounds);
+            }
+        }
+        Self {
+            intervals,
+            rows,
+            cols,
+            bounds_m,
+        }
+    }
+
+    /// The blocks along one side that an interval (metres from the first centre) touches.
+    fn reach(
+        &self,
+        ends_m: (f64, f64),
+        cell_m: f64,
+        count: usize,
+    ) -> std::ops::RangeInclusive<usize> {
+        let side_m = self.intervals as f64 * cell_m;
+        // Negative numbers become 0 in the cast.
+        let block = |m: f64| ((m / side_m) as usize).min(count - 1);
+        block(ends_m.0)..=block(ends_m.1)
+    }
+}

@@ -1,0 +1,758 @@
+//! What the scene as a whole promises. Readers are tested in their own files.
+
+use std::f64::consts::{PI, TAU};
+use std::path::PathBuf;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use proptest::prelude::*;
+
+use super::ascii_grid::Grid;
+use super::seabed::Surface;
+use super::tiles::{Recipe, SCATTERERS_PER_TILE, TILE_BYTES, TileId, TilePool};
+use super::{Scene, SceneCounts, SceneError};
+use crate::config::spec::{SceneSpec, SeabedShape, SeabedSpec};
+use crate::flow::{Footprint, ScatterLaw, Scatterers};
+
+const FLAT: SeabedShape = SeabedShape::Plane {
+    depth_m: 50.0,
+    slope_north: 0.0,
+    slope_east: 0.0,
+};
+/// dB.
+const MU: f64 = -27.0;
+
+fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec {
+    SeabedSpec {
+        shape,
+        density_per_m2,
+        lambert_db: MU,
+        speckle,
+    }
+}
+
+fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
+    SceneSpec {
+        seed: 42,
+        anchor_first_fix: true,
+        mirror: false,
+        seabed,
+        points: None,
+        targets: None,
+        memory_limit_bytes: tiles * TILE_BYTES,
+    }
+}
+
+fn plane_recipe(slope_north: f64, slope_east: f64, density_per_m2: f64, speckle: bool) -> Recipe {
+    let shape = SeabedShape::Plane {
+        depth_m: 50.0,
+        slope_north,
+        slope_east,
+    };
+    let surface = Surface::open(&shape, false, 1.0).unwrap();
+    Recipe::new(surface, &seabed(shape, density_per_m2, speckle), 42)
+}
+
+fn make(recipe: &Recipe, id: TileId) -> Scatterers {
+    let mut tile = Scatterers::default();
+    recipe.make(id, &mut tile);
+    tile
+}
+
+fn all_round(apex_m: DVec3, max_range_m: f64) -> Footprint {
+    Footprint {
+        apex_m,
+        axis: DVec3::X,
+        max_axis_sine: 1.0,
+        max_range_m,
+    }
+}
+
+type Bits = Vec<[u64; 5]>;
+
+fn bits(s: &Scatterers) -> Bits {
+    (0..s.len())
+        .map(|i| {
+            [
+                s.north_m[i].to_bits(),
+                s.east_m[i].to_bits(),
+                s.down_m[i].to_bits(),
+                s.strength[i].re.to_bits(),
+                s.strength[i].im.to_bits(),
+            ]
+        })
+        .collect()
+}
+
+/// A grid of the given heights (northern row first) with 2 m cells.
+fn grid(rows: usize, cols: usize, heights: &[f64]) -> Grid {
+    let text: Vec<String> = heights.iter().map(|h| format!("{h}")).collect();
+    let text = format!(
+        "ncols {cols} nrows {rows} xllcorner 0 yllcorner 0 cellsize 2 {}",
+        text.join(" ")
+    );
+    Grid::parse(text.as_bytes()).unwrap()
+}
+
+/// Rough but reproducible heights: the golden ratio's multiples.
+fn rough(rows: usize, cols: usize) -> Vec<f64> {
+    (0..rows * cols)
+        .map(|i| 40.0 + 5.0 * (i as f64 * 0.618_033_988_749_895).fract())
+        .collect()
+}
+
+// ---------------------------------------------------------------- the generator
+
+/// The values come from a calculation of its own: ChaCha8 after RFC 8439's block function with 4 double rounds, a 64-bit counter and
+/// stream (Bernstein 2008), double-precision elementary functions of another library.
+#[test]
+fn a_tile_equals_an_independent_calculation_from_the_cipher_up() {
+    let tile = make(&plane_recipe(0.1, -0.2, 4.0, true), (-3, 5));
+    for (i, north, east, down, re, im) in [
+        (
+            0,
+            -47.62083550034969,
+            80.08132315540439,
+            29.221651818884148,
+            -0.010663000378334118,
+            0.008660007182665692,
+        ),
+        (
+            1,
+            -47.99297933044434,
+            80.97655339980965,
+            29.005391386993633,
+            -0.013135094811045165,
+            0.005919629818837098,
+        ),
+        (
+            7,
+            -47.84702514092009,
+            83.79906342899042,
+            28.455484800109904,
+            0.0001740177521002559,
+            0.00883131928288808,
+        ),
+    ] {
+        let moved = tile.position_m(i).distance(DVec3::new(north, east, down));
+        let changed = (tile.strength[i] - Complex64::new(re, im)).norm();
+        assert!(
+            moved < 1e-12 && changed < 1e-16,
+            "scatterer {i}: {moved:e} m, {changed:e}"
+        );
+    }
+}
+
+#[test]
+fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
+    let recipe = plane_recipe(0.05, 0.02, 4.0, true);
+    let ids: Vec<TileId> = (-2..2).flat_map(|r| (-3..1).map(move |c| (r, c))).collect();
+    let fresh: Vec<Bits> = ids.iter().map(|id| bits(&make(&recipe, *id))).collect();
+    for (i, a) in fresh.iter().enumerate() {
+        assert!(fresh[..i].iter().all(|b| a != b), "no two tiles are alike");
+    }
+    for capacity in [1, 3, 16] {
+        let mut pool = TilePool::new(capacity);
+        let mut made = 0;
+        // Forward, backward, and with a stride that meets all 16 in another order.
+        let order = (0..16)
+            .chain((0..16).rev())
+            .chain((0..16).map(|i| i * 7 % 16));
+        for i in order {
+            let (tile, new) = pool.tile(&recipe, ids[i]);
+            assert_eq!(
+                bits(tile),
+                fresh[i],
+                "tile {:?}, room for {capacity}",
+                ids[i]
+            );
+            made += usize::from(new);
+        }
+        println!("room for {capacity}: {made} made for 48 questions");
+        assert_eq!(made == 16, capacity == 16, "only a large pool keeps all");
+    }
+}
+
+#[test]
+fn the_tile_not_used_for_longest_makes_room() {
+    let recipe = plane_recipe(0.0, 0.0, 4.0, true);
+    let mut pool = TilePool::new(2);
+    let mut made = |id| pool.tile(&recipe, id).1;
+    assert!(made((0, 0)) && made((0, 1)));
+    assert!(!made((0, 0)), "still there");
+    assert!(made((0, 2)), "takes the room of (0, 1)");
+    assert!(!made((0, 0)), "used since (0, 1)");
+    assert!(made((0, 1)));
+}
+
+#[test]
+fn seeds_give_different_tiles() {
+    let shape = FLAT;
+    let with = |seed, id| {
+        let surface = Surface::open(&shape, false, 1.0).unwrap();
+        bits(&make(
+            &Recipe::new(surface, &seabed(shape.clone(), 4.0, true), seed),
+            id,
+        ))
+    };
+    assert_ne!(with(1, (0, 0)), with(2, (0, 0)));
+    assert_eq!(with(1, (0, 0)), with(1, (0, 0)));
+}
+
+#[test]
+fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
+    // Structure factor |sum exp(i k.x)|^2 / N over 10 x 10 tiles; for positions without order it is 1 on average and exceeds 10 dB
+    // by chance once in 22 000. A lattice jittered over half its cell keeps N sinc^2(1/2): 46 dB here.
+    const LIMIT_DB: f64 = 10.0;
+    let recipe = plane_recipe(0.0, 0.0, 4.0, true);
+    let (cell_m, mut north, mut east) = (0.5, Vec::new(), Vec::new());
+    for row in 0..10 {
+        for col in 0..10 {
+            let tile = make(&recipe, (row, col));
+            north.extend(tile.north_m);
+            east.extend(tile.east_m);
+        }
+    }
+    let jitter = |x: &[f64]| -> Vec<f64> {
+        let pulled_in = |x: &f64| {
+            let cell = (x / cell_m).floor();
+            (cell + 0.5 * (x / cell_m - cell)) * cell_m
+        };
+        x.iter().map(pulled_in).collect()
+    };
+    let factor_db = |north: &[f64], east: &[f64], p: f64, q: f64| {
+        let k = TAU / cell_m;
+        let sum: Complex64 = north
+            .iter()
+            .zip(east)
+            .map(|(n, e)| Complex64::cis(k * (p * n + q * e)))
+            .sum();
+        10.0 * (sum.norm_sqr() / north.len() as f64).log10()
+    };
+    let (half_north, half_east) = (jitter(&north), jitter(&east));
+    for (p, q) in [
+        (1.0, 0.0),
+        (0.0, 1.0),
+        (1.0, 1.0),
+        (1.0, -1.0),
+        (2.0, 0.0),
+        (0.0, 2.0),
+        (2.0, 1.0),
+        // The tiles' own lattice.
+        (1.0 / 32.0, 0.0),
+        (0.0, 1.0 / 32.0),
+        (3.0 / 32.0, 2.0 / 32.0),
+    ] {
+        let got_db = factor_db(&north, &east, p, q);
+        println!("k = ({p}, {q}) / cell: {got_db:.1} dB");
+        assert!(got_db < LIMIT_DB, "a line of {got_db:.1} dB at ({p}, {q})");
+    }
+    let control_db = factor_db(&half_north, &half_east, 1.0, 0.0);
+    assert!(
+        control_db > 40.0,
+        "the half jittered lattice shows only {control_db:.1} dB"
+    );
+}
+
+#[test]
+fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_inside() {
+    for density in [0.25, 3.0, 40.0] {
+        let recipe = plane_recipe(0.1, 0.0, density, true);
+        for id in [(0, 0), (-1, 4), (1000, -1000)] {
+            let tile = make(&recipe, id);
+            let b = recipe.bounds(id).unwrap();
+            let area_m2 = (b.high_m.x - b.low_m.x) * (b.high_m.y - b.low_m.y);
+            let want = area_m2 * density;
+            assert!(
+                (tile.len() as f64 - want).abs() < 1e-6 * want,
+                "{} against {want}",
+                tile.len()
+            );
+            for i in 0..tile.len() {
+                let p = tile.position_m(i);
+                assert!(
+                    p.cmpge(b.low_m - 1e-9).all() && p.cmple(b.high_m + 1e-9).all(),
+                    "{p} outside {b:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_footprints_count_is_density_times_its_area() {
+    let mut scene = Scene::open(&spec(Some(seabed(FLAT, 4.0, true)), 400)).unwrap();
+    let mut out = Scatterers::default();
+    // 120 m slant over 50 m of water: a circle. Only the cells on its rim are uncertain (standard deviation below 1/2 each).
+    let radius_m = (120.0_f64.powi(2) - 50.0_f64.powi(2)).sqrt();
+    let counts = scene.gather(&[all_round(DVec3::new(3.0, -7.0, 0.0), 120.0)], &mut out);
+    let want = 4.0 * PI * radius_m * radius_m;
+    let rim_cells = 2.0 * 4.0 * radius_m / 0.5;
+    let sigma = 0.5 * rim_cells.sqrt();
+    println!("{} against {want:.0} +- {sigma:.0}", out.len());
+    assert!(
+        (out.len() as f64 - want).abs() < 4.0 * sigma,
+        "{} against {want}",
+        out.len()
+    );
+    assert_eq!(counts.scatterers, out.len() as u64);
+}
+
+#[test]
+fn the_mean_intensity_does_not_depend_on_the_density() {
+    // Sum |strength|^2 over a slope of 20 degrees against mu times its true area. Each |r|^2 is exponential with mean 1, so the sum's
+    // relative standard error is 1/sqrt(N); 4 of them are allowed.
+    let slope = 20.0_f64.to_radians().tan();
+    let mu = 10.0_f64.powf(MU / 10.0);
+    for (density, tiles) in [(0.25, 2), (4.0, 8), (64.0, 32)] {
+        let recipe = plane_recipe(slope, 0.0, density, true);
+        let (mut sum, mut count) = (0.0, 0);
+        for row in 0..tiles {
+            for col in 0..tiles {
+                let tile = make(&recipe, (row, col));
+                count += tile.len();
+                sum += tile.strength.iter().map(Complex64::norm_sqr).sum::<f64>();
+            }
+        }
+        let side_m = f64::from(tiles) * super::tiles::side_m(density);
+        let want = mu * side_m * side_m / 20.0_f64.to_radians().cos();
+        let (error, allowed) = (sum / want - 1.0, 4.0 / (count as f64).sqrt());
+        println!(
+            "{density} per m2: {side_m} m, {count} scatterers, off by {error:+.4}, allowed {allowed:.4}"
+        );
+        assert!(
+            error.abs() < allowed,
+            "{density} per m2: off by {error:+.4}, allowed {allowed:.4}"
+        );
+    }
+}
+
+#[test]
+fn without_speckle_every_strength_is_the_root_of_mu_times_the_patch() {
+    let tile = make(&plane_recipe(0.3, -0.4, 2.0, false), (7, 7));
+    let want = (10.0_f64.powf(MU / 10.0) * 0.5 * 1.25_f64.sqrt()).sqrt();
+    for s in &tile.strength {
+        assert!((s - want).norm() < 1e-15, "{s} against {want}");
+    }
+    let noisy = make(&plane_recipe(0.3, -0.4, 2.0, true), (7, 7));
+    assert_eq!(noisy.north_m, tile.north_m, "speckle moves nothing");
+}
+
+/// Kolmogorov and Smirnov's sqrt(n) D against a distribution function.
+fn smirnov(mut values: Vec<f64>, distribution: impl Fn(f64) -> f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len() as f64;
+    let distance = values.iter().enumerate().fold(0.0_f64, |worst, (i, x)| {
+        let f = distribution(*x);
+        worst
+            .max((f - i as f64 / n).abs())
+            .max((f - (i as f64 + 1.0) / n).abs())
+    });
+    n.sqrt() * distance
+}
+
+#[test]
+fn reflectivities_are_rayleigh_in_amplitude_and_uniform_in_phase() {
+    // p = 0.01 (Smirnov 1948).
+    const CRITICAL: f64 = 1.628;
+    let recipe = plane_recipe(0.0, 0.0, 4.0, true);
+    let scale = (10.0_f64.powf(MU / 10.0) / 4.0).sqrt();
+    let mut r = Vec::new();
+    for col in 0..50 {
+        r.extend(make(&recipe, (0, col)).strength.iter().map(|s| s / scale));
+    }
+    let amplitude = smirnov(r.iter().map(|z| z.norm()).collect(), |a| {
+        1.0 - (-a * a).exp()
+    });
+    let phase = smirnov(r.iter().map(|z| z.arg()).collect(), |p| (p + PI) / TAU);
+    println!(
+        "{} draws: amplitude {amplitude:.3}, phase {phase:.3}",
+        r.len()
+    );
+    assert!(
+        amplitude < CRITICAL && phase < CRITICAL,
+        "{amplitude} {phase}"
+    );
+    // The statistic can tell: a mean intensity 5 % off fails.
+    let off = smirnov(r.iter().map(|z| z.norm()).collect(), |a| {
+        1.0 - (-a * a / 1.05).exp()
+    });
+    assert!(off > 2.0 * CRITICAL, "{off}");
+}
+
+#[test]
+fn normals_stand_on_the_plane_and_point_up() {
+    let (slope_north, slope_east) = (0.25, -0.6);
+    let tile = make(&plane_recipe(slope_north, slope_east, 4.0, true), (2, -2));
+    for normal in &tile.normal {
+        let n = DVec3::from(normal.map(f64::from));
+        assert!(n.z < 0.0, "up is negative down");
+        assert!((n.length() - 1.0).abs() < 1e-6, "unit: {}", n.length());
+        for along in [
+            DVec3::new(1.0, 0.0, slope_north),
+            DVec3::new(0.0, 1.0, slope_east),
+        ] {
+            assert!(n.dot(along).abs() < 1e-6, "{n} against {along}");
+        }
+    }
+    assert!(tile.law.iter().all(|l| *l == ScatterLaw::Lambert));
+}
+
+// ---------------------------------------------------------------- surfaces
+
+#[test]
+fn the_mirrored_surface_is_continuous_over_its_seams_and_repeats_for_ever() {
+    // 5 x 6 cells of 2 m: seams at +-4 m north and +-5 m east, moved by the offset.
+    let surface = Surface::from_grid(grid(5, 6, &rough(5, 6)), true, 1.0, -2.0, 3.0);
+    let at = |n, e| surface.sample(n, e).unwrap();
+    for east in [-30.3, -2.2, 0.1, 17.9] {
+        for seam in [5.0, -3.0, 13.0, -11.0] {
+            for d in [1e-9, 0.3, 1.7] {
+                let (below, above) = (at(seam - d, east), at(seam + d, east));
+                assert!(
+                    (below.down_m - above.down_m).abs() < 1e-12,
+                    "seam {seam}, {d} m aside: {below:?} {above:?}"
+                );
+                assert!((below.slope_north + above.slope_north).abs() < 1e-12);
+                assert!((below.slope_east - above.slope_east).abs() < 1e-9);
+            }
+        }
+    }
+    // Along a slanting path no step is steeper than the steepest slope of cells 5 m apart in depth on 2 m.
+    let mut last = at(-100.0, -100.0).down_m;
+    for i in 1..40_000 {
+        let (n, e) = (-100.0 + 0.005 * f64::from(i), -100.0 + 0.003 * f64::from(i));
+        let now = at(n, e).down_m;
+        assert!(
+            (now - last).abs() <= 2.5 * 0.008 + 1e-12,
+            "a step of {} at {n} {e}",
+            now - last
+        );
+        last = now;
+    }
+    for (n, e) in [(0.3, 0.4), (-2.9, -6.9)] {
+        let far = at(n + 16.0 * 1000.0, e - 20.0 * 999.0);
+        assert!((far.down_m - at(n, e).down_m).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn the_speckle_is_not_mirrored_with_the_surface() {
+    let surface = Surface::from_grid(grid(5, 6, &rough(5, 6)), true, 0.0, 0.0, 16.0);
+    let recipe = Recipe::new(surface, &seabed(FLAT, 4.0, true), 42);
+    // The seam north = 4 m lies inside tile (0, 0).
+    let tile = make(&recipe, (0, 0));
+    assert_eq!(tile.len(), SCATTERERS_PER_TILE);
+    for i in 0..tile.len() {
+        let image = DVec3::new(8.0 - tile.north_m[i], tile.east_m[i], tile.down_m[i]);
+        let twin = (0..tile.len()).find(|j| tile.position_m(*j).distance(image) < 1e-3 && *j != i);
+        assert_eq!(twin, None, "scatterer {i} has a mirror image");
+    }
+}
+
+#[test]
+fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_give_nothing() {
+    let mut heights = rough(30, 40);
+    for row in 10..20 {
+        heights[row * 40 + 5..row * 40 + 25].fill(-9999.0);
+    }
+    let surface = Surface::from_grid(grid(30, 40, &heights), false, 0.0, 0.0, 16.0);
+    assert!(surface.sample(29.0, 39.0).is_some() && surface.sample(-29.0, -39.0).is_some());
+    assert!(surface.sample(29.1, 0.0).is_none() && surface.sample(0.0, -39.1).is_none());
+    assert!(surface.sample(0.0, -10.0).is_none(), "the hole");
+    let recipe = Recipe::new(surface, &seabed(FLAT, 4.0, true), 42);
+    assert_eq!(recipe.bounds((5, 0)), None, "beyond the end");
+    let (mut count, mut inside) = (0, 0);
+    for row in -3..3 {
+        for col in -4..4 {
+            let tile = make(&recipe, (row, col));
+            count += tile.len();
+            for i in 0..tile.len() {
+                let (n, e) = (tile.north_m[i], tile.east_m[i]);
+                inside += usize::from(n.abs() <= 29.0 && e.abs() <= 39.0);
+                // Rows 10..20 and columns 5..25 of centres, and the squares about them, from north 29 and east -39.
+                let hole =
+                    n > 29.0 - 40.0 && n < 29.0 - 18.0 && e > -39.0 + 8.0 && e < -39.0 + 50.0;
+                assert!(!hole, "a scatterer in the hole at {n} {e}");
+            }
+        }
+    }
+    assert_eq!(inside, count);
+    // The edges of the grid and of the hole fall on edges of cells, so that the count is exact.
+    assert_eq!(count, 4 * (58 * 78 - 22 * 42));
+}
+
+proptest! {
+    #[test]
+    fn a_tiles_box_holds_its_scatterers_on_any_grid(
+        rows in 2usize..12, cols in 2usize..12, density in 0.05..20.0_f64, mirror: bool,
+        holes in prop::collection::vec(0usize..144, 0..20), row in -6i32..6, col in -6i32..6,
+        offset in -30.0..30.0_f64,
+    ) {
+        let mut heights = rough(rows, cols);
+        for hole in holes {
+            let count = heights.len();
+            heights[hole % count] = -9999.0;
+        }
+        let block_m = super::tiles::side_m(density);
+        let surface = Surface::from_grid(grid(rows, cols, &heights), mirror, offset, -offset, block_m);
+        let recipe = Recipe::new(surface, &seabed(FLAT, density, true), 1);
+        let tile = make(&recipe, (row, col));
+        match recipe.bounds((row, col)) {
+            None => prop_assert!(tile.is_empty()),
+            Some(b) => for i in 0..tile.len() {
+                let p = tile.position_m(i);
+                prop_assert!(p.cmpge(b.low_m - 1e-9).all() && p.cmple(b.high_m + 1e-9).all(), "{} outside {:?}", p, b);
+            },
+        }
+    }
+}
+
+#[test]
+fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("hil-configs/data/jd211_crop_400x400_2m.asc");
+    let shape = SeabedShape::EsriAscii {
+        path,
+        positive_up: true,
+        offset_north_m: 0.0,
+        offset_east_m: 0.0,
+    };
+    let mut scene = Scene::open(&spec(Some(seabed(shape, 4.0, true)), 10)).unwrap();
+    // Metres from the grid's centre, and depth; read and interpolated by a script in another language. The first six are cell centres.
+    let places = [
+        (-399.0, -399.0, 51.623),
+        (399.0, -399.0, 51.594),
+        (399.0, 399.0, 51.959),
+        (-399.0, 399.0, 51.634),
+        (1.0, 1.0, 51.422),
+        (-101.0, 33.0, 51.340),
+        (0.0, 0.0, 51.422),
+        (123.4, -56.7, 51.479_53),
+        (-250.25, 310.6, 51.512_05),
+        (398.9, -12.3, 51.895_12),
+    ];
+    for (anchor_north_m, anchor_east_m) in [(0.0, 0.0), (1234.5, -98.25)] {
+        scene.place(anchor_north_m, anchor_east_m);
+        for (north_m, east_m, want_m) in places {
+            let got_m = scene
+                .seabed_down_m(anchor_north_m + north_m, anchor_east_m + east_m)
+                .unwrap();
+            assert!(
+                (got_m - want_m).abs() < 1e-9,
+                "({north_m}, {east_m}): {got_m} against {want_m}"
+            );
+        }
+    }
+    assert_eq!(scene.seabed_down_m(0.0, 500.0), None, "beyond the end");
+}
+
+// ---------------------------------------------------------------- gathering
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn gathering_finds_just_the_scatterers_in_any_footprint(
+        at in prop::array::uniform3(-40.0..40.0_f64), to in prop::array::uniform3(-1.0..1.0_f64),
+        sine in 0.0..1.1_f64, range_m in 0.0..90.0_f64, second_range_m in 0.0..60.0_f64,
+        anchor in prop::array::uniform2(-1e4..1e4_f64), density in prop::sample::select(vec![0.5, 2.0, 9.0]),
+    ) {
+        prop_assume!(DVec3::from(to).length() > 0.1);
+        let shape = SeabedShape::Plane { depth_m: 30.0, slope_north: 0.3, slope_east: -0.1 };
+        let mut spec = spec(Some(seabed(shape, density, true)), 1000);
+        let mut scene = Scene::open(&spec).unwrap();
+        scene.place(anchor[0], anchor[1]);
+        let apex_m = DVec3::from(at) + DVec3::new(anchor[0], anchor[1], 0.0);
+        let footprints = [
+            Footprint { apex_m, axis: DVec3::from(to).normalize(), max_axis_sine: sine, max_range_m: range_m },
+            Footprint { apex_m: apex_m + DVec3::new(5.0, 0.0, 2.0), axis: DVec3::Y, max_axis_sine: 0.2, max_range_m: second_range_m },
+        ];
+        let mut got = Scatterers::default();
+        let counts = scene.gather(&footprints, &mut got);
+        // Everything far and wide, then each by itself.
+        let mut all = Scatterers::default();
+        scene.gather(&[all_round(apex_m, 150.0)], &mut all);
+        let mut want = Scatterers::default();
+        for i in 0..all.len() {
+            let p = all.position_m(i);
+            if footprints.iter().any(|f| f.contains(p)) {
+                want.push(p, all.normal[i], all.strength[i], all.law[i]);
+            }
+        }
+        prop_assert_eq!(bits(&got), bits(&want));
+        prop_assert_eq!(counts.scatterers, got.len() as u64);
+        // A pool with room for one tile gives the same.
+        spec.memory_limit_bytes = TILE_BYTES;
+        let mut poor = Scene::open(&spec).unwrap();
+        poor.place(anchor[0], anchor[1]);
+        poor.gather(&footprints, &mut got);
+        prop_assert_eq!(bits(&got), bits(&want));
+    }
+}
+
+fn written(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, text).unwrap();
+    (folder, path)
+}
+
+#[test]
+fn points_come_always_and_first_targets_within_range_and_the_seabed_last() {
+    let (_keep_points, points) = written(
+        "points.csv",
+        "north_m,east_m,down_m,amplitude,amplitude_imag\n1,2,3,0.5,-0.25\n9000,0,10,1,0\n",
+    );
+    let (_keep_targets, targets) = written(
+        "targets.csv",
+        "name,north_m,east_m,height_above_seabed_m,target_strength_db\nnear,10,0,1,20\nfar,500,0,0,0\n",
+    );
+    let mut spec = spec(Some(seabed(FLAT, 4.0, true)), 100);
+    spec.points = Some(points);
+    spec.targets = Some(targets);
+    let mut scene = Scene::open(&spec).unwrap();
+    scene.place(1000.0, -2000.0);
+    let names: Vec<_> = scene
+        .targets()
+        .iter()
+        .map(|t| (t.name.as_str(), t.position_m))
+        .collect();
+    assert_eq!(
+        names,
+        [
+            ("near", DVec3::new(1010.0, -2000.0, 49.0)),
+            ("far", DVec3::new(1500.0, -2000.0, 50.0))
+        ]
+    );
+    let mut out = Scatterers::default();
+    let footprint = all_round(DVec3::new(1000.0, -2000.0, 0.0), 60.0);
+    let counts = scene.gather(&[footprint], &mut out);
+    assert_eq!((counts.points, counts.targets), (2, 1));
+    assert_eq!(out.len() as u64, 3 + counts.scatterers);
+    assert!(counts.scatterers > 1000 && counts.tiles_made == counts.tiles_used);
+    assert_eq!(out.position_m(0), DVec3::new(1001.0, -1998.0, 3.0));
+    assert_eq!(out.strength[0], Complex64::new(0.5, -0.25));
+    assert_eq!(out.position_m(1), DVec3::new(10_000.0, -2000.0, 10.0));
+    assert_eq!(out.position_m(2), DVec3::new(1010.0, -2000.0, 49.0));
+    assert_eq!(out.strength[2], Complex64::from(10.0));
+    assert_eq!(out.law[2], ScatterLaw::Point);
+    let again = scene.gather(&[footprint], &mut out);
+    assert_eq!(
+        again,
+        SceneCounts {
+            tiles_made: 0,
+            ..counts
+        },
+        "nothing is made twice"
+    );
+    // Nothing hears anything: the points alone.
+    for f in [
+        Footprint {
+            apex_m: DVec3::NAN,
+            ..footprint
+        },
+        Footprint {
+            max_range_m: f64::INFINITY,
+            ..footprint
+        },
+        Footprint {
+            max_axis_sine: f64::NAN,
+            ..footprint
+        },
+    ] {
+        let counts = scene.gather(&[f], &mut out);
+        assert_eq!(
+            counts,
+            SceneCounts {
+                points: 2,
+                ..Default::default()
+            },
+            "{f:?}"
+        );
+    }
+    // Somewhere beyond all numbers of tiles: no seabed, no panic.
+    let counts = scene.gather(&[all_round(DVec3::splat(1e30), 60.0)], &mut out);
+    assert_eq!((counts.scatterers, out.len()), (0, 2));
+}
+
+#[test]
+fn the_seabed_moves_with_its_anchor_unless_it_lies_at_the_origin() {
+    let mut spec = spec(Some(seabed(FLAT, 4.0, true)), 100);
+    let gathered = |spec: &SceneSpec, at: DVec3| {
+        let mut scene = Scene::open(spec).unwrap();
+        scene.place(64.0, -32.0);
+        let mut out = Scatterers::default();
+        scene.gather(&[all_round(at, 60.0)], &mut out);
+        out
+    };
+    let at_zero = gathered(&spec, DVec3::new(64.0, -32.0, 0.0));
+    spec.anchor_first_fix = false;
+    let fixed = gathered(&spec, DVec3::ZERO);
+    assert_eq!(at_zero.strength, fixed.strength);
+    let moved = |x: &[f64], by: f64| x.iter().map(|v| v + by).collect::<Vec<_>>();
+    assert_eq!(at_zero.north_m, moved(&fixed.north_m, 64.0));
+    assert_eq!(at_zero.east_m, moved(&fixed.east_m, -32.0));
+}
+
+#[test]
+fn an_empty_scene_gives_nothing() {
+    let mut scene = Scene::open(&spec(None, 0)).unwrap();
+    let mut out = Scatterers::default();
+    let counts = scene.gather(&[all_round(DVec3::ZERO, 100.0)], &mut out);
+    assert_eq!((counts, out.len()), (SceneCounts::default(), 0));
+    assert_eq!(scene.seabed_down_m(0.0, 0.0), None);
+    assert!(scene.targets().is_empty());
+}
+
+#[test]
+fn faults_name_their_file_and_limits_their_key() {
+    let (_keep, path) = written("bad.asc", "ncols x\n");
+    let shape = SeabedShape::EsriAscii {
+        path: path.clone(),
+        positive_up: true,
+        offset_north_m: 0.0,
+        offset_east_m: 0.0,
+    };
+    let said = |spec: &SceneSpec| Scene::open(spec).unwrap_err().to_string();
+    assert_eq!(
+        said(&spec(Some(seabed(shape, 4.0, true)), 1)),
+        format!(
+            "{}: line 1: `x`: ncols must be a whole number of at least 2",
+            path.display()
+        )
+    );
+    let mut missing = spec(None, 1);
+    missing.points = Some(path.with_file_name("absent.csv"));
+    assert!(matches!(
+        Scene::open(&missing),
+        Err(SceneError::Unreadable { path, .. }) if path.ends_with("absent.csv")
+    ));
+    let mut poor = spec(Some(seabed(FLAT, 4.0, true)), 1);
+    poor.memory_limit_bytes -= 1;
+    assert_eq!(
+        said(&poor),
+        format!(
+            "scene.memory_limit_bytes = {}: must be at least {TILE_BYTES}, one tile of the seabed",
+            TILE_BYTES - 1
+        )
+    );
+}
+
+#[test]
+fn the_quickstart_targets_open_over_the_recorded_seabed() {
+    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("hil-configs/data");
+    let shape = SeabedShape::EsriAscii {
+        path: data.join("jd211_crop_400x400_2m.asc"),
+        positive_up: true,
+        offset_north_m: 0.0,
+        offset_east_m: 0.0,
+    };
+    let mut spec = spec(Some(seabed(shape, 1.0, true)), 10);
+    spec.mirror = true;
+    spec.targets = Some(data.join("quickstart_targets.csv"));
+    let scene = Scene::open(&spec).unwrap();
+    assert!(scene.targets().len() >= 12);
+    for t in scene.targets() {
+        assert!((48.0..52.3).contains(&t.position_m.z), "{t:?}");
+    }
+}

@@ -1,0 +1,220 @@
+//! What the readers of text files share: bounded reading, tables with named columns, and errors that name the place.
+
+use std::fs::File;
+use std::io::Read;
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use super::SceneError;
+
+/// Largest scene file that is read, bytes: it is held in memory whole while it is parsed.
+pub const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// Largest horizontal coordinate in a scene's tables, metres; the tangent plane is of no use beyond.
+pub(super) const MAX_HORIZONTAL_M: f64 = 1e6;
+/// Largest depth or height, metres; the sea is 11 km deep.
+pub(super) const MAX_VERTICAL_M: f64 = 2e4;
+
+/// Characters of an offending value that are repeated in the error.
+const SHOWN_CHARACTERS: usize = 40;
+
+/// A place in a file where it does not say what it should.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}{}: `{value}`: {rule}", column.as_ref().map(|c| format!(", column `{c}`")).unwrap_or_default())]
+pub struct Misread {
+    /// From 1.
+    pub line: usize,
+    pub column: Option<String>,
+    pub value: String,
+    pub rule: String,
+}
+
+impl Misread {
+    pub(super) fn new(line: usize, value: &str, rule: impl Into<String>) -> Self {
+        Self {
+            line,
+            column: None,
+            value: value.chars().take(SHOWN_CHARACTERS).collect(),
+            rule: rule.into(),
+        }
+    }
+    pub(super) fn in_column(mut self, column: &str) -> Self {
+        self.column = Some(column.chars().take(SHOWN_CHARACTERS).collect());
+        self
+    }
+}
+
+/// The bytes of a file of at most [`MAX_FILE_BYTES`].
+pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
+    let unreadable = |source| SceneError::Unreadable {
+        path: path.to_owned(),
+        source,
+    };
+    let file = File::open(path).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    // One byte more than allowed tells a file that is too large from one that just fits, also where it has no length.
+    file.take(MAX_FILE_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(SceneError::TooLarge {
+            path: path.to_owned(),
+        });
+    }
+    Ok(bytes)
+}
+
+/// The text without a byte order mark, as spreadsheets write it.
+pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
+
+/// A number inside `allowed`, or the rule that it breaks.
+pub(super) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
+    if allowed.contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!(
+            "must lie in {} ..= {}",
+            allowed.start(),
+            allowed.end()
+        ))
+    }
+}
+
+/// A column of a table, found by its name in the header.
+pub(super) struct Column {
+    pub name: &'static str,
+    pub required: bool,
+}
+
+pub(super) const fn required(name: &'static str) -> Column {
+    Column {
+        name,
+        required: true,
+    }
+}
+pub(super) const fn optional(name: &'static str) -> Column {
+    Column {
+        name,
+        required: false,
+    }
+}
+
+/// One line of a table; columns are counted in the order of the `columns` given to [`read_table`].
+pub(super) struct Row<'a> {
+    pub line: usize,
+    columns: &'a [Column],
+    places: &'a [Option<usize>],
+    fields: &'a [&'a str],
+}
+
+impl Row<'_> {
+    /// The field's text without blanks about it; none where the optional column is absent.
+    pub fn text(&self, column: usize) -> Option<&str> {
+        self.places[column].map(|place| self.fields[place])
+    }
+    /// The field's number; `absent` where the optional column is.
+    pub fn number(
+        &self,
+        column: usize,
+        allowed: RangeInclusive<f64>,
+        absent: f64,
+    ) -> Result<f64, Misread> {
+        match self.text(column) {
+            None => Ok(absent),
+            Some(text) => number(text, allowed).map_err(|rule| self.misread(column, rule)),
+        }
+    }
+    pub fn misread(&self, column: usize, rule: impl Into<String>) -> Misread {
+        Misread::new(self.line, self.text(column).unwrap_or(""), rule)
+            .in_column(self.columns[column].name)
+    }
+}
+
+/// Reads comma-separated text: a header of column names in any order, then rows. No quoting. Blank lines and lines that begin with `#`
+/// are skipped. Hands each row to `take`.
+pub(super) fn read_table(
+    bytes: &[u8],
+    columns: &[Column],
+    mut take: impl FnMut(&Row) -> Result<(), Misread>,
+) -> Result<(), Misread> {
+    let text = std::str::from_utf8(without_mark(bytes)).map_err(|e| {
+        let line = bytes[..e.valid_up_to()]
+            .iter()
+            .filter(|b| **b == b'\n')
+            .count();
+        Misread::new(line + 1, "", "must be UTF-8 text")
+    })?;
+    let mut header: Option<(usize, Vec<Option<usize>>)> = None;
+    let mut fields: Vec<&str> = Vec::new();
+    let mut lines = 0;
+    for (index, content) in text.lines().enumerate() {
+        let line = index + 1;
+        lines = line;
+        if content.trim().is_empty() || content.starts_with('#') {
+            continue;
+        }
+        fields.clear();
+        fields.extend(content.split(',').map(str::trim));
+        let Some((width, places)) = &header else {
+            header = Some((fields.len(), read_header(line, &fields, columns)?));
+            continue;
+        };
+        if fields.len() != *width {
+            let rule = format!(
+                "must have {width} fields as the header has, not {}",
+                fields.len()
+            );
+            return Err(Misread::new(line, content, rule));
+        }
+        take(&Row {
+            line,
+            columns,
+            places,
+            fields: &fields,
+        })?;
+    }
+    if header.is_none() {
+        let rule = format!("must begin with a header: {}", listed(columns));
+        return Err(Misread::new(lines + 1, "", rule));
+    }
+    Ok(())
+}
+
+/// For every known column its place among the fields.
+fn read_header(
+    line: usize,
+    fields: &[&str],
+    columns: &[Column],
+) -> Result<Vec<Option<usize>>, Misread> {
+    let mut places = vec![None; columns.len()];
+    for (place, field) in fields.iter().enumerate() {
+        let Some(known) = columns.iter().position(|c| c.name == *field) else {
+            let rule = format!("is no column of this table; it has {}", listed(columns));
+            return Err(Misread::new(line, field, rule));
+        };
+        if places[known].replace(place).is_some() {
+            return Err(Misread::new(line, field, "must be there once"));
+        }
+    }
+    for (column, place) in columns.iter().zip(&places) {
+        if column.required && place.is_none() {
+            let rule = format!("is missing; the header must name {}", listed(columns));
+            return Err(Misread::new(line, column.name, rule));
+        }
+    }
+    Ok(places)
+}
+
+fn listed(columns: &[Column]) -> String {
+    let names: Vec<String> = columns
+        .iter()
+        .map(|c| match c.required {
+            true => c.name.to_owned(),
+            false => format!("[{}]", c.name),
+        })
+        .collect();
+    names.join(",")
+}
