@@ -4,78 +4,95 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{FlushWeights, Located, Row32, Row64};
+use super::moments::{BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// How many points ahead the rows are fetched: far enough for the second-level cache.
-const AHEAD: usize = 12;
+/// How many points ahead rows are fetched where a point has several of them: such tables outgrow the second-level cache.
+const AHEAD: usize = 8;
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_32(points: &Located<f32>, taps: usize, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 64 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `row` (weights where there are several
+    // taps). Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned. Prefetches may point anywhere.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.row.len();
         let table = rows.as_mut_ptr().cast::<f32>();
+        let (x, row) = (points.x.as_ptr(), points.row.as_ptr());
+        // x^2 and x^4 of all points first, eight at once: later they are broadcast as they are read.
+        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!(last as usize + points.taps <= rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm256_set1_ps(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm256_set1_ps(points.x[j]);
-            let x2 = _mm256_mul_ps(x, x);
             // 1, x, x^2, x^3, each twice; then times x^4.
             let p = _mm256_mul_ps(
-                _mm256_blend_ps::<0b1100_1100>(one, x),
-                _mm256_blend_ps::<0b1111_0000>(one, x2),
+                _mm256_blend_ps::<0b1100_1100>(one, _mm256_set1_ps(*x.add(j))),
+                _mm256_blend_ps::<0b1111_0000>(one, _mm256_set1_ps(*x2.add(j))),
             );
+            let x4 = _mm256_set1_ps(*x4.add(j));
             let c = points.amplitude.as_ptr().add(j).cast::<f64>();
             let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
             let low = _mm256_mul_ps(p, c);
-            let high = _mm256_mul_ps(low, _mm256_mul_ps(x2, x2));
-            for t in 0..taps {
+            let at = table.add(16 * *row.add(j) as usize);
+            if points.taps == 1 {
+                _mm256_store_ps(at, _mm256_add_ps(low, _mm256_load_ps(at)));
+                let at = at.add(8);
+                _mm256_store_ps(at, _mm256_fmadd_ps(low, x4, _mm256_load_ps(at)));
+                continue;
+            }
+            let high = _mm256_mul_ps(low, x4);
+            let ahead = *row.add((j + AHEAD).min(n - 1)) as usize;
+            let weight = points.weight.as_ptr().add(j).cast::<f32>();
+            for t in 0..points.taps {
                 _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
-                let row = table.add(16 * (points.row[j] as usize + t));
-                let weight = if taps == 1 {
-                    one
-                } else {
-                    _mm256_set1_ps(*points.weight[j].get_unchecked(t))
-                };
-                _mm256_store_ps(row, _mm256_fmadd_ps(low, weight, _mm256_load_ps(row)));
-                let row = row.add(8);
-                _mm256_store_ps(row, _mm256_fmadd_ps(high, weight, _mm256_load_ps(row)));
+                let weight = _mm256_set1_ps(*weight.add(t));
+                let at = at.add(16 * t);
+                _mm256_store_ps(at, _mm256_fmadd_ps(low, weight, _mm256_load_ps(at)));
+                let at = at.add(8);
+                _mm256_store_ps(at, _mm256_fmadd_ps(high, weight, _mm256_load_ps(at)));
             }
         }
     }
 }
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row64]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 192 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+    // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.row.len();
         let table = rows.as_mut_ptr().cast::<f64>();
+        let (x, row) = (points.x.as_ptr(), points.row.as_ptr());
+        let last = points.row.iter().fold(0, |a, &b| a.max(b));
+        assert!(last as usize + points.taps <= rows.len(), "row {last}");
         let one = _mm256_set1_pd(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm256_set1_pd(points.x[j]);
+            let x = _mm256_set1_pd(*x.add(j));
             let x2 = _mm256_mul_pd(x, x);
-            let c = _mm256_broadcast_pd(&*points.amplitude.as_ptr().add(j).cast());
-            for t in 0..taps {
-                let next = table.wrapping_add(24 * (ahead + t));
-                _mm_prefetch::<_MM_HINT_T0>(next.cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
-                let row = table.add(24 * (points.row[j] as usize + t));
-                let c = if taps == 1 {
-                    c
-                } else {
-                    _mm256_mul_pd(c, _mm256_set1_pd(*points.weight[j].get_unchecked(t)))
-                };
-                let mut moments = _mm256_mul_pd(c, _mm256_blend_pd::<0b1100>(one, x));
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm256_set_m128d(c, c);
+            let first = _mm256_mul_pd(c, _mm256_blend_pd::<0b1100>(one, x));
+            let ahead = *row.add((j + AHEAD).min(n - 1)) as usize;
+            for t in 0..points.taps {
+                let mut moments = first;
+                if points.taps > 1 {
+                    let weight = points.weight.as_ptr().add(j).cast::<f64>().add(t);
+                    moments = _mm256_mul_pd(first, _mm256_set1_pd(*weight));
+                    let next = table.wrapping_add(24 * (ahead + t));
+                    _mm_prefetch::<_MM_HINT_T0>(next.cast());
+                    _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
+                    _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
+                }
+                let at = table.add(24 * (*row.add(j) as usize + t));
                 for v in 0..6 {
-                    let row = row.add(4 * v);
-                    _mm256_store_pd(row, _mm256_add_pd(moments, _mm256_load_pd(row)));
+                    let at = at.add(4 * v);
+                    _mm256_store_pd(at, _mm256_add_pd(moments, _mm256_load_pd(at)));
                     moments = _mm256_mul_pd(moments, x2);
                 }
             }

@@ -4,84 +4,119 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{FlushWeights, Located, Row32, Row64};
+use super::moments::{BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// How many points ahead the rows are fetched: far enough for the second-level cache.
-const AHEAD: usize = 12;
+/// How many points ahead rows are fetched where a point has several of them: such tables outgrow the second-level cache.
+const AHEAD: usize = 8;
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// a times b in the lanes of `mask`, a in the others. As assembler because the compiler makes a product and a blend of the intrinsic, and the
+/// port that blends is the one that is short here.
+#[inline]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_32(points: &Located<f32>, taps: usize, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 64 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+fn times_where(mask: u16, mut a: __m512, b: __m512) -> __m512 {
+    // SAFETY: one instruction on registers, of a feature that the function requires.
     unsafe {
-        let n = points.len.min(points.row.len());
+        std::arch::asm!(
+            "vmulps {a}{{{mask}}}, {a}, {b}",
+            a = inout(zmm_reg) a,
+            b = in(zmm_reg) b,
+            mask = in(kreg) mask,
+            options(pure, nomem, nostack, preserves_flags),
+        );
+    }
+    a
+}
+
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `row` (weights where there are several
+    // taps). Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned. Prefetches may point anywhere.
+    unsafe {
+        let n = points.row.len();
         let table = rows.as_mut_ptr().cast::<f32>();
+        let (x, row) = (points.x.as_ptr(), points.row.as_ptr());
+        // x^2 and x^4 of all points first, sixteen at once: later they are broadcast as they are read.
+        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!(last as usize + points.taps <= rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm512_set1_ps(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm512_set1_ps(points.x[j]);
-            let x2 = _mm512_mul_ps(x, x);
-            let x4 = _mm512_mul_ps(x2, x2);
             // 1, x, x^2 ... x^7, each twice.
-            let p = _mm512_mask_blend_ps(0b1100_1100_1100_1100, one, x);
-            let p = _mm512_mask_mul_ps(p, 0b1111_0000_1111_0000, p, x2);
-            let p = _mm512_mask_mul_ps(p, 0b1111_1111_0000_0000, p, x4);
+            let p = times_where(0b1100_1100_1100_1100, one, _mm512_set1_ps(*x.add(j)));
+            let p = times_where(0b1111_0000_1111_0000, p, _mm512_set1_ps(*x2.add(j)));
+            let p = times_where(0b1111_1111_0000_0000, p, _mm512_set1_ps(*x4.add(j)));
             let c = points.amplitude.as_ptr().add(j).cast::<f64>();
             let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let row = table.add(16 * points.row[j] as usize);
-            if taps == 1 {
-                _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * ahead).cast());
-                _mm512_store_ps(row, _mm512_fmadd_ps(p, c, _mm512_load_ps(row)));
-            } else {
-                let moments = _mm512_mul_ps(p, c);
-                for t in 0..taps {
-                    _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
-                    let weight = _mm512_set1_ps(*points.weight[j].get_unchecked(t));
-                    let row = row.add(16 * t);
-                    _mm512_store_ps(row, _mm512_fmadd_ps(moments, weight, _mm512_load_ps(row)));
-                }
+            let at = table.add(16 * *row.add(j) as usize);
+            if points.taps == 1 {
+                _mm512_store_ps(at, _mm512_fmadd_ps(p, c, _mm512_load_ps(at)));
+                continue;
+            }
+            let moments = _mm512_mul_ps(p, c);
+            let ahead = *row.add((j + AHEAD).min(n - 1)) as usize;
+            let weight = points.weight.as_ptr().add(j).cast::<f32>();
+            for t in 0..points.taps {
+                _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
+                let weight = _mm512_set1_ps(*weight.add(t));
+                let at = at.add(16 * t);
+                _mm512_store_ps(at, _mm512_fmadd_ps(moments, weight, _mm512_load_ps(at)));
             }
         }
     }
 }
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row64]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 192 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+    // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.row.len();
         let table = rows.as_mut_ptr().cast::<f64>();
+        let (x, row) = (points.x.as_ptr(), points.row.as_ptr());
+        let (mut x2, mut x4) = ([0f64; BLOCK], [0f64; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!(last as usize + points.taps <= rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm512_set1_pd(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm512_set1_pd(points.x[j]);
-            let x2 = _mm512_mul_pd(x, x);
-            let x4 = _mm512_mul_pd(x2, x2);
             // 1, x, x^2, x^3, each twice; then times x^4 and x^8.
-            let p = _mm512_mask_blend_pd(0b1100_1100, one, x);
-            let p = _mm512_mask_mul_pd(p, 0b1111_0000, p, x2);
+            let p = _mm512_mask_blend_pd(0b1100_1100, one, _mm512_set1_pd(*x.add(j)));
+            let p = _mm512_mask_mul_pd(p, 0b1111_0000, p, _mm512_set1_pd(*x2.add(j)));
+            let x4 = _mm512_set1_pd(*x4.add(j));
             let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
             let low = _mm512_mul_pd(p, _mm512_broadcast_f64x2(c));
             let middle = _mm512_mul_pd(low, x4);
+            let at = table.add(24 * *row.add(j) as usize);
+            if points.taps == 1 {
+                _mm512_store_pd(at, _mm512_add_pd(low, _mm512_load_pd(at)));
+                let at = at.add(8);
+                _mm512_store_pd(at, _mm512_add_pd(middle, _mm512_load_pd(at)));
+                let at = at.add(8);
+                _mm512_store_pd(at, _mm512_fmadd_pd(middle, x4, _mm512_load_pd(at)));
+                continue;
+            }
             let high = _mm512_mul_pd(middle, x4);
-            let row = table.add(24 * points.row[j] as usize);
-            for t in 0..taps {
-                let next = table.wrapping_add(24 * (ahead + t));
-                _mm_prefetch::<_MM_HINT_T0>(next.cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
-                let row = row.add(24 * t);
-                let weight = if taps == 1 {
-                    one
-                } else {
-                    _mm512_set1_pd(*points.weight[j].get_unchecked(t))
-                };
+            let ahead = *row.add((j + AHEAD).min(n - 1)) as usize;
+            let weight = points.weight.as_ptr().add(j).cast::<f64>();
+            for t in 0..points.taps {
+                let weight = _mm512_set1_pd(*weight.add(t));
                 for (v, moments) in [low, middle, high].into_iter().enumerate() {
-                    let row = row.add(8 * v);
-                    _mm512_store_pd(row, _mm512_fmadd_pd(moments, weight, _mm512_load_pd(row)));
+                    let next = table.wrapping_add(24 * (ahead + t) + 8 * v);
+                    _mm_prefetch::<_MM_HINT_T0>(next.cast());
+                    let at = at.add(24 * t + 8 * v);
+                    _mm512_store_pd(at, _mm512_fmadd_pd(moments, weight, _mm512_load_pd(at)));
                 }
             }
         }

@@ -26,17 +26,25 @@ pub struct Row<R, const N: usize>(pub [R; N]);
 pub type Row32 = Row<f32, 16>;
 pub type Row64 = Row<f64, 24>;
 
-/// Up to [`BLOCK`] points of one element, structure of arrays.
+/// Up to [`BLOCK`] points, structure of arrays; all slices have the same length, but for `weight`.
+#[derive(Clone, Copy, Debug)]
+pub struct Points<'a, T> {
+    /// First row each point adds to: its cell times the columns, plus its column.
+    pub row: &'a [u32],
+    /// Place across the cell, -1..1.
+    pub x: &'a [T],
+    pub amplitude: &'a [Complex<T>],
+    /// Rows that each point adds to: `row`, `row + 1`, ...
+    pub taps: usize,
+    /// Of these rows, `taps` of each point's are read. With one tap the weight is 1 and nothing is read; empty will do.
+    pub weight: &'a [[T; MAX_TAPS]],
+}
+
+/// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
 #[derive(Clone, Debug)]
 pub struct Located<T> {
-    pub len: usize,
-    /// First row each point adds to; taken from [`locate`] and multiplied by the columns by the caller.
     pub row: [u32; BLOCK],
-    /// Place across the cell, -1..1.
     pub x: [T; BLOCK],
-    pub amplitude: [Complex<T>; BLOCK],
-    /// Of the rows `row`, `row + 1`, ...; only the first `taps` are read. With one tap it is 1 and not read.
-    pub weight: [[T; MAX_TAPS]; BLOCK],
 }
 
 /// The real numbers that moments are made of.
@@ -50,7 +58,7 @@ pub trait Real: FftNum + Default {
     fn narrow(value: f64) -> Self;
 
     /// Adds every point's moments. Panics if a point's last row is outside `rows`.
-    fn accumulate(dialect: Dialect, points: &Located<Self>, taps: usize, rows: &mut [Self::Row]);
+    fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [Self::Row]);
 
     /// Puts column `column` of all cells but the drain on the grid: `out[cell + i]` is what tap i of each cell adds up to.
     /// `out` is overwritten; its length is cells + width - 1 without the drain.
@@ -95,11 +103,8 @@ impl<T: Real> FlushWeights<T> {
 impl<T: Real> Located<T> {
     pub fn new() -> Self {
         Self {
-            len: 0,
             row: [0; BLOCK],
             x: [T::default(); BLOCK],
-            amplitude: [Complex::new(T::default(), T::default()); BLOCK],
-            weight: [[T::default(); MAX_TAPS]; BLOCK],
         }
     }
 }
@@ -191,17 +196,15 @@ pub fn locate<T: Real>(
     }
 }
 
-/// What the vector loops rely on: every row that any point adds to exists.
-fn check_rows<T>(points: &Located<T>, taps: usize, rows: usize) {
+/// What the vector loops rely on: slices long enough. (That every row exists each of them checks in its own first pass.)
+fn check_points<T>(points: &Points<T>) {
+    let Points { taps, weight, .. } = *points;
+    let len = points.row.len();
+    assert!(len <= BLOCK, "{len} points in a block of {BLOCK}");
+    assert_eq!(points.x.len(), len, "places");
+    assert_eq!(points.amplitude.len(), len, "amplitudes");
     assert!((1..=MAX_TAPS).contains(&taps), "{taps} taps");
-    assert!(points.len <= BLOCK);
-    let last = points.row[..points.len]
-        .iter()
-        .fold(0, |a, &b| a.max(b as usize));
-    assert!(
-        last + taps <= rows,
-        "row {last} + {taps} of a table of {rows}"
-    );
+    assert!(taps == 1 || weight.len() == len, "weights");
 }
 
 /// What the vector loops rely on: shapes that fit one another.
@@ -237,25 +240,18 @@ macro_rules! real {
                 value as $real
             }
 
-            fn accumulate(
-                dialect: Dialect,
-                points: &Located<Self>,
-                taps: usize,
-                rows: &mut [$row],
-            ) {
-                check_rows(points, taps, rows.len());
+            fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [$row]) {
+                check_points(&points);
                 match dialect.kind() {
                     #[cfg(target_arch = "x86_64")]
-                    // SAFETY: a `Dialect` of this kind exists only where the processor has the features; the rows were checked above.
+                    // SAFETY: a `Dialect` of this kind exists only where the processor has the features; the slices were checked above.
                     super::dialect::Kind::Avx512 => unsafe {
-                        super::avx512::$accumulate(points, taps, rows)
+                        super::avx512::$accumulate(points, rows)
                     },
                     #[cfg(target_arch = "x86_64")]
                     // SAFETY: as above.
-                    super::dialect::Kind::Avx2 => unsafe {
-                        super::avx2::$accumulate(points, taps, rows)
-                    },
-                    _ => accumulate_plain(points, taps, rows),
+                    super::dialect::Kind::Avx2 => unsafe { super::avx2::$accumulate(points, rows) },
+                    _ => accumulate_plain(points, rows),
                 }
             }
 
@@ -297,12 +293,8 @@ real!(f32, Row32, Complex32, 8, accumulate_32, flush_32);
 real!(f64, Row64, Complex64, 12, accumulate_64, flush_64);
 
 /// The portable twin of the vector loops.
-fn accumulate_plain<T: Real, const N: usize>(
-    points: &Located<T>,
-    taps: usize,
-    rows: &mut [Row<T, N>],
-) {
-    for j in 0..points.len {
+fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<T, N>]) {
+    for (j, &first) in points.row.iter().enumerate() {
         let mut moments = [T::zero(); N];
         let mut now = points.amplitude[j];
         for pair in moments.chunks_exact_mut(2) {
@@ -310,14 +302,14 @@ fn accumulate_plain<T: Real, const N: usize>(
             pair[1] = now.im;
             now = now * points.x[j];
         }
-        let first = points.row[j] as usize;
-        if taps == 1 {
-            for (sum, moment) in rows[first].0.iter_mut().zip(moments) {
+        let rows = &mut rows[first as usize..first as usize + points.taps];
+        if let [row] = rows {
+            for (sum, moment) in row.0.iter_mut().zip(moments) {
                 *sum = *sum + moment;
             }
             continue;
         }
-        for (row, &weight) in rows[first..first + taps].iter_mut().zip(&points.weight[j]) {
+        for (row, &weight) in rows.iter_mut().zip(&points.weight[j]) {
             for (sum, moment) in row.0.iter_mut().zip(moments) {
                 *sum = *sum + weight * moment;
             }
@@ -358,19 +350,30 @@ mod tests {
         (x >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    fn points<T: Real>(cells: usize, columns: usize, len: usize) -> Located<T> {
-        let mut points = Located::new();
-        points.len = len;
-        for j in 0..len {
-            points.row[j] = ((chance(7 * j).abs() * (cells - 1) as f64) as usize * columns) as u32;
-            points.x[j] = T::narrow(chance(7 * j + 1));
-            points.amplitude[j] =
-                Complex::new(T::narrow(chance(7 * j + 2)), T::narrow(chance(7 * j + 3)));
-            for t in 0..MAX_TAPS {
-                points.weight[j][t] = T::narrow(chance(97 * j + t + 4));
-            }
+    type Block<T> = (Located<T>, [Complex<T>; BLOCK], [[T; MAX_TAPS]; BLOCK]);
+
+    fn block<T: Real>(cells: usize, columns: usize) -> Block<T> {
+        let number = |i: usize| T::narrow(chance(i));
+        let mut located = Located::new();
+        for j in 0..BLOCK {
+            located.row[j] = ((chance(7 * j).abs() * (cells - 1) as f64) as usize * columns) as u32;
+            located.x[j] = number(7 * j + 1);
         }
-        points
+        (
+            located,
+            std::array::from_fn(|j| Complex::new(number(7 * j + 2), number(7 * j + 3))),
+            std::array::from_fn(|j| std::array::from_fn(|t| number(97 * j + t + 4))),
+        )
+    }
+
+    fn points<T>(block: &Block<T>, len: usize, taps: usize) -> Points<'_, T> {
+        Points {
+            row: &block.0.row[..len],
+            x: &block.0.x[..len],
+            amplitude: &block.1[..len],
+            taps,
+            weight: &block.2[..len],
+        }
     }
 
     fn largest_difference<T: Real + Into<f64>, const N: usize>(
@@ -393,11 +396,14 @@ mod tests {
         for dialect in Dialect::available() {
             for taps in 1..=MAX_TAPS {
                 let columns = taps;
-                let points = points::<T>(CELLS, columns, BLOCK);
+                let block = block::<T>(CELLS, columns);
                 let mut want = vec![T::EMPTY; CELLS * columns];
                 let mut got = want.clone();
-                accumulate_plain(&points, taps, &mut want);
-                T::accumulate(dialect, &points, taps, &mut got);
+                for len in [0, 1, 17, BLOCK] {
+                    let points = points(&block, len, taps);
+                    accumulate_plain(points, &mut want);
+                    T::accumulate(dialect, points, &mut got);
+                }
                 let error = largest_difference(&got, &want);
                 assert!(error < limit, "{dialect:?}, {taps} taps: {error:e}");
                 for width in 2..=MAX_WIDTH {
@@ -480,13 +486,17 @@ mod tests {
     #[test]
     fn moments_of_one_point_are_its_powers() {
         let mut rows = vec![f64::EMPTY; 2];
-        let mut points = Located::<f64>::new();
-        points.len = 1;
-        points.x[0] = 0.5;
-        points.amplitude[0] = Complex64::from_polar(1.0, 0.1 * TAU);
-        f64::accumulate(Dialect::best(), &points, 1, &mut rows);
+        let amplitude = Complex64::from_polar(1.0, 0.1 * TAU);
+        let points = Points {
+            row: &[0],
+            x: &[0.5],
+            amplitude: &[amplitude],
+            taps: 1,
+            weight: &[],
+        };
+        f64::accumulate(Dialect::best(), points, &mut rows);
         for k in 0..12 {
-            let want = points.amplitude[0] * 0.5f64.powi(k as i32);
+            let want = amplitude * 0.5f64.powi(k as i32);
             let got = Complex64::new(rows[0].0[2 * k], rows[0].0[2 * k + 1]);
             assert!((got - want).norm() < 1e-16, "{k}: {got} {want}");
         }

@@ -13,7 +13,7 @@ use rustfft::{Fft, FftPlanner};
 
 use super::dialect::Dialect;
 use super::kernel::Kernel;
-use super::moments::{BLOCK, FlushWeights, Located, Real, locate};
+use super::moments::{BLOCK, FlushWeights, Located, Points, Real, locate};
 
 /// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
@@ -39,7 +39,7 @@ pub struct Transform1d<T: Real> {
 
 /// Buffers of one thread for one plan.
 pub struct Workspace<T: Real> {
-    points: Box<Located<T>>,
+    located: Located<T>,
     rows: Vec<T::Row>,
     grid: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
@@ -95,7 +95,7 @@ impl<T: Real> Transform1d<T> {
     pub fn workspace(&self) -> Workspace<T> {
         let zero = Complex::new(T::zero(), T::zero());
         Workspace {
-            points: Box::default(),
+            located: Located::new(),
             // Cells 0..=grid, because odd kernels put the last half step into one of its own; and the drain.
             rows: vec![T::EMPTY; self.grid + 2],
             grid: vec![zero; self.grid + self.kernel.width],
@@ -117,19 +117,18 @@ impl<T: Real> Transform1d<T> {
         let scale = self.grid as f64 / self.period_s;
         let mut outside = 0;
         for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
-            let points = &mut *work.points;
-            points.len = delay_s.len();
-            points.amplitude[..points.len].copy_from_slice(amplitude);
-            outside += locate(
-                self.dialect,
-                delay_s,
-                scale,
-                self.kernel.shift(),
-                self.grid + 1,
-                &mut points.row,
-                &mut points.x,
-            );
-            T::accumulate(self.dialect, points, 1, &mut work.rows);
+            let Located { row, x } = &mut work.located;
+            let shift = self.kernel.shift();
+            let cells = self.grid + 1;
+            outside += locate(self.dialect, delay_s, scale, shift, cells, row, x);
+            let points = Points {
+                row: &row[..delay_s.len()],
+                x: &x[..delay_s.len()],
+                amplitude,
+                taps: 1,
+                weight: &[],
+            };
+            T::accumulate(self.dialect, points, &mut work.rows);
         }
         self.finish(work, out);
         outside

@@ -99,7 +99,13 @@ impl Scene {
             first_s: 0.0,
             last_s: WINDOW_S,
         };
-        illuminate(&self.plan, &self.transmit, window, &self.scatterers, &mut lit);
+        illuminate(
+            &self.plan,
+            &self.transmit,
+            window,
+            &self.scatterers,
+            &mut lit,
+        );
         (0..elements)
             .map(|element| {
                 let mut kept = Kept(Vec::new());

@@ -94,10 +94,16 @@ pub fn dump(directory: &Path, scatterers: usize) -> Result<(), String> {
     std::fs::create_dir_all(directory).map_err(|e| format!("{}: {e}", directory.display()))?;
     let points = Points::new(scatterers);
     let flat = |v: &[Complex64]| v.iter().flat_map(|c| [c.re, c.im]).collect::<Vec<_>>();
-    write(&directory.join("delay_s.f64"), points.delay_s.iter().copied())?;
+    write(
+        &directory.join("delay_s.f64"),
+        points.delay_s.iter().copied(),
+    )?;
     write(&directory.join("amplitude.c128"), flat(&points.amplitude))?;
     write(&directory.join("direct.c128"), flat(&points.direct()))?;
-    println!("{{\"points\":{},\"bins\":{BINS},\"period_s\":{PERIOD_S}}}", points.delay_s.len());
+    println!(
+        "{{\"points\":{},\"bins\":{BINS},\"period_s\":{PERIOD_S}}}",
+        points.delay_s.len()
+    );
     Ok(())
 }
 
@@ -154,8 +160,12 @@ impl<T: Real + Into<f64>> Prepared<T> {
 impl<T: Real + Into<f64>> Runner for Prepared<T> {
     fn run(&mut self) -> f64 {
         let start = Instant::now();
-        self.plan
-            .execute(&mut self.work, &self.delay_s, &self.amplitude, &mut self.out);
+        self.plan.execute(
+            &mut self.work,
+            &self.delay_s,
+            &self.amplitude,
+            &mut self.out,
+        );
         start.elapsed().as_secs_f64() * 1e3
     }
 
@@ -209,8 +219,20 @@ fn prepare(
     let dialect = dialect_named(dialect)?;
     let delay_s = delay_s.clone();
     match precision {
-        "f32" => Ok(Box::new(Prepared::<f32>::new(delay_s, amplitude, width, oversampling, dialect))),
-        "f64" => Ok(Box::new(Prepared::<f64>::new(delay_s, amplitude, width, oversampling, dialect))),
+        "f32" => Ok(Box::new(Prepared::<f32>::new(
+            delay_s,
+            amplitude,
+            width,
+            oversampling,
+            dialect,
+        ))),
+        "f64" => Ok(Box::new(Prepared::<f64>::new(
+            delay_s,
+            amplitude,
+            width,
+            oversampling,
+            dialect,
+        ))),
         _ => Err(malformed()),
     }
 }
