@@ -117,16 +117,14 @@ impl<T: Real> Transform1d<T> {
         let scale = self.grid as f64 / self.period_s;
         let mut outside = 0;
         for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
-            let Located { row, x } = &mut work.located;
+            let Located { cell, x } = &mut work.located;
             let shift = self.kernel.shift();
             let cells = self.grid + 1;
-            outside += locate(self.dialect, delay_s, scale, shift, cells, row, x);
+            outside += locate(self.dialect, delay_s, scale, shift, cells, cell, x);
             let points = Points {
-                row: &row[..delay_s.len()],
+                cell: &cell[..delay_s.len()],
                 x: &x[..delay_s.len()],
                 amplitude,
-                taps: 1,
-                weight: &[],
             };
             T::accumulate(self.dialect, points, &mut work.rows);
         }
@@ -135,14 +133,7 @@ impl<T: Real> Transform1d<T> {
     }
 
     fn finish(&self, work: &mut Workspace<T>, out: &mut [Complex<T>]) {
-        T::flush(
-            self.dialect,
-            &work.rows,
-            1,
-            0,
-            &self.weights,
-            &mut work.grid,
-        );
+        T::flush(self.dialect, &work.rows, &self.weights, &mut work.grid);
         let (grid, beyond) = work.grid.split_at_mut(self.grid);
         // The period closes: what was put past the end belongs to the beginning.
         for (value, past) in grid.iter_mut().zip(beyond) {
