@@ -201,29 +201,19 @@ struct Plan<M: Real, G: Real> {
     error: f64,
 }
 
-/// Band, in multiples of the sample rate, outside of which the received pulse has no more than the share; and what it has there.
-fn band(spec: &Spec, spectrum: &PulseSpectrum) -> Result<(usize, f64), GriddedError> {
-    let step_hz = 0.25 / spec.pulse.duration_s;
-    let gain = |f_hz: f64| spec.filter.map_or(1.0, |filter| filter.gain(f_hz));
-    let edge_hz = |bands: usize| 0.5 * bands as f64 * spec.sample_rate_hz;
-    // Energy up to each edge. The two sides are the same but for the sweep's direction.
-    let mut inside = vec![0.0; MOST_BANDS + 1];
-    let steps = (edge_hz(MOST_BANDS) / step_hz) as i64;
-    for k in -steps..=steps {
-        let f_hz = k as f64 * step_hz;
-        let energy = (spectrum.at(f_hz) * gain(f_hz)).norm_sqr() * step_hz;
-        for (bands, inside) in inside.iter_mut().enumerate() {
-            if f_hz.abs() <= edge_hz(bands) {
-                *inside += energy;
-            }
-        }
-    }
-    let all = match spec.filter {
-        None => spectrum.energy(),
-        // Past the widest band the filter's side lobes are as low as its stop band's end.
-        Some(_) => inside[MOST_BANDS],
-    };
-    let share = |bands: usize| ((all - inside[bands]) / all).max(0.0).sqrt();
+/// Band, in multiples of the sample rate, outside of which the received pulse has no more than the share at any Doppler; and what it has
+/// there.
+fn band(
+    spec: &Spec,
+    span: DopplerSpan,
+    spectrum: &PulseSpectrum,
+) -> Result<(usize, f64), GriddedError> {
+    let ends: Vec<Vec<f64>> = [span.least, span.greatest]
+        .iter()
+        .map(|&d| shares(spec, d, spectrum))
+        .collect();
+    let share = |bands: usize| ends.iter().map(|s| s[bands]).fold(0.0, f64::max);
+    // With a filter the widest band is what the others are measured by.
     let most = match spec.filter {
         None => MOST_BANDS,
         Some(_) => MOST_BANDS / 2,
@@ -235,6 +225,33 @@ fn band(spec: &Spec, spectrum: &PulseSpectrum) -> Result<(usize, f64), GriddedEr
             tolerance: spec.tolerance,
             share: share(most),
         })
+}
+
+/// Amplitude share of an echo of Doppler `d` outside of 0, 1, ... [`MOST_BANDS`] multiples of the sample rate.
+fn shares(spec: &Spec, d: f64, spectrum: &PulseSpectrum) -> Vec<f64> {
+    let shift_hz = spec.pulse.center_frequency_hz * d;
+    let step_hz = 0.25 / spec.pulse.duration_s;
+    let edge_hz = |bands: usize| 0.5 * bands as f64 * spec.sample_rate_hz;
+    let mut outside = vec![0.0; MOST_BANDS + 1];
+    let steps = (edge_hz(MOST_BANDS) / step_hz) as i64;
+    for k in -steps..=steps {
+        let f_hz = k as f64 * step_hz;
+        let gain = spec.filter.map_or(1.0, |filter| filter.gain(f_hz));
+        let energy = (spectrum.at(f_hz - shift_hz) * gain).norm_sqr() * step_hz;
+        for (bands, outside) in outside.iter_mut().enumerate() {
+            if f_hz.abs() > edge_hz(bands) || bands == 0 {
+                *outside += energy;
+            }
+        }
+    }
+    let within = outside[0];
+    // Parseval tells what lies beyond the widest band, down to rounding; a filter leaves nothing there.
+    let beyond = match spec.filter {
+        None => (spectrum.energy() - within).max(0.0),
+        Some(_) => 0.0,
+    };
+    let share = |outside: &f64| ((outside + beyond) / (within + beyond)).sqrt();
+    outside.iter().map(share).collect()
 }
 
 /// The kernel over delay: the smallest grid on which `widest` reaches the share.
@@ -300,7 +317,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             + fastest * pulse.center_frequency_hz)
             / (1.0 - fastest);
         let spectrum = PulseSpectrum::new(pulse, highest_hz);
-        let (bands, outside) = band(spec, &spectrum)?;
+        let (bands, outside) = band(spec, span, &spectrum)?;
 
         // An echo reaches from half a pulse and half a filter before its middle to as much after it.
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
