@@ -1,5 +1,9 @@
 //! Measures the echo engine: errors and milliseconds on one line. See `tools/bench --help`.
 
+#[path = "bench/echo.rs"]
+mod echo;
+#[path = "bench/machine.rs"]
+mod machine;
 #[path = "bench/scene.rs"]
 mod scene;
 #[path = "bench/transform.rs"]
@@ -18,6 +22,15 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum What {
+    /// Synthesis methods on the paper-like ping and on a dense one.
+    Echo {
+        /// The small scene only, fewer runs.
+        #[arg(long)]
+        quick: bool,
+        /// Write the table as JSON too.
+        #[arg(long)]
+        json: Option<PathBuf>,
+    },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
         directory: PathBuf,
@@ -30,6 +43,7 @@ enum What {
 
 fn main() -> std::process::ExitCode {
     let done = match Arguments::parse().what {
+        What::Echo { quick, json } => echo::run(quick, json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,
