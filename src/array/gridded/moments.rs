@@ -5,7 +5,7 @@
 //! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
 //! ([`Real::spread`]).
 //!
-//! The last cell of a table or grid is a drain for points that lie nowhere.
+//! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
 
 use num_complex::{Complex, Complex32, Complex64};
@@ -132,22 +132,24 @@ impl<T: Real> Default for Located<T> {
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Cell and place of up to [`BLOCK`] positions `scale * delay_s + offset`, in cells; those outside 0..`cells` go to the drain, which is
-/// cell `cells`. Returns how many did. NaN is outside.
+/// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
+#[derive(Clone, Copy, Debug)]
+pub struct Axis {
+    pub per_s: f64,
+    pub offset: f64,
+    pub cells: usize,
+    pub drain: usize,
+}
+
+/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
 #[inline(always)]
-fn locate_plain<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    cell: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    let end = cells as f64;
-    let drain = end + 0.5;
+fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    let end = axis.cells as f64;
+    let drain = axis.drain as f64 + 0.5;
     let mut outside = 0;
+    let Located { cell, x } = located;
     for ((&delay_s, cell), x) in delay_s.iter().zip(cell).zip(x) {
-        let position = delay_s * scale + offset;
+        let position = delay_s * axis.per_s + axis.offset;
         let inside = (position >= 0.0) & (position < end);
         outside += u64::from(!inside);
         let position = if inside { position } else { drain };
@@ -162,49 +164,31 @@ fn locate_plain<T: Real>(
 /// The AVX2 and AVX-512 builds of [`locate_plain`]: the same arithmetic, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn locate_avx2<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    cell: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    locate_plain(delay_s, scale, offset, cells, cell, x)
+fn locate_avx2<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    locate_plain(axis, delay_s, located)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn locate_avx512<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    cell: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    locate_plain(delay_s, scale, offset, cells, cell, x)
+fn locate_avx512<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    locate_plain(axis, delay_s, located)
 }
 
-/// See [`locate_plain`].
+/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
 pub fn locate<T: Real>(
     dialect: Dialect,
+    axis: Axis,
     delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    cell: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
+    located: &mut Located<T>,
 ) -> u64 {
     assert!(delay_s.len() <= BLOCK);
     match dialect.kind() {
+        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: a `Dialect` of this kind exists only where the processor has the features.
-        Kind::Avx512 => unsafe { locate_avx512(delay_s, scale, offset, cells, cell, x) },
+        Kind::Avx512 => unsafe { locate_avx512(axis, delay_s, located) },
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: a `Dialect` of this kind exists only where the processor has the features.
-        Kind::Avx2 => unsafe { locate_avx2(delay_s, scale, offset, cells, cell, x) },
-        _ => locate_plain(delay_s, scale, offset, cells, cell, x),
+        Kind::Avx2 => unsafe { locate_avx2(axis, delay_s, located) },
+        _ => locate_plain(axis, delay_s, located),
     }
 }
 
@@ -498,32 +482,27 @@ mod tests {
         {
             delay_s[10 * i] = odd;
         }
-        let cells = 2000;
+        let axis = Axis {
+            per_s: 1e6,
+            offset: 0.0,
+            cells: 2000,
+            drain: 2007,
+        };
         let mut want = Located::<f64>::new();
-        let scale = cells as f64 / 2e-3;
-        let outside = locate_plain(&delay_s, scale, 0.0, cells, &mut want.cell, &mut want.x);
+        let outside = locate_plain(axis, &delay_s, &mut want);
         assert_eq!(outside, 6);
         for (j, delay_s) in delay_s.iter().enumerate() {
             if (0.0..2e-3).contains(delay_s) {
                 let position = f64::from(want.cell[j]) + 0.5 + 0.5 * want.x[j];
-                assert!((position - delay_s * scale).abs() < 1e-11);
+                assert!((position - delay_s * 1e6).abs() < 1e-11);
                 assert!(want.x[j].abs() <= 1.0, "{}", want.x[j]);
             } else {
-                assert_eq!(want.cell[j] as usize, cells);
+                assert_eq!(want.cell[j] as usize, axis.drain);
             }
         }
         for dialect in Dialect::available() {
             let mut got = Located::<f64>::new();
-            let scale = cells as f64 / 2e-3;
-            let count = locate(
-                dialect,
-                &delay_s,
-                scale,
-                0.0,
-                cells,
-                &mut got.cell,
-                &mut got.x,
-            );
+            let count = locate(dialect, axis, &delay_s, &mut got);
             assert_eq!(
                 (count, got.cell, got.x),
                 (outside, want.cell, want.x),

@@ -22,8 +22,8 @@ use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 use super::dialect::Dialect;
 use super::doppler::{DopplerGrid, DopplerSpan, POWERS, Templates};
 use super::kernel::{Kernel, MAX_WIDTH, MIN_WIDTH};
-use super::moments::{Across, FlushWeights, Located, MAX_TAPS, Points, Real, locate};
-use super::prepare::{Frame, Prepared};
+use super::moments::{Across, Axis, FlushWeights, Located, MAX_TAPS, Points, Real, locate};
+use super::prepare::{Bounds, Frame, Prepared};
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
 
@@ -232,7 +232,7 @@ fn shares(spec: &Spec, d: f64, spectrum: &PulseSpectrum) -> Vec<f64> {
     let shift_hz = spec.pulse.center_frequency_hz * d;
     let step_hz = 0.25 / spec.pulse.duration_s;
     let edge_hz = |bands: usize| 0.5 * bands as f64 * spec.sample_rate_hz;
-    let mut outside = vec![0.0; MOST_BANDS + 1];
+    let mut outside = [0.0; MOST_BANDS + 1];
     let steps = (edge_hz(MOST_BANDS) / step_hz) as i64;
     for k in -steps..=steps {
         let f_hz = k as f64 * step_hz;
@@ -379,7 +379,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             bins,
             grid,
             // A whole number of cache lines, and an odd one: columns then do not collide in the caches.
-            stride: ((grid + 2 + MAX_WIDTH).div_ceil(8) | 1) * 8,
+            stride: ((grid + 2 * MAX_WIDTH + 1).div_ceil(8) | 1) * 8,
             scale: grid as f64 / period_s,
             shift: kernel.shift(),
             lead_s: reach_s,
@@ -397,6 +397,14 @@ impl<M: Real, G: Real> Plan<M, G> {
             inverse: FftPlanner::new().plan_fft_inverse(period),
             error,
         })
+    }
+
+    /// Where what is not heard goes: right behind a table of moments; on a grid far enough past the values that count.
+    fn drain(&self) -> usize {
+        match self.frame.grid.columns {
+            1 => self.grid + 1,
+            _ => self.grid + MAX_WIDTH,
+        }
     }
 
     fn cost_ms(&self, arrivals: usize) -> f64 {
@@ -424,6 +432,7 @@ struct Work<M: Real, G: Real> {
     scratch: Vec<Complex<G>>,
     /// Of this element.
     origin_s: f64,
+    span: DopplerSpan,
     first_column: usize,
     columns: usize,
     misfits: Misfits,
@@ -449,6 +458,10 @@ impl<M: Real, G: Real> Work<M, G> {
             spectrum: vec![zero::<G>(); plan.period],
             scratch: vec![zero::<G>(); scratch],
             origin_s: 0.0,
+            span: DopplerSpan {
+                least: 0.0,
+                greatest: 0.0,
+            },
             first_column: 0,
             columns,
             misfits: Misfits::default(),
@@ -466,6 +479,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         let plan = &*self.plan;
         self.origin_s = first_sample_s - plan.lead_s;
         self.misfits = Misfits::default();
+        self.span = span;
         let grid = &plan.frame.grid;
         self.first_column = grid.place(span.least).0;
         self.columns = grid.place(span.greatest).0 - self.first_column + grid.taps;
@@ -478,22 +492,21 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
     fn accept(&mut self, chunk: &ArrivalChunk) {
         let plan = &*self.plan;
         let prepared = &mut *self.prepared;
-        let last = self.first_column + self.columns - plan.frame.grid.taps;
-        self.misfits.outside_span +=
-            plan.frame
-                .prepare(plan.dialect, chunk, self.first_column..=last, prepared);
-        let Located { cell, x } = &mut *self.located;
+        let bounds = Bounds {
+            span: self.span,
+            first_column: self.first_column,
+        };
+        self.misfits.outside_span += plan.frame.prepare(plan.dialect, chunk, bounds, prepared);
         let n = chunk.len;
-        let offset = plan.shift - self.origin_s * plan.scale;
-        self.misfits.outside_window += locate(
-            plan.dialect,
-            &prepared.delay_s[..n],
-            plan.scale,
-            offset,
-            plan.grid + 1,
-            cell,
-            x,
-        );
+        let axis = Axis {
+            per_s: plan.scale,
+            offset: plan.shift - self.origin_s * plan.scale,
+            cells: plan.grid + 1,
+            drain: plan.drain(),
+        };
+        let located = &mut *self.located;
+        self.misfits.outside_window += locate(plan.dialect, axis, &prepared.delay_s[..n], located);
+        let Located { cell, x } = located;
         let points = Points {
             cell: &cell[..n],
             x: &x[..n],
@@ -724,5 +737,151 @@ mod tests {
                 assert!(error <= tolerance, "{kind:?}: {error:e} > {tolerance:e}");
             }
         }
+    }
+
+    /// The paper's pulse has edges; the direct sum at 48 samples per output sample is then good to 1e-3 or so.
+    #[test]
+    fn a_rectangular_pulse_meets_the_filtered_direct_sum_to_1e_3() {
+        let pulse = pulse(PulseKind::LfmUp, 0.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let chunks = arrivals(700, SIDESCAN);
+        let want = direct(&pulse, Some(&filter), &chunks);
+        let (got, _) = gridded(&spec(&pulse, Some(&filter), SIDESCAN), SIDESCAN, &chunks);
+        let error = windowed(&got, &want, &pulse);
+        assert!(error < 1e-3, "{error:e}");
+    }
+
+    #[test]
+    fn without_a_filter_it_refuses_what_the_band_leaves_out_and_meets_the_rest() {
+        let sharp = pulse(PulseKind::LfmUp, 0.0);
+        let refusal = Gridded1d::new(&spec(&sharp, None, SIDESCAN)).err();
+        let Some(GriddedError::OutOfBand { tolerance, share }) = refusal else {
+            panic!("{refusal:?}");
+        };
+        assert_eq!(tolerance, 1e-3);
+        assert!(share > SHARE * 1e-3 && share < 0.1, "{share:e}");
+
+        let soft = pulse(PulseKind::LfmUp, 1.0);
+        let chunks = arrivals(700, SIDESCAN);
+        let want = direct(&soft, None, &chunks);
+        let (got, _) = gridded(&spec(&soft, None, SIDESCAN), SIDESCAN, &chunks);
+        let error = windowed(&got, &want, &soft);
+        assert!(error < 1e-3, "{error:e}");
+    }
+
+    #[test]
+    fn still_and_nearly_common_dopplers_take_one_column() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let narrow = DopplerSpan {
+            least: 1.0e-3,
+            greatest: 1.0e-3 + 1e-7,
+        };
+        let still = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        for (doppler, span) in [(DopplerModel::None, still), (DopplerModel::Stretch, narrow)] {
+            let chunks = arrivals(700, span);
+            let want = direct(&pulse, Some(&filter), &chunks);
+            let spec = Spec {
+                doppler,
+                ..spec(&pulse, Some(&filter), span)
+            };
+            let (got, _) = gridded(&spec, span, &chunks);
+            let error = windowed(&got, &want, &pulse);
+            assert!(error < 1e-3, "{doppler:?}: {error:e}");
+            let why = &Gridded1d::new(&spec)
+                .expect("within reach")
+                .card()
+                .why
+                .clone();
+            assert!(why.contains("1 Doppler columns, 1 taps"), "{why}");
+        }
+    }
+
+    #[test]
+    fn no_doppler_leaves_the_arrivals_own_aside() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let spec = Spec {
+            doppler: DopplerModel::None,
+            ..spec(&pulse, Some(&filter), SIDESCAN)
+        };
+        let moving = arrivals(300, SIDESCAN);
+        let mut still = arrivals(300, SIDESCAN);
+        still.iter_mut().for_each(|chunk| chunk.doppler.fill(0.0));
+        let (got, _) = gridded(&spec, SIDESCAN, &moving);
+        let (want, _) = gridded(&spec, SIDESCAN, &still);
+        assert_eq!(got, want);
+    }
+
+    #[test]
+    fn a_ping_of_a_narrower_span_needs_no_other_plan() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 2000.0, 48).expect("fits");
+        let wide = DopplerSpan {
+            least: -4e-3,
+            greatest: 4e-3,
+        };
+        for span in [
+            SIDESCAN,
+            DopplerSpan {
+                least: 1e-3,
+                greatest: 1.3e-3,
+            },
+        ] {
+            let chunks = arrivals(700, span);
+            let want = direct(&pulse, Some(&filter), &chunks);
+            let (got, _) = gridded(&spec(&pulse, Some(&filter), wide), span, &chunks);
+            let error = windowed(&got, &want, &pulse);
+            assert!(error < 1e-3, "{span:?}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let engine = Gridded1d::new(&spec(&pulse, Some(&filter), SIDESCAN)).expect("within reach");
+        let mut work = engine.work();
+        let mut chunk = ArrivalChunk::new();
+        chunk.len = 4;
+        chunk.delay_s[..4].copy_from_slice(&[FIRST_S, -1.0, f64::NAN, FIRST_S + 0.01]);
+        chunk.doppler[3] = 0.05;
+        chunk.amplitude[..4].fill(Complex64::ONE);
+        work.start(FIRST_S, SIDESCAN);
+        work.accept(&chunk);
+        let mut out = vec![Complex64::ZERO; SAMPLES];
+        let want = Misfits {
+            outside_window: 2,
+            outside_span: 1,
+        };
+        assert_eq!(work.finish(&mut out), want);
+        assert!(out.iter().all(|x| x.is_finite()));
+    }
+
+    #[test]
+    fn impossible_wishes_are_refused_with_their_numbers() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        for tolerance in [0.0, -1.0, 1e-12, f64::NAN] {
+            let spec = Spec {
+                tolerance,
+                ..spec(&pulse, Some(&filter), SIDESCAN)
+            };
+            let refusal = Gridded1d::new(&spec).err().map(|e| e.to_string());
+            let said = refusal.expect("out of reach");
+            assert!(said.contains("its least is 1e-10"), "{said}");
+        }
+        let backwards = DopplerSpan {
+            least: 1e-3,
+            greatest: -1e-3,
+        };
+        let refusal = Gridded1d::new(&spec(&pulse, Some(&filter), backwards)).err();
+        assert!(
+            matches!(refusal, Some(GriddedError::Doppler { .. })),
+            "{refusal:?}"
+        );
     }
 }

@@ -8,7 +8,7 @@ use crate::array::phasor::cis;
 use crate::flow::{ArrivalChunk, CHUNK};
 
 use super::dialect::{Dialect, Kind};
-use super::doppler::{DopplerGrid, POWERS};
+use super::doppler::{DopplerGrid, DopplerSpan, POWERS};
 use super::moments::{BLOCK, MAX_TAPS, Real};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
@@ -25,8 +25,13 @@ pub struct Frame<T> {
     pub powers: usize,
 }
 
-/// The ping's first columns among those of the grid.
-type Columns = std::ops::RangeInclusive<usize>;
+/// What an element's Dopplers were said to be.
+#[derive(Clone, Copy)]
+pub struct Bounds {
+    pub span: DopplerSpan,
+    /// Column of the grid that is column 0 of the element.
+    pub first_column: usize,
+}
 
 /// A chunk's points; `delay_s` is that of the middle.
 pub struct Prepared<T> {
@@ -48,21 +53,21 @@ impl<T: Real> Prepared<T> {
 }
 
 impl<T: Real> Frame<T> {
-    /// Fills the first `chunk.len` points; columns count from the first of `columns`. Returns how many had a Doppler outside the ping's columns; they go to the nearest.
+    /// Fills the first `chunk.len` points. Returns how many had a Doppler outside the span; they sound like the nearest in it.
     pub fn prepare(
         &self,
         dialect: Dialect,
         chunk: &ArrivalChunk,
-        columns: Columns,
+        bounds: Bounds,
         points: &mut Prepared<T>,
     ) -> u64 {
         match dialect.kind() {
             // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { self.prepare_avx512(chunk, columns, points) },
+            Kind::Avx512 => unsafe { self.prepare_avx512(chunk, bounds, points) },
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { self.prepare_avx2(chunk, columns, points) },
-            _ => self.prepare_plain(chunk, columns, points),
+            Kind::Avx2 => unsafe { self.prepare_avx2(chunk, bounds, points) },
+            _ => self.prepare_plain(chunk, bounds, points),
         }
     }
 
@@ -72,34 +77,34 @@ impl<T: Real> Frame<T> {
     fn prepare_avx512(
         &self,
         chunk: &ArrivalChunk,
-        columns: Columns,
+        bounds: Bounds,
         points: &mut Prepared<T>,
     ) -> u64 {
-        self.prepare_plain(chunk, columns, points)
+        self.prepare_plain(chunk, bounds, points)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn prepare_avx2(
-        &self,
-        chunk: &ArrivalChunk,
-        columns: Columns,
-        points: &mut Prepared<T>,
-    ) -> u64 {
-        self.prepare_plain(chunk, columns, points)
+    fn prepare_avx2(&self, chunk: &ArrivalChunk, bounds: Bounds, points: &mut Prepared<T>) -> u64 {
+        self.prepare_plain(chunk, bounds, points)
     }
 
     #[inline(always)]
-    fn prepare_plain(
-        &self,
-        chunk: &ArrivalChunk,
-        columns: Columns,
-        points: &mut Prepared<T>,
-    ) -> u64 {
+    fn prepare_plain(&self, chunk: &ArrivalChunk, bounds: Bounds, points: &mut Prepared<T>) -> u64 {
         let n = chunk.len.min(BLOCK);
+        let DopplerSpan { least, greatest } = bounds.span;
+        let mut doppler = [0.0; BLOCK];
+        let mut outside = 0;
+        if !self.still {
+            for (held, &d) in doppler[..n].iter_mut().zip(&chunk.doppler) {
+                outside += u64::from(!((d >= least) & (d <= greatest)));
+                // In this order NaN becomes an end of the span too.
+                *held = d.max(least).min(greatest);
+            }
+        }
         let (mut cos, mut sin) = ([0.0; BLOCK], [0.0; BLOCK]);
         for j in 0..n {
-            let d = if self.still { 0.0 } else { chunk.doppler[j] };
+            let d = doppler[j];
             let middle_s = self.half_pulse_s / (1.0 + d);
             let turns = self.carrier_hz * chunk.delay_s[j];
             // Whole turns away first: the rest keeps its digits.
@@ -115,25 +120,22 @@ impl<T: Real> Frame<T> {
             );
         }
         if self.grid.taps == 1 {
-            return 0;
+            return outside;
         }
         let mut place = [T::zero(); BLOCK];
-        let mut outside = 0;
         for j in 0..n {
-            let (column, x) = self.grid.place(chunk.doppler[j]);
-            let held = column.clamp(*columns.start(), *columns.end());
-            outside += u64::from(held != column);
-            points.column[j] = (held - columns.start()) as u32;
+            let (column, x) = self.grid.place(doppler[j]);
+            points.column[j] = (column - bounds.first_column) as u32;
             place[j] = T::narrow(x);
         }
-        for j in 0..n {
+        for (weight, &x) in points.weight[..n].iter_mut().zip(&place) {
             let mut sum = [T::zero(); MAX_TAPS];
             for weights in self.weights[..self.powers].iter().rev() {
                 for (sum, weight) in sum.iter_mut().zip(weights) {
-                    *sum = *sum * place[j] + *weight;
+                    *sum = *sum * x + *weight;
                 }
             }
-            points.weight[j] = sum;
+            *weight = sum;
         }
         outside
     }

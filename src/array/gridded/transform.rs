@@ -13,7 +13,7 @@ use rustfft::{Fft, FftPlanner};
 
 use super::dialect::Dialect;
 use super::kernel::Kernel;
-use super::moments::{BLOCK, FlushWeights, Located, Points, Real, locate};
+use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
 
 /// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
@@ -114,13 +114,16 @@ impl<T: Real> Transform1d<T> {
         assert_eq!(delay_s.len(), amplitude.len(), "delays and amplitudes");
         assert_eq!(out.len(), self.bins, "bins");
         work.rows.fill(T::EMPTY);
-        let scale = self.grid as f64 / self.period_s;
+        let axis = Axis {
+            per_s: self.grid as f64 / self.period_s,
+            offset: self.kernel.shift(),
+            cells: self.grid + 1,
+            drain: self.grid + 1,
+        };
         let mut outside = 0;
         for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
-            let Located { cell, x } = &mut work.located;
-            let shift = self.kernel.shift();
-            let cells = self.grid + 1;
-            outside += locate(self.dialect, delay_s, scale, shift, cells, cell, x);
+            outside += locate(self.dialect, axis, delay_s, &mut work.located);
+            let Located { cell, x } = &work.located;
             let points = Points {
                 cell: &cell[..delay_s.len()],
                 x: &x[..delay_s.len()],
