@@ -1,7 +1,8 @@
 //! Arrivals to element samples, and the receiver chain.
 //!
 //! In: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
-//! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do.
+//! [`direct`] sums the echoes, [`gridded`] does so on a grid within a tolerance, [`filter`] takes a densely made sum down to the sample
+//! rate, [`receiver`] adds what the electronics do.
 //!
 //! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
 
