@@ -1,0 +1,265 @@
+//! The loops of [`super::moments`] in AVX2 with FMA. Their twins there say what they compute.
+
+use std::arch::x86_64::*;
+
+use num_complex::{Complex32, Complex64};
+
+use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
+
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
+    unsafe {
+        let n = points.cell.len();
+        let table = rows.as_mut_ptr().cast::<f32>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        // x^2 and x^4 of all points first, eight at once: later they are broadcast as they are read.
+        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!((last as usize) < rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
+        let one = _mm256_set1_ps(1.0);
+        for j in 0..n {
+            // 1, x, x^2, x^3, each twice; then times x^4.
+            let p = _mm256_mul_ps(
+                _mm256_blend_ps::<0b1100_1100>(one, _mm256_set1_ps(*x.add(j))),
+                _mm256_blend_ps::<0b1111_0000>(one, _mm256_set1_ps(*x2.add(j))),
+            );
+            let x4 = _mm256_set1_ps(*x4.add(j));
+            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+            let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
+            let low = _mm256_mul_ps(p, c);
+            let at = table.add(16 * *row.add(j) as usize);
+            _mm256_store_ps(at, _mm256_add_ps(low, _mm256_load_ps(at)));
+            let at = at.add(8);
+            _mm256_store_ps(at, _mm256_fmadd_ps(low, x4, _mm256_load_ps(at)));
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+    // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
+    unsafe {
+        let n = points.cell.len();
+        let table = rows.as_mut_ptr().cast::<f64>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        let last = points.cell.iter().fold(0, |a, &b| a.max(b));
+        assert!((last as usize) < rows.len(), "row {last}");
+        let one = _mm256_set1_pd(1.0);
+        for j in 0..n {
+            let x = _mm256_set1_pd(*x.add(j));
+            let x2 = _mm256_mul_pd(x, x);
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm256_set_m128d(c, c);
+            let mut moments = _mm256_mul_pd(c, _mm256_blend_pd::<0b1100>(one, x));
+            let at = table.add(24 * *row.add(j) as usize);
+            for v in 0..6 {
+                let at = at.add(4 * v);
+                _mm256_store_pd(at, _mm256_add_pd(moments, _mm256_load_pd(at)));
+                moments = _mm256_mul_pd(moments, x2);
+            }
+        }
+    }
+}
+
+/// A window of grid values slides over the cells in registers: each cell adds its taps, then the first value is finished and leaves.
+///
+/// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
+    // SAFETY: the caller vouches for features and shapes.
+    unsafe {
+        match weights.width {
+            0..=4 => flush_32_of::<1>(rows, weights, out),
+            5..=8 => flush_32_of::<2>(rows, weights, out),
+            9..=12 => flush_32_of::<3>(rows, weights, out),
+            _ => flush_32_of::<4>(rows, weights, out),
+        }
+    }
+}
+
+/// V registers of four complex values hold the window.
+#[target_feature(enable = "avx2,fma")]
+unsafe fn flush_32_of<const V: usize>(
+    rows: &[Row32],
+    weights: &FlushWeights<f32>,
+    out: &mut [Complex32],
+) {
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more.
+    // `doubled` has 8 entries of 32 weights.
+    unsafe {
+        let cells = rows.len() - 1;
+        let zero = _mm256_setzero_ps();
+        let mut window = [zero; V];
+        let w = weights.doubled.as_ptr().cast::<f32>();
+        let out_at = out.as_mut_ptr().cast::<f64>();
+        let mut row = rows.as_ptr().cast::<f64>();
+        for cell in 0..cells {
+            let (mut even, mut odd) = ([zero; V], [zero; V]);
+            for k in 0..4 {
+                let a = _mm256_castpd_ps(_mm256_set1_pd(*row.add(2 * k)));
+                let b = _mm256_castpd_ps(_mm256_set1_pd(*row.add(2 * k + 1)));
+                for v in 0..V {
+                    let wa = _mm256_loadu_ps(w.add(64 * k + 8 * v));
+                    let wb = _mm256_loadu_ps(w.add(64 * k + 32 + 8 * v));
+                    even[v] = _mm256_fmadd_ps(a, wa, even[v]);
+                    odd[v] = _mm256_fmadd_ps(b, wb, odd[v]);
+                }
+            }
+            for v in 0..V {
+                window[v] = _mm256_add_ps(window[v], _mm256_add_ps(even[v], odd[v]));
+            }
+            shift_32(&mut window, out_at.add(cell));
+            row = row.add(8);
+        }
+        for value in cells..out.len() {
+            shift_32(&mut window, out_at.add(value));
+        }
+    }
+}
+
+/// Writes the first complex value of the window and moves the others down by one.
+///
+/// SAFETY: `out` must be writable.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn shift_32<const V: usize>(window: &mut [__m256; V], out: *mut f64) {
+    // SAFETY: the caller vouches for `out`.
+    unsafe {
+        _mm_storel_pd(out, _mm_castps_pd(_mm256_castps256_ps128(window[0])));
+        for v in 0..V {
+            let next = if v + 1 < V {
+                _mm256_castps_pd(window[v + 1])
+            } else {
+                _mm256_setzero_pd()
+            };
+            // Values 1, 2, 3 of this register and 0 of the next.
+            let mixed = _mm256_blend_pd::<0b0001>(_mm256_castps_pd(window[v]), next);
+            window[v] = _mm256_castpd_ps(_mm256_permute4x64_pd::<0b00_11_10_01>(mixed));
+        }
+    }
+}
+
+/// As [`flush_32`].
+///
+/// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more:
+    // cell + i < cells + width - 1. `doubled` has 12 entries of 32 weights. Two complex values per register; taps come in groups of two,
+    // the odd last one alone.
+    unsafe {
+        let cells = rows.len() - 1;
+        let width = weights.width;
+        let w = weights.doubled.as_ptr().cast::<f64>();
+        out.fill(Complex64::ZERO);
+        let mut row = rows.as_ptr().cast::<f64>();
+        for cell in 0..cells {
+            let mut moments = [_mm256_setzero_pd(); 12];
+            for (k, moment) in moments.iter_mut().enumerate() {
+                *moment = _mm256_broadcast_pd(&*row.add(2 * k).cast());
+            }
+            let at = out.as_mut_ptr().add(cell).cast::<f64>();
+            for i in (0..width).step_by(2) {
+                let (mut even, mut odd) = (_mm256_setzero_pd(), _mm256_setzero_pd());
+                for k in 0..6 {
+                    let wa = _mm256_loadu_pd(w.add(64 * k + 2 * i));
+                    let wb = _mm256_loadu_pd(w.add(64 * k + 32 + 2 * i));
+                    even = _mm256_fmadd_pd(moments[2 * k], wa, even);
+                    odd = _mm256_fmadd_pd(moments[2 * k + 1], wb, odd);
+                }
+                let sum = _mm256_add_pd(even, odd);
+                let at = at.add(2 * i);
+                if i + 1 < width {
+                    _mm256_storeu_pd(at, _mm256_add_pd(sum, _mm256_loadu_pd(at)));
+                } else {
+                    let sum = _mm256_castpd256_pd128(sum);
+                    _mm_storeu_pd(at, _mm_add_pd(sum, _mm_loadu_pd(at)));
+                }
+            }
+            row = row.add(24);
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn spread_32(
+    points: Points<f32>,
+    across: Across<f32>,
+    weights: &FlushWeights<f32>,
+    stride: usize,
+    grids: &mut [Complex32],
+) {
+    // SAFETY: four values at a time, fewer than four past the width and so below MAX_WIDTH, from (column + t) * stride + cell on exist, for
+    // all t below `taps`; all slices have a value per point; `doubled` has 8 entries of 32 weights.
+    unsafe {
+        let w = weights.doubled.as_ptr().cast::<f32>();
+        for j in 0..points.cell.len() {
+            let x = _mm256_set1_ps(*points.x.get_unchecked(j));
+            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+            let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let share = across.weight.as_ptr().add(j).cast::<f32>();
+            for i in (0..weights.width).step_by(4) {
+                let mut values = _mm256_loadu_ps(w.add(32 * 7 + 2 * i));
+                for k in (0..7).rev() {
+                    values = _mm256_fmadd_ps(values, x, _mm256_loadu_ps(w.add(32 * k + 2 * i)));
+                }
+                let values = _mm256_mul_ps(values, c);
+                let mut at = grids.as_mut_ptr().add(first + i).cast::<f32>();
+                for t in 0..across.taps {
+                    let share = _mm256_set1_ps(*share.add(t));
+                    _mm256_storeu_ps(at, _mm256_fmadd_ps(values, share, _mm256_loadu_ps(at)));
+                    at = at.wrapping_add(2 * stride);
+                }
+            }
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn spread_64(
+    points: Points<f64>,
+    across: Across<f64>,
+    weights: &FlushWeights<f64>,
+    stride: usize,
+    grids: &mut [Complex64],
+) {
+    // SAFETY: two values at a time, one past the width at most and so not past MAX_WIDTH, from (column + t) * stride + cell on exist, for
+    // all t below `taps`; all slices have a value per point; `doubled` has 12 entries of 32 weights.
+    unsafe {
+        let w = weights.doubled.as_ptr().cast::<f64>();
+        for j in 0..points.cell.len() {
+            let x = _mm256_set1_pd(*points.x.get_unchecked(j));
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm256_set_m128d(c, c);
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let share = across.weight.as_ptr().add(j).cast::<f64>();
+            for i in (0..weights.width).step_by(2) {
+                let mut values = _mm256_loadu_pd(w.add(32 * 11 + 2 * i));
+                for k in (0..11).rev() {
+                    values = _mm256_fmadd_pd(values, x, _mm256_loadu_pd(w.add(32 * k + 2 * i)));
+                }
+                let values = _mm256_mul_pd(values, c);
+                let mut at = grids.as_mut_ptr().add(first + i).cast::<f64>();
+                for t in 0..across.taps {
+                    let share = _mm256_set1_pd(*share.add(t));
+                    _mm256_storeu_pd(at, _mm256_fmadd_pd(values, share, _mm256_loadu_pd(at)));
+                    at = at.wrapping_add(2 * stride);
+                }
+            }
+        }
+    }
+}
