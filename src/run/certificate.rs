@@ -25,7 +25,7 @@ use crate::flow::{
 pub const KEPT: usize = 128;
 /// ... and at least: with 64 an error of 0.9 of what is allowed shows above it 4 times in 100, with 4 samples 27 times.
 pub const LEAST: usize = 64;
-/// Of a ping's predicted cost: measured 1.7 to 4 % of the real one.
+/// Of a ping's predicted cost. Of the real one, as CPU time: 3.3 % (5 elements, 42,936 points, continuous) and 3.2 % (the quickstart).
 pub const SHARE: f64 = 0.03;
 /// Looked at in one ping, at most.
 pub const MOST_PER_PING: usize = 64;
