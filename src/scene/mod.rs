@@ -5,11 +5,10 @@
 //! coordinates, so that the seabed does not depend on where the scene is put.
 //! Not modelled: occlusion (shadows), bottom laws other than Lambert's, simplification, volume and surface scattering.
 
-pub mod ascii_grid;
 pub mod points;
+pub mod read;
 pub mod seabed;
 pub mod targets;
-mod text;
 pub mod tiles;
 
 #[cfg(test)]
@@ -21,6 +20,7 @@ use glam::{DVec2, DVec3};
 
 use crate::config::spec::SceneSpec;
 use crate::flow::{Footprint, Scatterers, Target};
+use read::{ascii_grid, text};
 use seabed::Surface;
 use targets::Targets;
 pub use text::{MAX_FILE_BYTES, Misread};
