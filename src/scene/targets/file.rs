@@ -107,10 +107,7 @@ pub(super) fn parse(bytes: &[u8], seabed: SeabedDown) -> Result<Vec<Placed>, Mis
 fn target(fields: &Fields, seabed: SeabedDown) -> Result<Placed, Misread> {
     let name = fields.needed_text("name")?;
     check_name(name).map_err(|rule| fields.misread("name", rule))?;
-    let shape = match fields.text("shape")? {
-        Some(shape) => shape,
-        None => "point",
-    };
+    let shape = fields.text("shape")?.unwrap_or("point");
     let Some((_, own)) = SHAPES.iter().find(|(known, _)| *known == shape) else {
         let names: Vec<&str> = SHAPES.iter().map(|(known, _)| *known).collect();
         return Err(fields.misread("shape", format!("must be one of {}", names.join(", "))));
