@@ -9,6 +9,7 @@ pub mod echo;
 pub mod emit;
 pub mod flow;
 pub mod frames;
+pub mod geodesy;
 pub mod image;
 pub mod io;
 pub mod nav;

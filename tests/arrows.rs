@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 /// What each folder or file of `src` may name after `crate::`.
 const MAY_USE: &[(&str, &[&str])] = &[
     ("time.rs", &[]),
+    ("geodesy.rs", &[]),
     ("frames.rs", &["time"]),
     ("flow.rs", &["frames", "time"]),
     ("config", &["flow", "frames", "time"]),
@@ -22,7 +23,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &["config", "flow", "frames", "time", "nav", "image", "emit"],
     ),
 ];
-const SHARED: &[&str] = &["config", "flow", "frames", "time"];
+const SHARED: &[&str] = &["config", "flow", "frames", "geodesy", "time"];
 
 fn rust_files(path: &Path, into: &mut Vec<PathBuf>) {
     if path.is_dir() {

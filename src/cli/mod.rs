@@ -6,6 +6,7 @@ pub mod check;
 pub mod listen;
 pub mod replay;
 pub mod run;
+pub mod scene;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -37,6 +38,8 @@ enum Command {
     Check(check::CheckArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
+    /// Look at seabeds and models
+    Scene(scene::SceneArgs),
 }
 
 /// A configuration and the changes to it that the command line makes.
@@ -59,6 +62,7 @@ pub fn main() -> ExitCode {
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Listen(args) => listen::main(&args),
+        Command::Scene(args) => scene::main(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

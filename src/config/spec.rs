@@ -211,6 +211,108 @@ pub enum SeabedShape {
     },
 }
 
+/// A seabed's file and what it is to be taken for. Where a choice is none the file decides, or where it says nothing, the look of its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeabedFileSpec {
+    pub path: PathBuf,
+    pub format: Option<SeabedFormat>,
+    pub crs: Option<CrsSpec>,
+    pub values: Option<HeightSign>,
+    /// Which end of a grid its first row lies at.
+    pub first_row: Option<FirstRow>,
+    /// Stands for a hole, besides the value that the file itself names.
+    pub nodata: Option<f64>,
+    /// Soundings: cell of the grid that they are made into.
+    pub cell_m: Option<f64>,
+    /// Soundings: triangles with a longer edge are holes.
+    pub max_edge_m: Option<f64>,
+}
+
+impl SeabedFileSpec {
+    /// The file as it presents itself.
+    pub fn of(path: PathBuf) -> Self {
+        Self {
+            path,
+            format: None,
+            crs: None,
+            values: None,
+            first_row: None,
+            nodata: None,
+            cell_m: None,
+            max_edge_m: None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeabedFormat {
+    EsriAscii,
+    GeoTiff,
+    Bag,
+    Xyz,
+    Las,
+    Ply,
+}
+
+/// What a file's coordinates are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CrsSpec {
+    /// Metres about a zero that is nowhere on the earth.
+    Local,
+    /// Longitude and latitude in degrees, WGS84.
+    Geographic,
+    /// Metres of a projection that is not turned into latitude and longitude.
+    Projected,
+    /// Universal transverse Mercator on WGS84.
+    Utm { zone: u8, north: bool },
+}
+
+impl std::str::FromStr for CrsSpec {
+    type Err = &'static str;
+
+    /// `local`, `geographic`, `projected`, `utm-31n`, `EPSG:4326`, `EPSG:32631`; in any case.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        const RULE: &str = "must be \"local\", \"geographic\", \"projected\", a zone like \"utm-31n\" or \"utm-19s\", or its number, \"EPSG:32631\"";
+        let small = text.trim().to_ascii_lowercase();
+        let zone = |digits: &str, north| match digits.parse() {
+            Ok(zone) if (1..=60).contains(&zone) => Ok(Self::Utm { zone, north }),
+            _ => Err(RULE),
+        };
+        match small.as_str() {
+            "local" => Ok(Self::Local),
+            "geographic" | "epsg:4326" => Ok(Self::Geographic),
+            "projected" => Ok(Self::Projected),
+            other => match (other.strip_prefix("utm-"), other.strip_prefix("epsg:")) {
+                (Some(name), _) => match (name.strip_suffix('n'), name.strip_suffix('s')) {
+                    (Some(digits), _) => zone(digits, true),
+                    (_, Some(digits)) => zone(digits, false),
+                    _ => Err(RULE),
+                },
+                (_, Some(code)) => match (code.strip_prefix("326"), code.strip_prefix("327")) {
+                    (Some(digits), _) => zone(digits, true),
+                    (_, Some(digits)) => zone(digits, false),
+                    _ => Err(RULE),
+                },
+                _ => Err(RULE),
+            },
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeightSign {
+    /// Positive up.
+    Elevation,
+    /// Positive down.
+    Depth,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FirstRow {
+    North,
+    South,
+}
+
 /// Pacing and threads.
 #[derive(Clone, Debug)]
 pub struct RunSpec {

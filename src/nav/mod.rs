@@ -3,12 +3,11 @@
 //! ```text
 //! bytes -> framing -> sentence -> message_time -> decoder -> NavSample -> history (rings) -> Trajectory, NavState
 //! ```
-//! `log` and `track` read recorded files (already in memory); `geodesy` puts latitude and longitude onto the plane.
+//! `log` and `track` read recorded files (already in memory).
 //! Not modelled: depth sensors, binary attitude, fail-over between sources, several talkers on one line told apart.
 pub mod decoder;
 mod fields;
 pub mod framing;
-pub mod geodesy;
 pub mod history;
 pub mod log;
 pub mod message_time;
@@ -16,6 +15,6 @@ pub mod ring;
 pub mod sentence;
 pub mod track;
 
+pub use crate::geodesy::LocalTangentPlane;
 pub use decoder::{NavCounters, NavDecoder};
-pub use geodesy::LocalTangentPlane;
 pub use history::{Coverage, HistoryCounts, NavGap, NavHistory};

@@ -20,7 +20,7 @@ use glam::{DVec2, DVec3};
 
 use crate::config::spec::SceneSpec;
 use crate::flow::{Footprint, Scatterers, Target};
-use read::{ascii_grid, text};
+use read::{Fault, ascii_grid, text};
 use seabed::Surface;
 use targets::Targets;
 pub use text::{MAX_FILE_BYTES, Misread};
@@ -41,6 +41,8 @@ pub enum SceneError {
     TooLarge { path: PathBuf },
     #[error("{}: {fault}", path.display())]
     Misread { path: PathBuf, fault: Misread },
+    #[error("{}: {fault}", path.display())]
+    Refused { path: PathBuf, fault: Fault },
     #[error(
         "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
     )]

@@ -13,11 +13,11 @@ mod motion;
 use glam::DVec3;
 use thiserror::Error;
 
-use super::geodesy::LocalTangentPlane;
 use super::ring::{Inserted, Knot, Ring};
 use crate::config::spec::{NavChannel, NavInputSpec, NavSpec, OriginSpec, VerticalSpec};
 use crate::flow::{FixQuality, NavQuantity, NavSample};
 use crate::frames::VectorKnot;
+use crate::geodesy::LocalTangentPlane;
 use crate::time::{NS_PER_S, UtcNs};
 
 /// Below this speed, metres per second, course is noise: the last one is kept.

@@ -46,6 +46,29 @@ impl HeightField {
         (self.cols - 1) as f64 * self.cell_east_m
     }
 
+    /// Share of the cells that are holes.
+    pub fn hole_share(&self) -> f64 {
+        let holes = self.down_m.iter().filter(|d| d.is_nan()).count();
+        holes as f64 / self.down_m.len() as f64
+    }
+
+    /// For each share (0 the shallowest, 1 the deepest) the depth above which that share of the filled cells lies; empty where all are holes.
+    pub fn percentiles_m(&self, shares: &[f64]) -> Vec<f64> {
+        let mut depths: Vec<f32> = self
+            .down_m
+            .iter()
+            .copied()
+            .filter(|d| !d.is_nan())
+            .collect();
+        if depths.is_empty() {
+            return Vec::new();
+        }
+        depths.sort_unstable_by(f32::total_cmp);
+        let last = (depths.len() - 1) as f64;
+        let at = |share: &f64| f64::from(depths[(last * share).round() as usize]);
+        shares.iter().map(at).collect()
+    }
+
     /// The surface at a place counted from the field's own zero; none outside the outer centres and where any of the four cells around is a
     /// hole.
     pub fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
@@ -91,6 +114,16 @@ pub struct PointCloud {
 pub struct TriangleMesh {
     pub vertices_m: Vec<DVec3>,
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriangleMesh {
+    pub fn area_m2(&self) -> f64 {
+        let area = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| self.vertices_m[i as usize]);
+            (b - a).cross(c - a).length() / 2.0
+        };
+        self.triangles.iter().map(area).sum()
+    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,260 @@
+//! Coordinate reference systems, as far as a scene needs them: are the numbers degrees or metres, and where on the earth is a point.
+//!
+//! Latitudes and longitudes are taken as WGS84's whatever their datum; modern datums (NAD83, ETRS89, GDA) lie within 2 m of it, old ones
+//! (NAD27, ED50) up to some 200 m off. The angle between grid north and true north (convergence) is not modelled: the columns of a
+//! projected grid are the scene's north.
+
+use std::fmt;
+
+use super::{Fault, utm};
+use crate::config::spec::CrsSpec;
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Crs {
+    /// Metres about a zero that is nowhere on the earth.
+    Local,
+    /// x is longitude and y latitude, degrees. The name says which, where the file does.
+    Geographic(String),
+    /// Metres; on WGS84, or on a datum that lies within 2 m of it.
+    Utm { zone: u8, north: bool, name: String },
+    /// Metres of another projection. Where on the earth they are is not known here.
+    Projected(String),
+}
+
+impl fmt::Display for Crs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Local => f.write_str("local metres"),
+            Self::Geographic(name) => write!(f, "geographic degrees ({name})"),
+            Self::Utm { zone, north, name } => {
+                let side = if *north { "north" } else { "south" };
+                write!(f, "UTM zone {zone} {side}, metres ({name})")
+            }
+            Self::Projected(name) => write!(f, "projected metres ({name})"),
+        }
+    }
+}
+
+impl From<CrsSpec> for Crs {
+    fn from(spec: CrsSpec) -> Self {
+        match spec {
+            CrsSpec::Local => Self::Local,
+            CrsSpec::Geographic => Self::Geographic("as configured".to_owned()),
+            CrsSpec::Projected => Self::Projected("as configured".to_owned()),
+            CrsSpec::Utm { zone, north } => Self::Utm {
+                zone,
+                north,
+                name: "as configured".to_owned(),
+            },
+        }
+    }
+}
+
+impl Crs {
+    /// Latitude and longitude of a point of the file, radians; none where the system does not tell.
+    pub fn geodetic_rad(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        match self {
+            Self::Geographic(_) => Some((y.to_radians(), x.to_radians())),
+            Self::Utm { zone, north, .. } => Some(utm::geodetic_rad(*zone, *north, x, y)),
+            Self::Local | Self::Projected(_) => None,
+        }
+    }
+
+    /// By its number in the EPSG register. `place` is where the file says so.
+    pub fn from_epsg(code: u32, place: &str) -> Result<Self, Fault> {
+        let name = format!("EPSG:{code}");
+        let utm = |zone: u32, north| Self::Utm {
+            zone: zone as u8,
+            north,
+            name: name.clone(),
+        };
+        Ok(match code {
+            32601..=32660 => utm(code - 32600, true),
+            32701..=32760 => utm(code - 32700, false),
+            // NAD83, ETRS89, GDA94 and GDA2020.
+            26901..=26923 => utm(code - 26900, true),
+            25828..=25838 => utm(code - 25800, true),
+            28348..=28358 => utm(code - 28300, false),
+            7846..=7859 => utm(code - 7800, false),
+            3857 | 900_913 | 3395 => {
+                return Err(Fault::new(
+                    place,
+                    &name,
+                    "is Mercator's, whose metres are not metres on the ground: project the file to UTM first",
+                ));
+            }
+            4326 => Self::Geographic("EPSG:4326, WGS 84".to_owned()),
+            4001..=4977 | 4979..=4999 | 6318..=6326 | 7844 => Self::Geographic(name),
+            1024..=32_766 => Self::Projected(name),
+            _ => {
+                return Err(Fault::new(
+                    place,
+                    &name,
+                    "must be a projected or geographic system of the EPSG register (1024 to 32766)",
+                ));
+            }
+        })
+    }
+
+    /// From well-known text (OGC 01-009, OGC 18-010), of which the name, the EPSG number and the unit are read.
+    pub fn from_wkt(text: &str, place: &str) -> Result<Self, Fault> {
+        let text = text.trim().trim_end_matches('\0').trim();
+        let keyword: String = text
+            .chars()
+            .take_while(|c| c.is_ascii_alphanumeric() || *c == '_')
+            .collect::<String>()
+            .to_ascii_uppercase();
+        let name = text.split('"').nth(1).unwrap_or("unnamed").to_owned();
+        match keyword.as_str() {
+            "COMPD_CS" | "COMPOUNDCRS" => {
+                // The horizontal part comes first.
+                let inner = ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["];
+                match inner.iter().filter_map(|k| text.find(k)).min() {
+                    Some(at) => Self::from_wkt(&text[at..], place),
+                    None => Err(Fault::new(place, &name, "must hold a horizontal system")),
+                }
+            }
+            "GEOGCS" | "GEOGCRS" | "GEODCRS" => Ok(Self::Geographic(name)),
+            "PROJCS" | "PROJCRS" => {
+                if let Some(metres) = linear_unit_m(text)
+                    && metres != 1.0
+                {
+                    let rule = format!(
+                        "has a unit of {metres} m: only metres are read; project the file first"
+                    );
+                    return Err(Fault::new(place, &name, rule));
+                }
+                if name.to_ascii_lowercase().contains("mercator")
+                    && !name.to_ascii_lowercase().contains("transverse")
+                {
+                    let rule = "is Mercator's, whose metres are not metres on the ground: project the file to UTM first";
+                    return Err(Fault::new(place, &name, rule));
+                }
+                Ok(match utm_in_name(&name) {
+                    Some((zone, north)) => Self::Utm { zone, north, name },
+                    None => Self::Projected(name),
+                })
+            }
+            _ => Err(Fault::new(
+                place,
+                &text.chars().take(40).collect::<String>(),
+                "must be well-known text of a projected or geographic system",
+            )),
+        }
+    }
+}
+
+/// "WGS 84 / UTM zone 20N", "NAD_1983_UTM_Zone_20S".
+fn utm_in_name(name: &str) -> Option<(u8, bool)> {
+    let plain: String = name
+        .to_ascii_lowercase()
+        .chars()
+        .filter(char::is_ascii_alphanumeric)
+        .collect();
+    let modern = !(plain.contains("1927") || plain.contains("nad27") || plain.contains("ed50"));
+    let after = plain.split("utmzone").nth(1).filter(|_| modern)?;
+    let digits: String = after.chars().take_while(char::is_ascii_digit).collect();
+    let zone: u8 = digits.parse().ok().filter(|z| (1..=60).contains(z))?;
+    match after[digits.len()..].chars().next() {
+        Some('n') => Some((zone, true)),
+        Some('s') => Some((zone, false)),
+        _ => None,
+    }
+}
+
+/// Metres in the unit of a projected system: that of its last UNIT or LENGTHUNIT.
+fn linear_unit_m(text: &str) -> Option<f64> {
+    let at = text.rfind("LENGTHUNIT[").or_else(|| text.rfind("UNIT["))?;
+    let number: String = text[at..]
+        .split(',')
+        .nth(1)?
+        .trim()
+        .chars()
+        .take_while(|c| c.is_ascii_digit() || matches!(c, '.' | 'e' | 'E' | '-' | '+'))
+        .collect();
+    number.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn epsg_numbers_are_known_by_their_ranges() {
+        let of = |code| Crs::from_epsg(code, "here").unwrap();
+        assert!(matches!(
+            of(32602),
+            Crs::Utm {
+                zone: 2,
+                north: true,
+                ..
+            }
+        ));
+        assert!(matches!(
+            of(32760),
+            Crs::Utm {
+                zone: 60,
+                north: false,
+                ..
+            }
+        ));
+        assert!(matches!(
+            of(26920),
+            Crs::Utm {
+                zone: 20,
+                north: true,
+                ..
+            }
+        ));
+        assert!(matches!(
+            of(7856),
+            Crs::Utm {
+                zone: 56,
+                north: false,
+                ..
+            }
+        ));
+        assert!(matches!(of(4326), Crs::Geographic(_)));
+        assert_eq!(of(32161), Crs::Projected("EPSG:32161".to_owned()));
+        let said = Crs::from_epsg(3857, "GeoKey 3072").unwrap_err().to_string();
+        assert_eq!(
+            said,
+            "GeoKey 3072: `EPSG:3857`: is Mercator's, whose metres are not metres on the ground: project the file to UTM first"
+        );
+        assert!(Crs::from_epsg(7, "here").is_err());
+    }
+
+    #[test]
+    fn well_known_text_gives_zone_and_unit() {
+        let utm = r#"PROJCS["NAD83 / UTM zone 19N",GEOGCS["NAD83",DATUM["North_American_Datum_1983",SPHEROID["GRS 1980",6378137,298.257222101]],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],UNIT["metre",1,AUTHORITY["EPSG","9001"]]]"#;
+        assert!(matches!(
+            Crs::from_wkt(utm, "metadata").unwrap(),
+            Crs::Utm {
+                zone: 19,
+                north: true,
+                ..
+            }
+        ));
+        let compound = format!(r#"COMPD_CS["both",{utm},VERT_CS["MLLW"]]"#);
+        assert!(matches!(
+            Crs::from_wkt(&compound, "").unwrap(),
+            Crs::Utm { zone: 19, .. }
+        ));
+        let feet = utm.replace(
+            r#"UNIT["metre",1"#,
+            r#"UNIT["US survey foot",0.304800609601219"#,
+        );
+        let said = Crs::from_wkt(&feet, "metadata").unwrap_err().to_string();
+        assert!(
+            said.contains("0.304800609601219 m: only metres are read"),
+            "{said}"
+        );
+        assert_eq!(
+            Crs::from_wkt(r#"GEOGCS["WGS 84",UNIT["degree",0.01745]]"#, "").unwrap(),
+            Crs::Geographic("WGS 84".to_owned())
+        );
+        for text in ["", "nonsense", "PROJCS", "PROJCS[", "COMPD_CS[\"a\""] {
+            let _ = Crs::from_wkt(text, "");
+        }
+    }
+}

@@ -1,0 +1,321 @@
+//! GeoTIFF: one band of heights, in tiles or strips, bare, deflated or LZW, any predictor, with GeoKeys.
+//!
+//! Source: Adobe, TIFF revision 6.0 and Technical Note 3 (predictor 3); OGC 19-008r4 (GeoTIFF 1.1): tags ModelPixelScale, ModelTiepoint,
+//! GeoKeyDirectory; GDAL's tag 42113 names the value of a hole. Rotated grids, several bands and feet are refused.
+
+use std::io::Cursor;
+
+use tiff::ColorType;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+
+use super::{
+    Crs, Facts, Fault, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
+};
+use crate::config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
+
+/// Largest strip or tile that is held besides the picture, bytes.
+const MAX_CHUNK_BYTES: usize = 64 << 20;
+/// Largest value of a tag, bytes; the offsets of a million tiles are no more.
+const MAX_TAG_BYTES: usize = 8 << 20;
+
+/// GeoKeys (OGC 19-008r4, annex B).
+const MODEL_TYPE: u16 = 1024;
+const RASTER_TYPE: u16 = 1025;
+const CITATION: u16 = 1026;
+const GEODETIC_CRS: u16 = 2048;
+const ANGULAR_UNIT: u16 = 2054;
+const PROJECTED_CRS: u16 = 3072;
+const PROJECTED_CITATION: u16 = 3073;
+const LINEAR_UNIT: u16 = 3076;
+const VERTICAL_UNIT: u16 = 4099;
+
+const METRE: u16 = 9001;
+const DEGREE: u16 = 9102;
+const RASTER_PIXEL_IS_POINT: u16 = 2;
+/// The parameters are in the file instead of the register.
+const USER_DEFINED: u16 = 32_767;
+
+pub struct GeoTiff;
+
+impl Reader for GeoTiff {
+    fn format(&self) -> SeabedFormat {
+        SeabedFormat::GeoTiff
+    }
+    fn name(&self) -> &'static str {
+        "GeoTIFF"
+    }
+    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
+        [&b"II*\0"[..], b"MM\0*", b"II+\0", b"MM\0+"]
+            .iter()
+            .any(|magic| head.starts_with(magic))
+    }
+
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+        let mut limits = Limits::default();
+        limits.decoding_buffer_size = MAX_CELLS * size_of::<f64>();
+        limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
+        limits.ifd_value_size = MAX_TAG_BYTES;
+        let mut tiff = Decoder::new(Cursor::new(bytes))
+            .map_err(|e| Fault::decoder("TIFF header", e))?
+            .with_limits(limits);
+        let (width, height) = tiff
+            .dimensions()
+            .map_err(|e| Fault::decoder("tag ImageWidth", e))?;
+        let (rows, cols) = checked_size(height.into(), width.into(), "tag ImageWidth")?;
+        match tiff.colortype() {
+            Ok(ColorType::Gray(8..=64)) => {}
+            Ok(other) => {
+                let rule = "must be one band of heights, of 8 to 64 bits";
+                return Err(Fault::new(
+                    "tag SamplesPerPixel",
+                    &format!("{other:?}"),
+                    rule,
+                ));
+            }
+            Err(e) => return Err(Fault::decoder("tag SamplesPerPixel", e)),
+        }
+        let keys = GeoKeys::read(&mut tiff)?;
+        let place = Georeference::read(&mut tiff, &keys)?;
+        let nodata = match tiff.find_tag(Tag::GdalNodata) {
+            Ok(Some(value)) => {
+                let text = value
+                    .into_string()
+                    .map_err(|e| Fault::decoder("tag GDAL_NODATA", e))?;
+                let text = text.trim_matches(['\0', ' ']).to_owned();
+                match text.parse::<f64>() {
+                    Ok(v) => Some(v as f32),
+                    Err(_) => {
+                        return Err(Fault::new("tag GDAL_NODATA", &text, "must be a number"));
+                    }
+                }
+            }
+            _ => None,
+        };
+        let values = band(tiff.read_image().map_err(|e| Fault::decoder("image", e))?);
+        if values.len() != rows * cols {
+            let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
+            return Err(Fault::new("image", "", rule));
+        }
+        let first_row = asked.first_row.unwrap_or(place.first_row);
+        let also = asked.nodata.map(|v| v as f32);
+        let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
+        // The corner pixel is the first of the file; the south-western one lies a grid away where that is in the north.
+        let y_south = match place.first_row {
+            FirstRow::North => place.first_y - (rows - 1) as f64 * place.y_step,
+            FirstRow::South => place.first_y,
+        };
+        Ok(Raw {
+            shape: RawShape::Grid(RawGrid {
+                rows,
+                cols,
+                x_west: place.first_x,
+                y_south,
+                x_step: place.x_step,
+                y_step: place.y_step,
+                values: south_first(values, cols, first_row, is_hole, "image")?,
+                first_row,
+                from_corners: place.from_corners,
+            }),
+            facts: Facts {
+                crs: keys.crs()?,
+                values: None,
+                notes: keys.citation.into_iter().collect(),
+                covers_deg: None,
+            },
+        })
+    }
+}
+
+/// Heights as f32. Whole numbers of more than 24 bits are no heights and are refused later by their size.
+fn band(image: DecodingResult) -> Vec<f32> {
+    fn all<T: Copy>(from: Vec<T>, to_f32: impl Fn(T) -> f32) -> Vec<f32> {
+        from.into_iter().map(to_f32).collect()
+    }
+    match image {
+        DecodingResult::F32(v) => v,
+        DecodingResult::F64(v) => all(v, |x| x as f32),
+        DecodingResult::F16(v) => all(v, |x| x.to_f32()),
+        DecodingResult::U8(v) => all(v, f32::from),
+        DecodingResult::I8(v) => all(v, f32::from),
+        DecodingResult::U16(v) => all(v, f32::from),
+        DecodingResult::I16(v) => all(v, f32::from),
+        DecodingResult::U32(v) => all(v, |x| x as f32),
+        DecodingResult::I32(v) => all(v, |x| x as f32),
+        DecodingResult::U64(v) => all(v, |x| x as f32),
+        DecodingResult::I64(v) => all(v, |x| x as f32),
+    }
+}
+
+type Tiff = Decoder<Cursor<Vec<u8>>>;
+
+fn numbers(tiff: &mut Tiff, tag: Tag, place: &str) -> Result<Option<Vec<f64>>, Fault> {
+    match tiff.find_tag(tag) {
+        Ok(None) => Ok(None),
+        Ok(Some(value)) => value
+            .into_f64_vec()
+            .map(Some)
+            .map_err(|e| Fault::decoder(place, e)),
+        Err(e) => Err(Fault::decoder(place, e)),
+    }
+}
+
+struct Georeference {
+    /// Centre of the file's first pixel.
+    first_x: f64,
+    first_y: f64,
+    x_step: f64,
+    y_step: f64,
+    first_row: FirstRow,
+    from_corners: bool,
+}
+
+impl Georeference {
+    fn read(tiff: &mut Tiff, keys: &GeoKeys) -> Result<Self, Fault> {
+        const SCALE: &str = "tag ModelPixelScale";
+        const TIEPOINT: &str = "tag ModelTiepoint";
+        const TRANSFORMATION: &str = "tag ModelTransformation";
+        let (x0, y0, dx, dy);
+        if let Some(scale) = numbers(tiff, Tag::ModelPixelScaleTag, SCALE)? {
+            let [sx, sy, ..] = scale[..] else {
+                return Err(Fault::new(
+                    SCALE,
+                    &format!("{scale:?}"),
+                    "must be 3 numbers",
+                ));
+            };
+            let tie = numbers(tiff, Tag::ModelTiepointTag, TIEPOINT)?.unwrap_or_default();
+            let [i, j, _, x, y, _] = tie[..] else {
+                let rule = "must be one tie point of 6 numbers";
+                return Err(Fault::new(TIEPOINT, &format!("{tie:?}"), rule));
+            };
+            // Positive scales run east and, down the rows, south.
+            (dx, dy) = (sx, -sy);
+            (x0, y0) = (x - i * dx, y - j * dy);
+        } else if let Some(m) = numbers(tiff, Tag::ModelTransformationTag, TRANSFORMATION)? {
+            let [a, b, _, x, c, d, _, y, ..] = m[..] else {
+                return Err(Fault::new(
+                    TRANSFORMATION,
+                    &format!("{m:?}"),
+                    "must be 16 numbers",
+                ));
+            };
+            if b != 0.0 || c != 0.0 {
+                let rule = "turns the grid: turn it north-up first";
+                return Err(Fault::new(TRANSFORMATION, &format!("{b}, {c}"), rule));
+            }
+            (dx, dy, x0, y0) = (a, d, x, y);
+        } else {
+            let rule = "is missing: a picture without a place is no seabed (a GeoTIFF has it)";
+            return Err(Fault::new(SCALE, "", rule));
+        }
+        let sound = [x0, y0, dx, dy].iter().all(|v| v.is_finite()) && dx > 0.0 && dy != 0.0;
+        if !sound {
+            let rule = "must be finite, and the columns must run east";
+            return Err(Fault::new(
+                SCALE,
+                &format!("{dx}, {dy} from {x0}, {y0}"),
+                rule,
+            ));
+        }
+        let from_corners = keys.short(RASTER_TYPE) != Some(RASTER_PIXEL_IS_POINT);
+        let half = if from_corners { 0.5 } else { 0.0 };
+        Ok(Self {
+            first_x: x0 + half * dx,
+            first_y: y0 + half * dy,
+            x_step: dx,
+            y_step: dy.abs(),
+            first_row: if dy < 0.0 {
+                FirstRow::North
+            } else {
+                FirstRow::South
+            },
+            from_corners,
+        })
+    }
+}
+
+/// The GeoKeys that matter here.
+struct GeoKeys {
+    shorts: Vec<(u16, u16)>,
+    citation: Option<String>,
+}
+
+impl GeoKeys {
+    fn read(tiff: &mut Tiff) -> Result<Self, Fault> {
+        const PLACE: &str = "tag GeoKeyDirectory";
+        let mut shorts = Vec::new();
+        let mut citation = None;
+        let directory = match tiff.find_tag(Tag::GeoKeyDirectoryTag) {
+            Ok(None) => Vec::new(),
+            Ok(Some(value)) => value.into_u16_vec().map_err(|e| Fault::decoder(PLACE, e))?,
+            Err(e) => return Err(Fault::decoder(PLACE, e)),
+        };
+        let text = match tiff.find_tag(Tag::GeoAsciiParamsTag) {
+            Ok(Some(value)) => value.into_string().unwrap_or_default(),
+            _ => String::new(),
+        };
+        // Four numbers of header, then four for each key: its number, where its value is, how many, and the value or its place.
+        for entry in directory.chunks_exact(4).skip(1) {
+            let [key, location, count, value] = *entry else {
+                continue;
+            };
+            if location == 0 {
+                shorts.push((key, value));
+            } else if location == 34737 && matches!(key, CITATION | PROJECTED_CITATION) {
+                let (from, to) = (usize::from(value), usize::from(value) + usize::from(count));
+                let said = text.get(from..to.min(text.len())).unwrap_or("");
+                let said = said.trim_end_matches(['|', '\0']).trim();
+                if !said.is_empty() {
+                    citation = Some(format!("the file calls its system: {said}"));
+                }
+            }
+        }
+        Ok(Self { shorts, citation })
+    }
+
+    fn short(&self, key: u16) -> Option<u16> {
+        self.shorts.iter().find(|(k, _)| *k == key).map(|(_, v)| *v)
+    }
+
+    fn crs(&self) -> Result<Option<Crs>, Fault> {
+        let must = |key: u16, wanted: u16, rule: &str| match self.short(key) {
+            Some(v) if v != wanted && v != 0 => {
+                Err(Fault::new(format!("GeoKey {key}"), &v.to_string(), rule))
+            }
+            _ => Ok(()),
+        };
+        must(
+            LINEAR_UNIT,
+            METRE,
+            "must be 9001, metre: project the file first",
+        )?;
+        must(ANGULAR_UNIT, DEGREE, "must be 9102, degree")?;
+        must(VERTICAL_UNIT, METRE, "must be 9001, metre")?;
+        let named = |key: u16| self.short(key).filter(|v| *v != 0);
+        let unregistered = || {
+            let said = self.citation.clone();
+            said.unwrap_or_else(|| "defined in the file".to_owned())
+        };
+        match (
+            self.short(MODEL_TYPE),
+            named(PROJECTED_CRS),
+            named(GEODETIC_CRS),
+        ) {
+            (Some(3), _, _) => Err(Fault::new(
+                "GeoKey 1024",
+                "3",
+                "is earth-centred: only projected (1) and geographic (2) grids are read",
+            )),
+            (Some(2), _, Some(code)) if code != USER_DEFINED => {
+                Crs::from_epsg(code.into(), "GeoKey 2048").map(Some)
+            }
+            (Some(2), _, _) => Ok(Some(Crs::Geographic(unregistered()))),
+            (_, Some(code), _) if code != USER_DEFINED => {
+                Crs::from_epsg(code.into(), "GeoKey 3072").map(Some)
+            }
+            (Some(1), _, _) | (_, Some(_), _) => Ok(Some(Crs::Projected(unregistered()))),
+            _ => Ok(None),
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Meshes of targets: OBJ, STL and PLY to [`TriangleMesh`].
+//!
+//! None of the formats says which way its axes point or what its unit is. Numbers are taken for metres; the axes are the caller's to tell.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::text::{self, MAX_HORIZONTAL_M};
+use super::{Fault, MAX_POINTS, TriangleMesh, ply};
+use crate::scene::SceneError;
+
+/// Triangles at most.
+pub const MAX_TRIANGLES: usize = 1 << 23;
+/// Bytes before the triangles of a binary STL, and of each.
+const STL_HEAD: usize = 84;
+const STL_TRIANGLE: usize = 50;
+
+/// Where a file's x, y and z point. All three keep the sense of rotation, so that triangles keep their outside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshAxes {
+    /// z is up: survey and most printing software.
+    EastNorthUp,
+    /// The scene's own.
+    NorthEastDown,
+    /// y is up: most animation software; x is east and z south.
+    EastUpSouth,
+}
+
+impl MeshAxes {
+    fn north_east_down(self, v: DVec3) -> DVec3 {
+        match self {
+            Self::EastNorthUp => DVec3::new(v.y, v.x, -v.z),
+            Self::NorthEastDown => v,
+            Self::EastUpSouth => DVec3::new(-v.z, v.x, -v.y),
+        }
+    }
+}
+
+/// Reads the mesh of a file by its extension.
+pub fn open(path: &Path, axes: MeshAxes) -> Result<TriangleMesh, SceneError> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    parse(text::read_file(path)?, extension, axes).map_err(|fault| SceneError::Refused {
+        path: path.to_owned(),
+        fault,
+    })
+}
+
+/// Reads a mesh; `extension` is one of obj, stl and ply, in any case.
+pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<TriangleMesh, Fault> {
+    let (mut vertices_m, triangles) = match extension.to_ascii_lowercase().as_str() {
+        "obj" => obj(&bytes)?,
+        "stl" => stl(&bytes)?,
+        "ply" => ply::parse(&bytes)?,
+        other => {
+            return Err(Fault::new(
+                "file name",
+                other,
+                "must end in .obj, .stl or .ply",
+            ));
+        }
+    };
+    for (k, v) in vertices_m.iter_mut().enumerate() {
+        if !v.is_finite() || v.abs().max_element() > MAX_HORIZONTAL_M {
+            let rule = format!("must be finite, and no more than {MAX_HORIZONTAL_M} m from zero");
+            return Err(Fault::new(format!("vertex {k}"), &v.to_string(), rule));
+        }
+        *v = axes.north_east_down(*v);
+    }
+    check_triangles(&triangles, vertices_m.len())?;
+    if triangles.is_empty() {
+        return Err(Fault::new("mesh", "", "has no triangles"));
+    }
+    Ok(TriangleMesh {
+        vertices_m,
+        triangles,
+    })
+}
+
+/// Every index must be a vertex's.
+pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), Fault> {
+    if triangles.len() > MAX_TRIANGLES {
+        let rule = format!("at most {MAX_TRIANGLES} triangles are read");
+        return Err(Fault::new("mesh", &triangles.len().to_string(), rule));
+    }
+    for (k, triangle) in triangles.iter().enumerate() {
+        if triangle.iter().any(|i| *i as usize >= vertices) {
+            let rule = format!("names a vertex that is not there: the mesh has {vertices}");
+            return Err(Fault::new(
+                format!("triangle {k}"),
+                &format!("{triangle:?}"),
+                rule,
+            ));
+        }
+    }
+    Ok(())
+}
+
+type Parts = (Vec<DVec3>, Vec<[u32; 3]>);
+
+fn obj(bytes: &[u8]) -> Result<Parts, Fault> {
+    let options = tobj::LoadOptions {
+        triangulate: true,
+        ignore_points: true,
+        ignore_lines: true,
+        ..tobj::LoadOptions::default()
+    };
+    let no_materials = |_: &Path| Ok((Vec::new(), Default::default()));
+    let (models, _) = tobj::load_obj_buf(&mut &bytes[..], &options, no_materials)
+        .map_err(|e| Fault::decoder("OBJ", e))?;
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    for model in models {
+        // Each object has its own vertices; their counts stay below what the file's bytes allow, and so far below u32.
+        let first = vertices.len() as u32;
+        vertices.extend(
+            model
+                .mesh
+                .positions
+                .chunks_exact(3)
+                .map(|v| DVec3::new(v[0].into(), v[1].into(), v[2].into())),
+        );
+        triangles.extend(
+            model
+                .mesh
+                .indices
+                .chunks_exact(3)
+                .map(|t| [t[0], t[1], t[2]].map(|i| i.saturating_add(first))),
+        );
+    }
+    Ok((vertices, triangles))
+}
+
+fn stl(bytes: &[u8]) -> Result<Parts, Fault> {
+    // Binary files may begin with "solid" as text does: the count that fits the length tells them apart.
+    let announced = bytes
+        .get(STL_HEAD - 4..STL_HEAD)
+        .and_then(|b| b.try_into().ok())
+        .map(|b| u32::from_le_bytes(b) as usize);
+    let is_text = bytes.starts_with(b"solid")
+        && announced.is_none_or(|n| STL_HEAD + n * STL_TRIANGLE != bytes.len());
+    if let Some(count) = announced.filter(|_| !is_text)
+        && bytes.len() < STL_HEAD + count * STL_TRIANGLE
+    {
+        let rule = format!(
+            "triangles are announced, more than the file's {} bytes can hold",
+            bytes.len()
+        );
+        return Err(Fault::new("STL header", &count.to_string(), rule));
+    }
+    let mesh =
+        stl_io::read_stl(&mut std::io::Cursor::new(bytes)).map_err(|e| Fault::decoder("STL", e))?;
+    if mesh.vertices.len() > 3 * MAX_POINTS {
+        let rule = format!("at most {} vertices are read", 3 * MAX_POINTS);
+        return Err(Fault::new("STL", &mesh.vertices.len().to_string(), rule));
+    }
+    let vertices = mesh
+        .vertices
+        .iter()
+        .map(|v| DVec3::new(v[0].into(), v[1].into(), v[2].into()))
+        .collect();
+    let triangles = mesh
+        .faces
+        .iter()
+        .map(|f| f.vertices.map(|i| i as u32))
+        .collect();
+    Ok((vertices, triangles))
+}

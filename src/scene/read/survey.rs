@@ -1,0 +1,621 @@
+//! A surveyed seabed: what its file is found to be, and its surface in local metres about a stated zero.
+//!
+//! - Projected and local grids are used as they are. Geographic grids are resampled (bilinear) onto metres of the tangent plane at their middle,
+//!   cells as large as the file's there. Soundings are turned to metres and triangulated, and the triangles are read off at a grid's cells.
+//! - The zero is the middle of what the file covers.
+//! - What the file does not say is guessed: coordinates that fit longitudes and latitudes, over which the heights differ by more than the
+//!   coordinates themselves, are degrees (as metres they would be steeper than 45 degrees over the whole survey), others metres;
+//!   numbers of which 19 in 20 are negative are elevations, positive ones depths.
+
+use glam::DVec3;
+
+use super::text::{self, MAX_HORIZONTAL_M};
+use super::triangulate::{Tin, merge_duplicates};
+use super::{
+    Crs, Facts, Fault, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape, Reader,
+    mesh,
+};
+use crate::config::spec::{FirstRow, HeightSign, SeabedFileSpec};
+use crate::geodesy::LocalTangentPlane;
+use crate::scene::SceneError;
+
+/// Bytes of a file that tell its format.
+const HEAD_BYTES: usize = 512;
+/// Share of heights on one side of zero that tells which way they are positive.
+const ONE_SIDED: f64 = 0.95;
+/// Cell sizes of grids in metres; the lower end also refuses most grids in degrees that are taken for metres.
+const CELL_SIZES_M: std::ops::RangeInclusive<f64> = 0.01..=1e5;
+/// A file's own bounding box is given to some hundredths of a degree.
+const COVER_TOLERANCE_DEG: f64 = 0.02;
+
+/// Where a finding comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The file, or its format, says so; and in which words.
+    Stated(&'static str),
+    Guessed(&'static str),
+    Configured,
+}
+
+impl std::fmt::Display for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Stated(why) => write!(f, "stated: {why}"),
+            Self::Guessed(why) => write!(f, "guessed: {why}"),
+            Self::Configured => f.write_str("configured"),
+        }
+    }
+}
+
+/// How the file holds its heights.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Layout {
+    /// Steps in the file's units (metres or degrees).
+    Grid {
+        rows: usize,
+        cols: usize,
+        x_step: f64,
+        y_step: f64,
+        first_row: FirstRow,
+        first_row_source: Source,
+        /// The file gives the corners of its cells, not their centres.
+        from_corners: bool,
+    },
+    Points {
+        /// After merging.
+        count: usize,
+        /// Soundings merged with others at the same place.
+        merged: u64,
+        triangles: usize,
+        /// The triangles are the file's own.
+        own_triangles: bool,
+    },
+}
+
+/// A seabed file, read.
+pub struct Survey {
+    pub format: &'static str,
+    pub bytes: u64,
+    pub crs: Crs,
+    pub crs_source: Source,
+    pub sign: HeightSign,
+    pub sign_source: Source,
+    pub layout: Layout,
+    /// The local zero in the file's coordinates (x east, y north).
+    pub zero: [f64; 2],
+    /// What the file covers, in its coordinates: west, south, east, north (outer cell centres).
+    pub covers: [f64; 4],
+    /// Sentences.
+    pub notes: Vec<String>,
+    /// Metres about the zero.
+    pub field: HeightField,
+    original: Original,
+}
+
+/// What places are looked up in, where that is not the field.
+enum Original {
+    Field,
+    /// Depths in a grid of degrees.
+    Degrees(RawGrid),
+    Triangles(Tin),
+}
+
+/// The seabed at one place of the file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lookup {
+    /// From the zero.
+    pub north_m: f64,
+    pub east_m: f64,
+    /// Of the cell that the place lies in, southern row first; none for soundings.
+    pub cell: Option<(usize, usize)>,
+    /// The number of that cell as a depth, to the bit; for soundings the surface through them. None in a hole.
+    pub down_m: Option<f64>,
+    /// Between the cells' centres (bilinear), or on the triangles.
+    pub surface_down_m: Option<f64>,
+}
+
+impl Survey {
+    pub fn open(asked: &SeabedFileSpec) -> Result<Self, SceneError> {
+        let bytes = text::read_file(&asked.path)?;
+        Self::parse(bytes, asked).map_err(|fault| SceneError::Refused {
+            path: asked.path.clone(),
+            fault,
+        })
+    }
+
+    /// Reads a file's bytes; of `asked.path` only the extension counts.
+    pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, Fault> {
+        let reader = reader_of(&bytes, asked)?;
+        let length = bytes.len() as u64;
+        let Raw { shape, mut facts } = reader.read(bytes, asked)?;
+        let (crs, crs_source) = system(&shape, &mut facts, asked)?;
+        let (sign, sign_source) = sign(&shape, &facts, asked);
+        let mut notes = std::mem::take(&mut facts.notes);
+        let covers = covered(&shape)?;
+        check_place(&crs, &covers)?;
+        let zero = [(covers[0] + covers[2]) / 2.0, (covers[1] + covers[3]) / 2.0];
+        if asked.crs.is_none()
+            && let Some(box_deg) = facts.covers_deg
+        {
+            check_cover(&crs, zero, box_deg)?;
+        }
+        let plane = match &crs {
+            Crs::Geographic(_) => Some(plane_at(zero)),
+            _ => None,
+        };
+        let (field, layout, original) = match shape {
+            RawShape::Grid(grid) => from_grid(grid, sign, plane.as_ref(), zero, asked, &mut notes)?,
+            RawShape::Points(points) => from_points(points, sign, plane.as_ref(), zero, asked)?,
+        };
+        if field.down_m.iter().all(|d| d.is_nan()) {
+            return Err(Fault::new("heights", "", "are all holes"));
+        }
+        if field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0) {
+            notes
+                .push("all of it lies above zero: is values = \"depth\" what is meant?".to_owned());
+        }
+        Ok(Self {
+            format: reader.name(),
+            bytes: length,
+            crs,
+            crs_source,
+            sign,
+            sign_source,
+            layout,
+            zero,
+            covers,
+            notes,
+            field,
+            original,
+        })
+    }
+
+    /// Latitude and longitude of the local zero, radians; none where the file's system does not tell.
+    pub fn zero_geodetic_rad(&self) -> Option<(f64, f64)> {
+        self.crs.geodetic_rad(self.zero[0], self.zero[1])
+    }
+
+    /// North and east of the zero, metres, of a place in the file's coordinates.
+    pub fn local_m(&self, x: f64, y: f64) -> (f64, f64) {
+        match self.crs {
+            Crs::Geographic(_) => plane_at(self.zero).local_m(y.to_radians(), x.to_radians()),
+            _ => (y - self.zero[1], x - self.zero[0]),
+        }
+    }
+
+    /// The seabed at a place in the file's own coordinates.
+    pub fn at(&self, x: f64, y: f64) -> Lookup {
+        let (north_m, east_m) = self.local_m(x, y);
+        let mut found = Lookup {
+            north_m,
+            east_m,
+            cell: None,
+            down_m: None,
+            surface_down_m: None,
+        };
+        match &self.original {
+            Original::Triangles(tin) => {
+                found.down_m = tin.sample(north_m, east_m);
+                found.surface_down_m = found.down_m;
+            }
+            Original::Field => {
+                let field = &self.field;
+                let row = (north_m - field.south_m) / field.cell_north_m;
+                let col = (east_m - field.west_m) / field.cell_east_m;
+                found.cell = nearest(row, col, field.rows, field.cols);
+                found.down_m = found.cell.map(|(r, c)| field.cell_down_m(r, c));
+                found.surface_down_m = field.sample(north_m, east_m).map(|d| d.down_m);
+            }
+            Original::Degrees(grid) => {
+                let (row, col) = grid_place(grid, x, y);
+                found.cell = nearest(row, col, grid.rows, grid.cols);
+                found.down_m = found
+                    .cell
+                    .map(|(r, c)| f64::from(grid.values[r * grid.cols + c]));
+                found.surface_down_m = bilinear(grid, row, col);
+            }
+        }
+        found.down_m = found.down_m.filter(|d| !d.is_nan());
+        found
+    }
+}
+
+fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader, Fault> {
+    let head = &bytes[..bytes.len().min(HEAD_BYTES)];
+    let extension = asked
+        .path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or("")
+        .to_ascii_lowercase();
+    let found = READERS.iter().copied().find(|r| match asked.format {
+        Some(format) => r.format() == format,
+        None => r.recognises(head, &extension),
+    });
+    found.ok_or_else(|| {
+        let names: Vec<&str> = READERS.iter().map(|r| r.name()).collect();
+        let rule = format!(
+            "is of no format that is read ({}), by its first bytes or its name",
+            names.join(", ")
+        );
+        Fault::new(
+            "file",
+            &String::from_utf8_lossy(&head[..head.len().min(16)]),
+            rule,
+        )
+    })
+}
+
+/// West, south, east and north of the outer points.
+fn covered(shape: &RawShape) -> Result<[f64; 4], Fault> {
+    match shape {
+        RawShape::Grid(g) => Ok([
+            g.x_west,
+            g.y_south,
+            g.x_west + (g.cols - 1) as f64 * g.x_step,
+            g.y_south + (g.rows - 1) as f64 * g.y_step,
+        ]),
+        RawShape::Points(p) => {
+            if p.points.len() < 3 {
+                let rule = "soundings: three at least make a surface";
+                return Err(Fault::new("file", &p.points.len().to_string(), rule));
+            }
+            if p.points.len() > MAX_POINTS {
+                let rule = format!("at most {MAX_POINTS} soundings are read");
+                return Err(Fault::new("file", &p.points.len().to_string(), rule));
+            }
+            let start = DVec3::splat(f64::INFINITY);
+            let low = p.points.iter().fold(start, |m, v| m.min(*v));
+            let high = p.points.iter().fold(-start, |m, v| m.max(*v));
+            for (k, v) in p.points.iter().enumerate() {
+                if !v.is_finite() || v.z.abs() > text::MAX_VERTICAL_M {
+                    let rule = format!(
+                        "must be finite, and its height {} m at most",
+                        text::MAX_VERTICAL_M
+                    );
+                    return Err(Fault::new(format!("point {k}"), &v.to_string(), rule));
+                }
+            }
+            Ok([low.x, low.y, high.x, high.y])
+        }
+    }
+}
+
+/// Least and greatest height, and whether 19 in 20 lie below or above zero.
+fn heights(shape: &RawShape) -> (f64, f64, Option<HeightSign>) {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    let (mut below, mut above, mut count) = (0_u64, 0_u64, 0_u64);
+    let mut take = |v: f64| {
+        if !v.is_nan() {
+            (low, high) = (low.min(v), high.max(v));
+            below += u64::from(v <= 0.0);
+            above += u64::from(v >= 0.0);
+            count += 1;
+        }
+    };
+    match shape {
+        RawShape::Grid(g) => g.values.iter().for_each(|v| take(f64::from(*v))),
+        RawShape::Points(p) => p.points.iter().for_each(|v| take(v.z)),
+    }
+    let most = |n: u64| n as f64 >= ONE_SIDED * count as f64;
+    let sign = match (most(below), most(above)) {
+        (true, _) => Some(HeightSign::Elevation),
+        (_, true) => Some(HeightSign::Depth),
+        _ => None,
+    };
+    (low, high, sign)
+}
+
+fn system(
+    shape: &RawShape,
+    facts: &mut Facts,
+    asked: &SeabedFileSpec,
+) -> Result<(Crs, Source), Fault> {
+    if let Some(crs) = asked.crs {
+        return Ok((crs.into(), Source::Configured));
+    }
+    if let Some(crs) = facts.crs.take() {
+        return Ok((crs, Source::Stated("in the file")));
+    }
+    let [west, south, east, north] = covered(shape)?;
+    let (low, high, _) = heights(shape);
+    let fits = (-180.0..=360.0).contains(&west) && east <= 360.0 && south >= -90.0 && north <= 90.0;
+    if fits && high - low > (east - west).max(north - south) {
+        let why = "the coordinates fit longitudes and latitudes, and as metres the seabed would be impossibly steep";
+        return Ok((
+            Crs::Geographic("datum not stated".to_owned()),
+            Source::Guessed(why),
+        ));
+    }
+    let why = "nothing says more than that the numbers look like metres";
+    Ok((Crs::Local, Source::Guessed(why)))
+}
+
+fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign, Source) {
+    if let Some(sign) = asked.values {
+        return (sign, Source::Configured);
+    }
+    let (_, _, looks) = heights(shape);
+    match (facts.values, looks) {
+        // A column called depth whose numbers are negative holds elevations.
+        (Some((HeightSign::Depth, _)), Some(HeightSign::Elevation)) => (
+            HeightSign::Elevation,
+            Source::Guessed("called depths, but they are negative"),
+        ),
+        (Some((sign, why)), _) => (sign, Source::Stated(why)),
+        (None, Some(HeightSign::Elevation)) => (
+            HeightSign::Elevation,
+            Source::Guessed("most numbers are negative"),
+        ),
+        (None, Some(HeightSign::Depth)) => (
+            HeightSign::Depth,
+            Source::Guessed("most numbers are positive"),
+        ),
+        (None, None) => (
+            HeightSign::Elevation,
+            Source::Guessed("both signs occur, as where land and sea are"),
+        ),
+    }
+}
+
+/// Coordinates that cannot be of this system are refused.
+fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), Fault> {
+    let [west, south, east, north] = *covers;
+    let shown = format!("{west} .. {east}, {south} .. {north}");
+    let wrong = |rule: &str| Err(Fault::new(format!("coordinates as {crs}"), &shown, rule));
+    match crs {
+        Crs::Geographic(_) => {
+            if west < -180.0 || east > 360.0 || south < -90.0 || north > 90.0 {
+                return wrong(
+                    "are no longitudes (-180 to 360) and latitudes (-90 to 90): the system is another",
+                );
+            }
+        }
+        Crs::Utm { north: side, .. } => {
+            // A zone's eastings, and its neighbours' a little; northings to the pole.
+            let northings = if *side { -1e6..=1e7 } else { 0.0..=1.1e7 };
+            if west < -5e5
+                || east > 1.5e6
+                || !northings.contains(&south)
+                || !northings.contains(&north)
+            {
+                return wrong("are no eastings and northings of a UTM zone: the system is another");
+            }
+        }
+        Crs::Local | Crs::Projected(_) => {}
+    }
+    Ok(())
+}
+
+/// The file's middle must lie where the file says that it lies.
+fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Fault> {
+    let Some((lat, lon)) = crs.geodetic_rad(zero[0], zero[1]) else {
+        return Ok(());
+    };
+    let (lat, lon) = (lat.to_degrees(), lon.to_degrees());
+    let [west, south, east, north] = box_deg;
+    let inside = |v: f64, low: f64, high: f64| {
+        (low - COVER_TOLERANCE_DEG..=high + COVER_TOLERANCE_DEG).contains(&v)
+    };
+    // Longitudes may be counted from another turn.
+    let turns = [-360.0, 0.0, 360.0];
+    let fits = inside(lat, south, north) && turns.iter().any(|t| inside(lon + t, west, east));
+    if fits {
+        return Ok(());
+    }
+    let rule = format!(
+        "puts its middle at latitude {lat:.3}, longitude {lon:.3}, outside the {south} .. {north}, {west} .. {east} that its metadata name: one of them is wrong (seabed.crs overrides)"
+    );
+    Err(Fault::new("coordinate system", &crs.to_string(), rule))
+}
+
+fn plane_at(zero: [f64; 2]) -> LocalTangentPlane {
+    LocalTangentPlane::new(zero[1].to_radians(), zero[0].to_radians())
+}
+
+type Made = (HeightField, Layout, Original);
+
+fn check_extent(extent_m: f64) -> Result<(), Fault> {
+    if extent_m <= 2.0 * MAX_HORIZONTAL_M {
+        return Ok(());
+    }
+    let rule = format!(
+        "m are covered: a local plane serves {} km about its middle; cut the file",
+        MAX_HORIZONTAL_M / 1e3
+    );
+    Err(Fault::new("coordinates", &extent_m.to_string(), rule))
+}
+
+fn from_grid(
+    mut grid: RawGrid,
+    sign: HeightSign,
+    plane: Option<&LocalTangentPlane>,
+    zero: [f64; 2],
+    asked: &SeabedFileSpec,
+    notes: &mut Vec<String>,
+) -> Result<Made, Fault> {
+    if sign == HeightSign::Elevation {
+        for v in &mut grid.values {
+            *v = -*v;
+        }
+    }
+    let layout = Layout::Grid {
+        rows: grid.rows,
+        cols: grid.cols,
+        x_step: grid.x_step,
+        y_step: grid.y_step,
+        first_row: grid.first_row,
+        first_row_source: match asked.first_row {
+            Some(_) => Source::Configured,
+            None => Source::Stated("by the format"),
+        },
+        from_corners: grid.from_corners,
+    };
+    let Some(plane) = plane else {
+        for step in [grid.x_step, grid.y_step] {
+            if !CELL_SIZES_M.contains(&step) {
+                let rule = format!(
+                    "must lie in {} ..= {} as metres; if the file is in degrees, say crs = \"geographic\"",
+                    CELL_SIZES_M.start(),
+                    CELL_SIZES_M.end()
+                );
+                return Err(Fault::new("cell size", &step.to_string(), rule));
+            }
+        }
+        let field = HeightField {
+            rows: grid.rows,
+            cols: grid.cols,
+            cell_north_m: grid.y_step,
+            cell_east_m: grid.x_step,
+            south_m: grid.y_south - zero[1],
+            west_m: grid.x_west - zero[0],
+            down_m: grid.values,
+        };
+        check_extent(field.extent_north_m().max(field.extent_east_m()))?;
+        return Ok((field, layout, Original::Field));
+    };
+    let field = resampled(&grid, plane, zero)?;
+    notes.push(format!(
+        "degrees turned to cells of {:.3} m north, {:.3} m east, by bilinear resampling",
+        field.cell_north_m, field.cell_east_m
+    ));
+    Ok((field, layout, Original::Degrees(grid)))
+}
+
+/// A grid of degrees on the metres of the plane at its middle.
+fn resampled(
+    grid: &RawGrid,
+    plane: &LocalTangentPlane,
+    zero: [f64; 2],
+) -> Result<HeightField, Fault> {
+    let [x, y] = zero;
+    let half_x = grid.x_step / 2.0;
+    let half_y = grid.y_step / 2.0;
+    let local = |x: f64, y: f64| plane.local_m(y.to_radians(), x.to_radians());
+    let cell_north_m = local(x, y + half_y).0 - local(x, y - half_y).0;
+    let cell_east_m = local(x + half_x, y).1 - local(x - half_x, y).1;
+    if !(cell_north_m > 0.0 && cell_east_m > 0.0) {
+        let rule = "make no cells of a local plane there";
+        return Err(Fault::new(
+            "cell size",
+            &format!("{} x {}", grid.x_step, grid.y_step),
+            rule,
+        ));
+    }
+    let (rows, cols) = (grid.rows, grid.cols);
+    let extents_m = [
+        (rows - 1) as f64 * cell_north_m,
+        (cols - 1) as f64 * cell_east_m,
+    ];
+    check_extent(extents_m[0].max(extents_m[1]))?;
+    let (south_m, west_m) = (-extents_m[0] / 2.0, -extents_m[1] / 2.0);
+    let mut down_m = Vec::with_capacity(rows * cols);
+    for row in 0..rows {
+        for col in 0..cols {
+            let (lat, lon) = plane.geodetic_rad(
+                south_m + row as f64 * cell_north_m,
+                west_m + col as f64 * cell_east_m,
+            );
+            // The plane's longitudes lie in one turn, the file's may lie in another.
+            let lon = lon.to_degrees();
+            let lon = lon + 360.0 * ((x - lon) / 360.0).round();
+            let (r, c) = grid_place(grid, lon, lat.to_degrees());
+            down_m.push(bilinear(grid, r, c).map_or(f32::NAN, |d| d as f32));
+        }
+    }
+    Ok(HeightField {
+        rows,
+        cols,
+        cell_north_m,
+        cell_east_m,
+        south_m,
+        west_m,
+        down_m,
+    })
+}
+
+fn from_points(
+    raw: RawPoints,
+    sign: HeightSign,
+    plane: Option<&LocalTangentPlane>,
+    zero: [f64; 2],
+    asked: &SeabedFileSpec,
+) -> Result<Made, Fault> {
+    let flip = match sign {
+        HeightSign::Elevation => -1.0,
+        HeightSign::Depth => 1.0,
+    };
+    let local = |p: &DVec3| {
+        let (north_m, east_m) = match plane {
+            Some(plane) => plane.local_m(p.y.to_radians(), p.x.to_radians()),
+            None => (p.y - zero[1], p.x - zero[0]),
+        };
+        DVec3::new(north_m, east_m, flip * p.z)
+    };
+    let points: Vec<DVec3> = raw.points.iter().map(local).collect();
+    drop(raw.points);
+    if let Some(far) = points
+        .iter()
+        .find(|p| p.x.abs().max(p.y.abs()) > MAX_HORIZONTAL_M)
+    {
+        check_extent(2.0 * far.x.abs().max(far.y.abs()))?;
+    }
+    let own_triangles = raw.triangles.is_some();
+    let (tin, merged) = match raw.triangles {
+        Some(triangles) => {
+            mesh::check_triangles(&triangles, points.len())?;
+            let tin = Tin {
+                points_m: points,
+                triangles,
+            };
+            (tin.without_long_edges(asked.max_edge_m)?, 0)
+        }
+        None => {
+            let (points, merged) = merge_duplicates(points);
+            (Tin::new(points, asked.max_edge_m)?, merged)
+        }
+    };
+    let field = tin.grid(asked.cell_m)?;
+    let layout = Layout::Points {
+        count: tin.points_m.len(),
+        merged,
+        triangles: tin.triangles.len(),
+        own_triangles,
+    };
+    Ok((field, layout, Original::Triangles(tin)))
+}
+
+/// Row and column, in cells from the south-western centre.
+fn grid_place(grid: &RawGrid, x: f64, y: f64) -> (f64, f64) {
+    (
+        (y - grid.y_south) / grid.y_step,
+        (x - grid.x_west) / grid.x_step,
+    )
+}
+
+/// The cell around a place; none outside.
+fn nearest(row: f64, col: f64, rows: usize, cols: usize) -> Option<(usize, usize)> {
+    let inside = |v: f64, count: usize| (-0.5..=count as f64 - 0.5).contains(&v);
+    (inside(row, rows) && inside(col, cols)).then(|| {
+        let index = |v: f64, count: usize| (v.round().max(0.0) as usize).min(count - 1);
+        (index(row, rows), index(col, cols))
+    })
+}
+
+/// Between four centres; none outside and next to a hole.
+fn bilinear(grid: &RawGrid, row: f64, col: f64) -> Option<f64> {
+    let inside = |v: f64, count: usize| (0.0..=(count - 1) as f64).contains(&v);
+    if !inside(row, grid.rows) || !inside(col, grid.cols) {
+        return None;
+    }
+    let split = |v: f64, count: usize| {
+        let index = (v as usize).min(count - 2);
+        (index, v - index as f64)
+    };
+    let ((r, v), (c, u)) = (split(row, grid.rows), split(col, grid.cols));
+    let cell = |r: usize, c: usize| f64::from(grid.values[r * grid.cols + c]);
+    let south = cell(r, c) * (1.0 - u) + cell(r, c + 1) * u;
+    let north = cell(r + 1, c) * (1.0 - u) + cell(r + 1, c + 1) * u;
+    let down_m = south * (1.0 - v) + north * v;
+    (!down_m.is_nan()).then_some(down_m)
+}

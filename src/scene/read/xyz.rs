@@ -1,0 +1,243 @@
+//! Scattered soundings as text: a line each, x y and height or depth, separated by commas, semicolons or blanks.
+//!
+//! `#` begins a comment and `>` a segment (GMT). A first line of names says which columns are meant and what they are (`lon lat depth`, `easting,
+//! northing, elevation`); without one the first three columns are x, y and z. A file that was cut off between two lines looks like a shorter one.
+
+use glam::DVec3;
+
+use super::text::{self, MAX_VERTICAL_M, Misread};
+use super::{Crs, Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
+use crate::config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
+
+/// Any projection's numbers.
+const COORDINATES: std::ops::RangeInclusive<f64> = -1e9..=1e9;
+const HEIGHTS: std::ops::RangeInclusive<f64> = -MAX_VERTICAL_M..=MAX_VERTICAL_M;
+
+pub struct Xyz;
+
+impl Reader for Xyz {
+    fn format(&self) -> SeabedFormat {
+        SeabedFormat::Xyz
+    }
+    fn name(&self) -> &'static str {
+        "XYZ soundings"
+    }
+    fn recognises(&self, _head: &[u8], extension: &str) -> bool {
+        matches!(extension, "xyz" | "csv" | "txt" | "tsv" | "dat" | "pts")
+    }
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+        parse(&bytes, asked)
+    }
+}
+
+/// Where the three numbers stand in a line.
+#[derive(Clone, Copy)]
+struct Columns {
+    x: usize,
+    y: usize,
+    z: usize,
+}
+
+fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
+        let line = bytes[..e.valid_up_to()]
+            .iter()
+            .filter(|b| **b == b'\n')
+            .count();
+        Misread::new(line + 1, "", "must be UTF-8 text")
+    })?;
+    let mut facts = Facts::default();
+    let mut columns = None;
+    let mut points = Vec::new();
+    let mut holes = 0_u64;
+    let mut fields: Vec<&str> = Vec::new();
+    for (index, content) in text.lines().enumerate() {
+        let line = index + 1;
+        let content = content.trim();
+        if content.is_empty() || content.starts_with(['#', '>']) {
+            continue;
+        }
+        fields.clear();
+        split(content, &mut fields);
+        let columns = match columns {
+            Some(columns) => columns,
+            None if fields[0].parse::<f64>().is_ok() => {
+                if fields.len() > 3 {
+                    let note = format!(
+                        "{} columns without names: the first three were taken",
+                        fields.len()
+                    );
+                    facts.notes.push(note);
+                }
+                *columns.insert(Columns { x: 0, y: 1, z: 2 })
+            }
+            None => {
+                columns = Some(named(line, &fields, &mut facts)?);
+                continue;
+            }
+        };
+        let field = |place: usize| {
+            fields.get(place).copied().ok_or_else(|| {
+                let rule = format!("must have at least {} columns", place + 1);
+                Misread::new(line, content, rule)
+            })
+        };
+        let number = |place: usize, allowed| {
+            let text = field(place)?;
+            text::number(text, allowed).map_err(|rule| Misread::new(line, text, rule))
+        };
+        let (x, y) = (
+            number(columns.x, COORDINATES)?,
+            number(columns.y, COORDINATES)?,
+        );
+        let z = field(columns.z)?;
+        if let Ok(value) = z.parse::<f64>()
+            && (value.is_nan() || asked.nodata == Some(value))
+        {
+            holes += 1;
+            continue;
+        }
+        let z = number(columns.z, HEIGHTS)?;
+        if points.len() == MAX_POINTS {
+            let rule = format!("at most {MAX_POINTS} soundings are read: thin or grid them first");
+            return Err(Misread::new(line, content, rule).into());
+        }
+        points.push(DVec3::new(x, y, z));
+    }
+    if holes > 0 {
+        facts
+            .notes
+            .push(format!("{holes} soundings without a depth were left out"));
+    }
+    Ok(Raw {
+        shape: RawShape::Points(RawPoints {
+            points,
+            triangles: None,
+        }),
+        facts,
+    })
+}
+
+fn split<'a>(line: &'a str, fields: &mut Vec<&'a str>) {
+    let separator = [',', ';'].into_iter().find(|c| line.contains(*c));
+    match separator {
+        Some(c) => fields.extend(line.split(c).map(|f| f.trim().trim_matches('"'))),
+        None => fields.extend(line.split_whitespace()),
+    }
+}
+
+/// The columns that a line of names tells of, and what the names say about coordinates and heights.
+fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Misread> {
+    let names: Vec<String> = fields.iter().map(|f| f.to_ascii_lowercase()).collect();
+    let place = |known: &[&str]| {
+        names.iter().position(|n| {
+            let word = n.split(['_', ' ', '(', '[']).next().unwrap_or("");
+            known.contains(&word)
+        })
+    };
+    let degrees = (
+        place(&["lon", "long", "longitude"]),
+        place(&["lat", "latitude"]),
+    );
+    let metres = (
+        place(&["x", "e", "east", "easting"]),
+        place(&["y", "n", "north", "northing"]),
+    );
+    let depth = place(&["depth", "down"]);
+    let height = place(&["z", "elevation", "elev", "height", "altitude"]);
+    let (x, y) = match (degrees, metres) {
+        ((Some(x), Some(y)), _) => {
+            facts.crs = Some(Crs::Geographic("named so in the header".to_owned()));
+            (x, y)
+        }
+        (_, (Some(x), Some(y))) => (x, y),
+        _ => {
+            let rule = "must name the columns x and y (or easting and northing, or lon and lat)";
+            return Err(Misread::new(line, &fields.join(" "), rule));
+        }
+    };
+    let Some(z) = depth.or(height) else {
+        let rule = "must name a column depth, elevation or z";
+        return Err(Misread::new(line, &fields.join(" "), rule));
+    };
+    if depth.is_some() {
+        facts.values = Some((HeightSign::Depth, "the column is called so"));
+    } else if names[z].starts_with("elev") {
+        facts.values = Some((HeightSign::Elevation, "the column is called so"));
+    }
+    Ok(Columns { x, y, z })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<(Vec<DVec3>, Facts), String> {
+        let raw = parse(text.as_bytes(), &SeabedFileSpec::of("a.xyz".into()));
+        match raw.map_err(|e| e.to_string())? {
+            Raw {
+                shape: RawShape::Points(p),
+                facts,
+            } => Ok((p.points, facts)),
+            _ => Err("no points".to_owned()),
+        }
+    }
+
+    #[test]
+    fn blanks_commas_semicolons_names_and_comments_are_understood() {
+        let want = [DVec3::new(1.0, 2.0, -3.5), DVec3::new(4.0, 5.0, -6.0)];
+        for text in [
+            "1 2 -3.5\n4\t5   -6\n",
+            "# a survey\n>\n1,2,-3.5\r\n\r\n 4 , 5 , -6 \r\n",
+            "1;2;-3.5\n4;5;-6",
+            "z_m,y,x\n-3.5,2,1\n-6,5,4\n",
+            "\u{feff}x y z name\n1 2 -3.5 a\n4 5 -6 b\n",
+        ] {
+            assert_eq!(read(text).unwrap().0, want, "{text}");
+        }
+        let (points, facts) =
+            read("Latitude,Longitude,Depth (m)\n10,-20,30\n11,-21,nan\n").unwrap();
+        assert_eq!(points, [DVec3::new(-20.0, 10.0, 30.0)]);
+        assert!(matches!(facts.crs, Some(Crs::Geographic(_))));
+        assert_eq!(facts.values.unwrap().0, HeightSign::Depth);
+        assert_eq!(facts.notes, ["1 soundings without a depth were left out"]);
+    }
+
+    #[test]
+    fn faults_name_their_line() {
+        for (text, want) in [
+            (
+                "1 2 3\n1 2\n",
+                "line 2: `1 2`: must have at least 3 columns",
+            ),
+            ("1 2 3\n1 2 x\n", "line 2: `x`: must be a number"),
+            (
+                "1 2 30000\n",
+                "line 1: `30000`: must lie in -20000 ..= 20000",
+            ),
+            (
+                "1e10 2 3\n",
+                "line 1: `1e10`: must lie in -1000000000 ..= 1000000000",
+            ),
+            (
+                "a b c\n1 2 3\n",
+                "line 1: `a b c`: must name the columns x and y (or easting and northing, or lon and lat)",
+            ),
+            (
+                "x y name\n",
+                "line 1: `x y name`: must name a column depth, elevation or z",
+            ),
+        ] {
+            assert_eq!(read(text).map(|_| ()).unwrap_err(), want);
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_bytes_give_soundings_or_a_fault(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..200), text in "[0-9,; .a-z#>\n-]{0,80}") {
+            let asked = SeabedFileSpec::of("a.xyz".into());
+            let _ = parse(&bytes, &asked);
+            let _ = parse(text.as_bytes(), &asked);
+        }
+    }
+}
