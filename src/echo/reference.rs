@@ -10,8 +10,7 @@ use num_complex::Complex64;
 
 use crate::flow::{
     ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, LawCurve, PingPlan, ScatterLaw, Scatterers,
-    TransmitArray,
-    edge_corrections,
+    TransmitArray, edge_corrections,
 };
 use crate::frames::Trajectory;
 

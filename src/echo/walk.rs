@@ -503,7 +503,7 @@ mod tests {
         let lit = Illuminated {
             level: a.clone(),
             bias: (0..CHUNK).map(|k| (k % 2) as f32).collect(),
-            curved: (0..CHUNK).map(|k| k % 4 == 0).collect(),
+            curved: (0..CHUNK).map(|k| k % 4 < 2).collect(),
             curve: Some(Arc::new(LawCurve::new(|cosine| 0.1 + cosine.powi(3)))),
             normal_x: narrow(&a),
             normal_y: narrow(&b),

@@ -3,16 +3,16 @@
 //! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
 //! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
 //! coordinates, so that the seabed does not depend on where the scene is put.
-//! Not modelled: occlusion (shadows), bottom laws other than Lambert's, simplification, volume and surface scattering.
+//! Not modelled: occlusion (shadows), simplification, volume and surface scattering.
 
-pub mod ascii_grid;
+pub mod bottoms;
 mod draws;
 mod gather;
 pub mod points;
 mod pool;
+pub mod read;
 pub mod seabed;
 pub mod targets;
-mod text;
 pub mod tiles;
 
 #[cfg(test)]
@@ -26,6 +26,7 @@ use crate::config::spec::SceneSpec;
 use crate::flow::{Footprint, ScatterLaw, Scatterers, Target};
 use gather::Gatherer;
 use pool::TilePool;
+use read::{ascii_grid, text};
 use seabed::Surface;
 pub use text::{MAX_FILE_BYTES, Misread};
 use tiles::{Levels, Recipe, TILE_BYTES};
@@ -103,7 +104,11 @@ impl Scene {
                     });
                 }
                 let capacity = usize::try_from(capacity).unwrap_or(usize::MAX);
-                let recipe = Recipe::new(surface, seabed, spec.seed);
+                let mut recipe = Recipe::new(surface, seabed, spec.seed);
+                if let Some(mosaic) = &seabed.mosaic {
+                    let surface = Surface::open_mosaic(mosaic, spec.mirror, block_m)?;
+                    recipe = recipe.with_mosaic(surface, mosaic.values);
+                }
                 Some((recipe, TilePool::new(capacity)))
             }
         };

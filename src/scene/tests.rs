@@ -7,12 +7,15 @@ use glam::DVec3;
 use num_complex::Complex64;
 use proptest::prelude::*;
 
-use super::ascii_grid::Grid;
 use super::pool::TilePool;
+use super::read::ascii_grid::Grid;
 use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Scene, SceneCounts, SceneError};
-use crate::config::spec::{Density, SceneSpec, SeabedShape, SeabedSpec};
+use crate::config::spec::{
+    BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, SceneSpec, SeabedShape,
+    SeabedSpec, Sediment,
+};
 use crate::flow::{Footprint, ScatterLaw, Scatterers};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
@@ -27,7 +30,9 @@ fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec 
     SeabedSpec {
         shape,
         density: Density::PerM2(density_per_m2),
-        lambert_db: MU,
+        bottom: BottomSpec::BistaticLambert { mu_db: MU },
+        incidence: IncidenceSpec::Normal,
+        mosaic: None,
         speckle,
     }
 }
@@ -471,7 +476,10 @@ fn normals_stand_on_the_plane_and_point_up() {
             assert!(n.dot(along).abs() < 1e-6, "{n} against {along}");
         }
     }
-    assert_eq!(plane_recipe(0.0, 0.0, 1.0, true).law(), ScatterLaw::Lambert);
+    assert_eq!(
+        plane_recipe(0.0, 0.0, 1.0, true).bottom().law,
+        ScatterLaw::Lambert
+    );
 }
 
 // ---------------------------------------------------------------- surfaces
@@ -1019,6 +1027,115 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
         assert!(
             error.abs() < allowed,
             "{near_m} m: {error}, allowed {allowed}"
+        );
+    }
+}
+
+// ---------------------------------------------------------------- bottoms
+
+#[test]
+fn flat_incidence_turns_the_normals_up_and_leaves_all_else() {
+    let shape = SeabedShape::Plane {
+        depth_m: 50.0,
+        slope_north: 0.3,
+        slope_east: 0.2,
+    };
+    let made = |incidence| {
+        let spec = SeabedSpec {
+            incidence,
+            ..seabed(shape.clone(), 2.0, true)
+        };
+        let surface = Surface::open(&shape, false, 1.0).unwrap();
+        make(&Recipe::new(surface, &spec, 42), (0, 0))
+    };
+    let (own, flat) = (made(IncidenceSpec::Normal), made(IncidenceSpec::Flat));
+    assert_eq!(tile_bits(&own), tile_bits(&flat));
+    assert!(flat.normal.iter().all(|n| *n == [0.0, 0.0, -1.0]));
+    assert!(own.normal.iter().all(|n| n[0] > 0.2));
+}
+
+#[test]
+fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() {
+    // 4 x 4 cells of 2 m: -20 dB in the south, -40 dB in the north, a hole in the north-east.
+    let values = [
+        -40.0, -40.0, -40.0, -9999.0, -40.0, -40.0, -40.0, -40.0, -20.0, -20.0, -20.0, -20.0,
+        -20.0, -20.0, -20.0, -20.0,
+    ];
+    let text: Vec<String> = values.iter().map(|v: &f64| v.to_string()).collect();
+    let (_keep, path) = written(
+        "mosaic.asc",
+        &format!(
+            "ncols 4 nrows 4 xllcorner 0 yllcorner 0 cellsize 2 {}",
+            text.join(" ")
+        ),
+    );
+    let incidence_rad = 30.0_f64.to_radians();
+    for (values, bottom) in [
+        (
+            MosaicValues::Absolute { incidence_rad },
+            BottomSpec::Sediment(Sediment::Sand),
+        ),
+        (
+            MosaicValues::Absolute { incidence_rad },
+            BottomSpec::Lambert { mu_db: -27.0 },
+        ),
+        (
+            MosaicValues::Relative,
+            BottomSpec::Sediment(Sediment::Gravel),
+        ),
+    ] {
+        let mosaic = MosaicSpec {
+            path: path.clone(),
+            values,
+            offset_north_m: 0.0,
+            offset_east_m: 0.0,
+        };
+        let mut seabed = SeabedSpec {
+            bottom: bottom.clone(),
+            mosaic: Some(mosaic),
+            ..seabed(FLAT, 4.0, false)
+        };
+        let gathered = |seabed: &SeabedSpec| {
+            let spec = SceneSpec {
+                anchor_first_fix: false,
+                ..spec(Some(seabed.clone()), 100)
+            };
+            let mut scene = Scene::open(&spec).unwrap();
+            let mut out = Scatterers::default();
+            scene.gather(&[all_round(DVec3::ZERO, 51.0)], &mut out);
+            out
+        };
+        let with = gathered(&seabed);
+        seabed.mosaic = None;
+        let without = gathered(&seabed);
+        assert_eq!(with.law, without.law);
+        let own = super::bottoms::Bottom::new(&bottom);
+        let own_db = 10.0 * own.strength(incidence_rad).log10();
+        let (mut south, mut north, mut outside) = (0, 0, 0);
+        for i in 0..with.len() {
+            let at = with.position_m(i);
+            let got_db = 20.0 * (with.strength[i] / without.strength[i]).norm().log10();
+            let set_db = |db: f64| match values {
+                MosaicValues::Absolute { .. } => db - own_db,
+                MosaicValues::Relative => db,
+            };
+            let inside = at.x.abs() <= 3.0 && at.y.abs() <= 3.0;
+            let (want_db, count) = match inside {
+                true if at.x < -1.0 => (set_db(-20.0), &mut south),
+                true if at.x > 1.0 && at.y < 1.0 => (set_db(-40.0), &mut north),
+                true if at.x > 1.0 => (0.0, &mut outside),
+                true => continue,
+                false => (0.0, &mut outside),
+            };
+            *count += 1;
+            assert!(
+                (got_db - want_db).abs() < 1e-5,
+                "{at}: {got_db} dB against {want_db}"
+            );
+        }
+        assert!(
+            south > 30 && north > 20 && outside > 100,
+            "{south} {north} {outside}"
         );
     }
 }
