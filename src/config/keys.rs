@@ -383,7 +383,7 @@ static SCENE: Table = Table {
             "targets",
             Kind::File,
             Optional("\"data/targets.csv\""),
-            "CSV of named strong targets laid over the seabed.",
+            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes) anywhere in the water.",
         ),
         key(
             "memory_mib",

@@ -177,7 +177,7 @@ pub struct SceneSpec {
     pub seabed: Option<SeabedSpec>,
     /// Explicit scatterers, CSV.
     pub points: Option<PathBuf>,
-    /// Strong named targets laid over the seabed, CSV.
+    /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,

@@ -23,11 +23,12 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 
 use crate::config::spec::SceneSpec;
-use crate::flow::{Footprint, ScatterLaw, Scatterers, Target};
+use crate::flow::{Footprint, Scatterers, Target};
 use gather::Gatherer;
 use pool::TilePool;
 use read::{ascii_grid, text};
 use seabed::Surface;
+use targets::Targets;
 pub use text::{MAX_FILE_BYTES, Misread};
 use tiles::{Levels, Recipe, TILE_BYTES};
 
@@ -79,7 +80,7 @@ pub struct Scene {
     seabed: Option<(Recipe, TilePool)>,
     /// Own coordinates.
     points: Scatterers,
-    own_targets: Vec<Target>,
+    own_targets: Targets,
     /// World.
     targets: Vec<Target>,
     /// The footprints of the gathering under way that hear something.
@@ -117,9 +118,10 @@ impl Scene {
             Some(path) => read(path, points::parse)?,
         };
         let targets = match &spec.targets {
-            None => Vec::new(),
+            None => Targets::default(),
             Some(path) => read(path, |bytes| {
-                targets::parse(bytes, |north_m, east_m| {
+                let toml = path.extension().is_some_and(|e| e == "toml");
+                Targets::parse(bytes, toml, spec.seed, |north_m, east_m| {
                     let (recipe, _) = seabed.as_ref()?;
                     Some(recipe.surface().sample(north_m, east_m)?.down_m)
                 })
@@ -130,8 +132,8 @@ impl Scene {
             anchor_first_fix: spec.anchor_first_fix,
             seabed,
             points,
-            own_targets: targets.clone(),
-            targets,
+            targets: targets.named().to_vec(),
+            own_targets: targets,
             heard: Vec::new(),
             gatherer: Gatherer::default(),
         })
@@ -144,7 +146,7 @@ impl Scene {
             return;
         }
         self.anchor_m = DVec2::new(anchor_north_m, anchor_east_m);
-        for (target, own) in self.targets.iter_mut().zip(&self.own_targets) {
+        for (target, own) in self.targets.iter_mut().zip(self.own_targets.named()) {
             target.position_m = own.position_m + self.anchor_m.extend(0.0);
         }
     }
@@ -202,11 +204,13 @@ impl Scene {
     }
 
     fn gather_targets(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
-        for target in &self.targets {
-            let in_range = |f: &Footprint| f.apex_m.distance(target.position_m) <= f.max_range_m;
+        let anchor_m = self.anchor_m.extend(0.0);
+        for target in 0..self.own_targets.len() {
+            let (center_m, radius_m) = self.own_targets.ball_m(target);
+            let center_m = center_m + anchor_m;
+            let in_range = |f: &Footprint| f.apex_m.distance(center_m) <= f.max_range_m + radius_m;
             if self.heard.iter().any(in_range) {
-                let strength = targets::strength(target);
-                out.push(target.position_m, UP, strength, ScatterLaw::Point);
+                self.own_targets.gather(target, anchor_m, out);
                 counts.targets += 1;
             }
         }

@@ -44,10 +44,14 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
         let condition = "a seabed of shape \"esri-ascii\"";
         only_with(table, &["extend"], gridded, condition, problems);
     }
+    // A table of shapes may give depths, and says itself where it needs a seabed.
+    let shapes = table
+        .path("targets")
+        .is_some_and(|path| path.extension().is_some_and(|e| e == "toml"));
     only_with(
         table,
         &["targets"],
-        Some(table.given("seabed")),
+        Some(table.given("seabed") || shapes),
         "a seabed, on which they lie",
         problems,
     );
