@@ -316,18 +316,27 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         }
     );
     let scene = &rig.scene;
-    assert!(scene.anchor_first_fix && scene.mirror);
+    assert!(scene.anchor == AnchorSpec::FirstFix && scene.mirror);
     assert_eq!((scene.seed, scene.memory_limit_bytes), (9, 3 << 20));
     assert_eq!(
         (&scene.points, &scene.targets),
         (&Some(track.clone()), &Some(track.clone()))
     );
     let seabed = scene.seabed.as_ref().expect("a seabed");
-    assert!(!seabed.speckle && seabed.density_per_m2 == 0.5 && seabed.lambert_db == -15.0);
+    assert!(
+        !seabed.speckle
+            && seabed.density == Density::PerM2(0.5)
+            && seabed.bottom == BottomSpec::BistaticLambert { mu_db: -15.0 }
+    );
     assert!(matches!(
         &seabed.shape,
-        SeabedShape::EsriAscii { path, positive_up: false, offset_north_m, offset_east_m }
-            if *path == track && (*offset_north_m, *offset_east_m) == (5.0, -6.0)
+        SeabedShape::File { file, offset_north_m, offset_east_m }
+            if *file == SeabedFileSpec {
+                    format: Some(SeabedFormat::EsriAscii),
+                    values: Some(HeightSign::Depth),
+                    ..SeabedFileSpec::of(track.clone())
+                }
+                && (*offset_north_m, *offset_east_m) == (5.0, -6.0)
     ));
     assert_eq!((rig.run.threads, rig.run.queue_pings), (3, 9));
     assert_eq!((rig.run.latency_s, rig.run.status_interval_s), (2.5, 1.0));

@@ -58,7 +58,7 @@ fn what_it_does(spec: &RigSpec) -> Vec<String> {
         });
     }
     match spec.scene.seabed.as_ref().map(|seabed| &seabed.shape) {
-        Some(SeabedShape::EsriAscii { path, .. }) => lines.push(format!("over {}", path.display())),
+        Some(SeabedShape::File { file, .. }) => lines.push(format!("over {}", file.path.display())),
         Some(SeabedShape::Plane { depth_m, .. }) => {
             lines.push(format!("over a plane {depth_m} m deep"))
         }

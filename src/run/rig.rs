@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use crate::array::filter::FilterError;
-use crate::config::spec::{MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
+use crate::config::spec::{AnchorSpec, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
 use crate::io::nav::NavOpenError;
@@ -122,13 +122,26 @@ impl Rig {
             return;
         }
         if let Some(first) = self.history.first_fix_local() {
-            let (north_m, east_m) = if self.spec.scene.anchor_first_fix {
-                (first.x, first.y)
-            } else {
-                (0.0, 0.0)
+            let (north_m, east_m) = match self.spec.scene.anchor {
+                AnchorSpec::Origin => (0.0, 0.0),
+                AnchorSpec::FirstFix => (first.x, first.y),
+                AnchorSpec::File => self.where_the_file_lies(),
             };
             self.scene.place(north_m, east_m);
             self.placed = true;
+        }
+    }
+
+    /// The scene's zero on the world's plane, by the place on the earth that the seabed's file tells. The scene is not turned: 10 km
+    /// east of the world's origin, at latitude 45, its north is off by 0.09 degrees (meridians converge).
+    fn where_the_file_lies(&self) -> (f64, f64) {
+        match (self.scene.geodetic_place(), self.history.origin()) {
+            (Some(place), Some(plane)) => {
+                let (north_m, east_m) = plane.local_m(place.latitude_rad, place.longitude_rad);
+                (north_m - place.north_m, east_m - place.east_m)
+            }
+            // The scene refuses to open without a place, and a first fix makes the plane.
+            _ => (0.0, 0.0),
         }
     }
 

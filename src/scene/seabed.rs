@@ -3,17 +3,9 @@
 //! Coordinates are the scene's own: metres north and east of its zero, down positive.
 
 use super::SceneError;
-use super::ascii_grid::Grid;
-use crate::config::spec::SeabedShape;
-
-/// The surface at one place.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Depth {
-    pub down_m: f64,
-    /// d down / d north and d down / d east.
-    pub slope_north: f64,
-    pub slope_east: f64,
-}
+pub use super::read::Depth;
+use super::read::{HeightField, Survey};
+use crate::config::spec::{MosaicSpec, SeabedShape};
 
 impl Depth {
     /// Unit normal away from the solid (up: its down component is negative).
@@ -42,21 +34,34 @@ pub enum Surface {
 /// A grid whose centre lies at the scene's zero, moved by an offset.
 #[derive(Clone, Debug)]
 pub struct GridSurface {
-    /// Heights are depths: positive down.
-    grid: Grid,
+    /// Its zero is the south-western cell's centre.
+    grid: HeightField,
     /// Beyond its outer cell centres the surface goes on as its mirror image, without end; otherwise it stops there.
     mirror: bool,
     /// South-western cell's centre in the scene, metres.
     south_m: f64,
     west_m: f64,
     blocks: Blocks,
+    /// Where on the earth the file's middle lies, latitude and longitude, radians; and where in the scene, metres.
+    place: Option<GeodeticPlace>,
+}
+
+/// A point of the scene whose place on the earth is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GeodeticPlace {
+    pub latitude_rad: f64,
+    pub longitude_rad: f64,
+    /// In the scene's own coordinates.
+    pub north_m: f64,
+    pub east_m: f64,
 }
 
 /// Least and greatest depth of blocks of cells, so that the bounds of a tile cost a few look-ups.
 #[derive(Clone, Debug)]
 struct Blocks {
-    /// Intervals between cell centres on a block's side.
-    intervals: usize,
+    /// Intervals between cell centres on a block's sides.
+    intervals_north: usize,
+    intervals_east: usize,
     rows: usize,
     cols: usize,
     /// Least and greatest, south-western block first; (inf, -inf) where all is a hole.
@@ -82,42 +87,62 @@ impl Surface {
                 slope_north: *slope_north,
                 slope_east: *slope_east,
             }),
-            SeabedShape::EsriAscii {
-                path,
-                positive_up,
+            SeabedShape::File {
+                file,
                 offset_north_m,
                 offset_east_m,
             } => {
-                let mut grid = super::read(path, Grid::parse)?;
-                if *positive_up {
-                    grid.negate();
-                }
-                Ok(Self::from_grid(
-                    grid,
-                    mirror,
-                    *offset_north_m,
-                    *offset_east_m,
-                    block_m,
-                ))
+                let survey = Survey::open(file)?;
+                let place = survey
+                    .zero_geodetic_rad()
+                    .map(|(latitude_rad, longitude_rad)| GeodeticPlace {
+                        latitude_rad,
+                        longitude_rad,
+                        north_m: *offset_north_m,
+                        east_m: *offset_east_m,
+                    });
+                let (north_m, east_m) = (*offset_north_m, *offset_east_m);
+                let mut surface = GridSurface::new(survey.field, mirror, north_m, east_m, block_m);
+                surface.place = place;
+                Ok(Self::Grid(surface))
             }
         }
     }
 
-    /// A surface of a grid of depths (positive down), its centre at the offset.
+    /// Opens a mosaic: decibels take the place of depths.
+    pub fn open_mosaic(
+        mosaic: &MosaicSpec,
+        mirror: bool,
+        block_m: f64,
+    ) -> Result<Self, SceneError> {
+        let grid = Survey::open_layer(&mosaic.path)?.field;
+        let (north_m, east_m) = (mosaic.offset_north_m, mosaic.offset_east_m);
+        Ok(Self::from_grid(grid, mirror, north_m, east_m, block_m))
+    }
+
+    /// A surface of depths whose zero lies at the offset.
     pub fn from_grid(
-        grid: Grid,
+        grid: HeightField,
         mirror: bool,
         offset_north_m: f64,
         offset_east_m: f64,
         block_m: f64,
     ) -> Self {
-        Self::Grid(GridSurface {
-            mirror,
-            south_m: offset_north_m - grid.extent_north_m() / 2.0,
-            west_m: offset_east_m - grid.extent_east_m() / 2.0,
-            blocks: Blocks::new(&grid, block_m),
+        Self::Grid(GridSurface::new(
             grid,
-        })
+            mirror,
+            offset_north_m,
+            offset_east_m,
+            block_m,
+        ))
+    }
+
+    /// A point of it whose place on the earth is known; none where no file tells.
+    pub fn geodetic_place(&self) -> Option<GeodeticPlace> {
+        match self {
+            Self::Plane { .. } => None,
+            Self::Grid(surface) => surface.place,
+        }
     }
 
     /// The surface at a place; none in a hole and beyond the end.
@@ -157,6 +182,25 @@ impl Surface {
 }
 
 impl GridSurface {
+    fn new(
+        mut grid: HeightField,
+        mirror: bool,
+        offset_north_m: f64,
+        offset_east_m: f64,
+        block_m: f64,
+    ) -> Self {
+        let south_m = std::mem::take(&mut grid.south_m) + offset_north_m;
+        let west_m = std::mem::take(&mut grid.west_m) + offset_east_m;
+        Self {
+            mirror,
+            south_m,
+            west_m,
+            blocks: Blocks::new(&grid, block_m),
+            grid,
+            place: None,
+        }
+    }
+
     fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
         let (mut v, mut u) = (north_m - self.south_m, east_m - self.west_m);
         let (mut sign_v, mut sign_u) = (1.0, 1.0);
@@ -165,7 +209,7 @@ impl GridSurface {
             (u, sign_u) = fold(u, self.grid.extent_east_m());
         }
         self.grid.sample(v, u).map(|h| Depth {
-            down_m: h.height_m,
+            down_m: h.down_m,
             slope_north: sign_v * h.slope_north,
             slope_east: sign_u * h.slope_east,
         })
@@ -182,8 +226,16 @@ impl GridSurface {
         };
         let v = side(north_m, self.south_m, self.grid.extent_north_m())?;
         let u = side(east_m, self.west_m, self.grid.extent_east_m())?;
-        let rows = self.blocks.reach(v, self.grid.cell_m, self.blocks.rows);
-        let cols = self.blocks.reach(u, self.grid.cell_m, self.blocks.cols);
+        let rows = self.blocks.reach(
+            v,
+            (self.blocks.intervals_north, self.grid.cell_north_m),
+            self.blocks.rows,
+        );
+        let cols = self.blocks.reach(
+            u,
+            (self.blocks.intervals_east, self.grid.cell_east_m),
+            self.blocks.cols,
+        );
         let mut bounds = NOTHING;
         for row in rows {
             for col in cols.clone() {
@@ -219,18 +271,21 @@ fn fold_interval(ends: (f64, f64), extent: f64) -> (f64, f64) {
 }
 
 impl Blocks {
-    fn new(grid: &Grid, block_m: f64) -> Self {
-        let intervals = ((block_m / grid.cell_m).ceil() as usize).max(1);
-        let rows = (grid.rows - 1).div_ceil(intervals);
-        let cols = (grid.cols - 1).div_ceil(intervals);
+    fn new(grid: &HeightField, block_m: f64) -> Self {
+        let intervals = |cell_m: f64| ((block_m / cell_m).ceil() as usize).max(1);
+        let (intervals_north, intervals_east) =
+            (intervals(grid.cell_north_m), intervals(grid.cell_east_m));
+        let rows = (grid.rows - 1).div_ceil(intervals_north);
+        let cols = (grid.cols - 1).div_ceil(intervals_east);
         let mut bounds_m = Vec::with_capacity(rows * cols);
         for row in 0..rows {
             for col in 0..cols {
                 let mut bounds = NOTHING;
                 // The centres on a block's edge belong to both neighbours: a bilinear surface has its extremes at centres.
-                for r in row * intervals..=((row + 1) * intervals).min(grid.rows - 1) {
-                    for c in col * intervals..=((col + 1) * intervals).min(grid.cols - 1) {
-                        let h = grid.cell_height_m(r, c);
+                for r in row * intervals_north..=((row + 1) * intervals_north).min(grid.rows - 1) {
+                    for c in col * intervals_east..=((col + 1) * intervals_east).min(grid.cols - 1)
+                    {
+                        let h = grid.cell_down_m(r, c);
                         if !h.is_nan() {
                             bounds = united(bounds, (h, h));
                         }
@@ -240,7 +295,8 @@ impl Blocks {
             }
         }
         Self {
-            intervals,
+            intervals_north,
+            intervals_east,
             rows,
             cols,
             bounds_m,
@@ -251,10 +307,10 @@ impl Blocks {
     fn reach(
         &self,
         ends_m: (f64, f64),
-        cell_m: f64,
+        (intervals, cell_m): (usize, f64),
         count: usize,
     ) -> std::ops::RangeInclusive<usize> {
-        let side_m = self.intervals as f64 * cell_m;
+        let side_m = intervals as f64 * cell_m;
         // Negative numbers become 0 in the cast.
         let block = |m: f64| ((m / side_m) as usize).min(count - 1);
         block(ends_m.0)..=block(ends_m.1)

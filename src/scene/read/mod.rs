@@ -13,7 +13,6 @@
 //!
 //! Not modelled: grid convergence, datum shifts, vertical datums (heights are counted from whatever the file counts them from).
 
-pub mod ascii_grid;
 mod bag;
 mod crs;
 mod esri_ascii;

@@ -7,6 +7,8 @@
 //!   coordinates themselves, are degrees (as metres they would be steeper than 45 degrees over the whole survey), others metres;
 //!   numbers of which 19 in 20 are negative are elevations, positive ones depths.
 
+use std::path::Path;
+
 use glam::DVec3;
 
 use super::text::{self, MAX_HORIZONTAL_M};
@@ -25,8 +27,17 @@ const HEAD_BYTES: usize = 512;
 const ONE_SIDED: f64 = 0.95;
 /// Cell sizes of grids in metres; the lower end also refuses most grids in degrees that are taken for metres.
 const CELL_SIZES_M: std::ops::RangeInclusive<f64> = 0.01..=1e5;
+/// A grid of degrees with larger cells, some 50 km, is no seabed for a sonar.
+const MAX_CELL_DEG: f64 = 0.5;
 /// A file's own bounding box is given to some hundredths of a degree.
 const COVER_TOLERANCE_DEG: f64 = 0.02;
+
+/// What a file's numbers are.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Numbers {
+    Heights,
+    Other,
+}
 
 /// Where a finding comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -123,12 +134,29 @@ impl Survey {
         })
     }
 
+    /// A file of anything else over the ground (a backscatter mosaic, dB): its numbers stand where depths would, and nothing is guessed from them.
+    pub fn open_layer(path: &Path) -> Result<Self, SceneError> {
+        let asked = SeabedFileSpec {
+            values: Some(HeightSign::Depth),
+            ..SeabedFileSpec::of(path.to_owned())
+        };
+        let bytes = text::read_file(path)?;
+        Self::parse_as(bytes, &asked, Numbers::Other).map_err(|fault| SceneError::Refused {
+            path: path.to_owned(),
+            fault,
+        })
+    }
+
     /// Reads a file's bytes; of `asked.path` only the extension counts.
     pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, Fault> {
+        Self::parse_as(bytes, asked, Numbers::Heights)
+    }
+
+    fn parse_as(bytes: Vec<u8>, asked: &SeabedFileSpec, numbers: Numbers) -> Result<Self, Fault> {
         let reader = reader_of(&bytes, asked)?;
         let length = bytes.len() as u64;
         let Raw { shape, mut facts } = reader.read(bytes, asked)?;
-        let (crs, crs_source) = system(&shape, &mut facts, asked)?;
+        let (crs, crs_source) = system(&shape, &mut facts, asked, numbers)?;
         let (sign, sign_source) = sign(&shape, &facts, asked);
         let mut notes = std::mem::take(&mut facts.notes);
         let covers = covered(&shape)?;
@@ -150,7 +178,8 @@ impl Survey {
         if field.down_m.iter().all(|d| d.is_nan()) {
             return Err(Fault::new("heights", "", "are all holes"));
         }
-        if field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0) {
+        let dry = field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0);
+        if dry && numbers == Numbers::Heights {
             notes
                 .push("all of it lies above zero: is values = \"depth\" what is meant?".to_owned());
         }
@@ -310,6 +339,7 @@ fn system(
     shape: &RawShape,
     facts: &mut Facts,
     asked: &SeabedFileSpec,
+    numbers: Numbers,
 ) -> Result<(Crs, Source), Fault> {
     if let Some(crs) = asked.crs {
         return Ok((crs.into(), Source::Configured));
@@ -320,7 +350,12 @@ fn system(
     let [west, south, east, north] = covered(shape)?;
     let (low, high, _) = heights(shape);
     let fits = (-180.0..=360.0).contains(&west) && east <= 360.0 && south >= -90.0 && north <= 90.0;
-    if fits && high - low > (east - west).max(north - south) {
+    let fine = match shape {
+        RawShape::Grid(g) => g.x_step.max(g.y_step) <= MAX_CELL_DEG,
+        RawShape::Points(_) => true,
+    };
+    let steep = numbers == Numbers::Heights && high - low > (east - west).max(north - south);
+    if fits && fine && steep {
         let why = "the coordinates fit longitudes and latitudes, and as metres the seabed would be impossibly steep";
         return Ok((
             Crs::Geographic("datum not stated".to_owned()),
