@@ -397,9 +397,15 @@ static SCENE: Table = Table {
             Default("\"normal\""),
             "What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).",
         ),
+        key(
+            "occlusion",
+            Kind::Choice(&["none", "horizon", "paper"], &[]),
+            Default("\"horizon\""),
+            "Shadows: none; of seabed and solids, from transmitter and receiver; or over the seabed by the paper's rule (Eq. 27), which forgets obstacles.",
+        ),
         key("seabed", Kind::Table(&SEABED), Shown(""), ""),
     ],
-    later: &["occlusion", "simplify"],
+    later: &["simplify"],
 };
 
 static SEABED: Table = Table {
