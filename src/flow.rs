@@ -344,6 +344,8 @@ pub enum Synthesis {
     Nearest,
     /// Each echo's replica interpolated linearly between its samples.
     Linear,
+    /// Echoes spread on a grid and transformed, an element at a time, within a tolerance.
+    Gridded1d,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -406,12 +408,13 @@ impl DopplerModel {
 }
 
 impl Synthesis {
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Reference,
         Self::Direct,
         Self::Spectral,
         Self::Nearest,
         Self::Linear,
+        Self::Gridded1d,
     ];
     /// As the configuration and the records spell it.
     pub fn name(self) -> &'static str {
@@ -421,11 +424,24 @@ impl Synthesis {
             Self::Spectral => "spectral",
             Self::Nearest => "nearest",
             Self::Linear => "linear",
+            Self::Gridded1d => "gridded-1d",
         }
     }
     /// Whether it lays one and the same pulse under every echo, so that only [`DopplerModel::keeps_pulse`] models go with it.
     pub fn shares_pulse(self) -> bool {
         matches!(self, Self::Spectral | Self::Nearest | Self::Linear)
+    }
+    /// Whether it is made for a tolerance and keeps it, rather than having the error it has.
+    pub fn keeps_tolerance(self) -> bool {
+        matches!(self, Self::Gridded1d)
+    }
+    /// Whether it can sum echoes of this Doppler model.
+    pub fn takes(self, doppler: DopplerModel) -> bool {
+        match self {
+            Self::Reference | Self::Direct => true,
+            Self::Spectral | Self::Nearest | Self::Linear => doppler.keeps_pulse(),
+            Self::Gridded1d => matches!(doppler, DopplerModel::None | DopplerModel::Stretch),
+        }
     }
 }
 
@@ -483,6 +499,8 @@ pub struct Conditions {
     pub segment_s: f64,
     pub scatterers: usize,
     pub elements: usize,
+    /// What the methods that keep a tolerance are made for.
+    pub tolerance: f64,
 }
 
 impl Conditions {
@@ -718,6 +736,8 @@ pub struct EchoCounts {
     pub two_roots: u64,
     /// Beyond the polyline's last segment; carried on along it.
     pub beyond_track: u64,
+    /// Faster than the engine is made for: heard with the greatest Doppler it knows.
+    pub too_fast: u64,
 }
 
 impl std::ops::AddAssign for EchoCounts {
@@ -729,6 +749,7 @@ impl std::ops::AddAssign for EchoCounts {
         self.no_root += o.no_root;
         self.two_roots += o.two_roots;
         self.beyond_track += o.beyond_track;
+        self.too_fast += o.too_fast;
     }
 }
 
@@ -796,6 +817,10 @@ pub struct Certificate {
     /// Its 95 % interval.
     pub low: f64,
     pub high: f64,
+    /// `sonar.model.tolerance`.
+    pub tolerance: f64,
+    /// On the newest two pings with samples looked at the error was above 1.3 tolerances.
+    pub fault: bool,
 }
 
 /// Everything one ping produced.
