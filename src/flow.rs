@@ -530,6 +530,52 @@ pub trait ArrivalSink {
     fn accept(&mut self, chunk: &ArrivalChunk);
 }
 
+/// Echoes of up to [`CHUNK`] scatterers at one point of a line array, and how each changes along the line and during the pulse.
+///
+/// With u(y, w) the delay, at y metres along the line from the point, of what left w seconds into the pulse (leading edge: 0, 0).
+pub struct LineChunk {
+    pub len: usize,
+    /// As [`ArrivalChunk`] has them.
+    pub delay_s: [f64; CHUNK],
+    pub doppler: [f64; CHUNK],
+    pub amplitude: [Complex64; CHUNK],
+    /// -c du/dy: the sine of the angle from broadside, as the moving line sees it.
+    pub slope: [f64; CHUNK],
+    /// c d2u/dy2.
+    pub bend_per_m: [f64; CHUNK],
+    /// c d2u/dy dw.
+    pub twist_per_s: [f64; CHUNK],
+    /// c d2u/dw2: what the linearised stretch leaves out.
+    pub swing_m_per_s2: [f64; CHUNK],
+}
+
+impl LineChunk {
+    pub fn new() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            len: 0,
+            delay_s: zero,
+            doppler: zero,
+            amplitude: [Complex64::ZERO; CHUNK],
+            slope: zero,
+            bend_per_m: zero,
+            twist_per_s: zero,
+            swing_m_per_s2: zero,
+        }
+    }
+}
+
+impl Default for LineChunk {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// As [`ArrivalSink`], for whole stretches of a line array.
+pub trait LineSink {
+    fn accept(&mut self, chunk: &LineChunk);
+}
+
 /// What a walk over the scatterers met.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EchoCounts {

@@ -8,6 +8,7 @@
 pub mod direct;
 pub mod filter;
 pub mod gridded;
+pub mod gridded2d;
 mod phasor;
 pub mod receiver;
 

@@ -17,4 +17,6 @@ pub mod walk;
 
 pub use absorption::absorption_db_per_m;
 pub use reference::reference;
-pub use walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+pub use walk::{
+    Illuminated, LineWorkspace, Stretch, Window, Workspace, arrivals, illuminate, line_arrivals,
+};

@@ -81,6 +81,18 @@ impl Leg {
     }
 }
 
+/// A line array on one segment of the polyline.
+#[derive(Clone, Copy, Debug)]
+pub struct LineMotion {
+    /// Unit, world.
+    pub axis: DVec3,
+    /// In the path, and in the Doppler term.
+    pub velocity_m_per_s: DVec3,
+    pub doppler_velocity_m_per_s: DVec3,
+    /// Where the segment ends; infinite on the last.
+    pub until_s: f64,
+}
+
 /// The way of one element through one ping. Its buffer is kept between uses.
 #[derive(Debug, Default)]
 pub struct ElementTrack {
@@ -98,7 +110,19 @@ impl ElementTrack {
         array: &ArrayGeometry,
         element: usize,
     ) {
-        let element_m = array.element_body_m(element);
+        self.lay_at(plan, transmit, array, array.element_x_m(element));
+    }
+
+    /// As [`Self::lay`], for a point `along_m` from the array's centre.
+    pub fn lay_at(
+        &mut self,
+        plan: &PingPlan,
+        transmit: &Transmit,
+        array: &ArrayGeometry,
+        along_m: f64,
+    ) {
+        let point_m = array.mounting.position_m
+            + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
         let (segments, moving) = match plan.model.path {
             PathModel::StopAndHop => (&plan.segments[..1], 0.0),
             PathModel::Polyline => (&plan.segments[..], 1.0),
@@ -109,7 +133,7 @@ impl ElementTrack {
                 start_s: segment.start_s,
                 end_s: segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s),
                 origin_m: transmit.relative_m(segment.position_m)
-                    + segment.world_from_body * element_m,
+                    + segment.world_from_body * point_m,
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
                 doppler_velocity_m_per_s: doppler_velocity(plan, segment.velocity_m_per_s),
                 array_from_world: array_from_world(
@@ -126,6 +150,22 @@ impl ElementTrack {
 
     pub fn end_s(&self) -> f64 {
         self.end_s
+    }
+
+    /// How the line moves where an echo arrives at `time_s`.
+    pub fn motion_at(&self, time_s: f64) -> LineMotion {
+        let leg = self
+            .legs
+            .iter()
+            .rfind(|leg| leg.start_s <= time_s)
+            .unwrap_or(&self.legs[0]);
+        let axis = leg.array_from_world.row(0);
+        LineMotion {
+            axis,
+            velocity_m_per_s: leg.velocity_m_per_s,
+            doppler_velocity_m_per_s: leg.doppler_velocity_m_per_s,
+            until_s: leg.end_s,
+        }
     }
 
     /// The farthest this element gets from the transmit position up to `time_s`, metres.

@@ -18,6 +18,10 @@ use crate::flow::{
 use super::levels::{Directivity, OneWay, amplitude_from_db};
 use super::paths::{Batch, ElementTrack, Rays, Transmit, solve};
 
+mod line;
+
+pub use line::{LineWorkspace, Stretch, line_arrivals};
+
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
