@@ -6,3 +6,4 @@ mod moving;
 mod rig;
 mod scene;
 mod still;
+mod tolerance;

@@ -9,7 +9,7 @@ use crate::still::FINE;
 #[test]
 fn in_motion_the_engine_meets_the_direct_sum() {
     // Along the array; heave and sway; all at once; and far across it. What limits the slanted ones is the twist (how fast the slope
-    // changes during the pulse) that no parabola in the slope describes: a bottom's depth tells port from nadir.
+    // changes during the pulse) that no curve over the slope describes: a bottom's depth tells port from nadir.
     for (velocity_m_per_s, sector_deg, limit) in [
         (DVec3::new(5.0, 0.0, 0.0), 15.0, 3e-6),
         (DVec3::new(5.0, 0.0, 0.0), 60.0, 5e-6),

@@ -1,5 +1,6 @@
 //! Scenes, the engine's driver and the measure of its error.
 
+use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
 use echotank::array::{Decimator, Direct};
 use echotank::echo::{
@@ -97,6 +98,16 @@ pub fn engine<T: Sample>(
     scene: &Scene,
     fineness: Fineness,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
+    engine_in::<T>(scene, fineness, Dialect::best(), false)
+}
+
+/// The same in a given dialect, first task last if `backward`.
+pub fn engine_in<T: Sample>(
+    scene: &Scene,
+    fineness: Fineness,
+    dialect: Dialect,
+    backward: bool,
+) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
     let Scene {
         plan,
         tx,
@@ -108,7 +119,7 @@ pub fn engine<T: Sample>(
         gain: &|f| decimator.gain(f),
         half_s: decimator.half_s(),
     };
-    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness);
+    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness, dialect);
     engine.prepare(plan);
     let mut lit = Illuminated::new();
     illuminate(plan, tx, ALWAYS, scatterers, &mut lit);
@@ -116,7 +127,11 @@ pub fn engine<T: Sample>(
     let mut work = engine.work();
     let mut outputs = vec![Vec::new(); engine.tasks()];
     let mut reports = Vec::new();
-    for (task, output) in outputs.iter_mut().enumerate() {
+    let mut tasks: Vec<_> = outputs.iter_mut().enumerate().collect();
+    if backward {
+        tasks.reverse();
+    }
+    for (task, output) in tasks {
         let wanted = engine.wanted(task);
         let stretch = Stretch {
             middle_m: wanted.middle_m,

@@ -6,13 +6,14 @@ use std::sync::Arc;
 use num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftNum, FftPlanner};
 
-use crate::array::gridded::kernel::Kernel;
+use crate::array::gridded::dialect::{Dialect, Kind};
+use crate::array::gridded::kernel::{Kernel, MAX_WIDTH};
 use crate::array::gridded::transform::grid_size;
-use crate::array::phasor::cis;
+use crate::array::phasor::{LANES, cis, cis_lanes};
 use crate::flow::{ArrayGeometry, LineChunk, LineSink, Pattern, PingPlan};
 
-use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra, chebyshev_nodes};
-use super::series::{powers_from_nodes, series_from_nodes, terms_needed};
+use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra, Reading, chebyshev_nodes};
+use super::series::{powers_from_nodes, series_from_nodes, sizes, terms_needed};
 use super::smooth::{Echoes, Smooth};
 
 /// Bins worked on together: over so few the rotor from a column to an element hardly turns beyond its middle's.
@@ -33,10 +34,12 @@ const LEAST_BROADSIDE: f64 = 1e-3;
 const STEP_NU: f64 = 1e-3;
 
 /// The real numbers that grids and transforms are made of.
-pub trait Sample: FftNum + Default {
+pub trait Sample: FftNum + Default + Reading {
     const ZERO: Self;
     fn narrow(value: f64) -> Self;
     fn widen(self) -> f64;
+    /// self a + b, in one rounding where the processor has been asked for it.
+    fn times_plus<const FUSED: bool>(self, a: Self, b: Self) -> Self;
 }
 
 impl Sample for f32 {
@@ -47,6 +50,14 @@ impl Sample for f32 {
     fn widen(self) -> f64 {
         self.into()
     }
+    #[inline(always)]
+    fn times_plus<const FUSED: bool>(self, a: Self, b: Self) -> Self {
+        if FUSED {
+            self.mul_add(a, b)
+        } else {
+            self * a + b
+        }
+    }
 }
 
 impl Sample for f64 {
@@ -56,6 +67,14 @@ impl Sample for f64 {
     }
     fn widen(self) -> f64 {
         self
+    }
+    #[inline(always)]
+    fn times_plus<const FUSED: bool>(self, a: Self, b: Self) -> Self {
+        if FUSED {
+            self.mul_add(a, b)
+        } else {
+            self * a + b
+        }
     }
 }
 
@@ -112,6 +131,7 @@ pub struct Orders {
 pub struct TaskReport {
     pub echoes: usize,
     pub columns: usize,
+    pub channels: usize,
     pub orders: Orders,
     /// Bound on what the series leave out, relative to an echo.
     pub left_out: f64,
@@ -132,11 +152,15 @@ pub struct LineEngine<T: Sample> {
     fineness: Fineness,
     rate_hz: f64,
     filter_half_s: f64,
+    dialect: Dialect,
     stretches: Vec<Stretch>,
     /// Length and shape of the element pattern along the line, metres; 0 is none.
     element_m: f64,
     time_kernel: Kernel,
     slope_kernel: Kernel,
+    time_taps: Vec<Taps<T>>,
+    slope_taps: Vec<Taps<T>>,
+    slope_inverse: InverseGain,
     rows: usize,
     forward: Arc<dyn Fft<T>>,
     inverse: Arc<dyn Fft<T>>,
@@ -145,7 +169,7 @@ pub struct LineEngine<T: Sample> {
     instants: Vec<Instants>,
     powers: Vec<Vec<f64>>,
     series: Vec<Vec<f64>>,
-    pulse: Option<PulseSpectra>,
+    pulse: Option<PulseSpectra<T>>,
     ping: Ping,
 }
 
@@ -166,14 +190,12 @@ struct Ping {
 /// Buffers of one thread.
 pub struct Work<T: Sample> {
     echoes: Echoes,
-    /// `[row][column][channel]`.
-    grid: Vec<Complex<T>>,
+    /// `[row][column][channel][re, im]`.
+    grid: Vec<T>,
     column: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     /// `[channel][bin]`, split.
     spectrum: Split<T>,
-    /// `[instant][bin]`.
-    pulse: Split<T>,
     /// `[block][column][power][lane]`.
     moments: Split<T>,
     /// `[instant][bend][power along][power of frequency]`.
@@ -182,10 +204,11 @@ pub struct Work<T: Sample> {
     values_next: Vec<Complex64>,
     /// `[instant][dilation][power of frequency]`.
     dilation: Vec<Complex64>,
+    /// Of one element and block, per column: cosine and sine.
+    rotors: Vec<[T; 2]>,
     /// `[element][bin]`.
     elements: Split<T>,
 }
-
 #[derive(Default)]
 struct Split<T> {
     re: Vec<T>,
@@ -228,11 +251,15 @@ impl LineSink for Gather<'_> {
             let a = chunk.amplitude[i] * stretched;
             let e = &mut *self.echoes;
             e.middle_s.push(delay_s + half_s - self.first_s);
-            e.slope.push(chunk.slope[i] - chunk.twist_per_s[i] * half_s);
+            let (slope, twist) = (chunk.slope[i], chunk.twist_per_s[i]);
+            let middle = slope - twist * half_s;
+            e.slope.push(middle);
             e.dilation.push(at_edge + rate * half_s);
-            let broadside = 1.0 - chunk.slope[i] * chunk.slope[i];
+            // The bend changes during the pulse too: third order, so plain 1/R will do.
+            let per_range = chunk.bend_per_m[i] / (1.0 - slope * slope).max(LEAST_BROADSIDE);
+            let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range * twist * half_s;
             e.per_range_per_m
-                .push(chunk.bend_per_m[i] / broadside.max(LEAST_BROADSIDE));
+                .push(bend / (1.0 - middle * middle).max(LEAST_BROADSIDE));
             e.twist_per_s.push(chunk.twist_per_s[i]);
             e.swing_m_per_s2.push(chunk.swing_m_per_s2[i]);
             e.re.push(a.re * cos - a.im * sin);
@@ -253,7 +280,13 @@ pub struct Wanted {
 }
 
 impl<T: Sample> LineEngine<T> {
-    pub fn new(array: &ArrayGeometry, rate_hz: f64, filter: Filter, fineness: Fineness) -> Self {
+    pub fn new(
+        array: &ArrayGeometry,
+        rate_hz: f64,
+        filter: Filter,
+        fineness: Fineness,
+        dialect: Dialect,
+    ) -> Self {
         let bins = fineness.slab_samples;
         assert!(bins.is_multiple_of(BLOCK) && bins > 0, "{bins} samples");
         assert!(fineness.stretch > 0, "a stretch without elements");
@@ -298,8 +331,12 @@ impl<T: Sample> LineEngine<T> {
             fineness,
             rate_hz,
             filter_half_s: filter.half_s,
+            dialect,
             stretches,
             element_m,
+            time_taps: tap_tables(&time_kernel),
+            slope_taps: tap_tables(&slope_kernel),
+            slope_inverse: InverseGain::new(&slope_kernel),
             time_kernel,
             slope_kernel,
             rows,
@@ -327,15 +364,15 @@ impl<T: Sample> LineEngine<T> {
         Work {
             echoes: Echoes::default(),
             grid: Vec::new(),
-            column: vec![zero; self.rows.max(self.bins())],
+            column: Vec::new(),
             scratch: vec![zero; scratch],
             spectrum: Split::default(),
-            pulse: Split::default(),
             moments: Split::default(),
             template: Vec::new(),
             values: Vec::new(),
             values_next: Vec::new(),
             dilation: Vec::new(),
+            rotors: Vec::new(),
             elements: Split::default(),
         }
     }
@@ -358,7 +395,11 @@ impl<T: Sample> LineEngine<T> {
         {
             // Room for a platform that speeds up.
             let reach_hz = half_hz + shift((1.5 * speed).max(5.0));
-            self.pulse = Some(PulseSpectra::new(pulse, reach_hz));
+            self.pulse = Some(PulseSpectra::new(
+                pulse,
+                reach_hz,
+                self.rate_hz / self.bins() as f64,
+            ));
         }
         // An echo sounds from its leading edge on for T, give or take its stretch; the filter adds to both sides.
         let echo_s = pulse.duration_s * (1.0 + 3.0 * speed / c);
@@ -493,13 +534,11 @@ impl<T: Sample> LineEngine<T> {
         }
         let smooth = Smooth::of(&work.echoes);
         let task = Task::new(self, self.stretch(task), smooth);
-        task.spread(work);
-        task.columns(work);
-        task.to_elements(work);
-        task.to_time(work, output);
+        task.run(work, output);
         TaskReport {
             echoes: work.echoes.len(),
             columns: task.columns,
+            channels: task.channels(),
             orders: task.orders,
             left_out: task.left_out,
         }
@@ -509,10 +548,12 @@ impl<T: Sample> LineEngine<T> {
 /// The numbers of one task.
 struct Task<'a, T: Sample> {
     engine: &'a LineEngine<T>,
-    pulse: &'a PulseSpectra,
+    pulse: &'a PulseSpectra<T>,
     stretch: &'a Stretch,
     smooth: Smooth,
     orders: Orders,
+    /// Of each power of the bend, how many terms of the dilation have a channel.
+    kept: [usize; MOST_BEND],
     left_out: f64,
     /// Slope per column, index of the first column, number.
     step: f64,
@@ -538,6 +579,7 @@ impl<'a, T: Sample> Task<'a, T> {
             stretch,
             smooth,
             orders: Orders::default(),
+            kept: [0; MOST_BEND],
             left_out: 0.0,
             step,
             first,
@@ -597,9 +639,8 @@ impl<'a, T: Sample> Task<'a, T> {
         let per_column = self.absolute_hz(band) / c * self.step;
         let y = x * self.stretch.half_m;
         let moved_m = y - c * self.smooth.dilation1 * w * 0.5 * ping.duration_s;
-        let kernel = &self.engine.slope_kernel;
         let nu = moved_m * per_column;
-        let inverse = |nu: f64| 1.0 / kernel.window_gain(nu);
+        let inverse = |nu: f64| self.engine.slope_inverse.at(nu);
         let at = inverse(nu);
         let (before, after) = (inverse(nu - STEP_NU), inverse(nu + STEP_NU));
         let first = (after - before) / (2.0 * STEP_NU);
@@ -611,7 +652,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let curve = (left + right - here * 2.0) * 4.0;
         let turn = Complex64::new(0.0, -1.0 / TAU);
         (here * at + slope * turn * first + curve * (turn * turn * (0.5 * second)))
-            * kernel.window_gain(y * per_column)
+            * (1.0 / inverse(y * per_column))
     }
 
     /// Phase of what is left of the dilation at the pulse's ends, radians.
@@ -628,7 +669,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let tolerance = (self.engine.fineness.series * kernel.window_gain(end)).max(1e-13);
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
         let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
-        let mut left_out = 0.0;
+        let mut left_out: f64 = 0.0;
         let mut most = |f: &dyn Fn(f64, f64, f64, f64) -> Complex64, limit: usize| {
             let (mut terms, mut rest) = (1, 0.0f64);
             for s in slopes {
@@ -661,7 +702,29 @@ impl<'a, T: Sample> Task<'a, T> {
         );
         let turn_rad = self.turn_rad(0, slopes[0].abs().max(slopes[2].abs()) + self.step);
         let turn = most(&|x, _, _, _| beyond(turn_rad * x), MOST_TURN);
-        // Twist and swing that no parabola in the slope describes.
+        // Channels whose two terms together are too small to count are left out too.
+        let dilation_sizes = sizes(|d| beyond(rest_rad * d), dilation + 4);
+        let mut bend_sizes = [0.0f64; MOST_BEND];
+        for s in slopes {
+            for x in [-1.0, 1.0] {
+                let f = |b: f64| self.shape(s, self.smooth.per_range_per_m.at(b), x, x, 1.0);
+                for (most, size) in bend_sizes.iter_mut().zip(sizes(f, bend + 4)) {
+                    *most = most.max(size);
+                }
+            }
+        }
+        let share = tolerance / bend as f64;
+        for (p, &bend_size) in bend_sizes[..bend].iter().enumerate() {
+            let mut rest = 0.0;
+            let mut kept = dilation;
+            while p > 0 && kept > 1 && rest + dilation_sizes[kept - 1] * bend_size <= share {
+                rest += dilation_sizes[kept - 1] * bend_size;
+                kept -= 1;
+            }
+            self.kept[p] = kept;
+            left_out += rest;
+        }
+        // Twist and swing that no curve over the slope describes.
         let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
         let half_s = 0.5 * ping.duration_s;
         left_out += per_m * self.smooth.twist_rest * half_m * half_s;
@@ -687,7 +750,7 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     fn channels(&self) -> usize {
-        self.orders.dilation * self.orders.bend
+        self.kept[..self.orders.bend].iter().sum()
     }
 
     fn powers(&self) -> usize {
@@ -698,19 +761,54 @@ impl<'a, T: Sample> Task<'a, T> {
         (self.first + column as isize) as f64 * self.step
     }
 
+    fn run(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+        #[cfg(target_arch = "x86_64")]
+        match self.engine.dialect.kind() {
+            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+            Kind::Avx512 => return unsafe { self.run_avx512(work, output) },
+            // SAFETY: as above.
+            Kind::Avx2 => return unsafe { self.run_avx2(work, output) },
+            Kind::Portable => {}
+        }
+        self.run_plain::<false>(work, output);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+    fn run_avx512(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+        self.run_plain::<true>(work, output);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn run_avx2(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+        self.run_plain::<true>(work, output);
+    }
+
+    #[inline(always)]
+    fn run_plain<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+        self.spread::<FUSED>(work);
+        self.columns::<FUSED>(work);
+        self.to_elements::<FUSED>(work);
+        self.to_time::<FUSED>(work, output);
+    }
+
     /// Echoes onto the grid, each in all channels.
-    fn spread(&self, work: &mut Work<T>) {
+    #[inline(always)]
+    fn spread<const FUSED: bool>(&self, work: &mut Work<T>) {
         let Orders { dilation, bend, .. } = self.orders;
         let channels = self.channels();
-        let width = self.columns * channels;
-        let zero = Complex::new(T::ZERO, T::ZERO);
+        // Numbers per row and per echo and row: re and im beside one another.
+        let width = 2 * self.columns * channels;
         work.grid.clear();
-        work.grid.resize(self.engine.rows * width, zero);
+        work.grid.resize(self.engine.rows * width, T::ZERO);
         let (time, slope) = (&self.engine.time_kernel, &self.engine.slope_kernel);
         let rows_per_s = self.engine.rows as f64 * self.engine.rate_hz / self.engine.bins() as f64;
         let mut shares = [[0.0; MOST_DILATION]; 2];
-        let mut line = [zero; MOST_LINE];
-        let line = &mut line[..slope.width * channels];
+        let mut each = [T::ZERO; 2 * MOST_DILATION * MOST_BEND];
+        let each = &mut each[..2 * channels];
+        let mut line = [T::ZERO; MOST_LINE];
+        let line = &mut line[..2 * slope.width * channels];
         let echoes = &work.echoes;
         for i in 0..echoes.len() {
             let s = echoes.slope[i];
@@ -723,96 +821,80 @@ impl<'a, T: Sample> Task<'a, T> {
             chebyshev_values(unit, &mut shares[0][..dilation]);
             let unit = self.smooth.per_range_per_m.unit(echoes.per_range_per_m[i]);
             chebyshev_values(unit, &mut shares[1][..bend]);
+            let mut at = 0;
+            for (p, &kept) in shares[1][..bend].iter().zip(&self.kept) {
+                for r in &shares[0][..kept] {
+                    each[at] = T::narrow(echoes.re[i] * r * p);
+                    each[at + 1] = T::narrow(echoes.im[i] * r * p);
+                    at += 2;
+                }
+            }
 
             let place = s / self.step + slope.shift();
             let cell = place.floor();
-            let x = 2.0 * (place - cell) - 1.0;
+            let weights = taps::<T, FUSED>(&self.engine.slope_taps, 2.0 * (place - cell) - 1.0);
             let column = (cell as isize + slope.first() - self.first) as usize;
-            for (tap, values) in line.chunks_exact_mut(channels).enumerate() {
-                let weight = kernel_weight(slope, tap, x);
-                for (r, values) in values.chunks_exact_mut(bend).enumerate() {
-                    for (p, value) in values.iter_mut().enumerate() {
-                        let share = weight * shares[0][r] * shares[1][p];
-                        *value = Complex::new(
-                            T::narrow(share * echoes.re[i]),
-                            T::narrow(share * echoes.im[i]),
-                        );
-                    }
+            for (values, weight) in line.chunks_exact_mut(2 * channels).zip(weights) {
+                for (value, share) in values.iter_mut().zip(&*each) {
+                    *value = *share * weight;
                 }
             }
             let place = echoes.middle_s[i] * rows_per_s + time.shift();
             let cell = place.floor();
-            let x = 2.0 * (place - cell) - 1.0;
+            let weights = taps::<T, FUSED>(&self.engine.time_taps, 2.0 * (place - cell) - 1.0);
             let row = (cell as isize + time.first()) as usize;
-            for tap in 0..time.width {
-                let weight = T::narrow(kernel_weight(time, tap, x));
-                let at = (row + tap) * width + column * channels;
+            for (tap, &weight) in weights[..time.width].iter().enumerate() {
+                let at = (row + tap) * width + 2 * column * channels;
                 for (sum, value) in work.grid[at..][..line.len()].iter_mut().zip(&*line) {
-                    sum.re = sum.re + weight * value.re;
-                    sum.im = sum.im + weight * value.im;
+                    *sum = value.times_plus::<FUSED>(weight, *sum);
                 }
             }
         }
     }
 
     /// Each column to frequency, and there into the powers along the stretch.
-    fn columns(&self, work: &mut Work<T>) {
+    #[inline(always)]
+    fn columns<const FUSED: bool>(&self, work: &mut Work<T>) {
         let bins = self.engine.bins();
         let channels = self.channels();
         let instants = &self.engine.instants[self.orders.instants - 1];
         work.spectrum.clear_to(channels * bins);
-        work.pulse.clear_to(instants.len() * bins);
         work.moments.clear_to(bins * self.columns * self.powers());
         self.dilation_series(work);
         for column in 0..self.columns {
-            for channel in 0..channels {
-                self.column_spectrum(work, column, channel);
-            }
-            self.pulse_spectra(work, column, instants);
+            self.column_spectra(work, column);
             self.template(work, column, instants);
             for block in 0..bins / BLOCK {
-                self.block(work, column, block);
+                self.block::<FUSED>(work, column, block, instants);
             }
         }
     }
 
-    fn column_spectrum(&self, work: &mut Work<T>, column: usize, channel: usize) {
+    /// All channels of a column to frequency.
+    #[inline(always)]
+    fn column_spectra(&self, work: &mut Work<T>, column: usize) {
         let (bins, rows) = (self.engine.bins(), self.engine.rows);
         let channels = self.channels();
-        let width = self.columns * channels;
-        let buffer = &mut work.column[..rows];
-        for (row, value) in buffer.iter_mut().enumerate() {
-            *value = work.grid[row * width + column * channels + channel];
+        let width = 2 * self.columns * channels;
+        let zero = Complex::new(T::ZERO, T::ZERO);
+        work.column.resize(channels * rows, zero);
+        for row in 0..rows {
+            let at = row * width + 2 * column * channels;
+            let (pairs, _) = work.grid[at..][..2 * channels].as_chunks::<2>();
+            for (channel, &[re, im]) in pairs.iter().enumerate() {
+                work.column[channel * rows + row] = Complex::new(re, im);
+            }
         }
         self.engine
             .forward
-            .process_with_scratch(buffer, &mut work.scratch);
-        for q in 0..bins {
-            let bin = (q + rows - bins / 2) % rows;
-            work.spectrum.re[channel * bins + q] = buffer[bin].re;
-            work.spectrum.im[channel * bins + q] = buffer[bin].im;
-        }
-    }
-
-    /// The pulse as the column hears it: shifted by its Doppler.
-    fn pulse_spectra(&self, work: &mut Work<T>, column: usize, instants: &Instants) {
-        let bins = self.engine.bins();
-        let step_hz = self.engine.rate_hz / bins as f64;
-        let dilation = self.smooth.dilation(self.slope(column));
-        let count = instants.len();
-        let mut moments = [Complex64::ZERO; MOST_INSTANTS];
-        for q in 0..bins {
-            let f_hz = (q as f64 - (bins / 2) as f64) * step_hz;
-            let g_hz = f_hz + (self.engine.ping.carrier_hz + f_hz) * dilation;
-            self.pulse.read(g_hz, &mut moments[..count]);
-            for n in 0..count {
-                let value: Complex64 = moments[..count]
-                    .iter()
-                    .zip(&instants.share[n * count..])
-                    .map(|(m, share)| m * share)
-                    .sum();
-                work.pulse.re[n * bins + q] = T::narrow(value.re);
-                work.pulse.im[n * bins + q] = T::narrow(value.im);
+            .process_with_scratch(&mut work.column[..channels * rows], &mut work.scratch);
+        for channel in 0..channels {
+            let buffer = &work.column[channel * rows..][..rows];
+            // Frequencies below the centre lie at the buffer's end.
+            let (below, above) = (&buffer[rows - bins / 2..], &buffer[..bins - bins / 2]);
+            for (q, value) in below.iter().chain(above).enumerate() {
+                work.spectrum.re[channel * bins + q] = value.re;
+                work.spectrum.im[channel * bins + q] = value.im;
             }
         }
     }
@@ -889,8 +971,49 @@ impl<'a, T: Sample> Task<'a, T> {
         );
     }
 
+    /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of Lagrange's polynomials of the instants.
+    #[inline(always)]
+    fn pulses<const FUSED: bool>(
+        &self,
+        s: f64,
+        block: usize,
+        nodes: &Instants,
+    ) -> [Lanes<T>; MOST_INSTANTS] {
+        let mut pulses = [Lanes::ZERO; MOST_INSTANTS];
+        let bins = self.engine.bins();
+        let step_hz = self.engine.rate_hz / bins as f64;
+        let middle = (block * BLOCK) as f64 + 0.5 * (BLOCK - 1) as f64 - (bins / 2) as f64;
+        let f_hz = middle * step_hz;
+        let dilation = self.smooth.dilation(s);
+        let g_hz = f_hz + (self.engine.ping.carrier_hz + f_hz) * dilation;
+        let Some(place) = self.pulse.place::<BLOCK>(g_hz, 1.0 + dilation) else {
+            return pulses;
+        };
+        let count = nodes.len();
+        for j in 0..count {
+            let mut term = Lanes::<T>::ZERO;
+            self.pulse
+                .read::<BLOCK, FUSED>(j, &place, &mut term.re, &mut term.im);
+            for (n, pulse) in pulses[..count].iter_mut().enumerate() {
+                let share = T::narrow(nodes.share[n * count + j]);
+                for lane in 0..BLOCK {
+                    pulse.re[lane] = term.re[lane].times_plus::<FUSED>(share, pulse.re[lane]);
+                    pulse.im[lane] = term.im[lane].times_plus::<FUSED>(share, pulse.im[lane]);
+                }
+            }
+        }
+        pulses
+    }
+
     /// One block of one column: channels, pulse and shape into powers along the stretch.
-    fn block(&self, work: &mut Work<T>, column: usize, block: usize) {
+    #[inline(always)]
+    fn block<const FUSED: bool>(
+        &self,
+        work: &mut Work<T>,
+        column: usize,
+        block: usize,
+        nodes: &Instants,
+    ) {
         let Orders {
             instants,
             along,
@@ -906,26 +1029,28 @@ impl<'a, T: Sample> Task<'a, T> {
         for (lane, f) in f.iter_mut().enumerate() {
             *f = T::narrow(((from + lane) as f64 - (bins / 2) as f64) / (bins / 2) as f64);
         }
+        let s = self.slope(column);
+        let pulses = self.pulses::<FUSED>(s, block, nodes);
         let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
-        for n in 0..instants {
-            let pulse = Lanes::load(&work.pulse, n * bins + from);
-            for p in 0..bend {
+        for (n, pulse) in pulses[..instants].iter().enumerate() {
+            let mut at = from;
+            for (p, &kept) in self.kept[..bend].iter().enumerate() {
                 let mut heard = Lanes::ZERO;
-                for r in 0..dilation {
-                    let channel = Lanes::load(&work.spectrum, (r * bend + p) * bins + from);
+                for r in 0..kept {
+                    let channel = Lanes::load(&work.spectrum, at);
+                    at += bins;
                     let series = &work.dilation[(n * dilation + r) * band..][..band];
-                    heard.add_product(&channel, &Lanes::polynomial(series, &f));
+                    heard.add_product::<FUSED>(&channel, &Lanes::polynomial::<FUSED>(series, &f));
                 }
-                let heard = heard.times(&pulse);
+                let heard = heard.times::<FUSED>(pulse);
                 for (q, sum) in sums[..along].iter_mut().enumerate() {
                     let at = ((n * bend + p) * along + q) * band;
                     let series = &work.template[at..][..band];
-                    sum.add_product(&heard, &Lanes::polynomial(series, &f));
+                    sum.add_product::<FUSED>(&heard, &Lanes::polynomial::<FUSED>(series, &f));
                 }
             }
         }
         // exp(j theta x), theta the turn within the block, times the powers so far.
-        let s = self.slope(column);
         let mut theta = [T::ZERO; BLOCK];
         for (lane, theta) in theta.iter_mut().enumerate() {
             *theta = T::narrow(self.turn_rad(lane, s));
@@ -946,40 +1071,60 @@ impl<'a, T: Sample> Task<'a, T> {
         }
     }
 
-    /// All columns to all elements, block by block.
-    fn to_elements(&self, work: &mut Work<T>) {
+    /// All columns to all elements, block by block. Elements at y and -y have conjugate rotors, and the same even and odd powers.
+    #[inline(always)]
+    fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
         let bins = self.engine.bins();
         let powers = self.powers();
         let elements = self.stretch.along_m.len();
         let c = self.engine.ping.sound_speed_m_per_s;
         let step_hz = self.engine.rate_hz / bins as f64;
         work.elements.clear_to(elements * bins);
+        work.rotors.clear();
+        work.rotors
+            .resize(self.columns.next_multiple_of(LANES), [T::ZERO; 2]);
         for block in 0..bins / BLOCK {
             let middle = (block * BLOCK) as f64 + 0.5 * (BLOCK - 1) as f64 - (bins / 2) as f64;
             let per_m = (self.engine.ping.carrier_hz + middle * step_hz) / c;
-            for (e, &y) in self.stretch.along_m.iter().enumerate() {
-                let x = T::narrow(y / self.half_m());
-                let mut sum = Lanes::ZERO;
-                for column in 0..self.columns {
-                    let (cos, sin) = cis(per_m * self.slope(column) * y);
-                    let at = (block * self.columns + column) * powers * BLOCK;
-                    let mut value = Lanes::load(&work.moments, at + (powers - 1) * BLOCK);
-                    for q in (0..powers - 1).rev() {
-                        value.horner(x, &Lanes::load(&work.moments, at + q * BLOCK));
+            for e in 0..elements.div_ceil(2) {
+                let y = self.stretch.along_m[e];
+                let (turn, first) = (per_m * self.step * y, per_m * self.slope(0) * y);
+                for (eight, rotors) in work.rotors.chunks_exact_mut(LANES).enumerate() {
+                    let turns = std::array::from_fn(|k| first + turn * (eight * LANES + k) as f64);
+                    let (cos, sin) = cis_lanes(turns);
+                    for (k, rotor) in rotors.iter_mut().enumerate() {
+                        *rotor = [T::narrow(cos[k]), T::narrow(sin[k])];
                     }
-                    sum.add_scaled(&value, T::narrow(cos), T::narrow(sin));
                 }
-                let at = e * bins + block * BLOCK;
-                work.elements.re[at..][..BLOCK].copy_from_slice(&sum.re);
-                work.elements.im[at..][..BLOCK].copy_from_slice(&sum.im);
+                let x = T::narrow(y / self.half_m());
+                let square = x * x;
+                let (mut common, mut opposite) = (Lanes::ZERO, Lanes::ZERO);
+                for (column, &[cos, sin]) in work.rotors[..self.columns].iter().enumerate() {
+                    let at = (block * self.columns + column) * powers * BLOCK;
+                    let even = every_second::<T, FUSED>(&work.moments, at, powers, 0, square);
+                    common.add_real::<FUSED>(&even, cos);
+                    opposite.add_imaginary::<FUSED>(&even, sin);
+                    if powers > 1 {
+                        let odd = every_second::<T, FUSED>(&work.moments, at, powers, 1, square);
+                        common.add_imaginary::<FUSED>(&odd, sin * x);
+                        opposite.add_real::<FUSED>(&odd, cos * x);
+                    }
+                }
+                for (e, sign) in [(elements - 1 - e, -T::one()), (e, T::one())] {
+                    let at = e * bins + block * BLOCK;
+                    for lane in 0..BLOCK {
+                        work.elements.re[at + lane] = common.re[lane] + sign * opposite.re[lane];
+                        work.elements.im[at + lane] = common.im[lane] + sign * opposite.im[lane];
+                    }
+                }
             }
         }
     }
 
     /// Elements back to time.
-    fn to_time(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+    #[inline(always)]
+    fn to_time<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         let bins = self.engine.bins();
-        let kernel = &self.engine.slope_kernel;
         let c = self.engine.ping.sound_speed_m_per_s;
         let step_hz = self.engine.rate_hz / bins as f64;
         output.resize(
@@ -988,15 +1133,19 @@ impl<'a, T: Sample> Task<'a, T> {
         );
         for (e, row) in output.chunks_exact_mut(bins).enumerate() {
             let y = self.stretch.along_m[e];
-            for q in 0..bins {
-                let offset_hz = (q as f64 - (bins / 2) as f64) * step_hz;
-                let per_m = (self.engine.ping.carrier_hz + offset_hz) / c;
-                let factor =
-                    T::narrow(self.engine.band[q] / kernel.window_gain(y * per_m * self.step));
-                row[(q + bins - bins / 2) % bins] = Complex::new(
-                    work.elements.re[e * bins + q] * factor,
-                    work.elements.im[e * bins + q] * factor,
-                );
+            for block in 0..bins / BLOCK {
+                let inverse: [T; BLOCK] = self.engine.slope_inverse.block::<T, FUSED>(|lane| {
+                    let offset_hz = ((block * BLOCK + lane) as f64 - (bins / 2) as f64) * step_hz;
+                    y * (self.engine.ping.carrier_hz + offset_hz) / c * self.step
+                });
+                for (lane, inverse) in inverse.into_iter().enumerate() {
+                    let q = block * BLOCK + lane;
+                    let factor = inverse * T::narrow(self.engine.band[q]);
+                    row[(q + bins - bins / 2) % bins] = Complex::new(
+                        work.elements.re[e * bins + q] * factor,
+                        work.elements.im[e * bins + q] * factor,
+                    );
+                }
             }
             self.engine
                 .inverse
@@ -1005,8 +1154,27 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 }
 
+/// The polynomial of every second of `powers` powers from the `parity`th on, in the square of the place.
+#[inline(always)]
+fn every_second<T: Sample, const FUSED: bool>(
+    moments: &Split<T>,
+    at: usize,
+    powers: usize,
+    parity: usize,
+    square: T,
+) -> Lanes<T> {
+    let last = powers - 1 - (powers - 1 - parity) % 2;
+    let mut value = Lanes::load(moments, at + last * BLOCK);
+    let mut q = last;
+    while q > parity {
+        q -= 2;
+        value.horner::<FUSED>(square, &Lanes::load(moments, at + q * BLOCK));
+    }
+    value
+}
+
 /// Most values of one echo on one row of the grid.
-const MOST_LINE: usize = 16 * MOST_DILATION * MOST_BEND;
+const MOST_LINE: usize = 2 * MAX_WIDTH * MOST_DILATION * MOST_BEND;
 
 /// T_0(x) ... into `out`.
 fn chebyshev_values(x: f64, out: &mut [f64]) {
@@ -1017,10 +1185,83 @@ fn chebyshev_values(x: f64, out: &mut [f64]) {
     }
 }
 
-fn kernel_weight(kernel: &Kernel, tap: usize, x: f64) -> f64 {
+/// 1/D of a kernel as a polynomial in the square of the frequency.
+struct InverseGain {
+    /// Of 2 (nu/greatest)^2 - 1.
+    powers: [f64; INVERSE_TERMS],
+    scale: f64,
+}
+
+/// Terms of [`InverseGain`]: 1e-11 for the widest kernel.
+const INVERSE_TERMS: usize = 16;
+
+impl InverseGain {
+    fn new(kernel: &Kernel) -> Self {
+        // A little beyond the band, for differences at its end.
+        let greatest = 0.5 / kernel.oversampling + 0.01;
+        let matrix = powers_from_nodes(INVERSE_TERMS);
+        let values: Vec<f64> = chebyshev_nodes(INVERSE_TERMS)
+            .map(|x| 1.0 / kernel.window_gain((0.5 * (x + 1.0)).sqrt() * greatest))
+            .collect();
+        let mut powers = [0.0; INVERSE_TERMS];
+        for (power, row) in powers.iter_mut().zip(matrix.chunks(INVERSE_TERMS)) {
+            *power = row.iter().zip(&values).map(|(a, b)| a * b).sum();
+        }
+        Self {
+            powers,
+            scale: 2.0 / (greatest * greatest),
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, nu: f64) -> f64 {
+        let x = nu * nu * self.scale - 1.0;
+        self.powers.iter().rev().fold(0.0, |sum, c| sum * x + c)
+    }
+
+    #[inline(always)]
+    fn block<T: Sample, const FUSED: bool>(&self, nu: impl Fn(usize) -> f64) -> [T; BLOCK] {
+        let mut x = [T::ZERO; BLOCK];
+        for (lane, x) in x.iter_mut().enumerate() {
+            *x = T::narrow(nu(lane) * nu(lane) * self.scale - 1.0);
+        }
+        let mut sum = [T::ZERO; BLOCK];
+        for c in self.powers.iter().rev() {
+            let c = T::narrow(*c);
+            for lane in 0..BLOCK {
+                sum[lane] = sum[lane].times_plus::<FUSED>(x[lane], c);
+            }
+        }
+        sum
+    }
+}
+
+/// Weights of all taps for one power of x.
+type Taps<T> = [T; MAX_WIDTH];
+
+fn tap_tables<T: Sample>(kernel: &Kernel) -> Vec<Taps<T>> {
     (0..kernel.moments)
-        .rev()
-        .fold(0.0, |sum, k| sum * x + kernel.weight(k, tap))
+        .map(|k| {
+            let mut taps = [T::ZERO; MAX_WIDTH];
+            for (i, tap) in taps[..kernel.width].iter_mut().enumerate() {
+                *tap = T::narrow(kernel.weight(k, i));
+            }
+            taps
+        })
+        .collect()
+}
+
+/// Weights of all taps at `x`, -1..1 across the cell.
+#[inline(always)]
+fn taps<T: Sample, const FUSED: bool>(tables: &[Taps<T>], x: f64) -> Taps<T> {
+    let x = T::narrow(x);
+    let mut sum = [T::ZERO; MAX_WIDTH];
+    for table in tables.iter().rev() {
+        for (sum, weight) in sum.iter_mut().zip(table) {
+            *sum = sum.times_plus::<FUSED>(x, *weight);
+        }
+    }
+    sum
 }
 
 fn sinc(x: f64) -> f64 {
@@ -1074,13 +1315,13 @@ impl<T: Sample> Lanes<T> {
 
     /// A polynomial with complex coefficients at real `x`.
     #[inline(always)]
-    fn polynomial(series: &[Complex64], x: &[T; BLOCK]) -> Self {
+    fn polynomial<const FUSED: bool>(series: &[Complex64], x: &[T; BLOCK]) -> Self {
         let mut lanes = Self::ZERO;
         for c in series.iter().rev() {
             let (re, im) = (T::narrow(c.re), T::narrow(c.im));
             for j in 0..BLOCK {
-                lanes.re[j] = lanes.re[j] * x[j] + re;
-                lanes.im[j] = lanes.im[j] * x[j] + im;
+                lanes.re[j] = lanes.re[j].times_plus::<FUSED>(x[j], re);
+                lanes.im[j] = lanes.im[j].times_plus::<FUSED>(x[j], im);
             }
         }
         lanes
@@ -1095,17 +1336,19 @@ impl<T: Sample> Lanes<T> {
     }
 
     #[inline(always)]
-    fn add_product(&mut self, a: &Self, b: &Self) {
+    fn add_product<const FUSED: bool>(&mut self, a: &Self, b: &Self) {
         for j in 0..BLOCK {
-            self.re[j] = self.re[j] + (a.re[j] * b.re[j] - a.im[j] * b.im[j]);
-            self.im[j] = self.im[j] + (a.re[j] * b.im[j] + a.im[j] * b.re[j]);
+            let re = a.re[j].times_plus::<FUSED>(b.re[j], self.re[j]);
+            let im = a.re[j].times_plus::<FUSED>(b.im[j], self.im[j]);
+            self.re[j] = (-a.im[j]).times_plus::<FUSED>(b.im[j], re);
+            self.im[j] = a.im[j].times_plus::<FUSED>(b.re[j], im);
         }
     }
 
     #[inline(always)]
-    fn times(&self, b: &Self) -> Self {
+    fn times<const FUSED: bool>(&self, b: &Self) -> Self {
         let mut product = Self::ZERO;
-        product.add_product(self, b);
+        product.add_product::<FUSED>(self, b);
         product
     }
 
@@ -1119,18 +1362,28 @@ impl<T: Sample> Lanes<T> {
     }
 
     #[inline(always)]
-    fn horner(&mut self, x: T, next: &Self) {
+    fn horner<const FUSED: bool>(&mut self, x: T, next: &Self) {
         for j in 0..BLOCK {
-            self.re[j] = self.re[j] * x + next.re[j];
-            self.im[j] = self.im[j] * x + next.im[j];
+            self.re[j] = self.re[j].times_plus::<FUSED>(x, next.re[j]);
+            self.im[j] = self.im[j].times_plus::<FUSED>(x, next.im[j]);
         }
     }
 
+    /// Adds `a` times a real number.
     #[inline(always)]
-    fn add_scaled(&mut self, a: &Self, re: T, im: T) {
+    fn add_real<const FUSED: bool>(&mut self, a: &Self, by: T) {
         for j in 0..BLOCK {
-            self.re[j] = self.re[j] + (a.re[j] * re - a.im[j] * im);
-            self.im[j] = self.im[j] + (a.re[j] * im + a.im[j] * re);
+            self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
+            self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
+        }
+    }
+
+    /// Adds `a` times an imaginary number.
+    #[inline(always)]
+    fn add_imaginary<const FUSED: bool>(&mut self, a: &Self, by: T) {
+        for j in 0..BLOCK {
+            self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
+            self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
         }
     }
 }

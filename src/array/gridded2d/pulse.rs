@@ -11,10 +11,8 @@ use num_complex::Complex64;
 
 use crate::flow::Pulse;
 
-/// Samples per 1/T of the tables: with [`POINTS`] points of interpolation 2e-11 of the spectrum's peak is left.
-const DENSITY: f64 = 16.0;
-/// Points of the interpolation.
-const POINTS: usize = 10;
+use super::engine::Sample;
+
 /// Nodes of one panel of the quadrature, for at most [`CYCLES_PER_PANEL`] of the fastest phase: exact to rounding.
 const PANEL: usize = 16;
 const CYCLES_PER_PANEL: f64 = 2.0;
@@ -65,27 +63,55 @@ pub fn chebyshev(n: usize, x: f64) -> f64 {
     libm::cos(n as f64 * libm::acos(x.clamp(-1.0, 1.0)))
 }
 
-/// Tables of S_n. Seconds and hertz.
-#[derive(Clone, Debug)]
-pub struct PulseSpectra {
+/// Tables of S_n, from which neighbouring bins are read side by side (Farrow 1988).
+///
+/// The tables' step is the bins' over a whole number, `phases`, so the bins of a block lie (but for the Doppler stretch of the bins
+/// themselves, a thousandth) at one and the same fraction x of a step; there S_n is a polynomial in x, and the tables hold its
+/// coefficients: of Lagrange's interpolation through [`Reading::POINTS`] neighbours.
+pub struct PulseSpectra<T> {
     pulse: Pulse,
+    bin_hz: f64,
+    phases: usize,
     first_hz: f64,
-    step_hz: f64,
-    /// `[sample * MOST_INSTANTS + n]`.
-    table: Vec<Complex64>,
-    /// 1 / prod (i - j) of the interpolation.
-    barycentric: [f64; POINTS],
+    /// Entries of one phase.
+    count: usize,
+    /// `[n][phase][power][entry]`, split.
+    re: Vec<T>,
+    im: Vec<T>,
 }
 
-impl PulseSpectra {
-    /// For frequencies from -`reach_hz` to `reach_hz` about the centre.
-    pub fn new(pulse: &Pulse, reach_hz: f64) -> Self {
+/// How finely a kind of number is read: samples per 1/T, and points of interpolation.
+pub trait Reading: Copy + Default {
+    const DENSITY: f64;
+    const POINTS: usize;
+}
+
+/// 6e-7 of the spectrum's peak is left.
+impl Reading for f32 {
+    const DENSITY: f64 = 8.0;
+    const POINTS: usize = 8;
+}
+
+/// 2e-11 of the spectrum's peak is left.
+impl Reading for f64 {
+    const DENSITY: f64 = 16.0;
+    const POINTS: usize = 10;
+}
+
+impl<T: Sample> PulseSpectra<T> {
+    /// For frequencies from -`reach_hz` to `reach_hz` about the centre, read at bins `bin_hz` apart.
+    pub fn new(pulse: &Pulse, reach_hz: f64, bin_hz: f64) -> Self {
         let half_s = 0.5 * pulse.duration_s;
-        let step_hz = 1.0 / (DENSITY * pulse.duration_s);
-        let margin = POINTS as f64;
-        let count = (2.0 * reach_hz / step_hz + 2.0 * margin).ceil() as usize;
-        let first_hz = -0.5 * (count - 1) as f64 * step_hz;
-        let mut table = vec![Complex64::ZERO; count * MOST_INSTANTS];
+        let phases = (T::DENSITY * pulse.duration_s * bin_hz).ceil().max(1.0) as usize;
+        let step_hz = bin_hz / phases as f64;
+        // Room for a block beyond either end.
+        let margin = 2 * (T::POINTS + phases * MOST_LANES);
+        let steps = (2.0 * reach_hz / step_hz).ceil() as usize + margin;
+        let count = steps.div_ceil(phases);
+        let steps = count * phases;
+        let first_hz = -0.5 * steps as f64 * step_hz;
+        let mut samples = vec![Complex64::ZERO; (steps + T::POINTS) * MOST_INSTANTS];
+        let before = (T::POINTS / 2 - 1) as f64;
         let fastest_hz = -first_hz + 0.5 * pulse.bandwidth_hz;
         for (w_s, weight) in quadrature(pulse, fastest_hz) {
             let value = pulse.envelope(w_s + half_s) * weight;
@@ -94,9 +120,9 @@ impl PulseSpectra {
             // Forty steps of the recurrence between sines: rounding stays at 1e-14.
             let turn = Complex64::from_polar(1.0, -TAU * step_hz * w_s);
             let mut phasor = Complex64::ONE;
-            for (i, row) in table.chunks_exact_mut(MOST_INSTANTS).enumerate() {
+            for (i, row) in samples.chunks_exact_mut(MOST_INSTANTS).enumerate() {
                 if i % 40 == 0 {
-                    let g_hz = first_hz + i as f64 * step_hz;
+                    let g_hz = first_hz + (i as f64 - before) * step_hz;
                     phasor = Complex64::from_polar(1.0, -TAU * g_hz * w_s);
                 }
                 for (sum, share) in row.iter_mut().zip(&shares) {
@@ -105,56 +131,121 @@ impl PulseSpectra {
                 phasor *= turn;
             }
         }
-        let barycentric = std::array::from_fn(|i| {
-            let product: f64 = (0..POINTS)
-                .filter(|&j| j != i)
-                .map(|j| i as f64 - j as f64)
-                .product();
-            1.0 / product
-        });
+        let lagrange = lagrange_powers(T::POINTS);
+        let len = MOST_INSTANTS * phases * T::POINTS * count;
+        let (mut re, mut im) = (Vec::with_capacity(len), Vec::with_capacity(len));
+        for n in 0..MOST_INSTANTS {
+            for phase in 0..phases {
+                for powers in &lagrange {
+                    for entry in 0..count {
+                        let at = entry * phases + phase;
+                        let sum: Complex64 = powers
+                            .iter()
+                            .enumerate()
+                            .map(|(j, share)| samples[(at + j) * MOST_INSTANTS + n] * share)
+                            .sum();
+                        re.push(T::narrow(sum.re));
+                        im.push(T::narrow(sum.im));
+                    }
+                }
+            }
+        }
         Self {
             pulse: *pulse,
+            bin_hz,
+            phases,
             first_hz,
-            step_hz,
-            table,
-            barycentric,
+            count,
+            re,
+            im,
         }
     }
 
     /// Whether these are of that pulse, as far out.
     pub fn is_of(&self, pulse: &Pulse, reach_hz: f64) -> bool {
-        self.pulse == *pulse && -self.first_hz >= reach_hz + 0.5 * POINTS as f64 * self.step_hz
+        self.pulse == *pulse
+            && -self.first_hz >= reach_hz + self.bin_hz * (MOST_LANES + T::POINTS) as f64
     }
 
-    /// S_n(g) of the first n into `out`; zero beyond the tables.
-    #[inline]
-    pub fn read(&self, g_hz: f64, out: &mut [Complex64]) {
-        let at = (g_hz - self.first_hz) / self.step_hz;
-        let first = at.floor() - (POINTS / 2 - 1) as f64;
-        let last = first + (POINTS - 1) as f64;
-        out.fill(Complex64::ZERO);
-        if first.is_nan() || first < 0.0 || last >= (self.table.len() / MOST_INSTANTS) as f64 {
-            return;
+    /// Where `LANES` bins are read whose middle (between its lanes' centres) is to lie at `middle_hz` and that are `stretch` bins apart.
+    /// None beyond the tables.
+    pub fn place<const LANES: usize>(
+        &self,
+        middle_hz: f64,
+        stretch: f64,
+    ) -> Option<Place<T, LANES>> {
+        let half = 0.5 * (LANES as f64 - 1.0);
+        let per_bin = self.phases as f64;
+        let at = (middle_hz - self.first_hz) / self.bin_hz * per_bin;
+        // The middle's fraction of a step, and the step that lane 0 then starts from.
+        let first = (at - half * per_bin).floor();
+        let fraction = at - half * per_bin - first;
+        let end = (self.count * self.phases) as f64 - per_bin * LANES as f64;
+        if first.is_nan() || first < 0.0 || first >= end {
+            return None;
         }
-        let x = at - first;
-        let mut weights = self.barycentric;
-        let mut before = 1.0;
-        for (j, weight) in weights.iter_mut().enumerate() {
-            *weight *= before;
-            before *= x - j as f64;
-        }
-        let mut after = 1.0;
-        for (j, weight) in weights.iter_mut().enumerate().rev() {
-            *weight *= after;
-            after *= x - j as f64;
-        }
-        let rows = &self.table[first as usize * MOST_INSTANTS..][..POINTS * MOST_INSTANTS];
-        for (row, weight) in rows.chunks_exact(MOST_INSTANTS).zip(weights) {
-            for (sum, value) in out.iter_mut().zip(row) {
-                *sum += value * weight;
+        let first = first as usize;
+        let x = std::array::from_fn(|lane| {
+            T::narrow(fraction - 0.5 + (lane as f64 - half) * (stretch - 1.0) * per_bin)
+        });
+        Some(Place {
+            phase: first % self.phases,
+            entry: first / self.phases,
+            x,
+        })
+    }
+
+    /// S_n there.
+    #[inline(always)]
+    pub fn read<const LANES: usize, const FUSED: bool>(
+        &self,
+        n: usize,
+        place: &Place<T, LANES>,
+        re: &mut [T; LANES],
+        im: &mut [T; LANES],
+    ) {
+        let table = (n * self.phases + place.phase) * T::POINTS * self.count + place.entry;
+        for power in (0..T::POINTS).rev() {
+            let at = table + power * self.count;
+            let (of_re, of_im) = (&self.re[at..][..LANES], &self.im[at..][..LANES]);
+            for j in 0..LANES {
+                re[j] = re[j].times_plus::<FUSED>(place.x[j], of_re[j]);
+                im[j] = im[j].times_plus::<FUSED>(place.x[j], of_im[j]);
             }
         }
     }
+}
+
+/// Most bins that are read side by side.
+const MOST_LANES: usize = 32;
+
+/// Where a block of bins lies in the tables.
+pub struct Place<T, const LANES: usize> {
+    phase: usize,
+    entry: usize,
+    x: [T; LANES],
+}
+
+/// Lagrange's polynomials of the points -(P/2 - 1) ... P/2 in powers of x - 1/2: `[power][point]`.
+fn lagrange_powers(points: usize) -> Vec<Vec<f64>> {
+    let place = |j: usize| j as f64 - (points / 2 - 1) as f64 - 0.5;
+    let mut all = vec![vec![0.0; points]; points];
+    for j in 0..points {
+        let mut powers = vec![0.0; points];
+        powers[0] = 1.0;
+        for i in (0..points).filter(|&i| i != j) {
+            // Times (x - place(i)) / (place(j) - place(i)).
+            let scale = 1.0 / (place(j) - place(i));
+            for k in (0..points).rev() {
+                let lower = if k > 0 { powers[k - 1] } else { 0.0 };
+                powers[k] = (lower - place(i) * powers[k]) * scale;
+            }
+        }
+        for (row, power) in all.iter_mut().zip(powers) {
+            row[j] = power;
+        }
+    }
+    all
 }
 
 /// Points (seconds from mid-pulse) and weights of an integral over the pulse: panels that no corner of the taper crosses.
@@ -206,6 +297,8 @@ mod tests {
     use super::*;
     use crate::flow::PulseKind;
 
+    const BIN_HZ: f64 = 25.4;
+
     fn pulse(kind: PulseKind, taper: f64) -> Pulse {
         Pulse {
             kind,
@@ -216,27 +309,51 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_plain_burst_has_its_sinc_to_1e_10_and_so_have_its_moments() {
-        let duration_s = 5e-3;
-        let spectra = PulseSpectra::new(&pulse(PulseKind::Cw, 0.0), 20e3);
-        let mut got = [Complex64::ZERO; 2];
-        let mut worst: f64 = 0.0;
-        for k in 1..4000 {
-            let g_hz = -20e3 + 10.01 * k as f64;
-            spectra.read(g_hz, &mut got);
-            // The burst, and its first moment.
-            let (burst, moment) = (got[0], got[1] * 0.5 * duration_s);
-            let x = PI * g_hz * duration_s;
-            let want = duration_s * x.sin() / x;
-            let want_moment =
-                Complex64::I * duration_s * duration_s * 0.5 / x * (x.cos() - x.sin() / x);
-            worst = worst
-                .max((burst - want).norm() / duration_s)
-                .max((moment - want_moment).norm() / duration_s.powi(2));
+    /// S_0 ... at bins from -20 to 20 kHz, stretched by a thousandth: (frequency, values).
+    fn read<T: Sample>(spectra: &PulseSpectra<T>) -> Vec<(f64, [Complex64; 3])> {
+        const STRETCH: f64 = 1.001;
+        let mut all = Vec::new();
+        for block in -49..49 {
+            let middle_hz = (f64::from(block) * 16.0 + 0.37) * BIN_HZ * STRETCH;
+            let place = spectra.place::<16>(middle_hz, STRETCH).expect("in reach");
+            let mut values = [[[T::ZERO; 16]; 2]; 3];
+            for (n, [re, im]) in values.iter_mut().enumerate() {
+                spectra.read::<16, false>(n, &place, re, im);
+            }
+            for lane in 0..16 {
+                let g_hz = middle_hz + (lane as f64 - 7.5) * BIN_HZ * STRETCH;
+                let at = |n: usize| {
+                    let [re, im] = &values[n];
+                    Complex64::new(re[lane].widen(), im[lane].widen())
+                };
+                all.push((g_hz, [at(0), at(1), at(2)]));
+            }
         }
-        println!("worst {worst:.1e}");
-        assert!(worst < 1e-10, "{worst:e}");
+        all
+    }
+
+    #[test]
+    fn a_plain_burst_has_its_sinc_and_its_first_moment() {
+        fn worst<T: Sample>() -> f64 {
+            let duration_s = 5e-3;
+            let spectra = PulseSpectra::<T>::new(&pulse(PulseKind::Cw, 0.0), 21e3, BIN_HZ);
+            let mut worst: f64 = 0.0;
+            for (g_hz, [burst, moment, _]) in read(&spectra) {
+                let x = PI * g_hz * duration_s;
+                let want = x.sin() / x;
+                let want_moment = Complex64::I / x * (x.cos() - x.sin() / x);
+                worst = worst
+                    .max((burst / duration_s - want).norm())
+                    .max((moment / duration_s - want_moment).norm());
+            }
+            worst
+        }
+        let (narrow, wide) = (worst::<f32>(), worst::<f64>());
+        println!("f32 {narrow:.1e}, f64 {wide:.1e}");
+        assert!(
+            narrow < 2e-6 && wide < 2e-10,
+            "f32 {narrow:e}, f64 {wide:e}"
+        );
     }
 
     #[test]
@@ -247,12 +364,9 @@ mod tests {
             (PulseKind::LfmUp, 1.0),
         ] {
             let pulse = pulse(kind, taper);
-            let spectra = PulseSpectra::new(&pulse, 20e3);
-            let instants = Instants::new(3);
-            let mut got = [Complex64::ZERO; 3];
+            let spectra = PulseSpectra::<f64>::new(&pulse, 21e3, BIN_HZ);
             let mut worst: f64 = 0.0;
-            for g_hz in [-19.9e3, -15.003e3, -3.3e3, 0.1, 7.77e3, 15e3] {
-                spectra.read(g_hz, &mut got);
+            for (g_hz, [burst, ..]) in read(&spectra).into_iter().step_by(131) {
                 // Midpoints: their error is that of the edges, quadratic in the step.
                 let steps = 400_000;
                 let step_s = pulse.duration_s / f64::from(steps);
@@ -263,8 +377,6 @@ mod tests {
                         pulse.envelope(t_s) * Complex64::from_polar(step_s, TAU * turns)
                     })
                     .sum();
-                // Lagrange's polynomials add up to 1.
-                let burst: Complex64 = (0..9).map(|i| got[i % 3] * instants.share[i]).sum();
                 worst = worst.max((burst - want).norm() / pulse.duration_s);
             }
             println!("{kind:?} {taper}: {worst:.1e}");
@@ -273,12 +385,12 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_tables_there_is_nothing_and_no_panic() {
-        let spectra = PulseSpectra::new(&pulse(PulseKind::Cw, 0.0), 1e3);
-        let mut got = [Complex64::ONE];
+    fn beyond_the_tables_there_is_no_place_and_no_panic() {
+        let spectra = PulseSpectra::<f64>::new(&pulse(PulseKind::Cw, 0.0), 1e3, BIN_HZ);
         for g_hz in [1e9, -1e9, f64::NAN, f64::INFINITY] {
-            spectra.read(g_hz, &mut got);
-            assert_eq!(got[0], Complex64::ZERO);
+            assert!(spectra.place::<32>(g_hz, 1.0).is_none());
         }
+        assert!(spectra.place::<32>(1e3, 1.0).is_some());
+        assert!(spectra.place::<32>(-1e3, 1.0).is_some());
     }
 }

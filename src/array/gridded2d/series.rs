@@ -7,29 +7,36 @@ use super::pulse::{chebyshev, chebyshev_nodes};
 /// Points at which a function is tried beyond the most terms allowed.
 const EXTRA: usize = 4;
 
-/// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.
-pub fn terms_needed(f: impl Fn(f64) -> Complex64, most: usize, tolerance: f64) -> (usize, f64) {
-    let count = most + EXTRA;
-    let mut tail = 0.0;
-    let mut least = (1, 0.0);
-    let mut sizes = [0.0; 64];
+/// Terms that are ever looked at.
+pub const MOST_SIZES: usize = 32;
+
+/// |coefficients| of the first `count` terms.
+pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MOST_SIZES] {
+    let mut sizes = [0.0; MOST_SIZES];
     for (n, size) in sizes[..count].iter_mut().enumerate() {
         let scale = if n == 0 { 1.0 } else { 2.0 } / count as f64;
         let sum: Complex64 = chebyshev_nodes(count).map(|x| f(x) * chebyshev(n, x)).sum();
         *size = sum.norm() * scale;
     }
+    sizes
+}
+
+/// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.
+pub fn terms_needed(f: impl Fn(f64) -> Complex64, most: usize, tolerance: f64) -> (usize, f64) {
+    let count = most + EXTRA;
+    let sizes = sizes(f, count);
+    let mut rest = 0.0;
     for n in (1..count).rev() {
-        if tail + sizes[n] > tolerance {
-            least = (n + 1, tail);
-            break;
+        if rest + sizes[n] > tolerance {
+            return if n < most {
+                (n + 1, rest)
+            } else {
+                (most, sizes[most..count].iter().sum())
+            };
         }
-        tail += sizes[n];
-        least = (n, tail);
+        rest += sizes[n];
     }
-    if least.0 > most {
-        return (most, sizes[most..count].iter().sum());
-    }
-    least
+    (1, rest)
 }
 
 /// The matrix from values at Chebyshev's points to coefficients on powers, `[power * count + point]`.

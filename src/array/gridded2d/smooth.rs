@@ -79,18 +79,20 @@ impl Span {
     }
 }
 
-/// A parabola in the slope.
+/// A polynomial of fourth order in the slope.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Parabola {
+pub struct Curve {
     about: Span,
-    coefficients: [f64; 3],
+    coefficients: [f64; 5],
 }
 
-impl Parabola {
+impl Curve {
     pub fn at(&self, slope: f64) -> f64 {
         let x = self.x(slope);
-        let [a, b, c] = self.coefficients;
-        a + x * (b + x * c)
+        self.coefficients
+            .iter()
+            .rev()
+            .fold(0.0, |sum, c| sum * x + c)
     }
 
     fn x(&self, slope: f64) -> f64 {
@@ -103,15 +105,15 @@ impl Parabola {
 
     /// By least squares.
     fn fit(about: Span, points: impl Iterator<Item = (f64, f64)>) -> Self {
-        let mut parabola = Self {
+        let mut curve = Self {
             about,
-            coefficients: [0.0; 3],
+            coefficients: [0.0; 5],
         };
-        parabola.coefficients = least_squares(points.map(|(slope, value)| {
-            let x = parabola.x(slope);
-            ([1.0, x, x * x], value)
+        curve.coefficients = least_squares(points.map(|(slope, value)| {
+            let x = curve.x(slope);
+            ([1.0, x, x.powi(2), x.powi(3), x.powi(4)], value)
         }));
-        parabola
+        curve
     }
 }
 
@@ -162,9 +164,9 @@ pub struct Smooth {
     pub dilation_rest: f64,
     pub per_range_per_m: Span,
     /// Twist and swing times range, m/s and (m/s)^2: for motion along the line v (1 - s^2) and 2 v^2 (1 - s^2).
-    pub twist: Parabola,
-    pub swing: Parabola,
-    /// Greatest of what the parabolas leave of twist and swing themselves, 1/s and m/s^2.
+    pub twist: Curve,
+    pub swing: Curve,
+    /// Greatest of what the curves leave of twist and swing themselves, 1/s and m/s^2.
     pub twist_rest: f64,
     pub swing_rest: f64,
 }
@@ -192,7 +194,7 @@ impl Smooth {
         smooth.dilation0 += rest.middle;
         smooth.dilation_rest = rest.half;
         let times_range = |values: &[f64]| {
-            Parabola::fit(
+            Curve::fit(
                 slope,
                 (0..echoes.len()).map(|i| {
                     (
@@ -202,11 +204,9 @@ impl Smooth {
                 }),
             )
         };
-        let left_over = |parabola: &Parabola, values: &[f64]| {
+        let left_over = |curve: &Curve, values: &[f64]| {
             (0..echoes.len())
-                .map(|i| {
-                    (values[i] - echoes.per_range_per_m[i] * parabola.at(echoes.slope[i])).abs()
-                })
+                .map(|i| (values[i] - echoes.per_range_per_m[i] * curve.at(echoes.slope[i])).abs())
                 .fold(0.0, f64::max)
         };
         smooth.twist = times_range(&echoes.twist_per_s);
@@ -234,21 +234,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parabola_is_fitted_exactly_and_one_echo_suffices() {
+    fn a_curve_is_fitted_exactly_and_one_echo_suffices() {
         let about = Span {
             middle: 0.1,
             half: 0.2,
         };
         let law = |s: f64| 3.0 - 2.0 * s + 5.0 * s * s;
         let points = (0..50).map(|k| -0.1 + 0.4 * f64::from(k) / 49.0);
-        let fit = Parabola::fit(about, points.map(|s| (s, law(s))));
+        let fit = Curve::fit(about, points.map(|s| (s, law(s))));
         for s in [-0.1, 0.0, 0.17, 0.3] {
             let error = (fit.at(s) - law(s)).abs();
             assert!(error < 1e-9, "at {s}: {error:e}");
         }
         let one = Span::of([0.25].into_iter());
-        let fit = Parabola::fit(one, [(0.25, 7.0)].into_iter());
+        let fit = Curve::fit(one, [(0.25, 7.0)].into_iter());
         assert!((fit.at(0.25) - 7.0).abs() < 1e-9, "{fit:?}");
-        assert_eq!(Parabola::fit(one, std::iter::empty()).at(0.3), 0.0);
+        assert_eq!(Curve::fit(one, std::iter::empty()).at(0.3), 0.0);
     }
 }
