@@ -1319,9 +1319,9 @@ impl<T: Sample> Lanes<T> {
         let mut lanes = Self::ZERO;
         for c in series.iter().rev() {
             let (re, im) = (T::narrow(c.re), T::narrow(c.im));
-            for j in 0..BLOCK {
-                lanes.re[j] = lanes.re[j].times_plus::<FUSED>(x[j], re);
-                lanes.im[j] = lanes.im[j].times_plus::<FUSED>(x[j], im);
+            for (j, &x) in x.iter().enumerate() {
+                lanes.re[j] = lanes.re[j].times_plus::<FUSED>(x, re);
+                lanes.im[j] = lanes.im[j].times_plus::<FUSED>(x, im);
             }
         }
         lanes
@@ -1355,8 +1355,8 @@ impl<T: Sample> Lanes<T> {
     /// Times j theta scale.
     #[inline(always)]
     fn turn(&mut self, theta: &[T; BLOCK], scale: T) {
-        for j in 0..BLOCK {
-            let angle = theta[j] * scale;
+        for (j, &theta) in theta.iter().enumerate() {
+            let angle = theta * scale;
             (self.re[j], self.im[j]) = (T::ZERO - self.im[j] * angle, self.re[j] * angle);
         }
     }
