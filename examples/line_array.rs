@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
-use echotank::echo::{Illuminated, LineWorkspace, Stretch, Window, illuminate, line_arrivals};
+use echotank::echo::{Illuminated, LineWorkspace, Window, illuminate, line_arrivals};
 use glam::DVec3;
 
 #[path = "../tests/echo_model/rig.rs"]
@@ -56,13 +56,7 @@ fn main() {
         let (mut gathered, mut made) = (0.0, 0.0);
         let start = Instant::now();
         for (task, output) in outputs.iter_mut().enumerate() {
-            let wanted = engine.wanted(task);
-            let stretch = Stretch {
-                middle_m: wanted.middle_m,
-                elements: wanted.elements as u64,
-                earliest_s: wanted.earliest_s,
-                latest_s: wanted.latest_s,
-            };
+            let stretch = engine.wanted(task);
             let t = Instant::now();
             let mut gather = engine.gather(task, &mut work);
             line_arrivals(

@@ -207,6 +207,35 @@ impl Pulse {
     }
 }
 
+/// How a sum over echoes is read at its points. An echo of a rectangular pulse begins and ends with a jump between two of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Edges {
+    /// The value at the point, and nothing else: what a receiver without a filter would sample.
+    #[default]
+    Sampled,
+    /// The points next to a jump are weighted with [`edge_corrections`], so that a filter's convolution sum over them converges on its
+    /// integral to the fifth order in the step, where points alone give the first.
+    Weighted,
+}
+
+/// Points that [`edge_corrections`] weighs at either end of an echo.
+pub const EDGE_POINTS: usize = 4;
+
+/// What is added to the weight 1 of the first points inside an edge, outermost first. `inside`: the outermost one's distance from the edge
+/// in steps, 0..1.
+///
+/// Exact for cubics: the weights of Gregory's formula for an edge on a point (251, 897, 633, 739 over 720), and between the edge and the
+/// point the integral of the cubic through the four points. With one point instead of four it would be its cell's covered part, `inside` + 1/2.
+pub fn edge_corrections(inside: f64) -> [f64; EDGE_POINTS] {
+    let x = inside;
+    [
+        x * (1.0 + x * (11.0 / 12.0 + x * (1.0 / 3.0 + x / 24.0))) - 469.0 / 720.0,
+        177.0 / 720.0 - x * x * (1.5 + x * (5.0 / 6.0 + x / 8.0)),
+        x * x * (0.75 + x * (2.0 / 3.0 + x / 8.0)) - 87.0 / 720.0,
+        19.0 / 720.0 - x * x * (1.0 / 6.0 + x * (1.0 / 6.0 + x / 24.0)),
+    ]
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PulseKind {
     LfmUp,
@@ -284,13 +313,23 @@ pub struct Segment {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PathModel {
     StopAndHop,
+    /// The platform on the plan's segments: constant velocity and attitude on each, and a step of the attitude between them.
     Polyline,
+    /// Each element on chords of its own between the plan's vertices: no steps, and what rotation does to an element on an arm is in it.
+    KSegment,
+    /// Position and attitude at the moment of reception itself.
+    Continuous,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DopplerModel {
     None,
+    /// Each echo stretched evenly about its leading edge.
     Stretch,
+    /// Each echo stretched about the middle of the pulse, with the change of the stretch during it.
+    StretchQuadratic,
+    /// Eq. 21 of Meng et al. 2023 as printed: delays stretched, pulse not. For comparison.
+    PaperEq21,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -299,6 +338,12 @@ pub enum Synthesis {
     Reference,
     /// The linearised sum under the chosen path and Doppler.
     Direct,
+    /// Eqs. 18 and 21 of Meng et al. 2023 on their frequency grid.
+    Spectral,
+    /// Each echo's replica laid on the nearest sample.
+    Nearest,
+    /// Each echo's replica interpolated linearly between its samples.
+    Linear,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -320,6 +365,70 @@ pub struct ModelChoice {
     pub cull_db: Option<f64>,
 }
 
+impl PathModel {
+    pub const ALL: [Self; 4] = [
+        Self::StopAndHop,
+        Self::Polyline,
+        Self::KSegment,
+        Self::Continuous,
+    ];
+    /// As the configuration and the records spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::StopAndHop => "stop-and-hop",
+            Self::Polyline => "polyline",
+            Self::KSegment => "k-segment",
+            Self::Continuous => "continuous",
+        }
+    }
+}
+
+impl DopplerModel {
+    pub const ALL: [Self; 4] = [
+        Self::None,
+        Self::Stretch,
+        Self::StretchQuadratic,
+        Self::PaperEq21,
+    ];
+    /// As the configuration and the records spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Stretch => "stretch",
+            Self::StretchQuadratic => "stretch-quadratic",
+            Self::PaperEq21 => "paper-eq21",
+        }
+    }
+    /// Whether it leaves the pulse as it is, so that one spectrum or one replica serves every echo.
+    pub fn keeps_pulse(self) -> bool {
+        matches!(self, Self::None | Self::PaperEq21)
+    }
+}
+
+impl Synthesis {
+    pub const ALL: [Self; 5] = [
+        Self::Reference,
+        Self::Direct,
+        Self::Spectral,
+        Self::Nearest,
+        Self::Linear,
+    ];
+    /// As the configuration and the records spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Direct => "direct",
+            Self::Spectral => "spectral",
+            Self::Nearest => "nearest",
+            Self::Linear => "linear",
+        }
+    }
+    /// Whether it lays one and the same pulse under every echo, so that only [`DopplerModel::keeps_pulse`] models go with it.
+    pub fn shares_pulse(self) -> bool {
+        matches!(self, Self::Spectral | Self::Nearest | Self::Linear)
+    }
+}
+
 /// What a method promises and costs; the fidelity plan chooses among cards.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MethodCard {
@@ -329,6 +438,64 @@ pub struct MethodCard {
     /// Predicted core milliseconds per ping.
     pub cost_ms: f64,
     pub why: String,
+}
+
+impl MethodCard {
+    /// The card itself if its method reaches `tolerance`.
+    pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
+        if self.error <= tolerance {
+            return Ok(self);
+        }
+        Err(MethodRefused {
+            name: self.name,
+            error: self.error,
+            tolerance,
+            why: self.why,
+        })
+    }
+}
+
+/// A method that cannot do what is asked of it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
+pub struct MethodRefused {
+    pub name: &'static str,
+    /// Predicted, as in [`MethodCard`].
+    pub error: f64,
+    pub tolerance: f64,
+    pub why: String,
+}
+
+/// What the errors and costs of methods depend on; the worst of a ping, or of a whole run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditions {
+    pub pulse: Pulse,
+    pub sound_speed_m_per_s: f64,
+    pub sample_rate_hz: f64,
+    pub filter: ReceiverFilter,
+    /// Of a transmitter or an element, its arm included.
+    pub speed_m_per_s: f64,
+    pub acceleration_m_per_s2: f64,
+    /// How fast an arm's end moves by the platform's turning alone.
+    pub turning_m_per_s: f64,
+    /// Nearest and farthest scatterer.
+    pub range_m: (f64, f64),
+    pub segment_s: f64,
+    pub scatterers: usize,
+    pub elements: usize,
+}
+
+impl Conditions {
+    /// Relative error that a phase error of `phase_rad` (rms) makes at most: that of an echo turned upside down is 2.
+    pub fn error_of_phase(phase_rad: f64) -> f64 {
+        phase_rad.min(2.0)
+    }
+
+    /// Radians of carrier in a metre of path, at the highest frequency of the sweep.
+    pub fn wavenumber_per_m(&self) -> f64 {
+        let highest_hz = self.pulse.center_frequency_hz + 0.5 * self.pulse.bandwidth_hz;
+        std::f64::consts::TAU * highest_hz / self.sound_speed_m_per_s
+    }
 }
 
 /// Time-varying gain over slant range r.
@@ -503,6 +670,9 @@ pub struct ArrivalChunk {
     pub delay_s: [f64; CHUNK],
     /// eta = dt'/dt - 1: the Doppler stretch minus one (kept so that small ones lose no digits).
     pub doppler: [f64; CHUNK],
+    /// Half of d2t'/dt2, per second: s seconds after the leading edge sounds what left at (1 + doppler) s + curvature s^2. Zero unless the
+    /// Doppler model is [`DopplerModel::StretchQuadratic`].
+    pub curvature_per_s: [f64; CHUNK],
     /// Complex amplitude A_{m,e} at the element, without carrier phase: uPa (rms) after sensitivity: volts.
     pub amplitude: [Complex64; CHUNK],
 }
@@ -514,6 +684,7 @@ impl ArrivalChunk {
             element: 0,
             delay_s: [0.0; CHUNK],
             doppler: [0.0; CHUNK],
+            curvature_per_s: [0.0; CHUNK],
             amplitude: [Complex64::ZERO; CHUNK],
         }
     }
@@ -574,6 +745,28 @@ impl Default for LineChunk {
 /// As [`ArrivalSink`], for whole stretches of a line array.
 pub trait LineSink {
     fn accept(&mut self, chunk: &LineChunk);
+}
+
+/// A stretch of a line array, by its middle, and the leading edges that are asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineStretch {
+    /// From the array's centre.
+    pub middle_m: f64,
+    /// Elements in it, for the counts.
+    pub elements: u64,
+    /// From `earliest_s` up to, not including, `latest_s`.
+    pub earliest_s: f64,
+    pub latest_s: f64,
+}
+
+/// Where the echoes of one ping at one line array come from; many threads ask at once.
+pub trait LineSource: Sync {
+    /// Scatterers that may be heard.
+    fn scatterers(&self) -> u64;
+
+    /// Echoes at the middle of a stretch, in chunks of at most [`CHUNK`], always in the same order. Counts are of scatterer-element pairs;
+    /// an echo outside the delays asked for is not counted at all, since another stretch asks for it.
+    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts;
 }
 
 /// What a walk over the scatterers met.
@@ -661,9 +854,23 @@ pub struct Line {
     pub amplitude: Vec<f32>,
 }
 
+/// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
+/// over the rms of the samples around it or of the element's whole ping, whichever is larger.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Certificate {
+    /// How many samples it rests on.
+    pub samples: u32,
+    pub error: f64,
+    /// Its 95 % interval.
+    pub low: f64,
+    pub high: f64,
+}
+
 /// Everything one ping produced.
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
+    /// Of the newest samples looked at, this ping's and those before it; none where none is asked for, or too few were seen yet.
+    pub certificate: Option<Certificate>,
     /// One per receive array.
     pub elements: Vec<ElementFrame>,
     /// One per configured fan (at most one today).

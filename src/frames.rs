@@ -102,18 +102,23 @@ fn interval(times: impl Fn(usize) -> f64, len: usize, time_s: f64) -> usize {
 
 /// Value and rate of a vector channel at `time_s`: cubic Hermite inside, linear outside.
 pub fn hermite(knots: &[VectorKnot], time_s: f64) -> (DVec3, DVec3) {
+    hermite_from(knots, DVec3::ZERO, time_s)
+}
+
+/// [`hermite`] with the value counted from `origin`, which costs it no digits however far away both are.
+fn hermite_from(knots: &[VectorKnot], origin: DVec3, time_s: f64) -> (DVec3, DVec3) {
     let (Some(first), Some(last)) = (knots.first(), knots.last()) else {
-        return (DVec3::ZERO, DVec3::ZERO);
+        return (DVec3::ZERO - origin, DVec3::ZERO);
     };
     if time_s <= first.time_s {
         return (
-            first.value + first.rate_per_s * (time_s - first.time_s),
+            (first.value - origin) + first.rate_per_s * (time_s - first.time_s),
             first.rate_per_s,
         );
     }
     if time_s >= last.time_s {
         return (
-            last.value + last.rate_per_s * (time_s - last.time_s),
+            (last.value - origin) + last.rate_per_s * (time_s - last.time_s),
             last.rate_per_s,
         );
     }
@@ -124,7 +129,7 @@ pub fn hermite(knots: &[VectorKnot], time_s: f64) -> (DVec3, DVec3) {
     let (s2, s3) = (s * s, s * s * s);
     // Written about the first knot, so that metres far from the origin lose nothing.
     let step = b.value - a.value;
-    let value = a.value
+    let value = (a.value - origin)
         + step * (3.0 * s2 - 2.0 * s3)
         + a.rate_per_s * (h * (s - 2.0 * s2 + s3))
         + b.rate_per_s * (h * (s3 - s2));
@@ -182,7 +187,12 @@ pub fn attitude_at(knots: &[AttitudeKnot], time_s: f64) -> (DQuat, DVec3) {
 impl Trajectory {
     /// Pose of the body's reference point `time_s` seconds after the start of the pulse.
     pub fn pose_at(&self, time_s: f64) -> Pose {
-        let (antenna, antenna_velocity) = hermite(&self.position, time_s);
+        self.pose_from(DVec3::ZERO, time_s)
+    }
+
+    /// [`Self::pose_at`] with the position counted from `origin_m`, so that a world of any size rounds nothing away.
+    pub fn pose_from(&self, origin_m: DVec3, time_s: f64) -> Pose {
+        let (antenna, antenna_velocity) = hermite_from(&self.position, origin_m, time_s);
         let (heave, heave_rate) = hermite(&self.heave, time_s);
         let (world_from_body, angular_velocity) = attitude_at(&self.attitude, time_s);
         let arm = world_from_body * self.lever_arm_m;

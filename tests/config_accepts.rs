@@ -312,7 +312,7 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         log.input,
         NavInputSpec::Log {
             path: track.clone(),
-            plain_rate_hz_times_1000: 500
+            plain_rate_hz: 0.5
         }
     );
     let scene = &rig.scene;
@@ -754,4 +754,53 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
             }
         }
     }
+}
+
+/// The least configuration with `lines` in `[sonar.model]`.
+fn with_model(lines: &str) -> RigSpec {
+    let minimal =
+        fs::read_to_string(repository().join("tests/data/config/minimal.toml")).expect("readable");
+    config::parse(
+        &format!("{minimal}\n[sonar.model]\n{lines}\n"),
+        &repository(),
+    )
+    .unwrap_or_else(|errors| panic!("{lines}: {errors}"))
+}
+
+#[test]
+fn every_path_doppler_and_synthesis_goes_by_its_name() {
+    for path in PathModel::ALL {
+        for doppler in DopplerModel::ALL {
+            for synthesis in Synthesis::ALL {
+                if synthesis.shares_pulse() && !doppler.keeps_pulse() {
+                    continue;
+                }
+                let rig = with_model(&format!(
+                    "path = \"{}\"\ndoppler = \"{}\"\nsynthesis = \"{}\"",
+                    path.name(),
+                    doppler.name(),
+                    synthesis.name()
+                ));
+                let model = &rig.sonars[0].model;
+                assert_eq!(
+                    (model.path, model.doppler, model.synthesis),
+                    (path, doppler, synthesis)
+                );
+                if synthesis != Synthesis::Reference {
+                    let summary = config::summary(&rig);
+                    assert!(summary.contains(path.name()), "{summary}");
+                }
+            }
+        }
+    }
+    let spec = with_model("").sonars[0].synthesis;
+    assert_eq!((spec.certificate, spec.frequency_step_hz), (false, None));
+    let spec = with_model(
+        "certificate = true\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
+    );
+    let spec = spec.sonars[0].synthesis;
+    assert_eq!(
+        (spec.certificate, spec.frequency_step_hz),
+        (true, Some(2.5))
+    );
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
-use echotank::echo::{Illuminated, LineWorkspace, Stretch, illuminate, line_arrivals};
+use echotank::echo::{Illuminated, LineWorkspace, illuminate, line_arrivals};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -80,18 +80,12 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
         outputs.resize_with(engine.tasks(), Vec::new);
         for (task, output) in outputs.iter_mut().enumerate() {
-            let wanted = engine.wanted(task);
-            let stretch = Stretch {
-                middle_m: wanted.middle_m,
-                elements: wanted.elements as u64,
-                earliest_s: wanted.earliest_s,
-                latest_s: wanted.latest_s,
-            };
+            let stretch = engine.wanted(task);
             let mut gather = engine.gather(task, &mut work);
             line_arrivals(&scene.plan, rx, stretch, &lit, &mut walk, &mut gather);
             engine.synthesise(task, &mut work, output);
         }
-        engine.assemble(&outputs, 3, &mut record);
+        engine.assemble(|task| &outputs[task], 3, &mut record);
         counted.push(ALLOCATIONS.load(Ordering::Relaxed) - before);
     }
     println!("allocations by ping: {counted:?}");

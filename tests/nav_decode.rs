@@ -27,7 +27,7 @@ fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -
         name: "test".into(),
         input: NavInputSpec::Log {
             path: "test.log".into(),
-            plain_rate_hz_times_1000: 0,
+            plain_rate_hz: 10.0,
         },
         time,
         checksum,

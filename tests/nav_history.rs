@@ -1,7 +1,7 @@
 //! Samples to motion: against analytic motions, across wraps, gaps and seams.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+mod counting;
+
 use std::f64::consts::TAU;
 
 use echotank::config::spec::{
@@ -14,24 +14,6 @@ use echotank::nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
 use echotank::time::{NS_PER_S, UtcNs};
 use glam::DVec3;
 
-/// Counts this thread's allocations.
-struct Counting;
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-// SAFETY: hands everything on to the system's allocator; the counter does not allocate.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(ptr, layout) }
-    }
-}
-#[global_allocator]
-static COUNTING: Counting = Counting;
-
 const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 
 fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
@@ -39,7 +21,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
         name: "test".into(),
         input: NavInputSpec::Log {
             path: "test.log".into(),
-            plain_rate_hz_times_1000: 0,
+            plain_rate_hz: 10.0,
         },
         time: TimePolicy::Message,
         checksum: ChecksumPolicy::Require,
@@ -737,7 +719,7 @@ fn after_warm_up_a_state_allocates_nothing() {
             .expect("settled");
     };
     (0..20).for_each(&mut ping);
-    let before = ALLOCATIONS.get();
+    let before = counting::on_this_thread();
     (20..100).for_each(&mut ping);
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(counting::on_this_thread() - before, 0);
 }

@@ -51,7 +51,7 @@ fn source(name: &str, input: NavInputSpec) -> NavSourceSpec {
 fn log(path: PathBuf) -> NavInputSpec {
     NavInputSpec::Log {
         path,
-        plain_rate_hz_times_1000: 0,
+        plain_rate_hz: 10.0,
     }
 }
 

@@ -1,38 +1,12 @@
 //! Gathering allocates nothing once its buffers have been full and the pool of tiles has reached its limit.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
+mod counting;
 
 use echotank::config::spec::{SceneSpec, SeabedShape, SeabedSpec};
 use echotank::flow::{Footprint, Scatterers};
 use echotank::scene::Scene;
 use echotank::scene::tiles::TILE_BYTES;
 use glam::DVec3;
-
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: hands every request to the system's allocator unchanged; the counter touches no memory of the requests.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
-        unsafe { System.realloc(pointer, layout, new_size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_moving_platform_gathers_without_allocating_after_warm_up() {
@@ -81,12 +55,12 @@ fn a_moving_platform_gathers_without_allocating_after_warm_up() {
     out.normal.reserve(room);
     out.strength.reserve(room);
     out.law.reserve(room);
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = counting::in_all_threads();
     let mut made = 0;
     for i in 40..540 {
         made += ping(4.0 * f64::from(i), &mut out).tiles_made;
     }
-    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let allocations = counting::in_all_threads() - before;
     println!("{made} tiles made, {allocations} allocations");
     assert!(made > 300, "only {made} tiles made: nothing was tried");
     assert_eq!(

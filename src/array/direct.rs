@@ -1,25 +1,41 @@
-//! The sum over echoes, each linearised about its own leading edge and otherwise exact:
+//! The sum over echoes, each with its emission time expanded about its own leading edge u and otherwise exact:
 //!
-//! x(t) = sum A exp(-j 2pi f_c u) a(eta (t - u)) exp(j 2pi f_c (eta - 1)(t - u)),  0 <= eta (t - u) <= T.
+//! x(t) = sum A exp(-j 2pi f_c u) a(t') exp(j 2pi f_c (t' - s)),  t' = eta s + q s^2,  s = t - u,  0 <= t' <= T.
 //!
-//! Sample by sample the phase of one echo is a quadratic, so its phasor follows from the last by two complex products. Eight lanes run
-//! side by side, each eight samples at a time, and start afresh from sines and cosines before rounding can grow.
+//! q is zero for every Doppler model but `stretch-quadratic`. Over a run of samples the phase of one echo is a quadratic (with q, but for a
+//! cubic part below 1e-6 rad), so its phasor follows from the last by two complex products. Eight lanes run side by side, each eight samples
+//! at a time, and start afresh from sines and cosines before rounding can grow.
 
 use num_complex::Complex64;
 
-use crate::flow::{ArrivalChunk, ArrivalSink, PingPlan, Pulse};
+use crate::flow::{
+    ArrivalChunk, ArrivalSink, EDGE_POINTS, Edges, PingPlan, Pulse, edge_corrections,
+};
 
 use super::phasor::{LANES, cis, cis_lanes};
 
 /// Samples between fresh starts of the recurrence. Its error grows as steps^1.5: 64 steps of eight lanes stay below 1e-13.
 const RESTART: usize = 64 * LANES;
 
+/// Turns of phase that a run may leave out where the stretch itself changes; a run is cut shorter until it does.
+const CUBIC_TURNS: f64 = 1e-7;
+
 /// Adds echoes to the samples of one element.
 pub struct Direct<'a> {
     pulse: Pulse,
     rate_hz: f64,
     first_sample_s: f64,
+    edges: Edges,
     out: &'a mut [Complex64],
+}
+
+/// Where an echo sounds, in samples from the first of the record, which it may lie before or beyond.
+struct Span {
+    /// First and last sample within the pulse.
+    first: f64,
+    last: f64,
+    /// From the leading edge to the first and from the last to the trailing edge, samples.
+    inside: (f64, f64),
 }
 
 impl<'a> Direct<'a> {
@@ -34,40 +50,106 @@ impl<'a> Direct<'a> {
             pulse: plan.pulse,
             rate_hz,
             first_sample_s,
+            edges: Edges::Sampled,
             out,
         }
     }
 
-    /// Samples on which an echo sounds: those with 0 <= eta (t - u) <= T.
-    fn span(&self, delay_s: f64, eta: f64) -> std::ops::Range<usize> {
-        let emitted_s = |k: f64| eta * ((self.first_sample_s + k / self.rate_hz) - delay_s);
+    /// What happens at the ends of a rectangular pulse; a tapered one has no jumps, and is sampled.
+    pub fn with_edges(mut self, edges: Edges) -> Self {
+        self.edges = if self.pulse.taper > 0.0 {
+            Edges::Sampled
+        } else {
+            edges
+        };
+        self
+    }
+
+    /// Samples on which an echo sounds: those with 0 <= t' <= T.
+    #[inline(always)]
+    fn span(&self, delay_s: f64, eta: f64, curvature_per_s: f64) -> Span {
+        let since_s = |k: f64| (self.first_sample_s + k / self.rate_hz) - delay_s;
+        let emitted_s = |k: f64| (eta + curvature_per_s * since_s(k)) * since_s(k);
         let edge = |at_s: f64| (at_s - self.first_sample_s) * self.rate_hz;
+        let duration_s = self.pulse.duration_s;
+        let root = (eta * eta + 4.0 * curvature_per_s * duration_s).sqrt();
+        let trailing_s = 2.0 * duration_s / (eta + root);
         // The estimates are two samples off at most; the condition itself decides.
         let mut first = edge(delay_s).floor();
-        let mut last = edge(delay_s + self.pulse.duration_s / eta).ceil();
+        let mut last = edge(delay_s + trailing_s).ceil();
         for _ in 0..2 {
             first += f64::from(u8::from(emitted_s(first) < 0.0));
-            last -= f64::from(u8::from(emitted_s(last) > self.pulse.duration_s));
+            last -= f64::from(u8::from(emitted_s(last) > duration_s));
         }
-        // Float to integer saturates: a negative start is 0, a negative end an empty range.
-        let end = ((last + 1.0).max(0.0) as usize).min(self.out.len());
-        (first.max(0.0) as usize).min(end)..end
+        Span {
+            first,
+            last,
+            inside: (
+                since_s(first) * self.rate_hz,
+                (trailing_s - since_s(last)) * self.rate_hz,
+            ),
+        }
     }
 
     /// `add_flat` is [`Lanes::add_flat`] or its AVX2 twin.
     #[inline(always)]
     fn add(&mut self, chunk: &ArrivalChunk, add_flat: impl Fn(&mut Lanes, &mut [Block]) + Copy) {
+        let pulse = self.pulse;
         for i in 0..chunk.len {
             let (delay_s, doppler) = (chunk.delay_s[i], chunk.doppler[i]);
-            let span = self.span(delay_s, 1.0 + doppler);
-            let mut first = span.start;
-            while first < span.end {
-                let end = span.end.min(first + RESTART);
+            let curvature_per_s = chunk.curvature_per_s[i];
+            let amplitude = chunk.amplitude[i];
+            let span = self.span(delay_s, 1.0 + doppler, curvature_per_s);
+            let echo = Echo {
+                pulse: &pulse,
+                step_s: 1.0 / self.rate_hz,
+                delay_s,
+                doppler,
+                curvature_per_s,
+            };
+            // Float to integer saturates: a negative start is 0, a negative end an empty range.
+            let end = ((span.last + 1.0).max(0.0) as usize).min(self.out.len());
+            let mut first = (span.first.max(0.0) as usize).min(end);
+            if self.edges == Edges::Weighted && first < end {
+                self.correct_edges(&echo, &span, amplitude);
+            }
+            let longest = echo.longest_run();
+            while first < end {
+                let stop = end.min(first + longest);
                 let since_s = (self.first_sample_s + first as f64 / self.rate_hz) - delay_s;
-                let echo = Stretch::new(&self.pulse, self.rate_hz, delay_s, doppler, since_s);
-                let out = &mut self.out[first..end];
-                add_stretch(&echo, chunk.amplitude[i], out, add_flat);
-                first = end;
+                let run = echo.run(since_s, (stop - first) as f64);
+                add_stretch(&run, amplitude, &mut self.out[first..stop], add_flat);
+                first = stop;
+            }
+        }
+    }
+
+    /// Adds what [`edge_corrections`] say beyond weight 1 to the points next to either end.
+    #[inline(always)]
+    fn correct_edges(&mut self, echo: &Echo, span: &Span, amplitude: Complex64) {
+        const _: () = assert!(2 * EDGE_POINTS == LANES, "both ends fill the lanes");
+        let leading = edge_corrections(span.inside.0);
+        let trailing = edge_corrections(span.inside.1);
+        let mut turns = [0.0; LANES];
+        let mut at = [0.0; LANES];
+        for j in 0..LANES {
+            let back = (j % EDGE_POINTS) as f64;
+            at[j] = if j < EDGE_POINTS {
+                span.first + back
+            } else {
+                span.last - back
+            };
+            turns[j] = echo.turns((self.first_sample_s + at[j] / self.rate_hz) - echo.delay_s);
+        }
+        let (cos, sin) = cis_lanes(turns);
+        for j in 0..LANES {
+            let weight = if j < EDGE_POINTS {
+                leading[j]
+            } else {
+                trailing[j - EDGE_POINTS]
+            };
+            if at[j] >= 0.0 && at[j] < self.out.len() as f64 {
+                self.out[at[j] as usize] += amplitude * Complex64::new(cos[j], sin[j]) * weight;
             }
         }
     }
@@ -94,50 +176,96 @@ impl ArrivalSink for Direct<'_> {
 /// Neighbouring samples of the output.
 type Block = [Complex64; LANES];
 
-/// One echo over a run of samples: its phase in turns is p0 + p1 n + p2 n^2 at the n-th.
+/// One echo of unit amplitude.
+struct Echo<'p> {
+    pulse: &'p Pulse,
+    /// From one sample to the next.
+    step_s: f64,
+    delay_s: f64,
+    doppler: f64,
+    curvature_per_s: f64,
+}
+
+impl Echo<'_> {
+    /// Phase `since_s` after the leading edge, turns, without whole ones of the carrier.
+    #[inline(always)]
+    fn turns(&self, since_s: f64) -> f64 {
+        let carrier_hz = self.pulse.center_frequency_hz;
+        let emitted_s = ((1.0 + self.doppler) + self.curvature_per_s * since_s) * since_s;
+        let from_middle_s = emitted_s - 0.5 * self.pulse.duration_s;
+        let carrier = carrier_hz * self.delay_s;
+        // Whole turns away first: the rest keeps its digits.
+        0.5 * self.pulse.sweep_hz_per_s() * from_middle_s * from_middle_s
+            + carrier_hz * (self.doppler + self.curvature_per_s * since_s) * since_s
+            - (carrier - carrier.round_ties_even())
+    }
+
+    /// Samples after which the recurrence must start afresh.
+    #[inline(always)]
+    fn longest_run(&self) -> usize {
+        if self.curvature_per_s == 0.0 {
+            return RESTART;
+        }
+        // See `run`: count^3/32 times the cubic's coefficient.
+        let cubic = self.pulse.sweep_hz_per_s() * self.curvature_per_s * self.step_s.powi(3);
+        let count = (32.0 * CUBIC_TURNS / cubic.abs()).cbrt();
+        ((count as usize) / LANES * LANES).clamp(8 * LANES, RESTART)
+    }
+
+    /// The `count` samples from `since_s` after the leading edge on.
+    #[inline(always)]
+    fn run(&self, since_s: f64, count: f64) -> Stretch {
+        let pulse = self.pulse;
+        let carrier_hz = pulse.center_frequency_hz;
+        let half_sweep = 0.5 * pulse.sweep_hz_per_s();
+        let bend = self.curvature_per_s;
+        // Emission time at the n-th: emitted + step n + bend n^2.
+        let emitted_s = ((1.0 + self.doppler) + bend * since_s) * since_s;
+        let step_s = ((1.0 + self.doppler) + 2.0 * bend * since_s) * self.step_s;
+        let bend_s = bend * self.step_s * self.step_s;
+        let from_middle_s = emitted_s - 0.5 * pulse.duration_s;
+        let shift_hz = carrier_hz * (self.doppler + 2.0 * bend * since_s);
+        // Its square has a cubic part (and a quartic one far smaller); on 0..count the parabola nearest to n^3 is
+        // (3/2) count n^2 - (9/16) count^2 n + count^3/32, off by count^3/32 at most.
+        let cubic = 2.0 * half_sweep * step_s * bend_s;
+        Stretch {
+            p0: self.turns(since_s) + cubic * count * count * count / 32.0,
+            p1: 2.0 * half_sweep * from_middle_s * step_s + shift_hz * self.step_s
+                - cubic * count * count * (9.0 / 16.0),
+            p2: half_sweep * (step_s * step_s + 2.0 * from_middle_s * bend_s)
+                + carrier_hz * bend_s
+                + cubic * count * 1.5,
+            emitted_s,
+            step_s,
+            bend_s,
+            duration_s: pulse.duration_s,
+            flank_s: 0.5 * pulse.taper * pulse.duration_s,
+        }
+    }
+}
+
+/// A run of samples of one echo: its phase in turns is p0 + p1 n + p2 n^2 at the n-th.
 struct Stretch {
     p0: f64,
     p1: f64,
     p2: f64,
-    /// Time into the pulse at n = 0, and what one sample adds.
+    /// Time into the pulse: emitted + step n + bend n^2.
     emitted_s: f64,
     step_s: f64,
+    bend_s: f64,
     duration_s: f64,
     /// Length of one Tukey flank.
     flank_s: f64,
 }
 
 impl Stretch {
-    /// `since_s`: from the leading edge to n = 0.
-    #[inline(always)]
-    fn new(pulse: &Pulse, rate_hz: f64, delay_s: f64, doppler: f64, since_s: f64) -> Self {
-        let carrier_hz = pulse.center_frequency_hz;
-        let eta = 1.0 + doppler;
-        let half_sweep = 0.5 * pulse.sweep_hz_per_s();
-        let emitted_s = eta * since_s;
-        let step_s = eta / rate_hz;
-        let from_middle_s = emitted_s - 0.5 * pulse.duration_s;
-        let shift_hz = carrier_hz * doppler;
-        let carrier = carrier_hz * delay_s;
-        Self {
-            // Whole turns away first: the rest keeps its digits.
-            p0: half_sweep * from_middle_s * from_middle_s + shift_hz * since_s
-                - (carrier - carrier.round_ties_even()),
-            p1: 2.0 * half_sweep * from_middle_s * step_s + shift_hz / rate_hz,
-            p2: half_sweep * step_s * step_s,
-            emitted_s,
-            step_s,
-            duration_s: pulse.duration_s,
-            flank_s: 0.5 * pulse.taper * pulse.duration_s,
-        }
-    }
-
     /// Of `count` blocks of [`LANES`] samples, those where the pulse is flat from end to end.
     #[inline(always)]
     fn flat_blocks(&self, count: usize) -> std::ops::Range<usize> {
         if self.flank_s <= 0.0 {
             return 0..count;
         }
+        // The bend, below 1e-8 s, moves no block by a sample; where a flank meets the flat it is flat itself.
         let block_at = |t_s: f64| (t_s - self.emitted_s) / (self.step_s * LANES as f64);
         let first = block_at(self.flank_s).ceil().max(0.0) as usize;
         let end = block_at(self.duration_s - self.flank_s).floor().max(0.0) as usize;
@@ -151,7 +279,8 @@ impl Stretch {
         let mut weight = [1.0; LANES];
         if self.flank_s > 0.0 {
             for (j, w) in weight.iter_mut().enumerate() {
-                let t_s = self.emitted_s + (n + j) as f64 * self.step_s;
+                let n = (n + j) as f64;
+                let t_s = self.emitted_s + n * (self.step_s + n * self.bend_s);
                 let inside_s = t_s.min(self.duration_s - t_s).clamp(0.0, self.flank_s);
                 let (_, sin) = cis(0.25 * inside_s / self.flank_s);
                 *w = sin * sin;
@@ -311,6 +440,49 @@ fn add_stretch(
     lanes.add_weighted(echo.taper(count * LANES), rest);
 }
 
+/// Adds `amplitude` exp(j 2pi (p0 + p1 n)) to the n-th of `out`; phases in turns.
+pub(super) fn add_tone(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+        return unsafe { add_tone_avx2(p0, p1, amplitude, out) };
+    }
+    add_tone_with(p0, p1, amplitude, out, Lanes::add_flat);
+}
+
+/// The AVX2 build of [`add_tone_with`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_tone_avx2(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
+    add_tone_with(p0, p1, amplitude, out, |lanes, blocks| {
+        lanes.add_flat_avx2(blocks)
+    });
+}
+
+#[inline(always)]
+fn add_tone_with(
+    p0: f64,
+    p1: f64,
+    amplitude: Complex64,
+    out: &mut [Complex64],
+    add_flat: impl Fn(&mut Lanes, &mut [Block]) + Copy,
+) {
+    for (r, run) in out.chunks_mut(RESTART).enumerate() {
+        let start = p0 + p1 * (r * RESTART) as f64;
+        let tone = Stretch {
+            p0: start - start.round_ties_even(),
+            p1,
+            p2: 0.0,
+            emitted_s: 0.0,
+            step_s: 0.0,
+            bend_s: 0.0,
+            duration_s: 0.0,
+            flank_s: 0.0,
+        };
+        add_stretch(&tone, amplitude, run, add_flat);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -365,6 +537,7 @@ mod tests {
                         pulse,
                         rate_hz,
                         first_sample_s: first_s,
+                        edges: Edges::Sampled,
                         out: &mut out,
                     };
                     sink.accept(&chunk_of(&[arrival]));
@@ -387,6 +560,7 @@ mod tests {
             pulse: pulse(PulseKind::LfmUp, 0.0),
             rate_hz: 40e3,
             first_sample_s: 0.1,
+            edges: Edges::Weighted,
             out: &mut out,
         };
         let off: Vec<_> = [
@@ -409,6 +583,7 @@ mod tests {
             pulse: pulse(PulseKind::LfmUp, 0.0),
             rate_hz: 40e3,
             first_sample_s: 0.1,
+            edges: Edges::Weighted,
             out: &mut [],
         }
         .accept(&chunk_of(&[(0.1, 0.0, Complex64::ONE)]));
@@ -436,6 +611,7 @@ mod tests {
                 pulse: pulse(PulseKind::LfmDown, 0.2),
                 rate_hz: 40e3,
                 first_sample_s: 0.025,
+                edges: Edges::Weighted,
                 out: &mut out,
             };
             if wide {

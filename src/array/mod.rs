@@ -2,16 +2,27 @@
 //!
 //! In: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
 //! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do.
+//! For comparison [`spectral`] sums them as the paper does, and [`nearest`] and [`linear`] as simple simulators do. [`gridded`] sums them on a
+//! grid within a tolerance; no pipeline uses it yet.
 //!
 //! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
 
+pub mod cards;
 pub mod direct;
 pub mod filter;
 pub mod gridded;
 pub mod gridded2d;
+pub mod linear;
+pub mod nearest;
 mod phasor;
 pub mod receiver;
+pub mod replica;
+pub mod spectral;
 
 pub use direct::Direct;
 pub use filter::{Decimator, FilterError, oversample};
+pub use linear::Linear;
+pub use nearest::Nearest;
 pub use receiver::receive;
+pub use replica::Replica;
+pub use spectral::{Bins, Spectral, Spectrum};

@@ -392,7 +392,6 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 
 #[cfg(test)]
 mod tests {
-    use super::super::matched::envelope;
     use super::*;
     use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
     use crate::flow::PulseKind;
@@ -580,7 +579,7 @@ mod tests {
                 (0..n)
                     .map(|i| {
                         frame.element(e)[edge + i]
-                            * envelope(&rig.pulse, i as f64 / rig.rate_hz).conj()
+                            * rig.pulse.envelope(i as f64 / rig.rate_hz).conj()
                     })
                     .sum::<Complex64>()
                     * Complex64::from_polar(1.0 / (n * rig.array.elements) as f64, -TAU * cycles)
@@ -689,13 +688,13 @@ mod tests {
         // Correlation of the pulse with itself at a lag, on the same samples.
         let n = (rig.pulse.duration_s * rig.rate_hz).round() as usize + 1;
         let energy: f64 = (0..n)
-            .map(|i| envelope(&rig.pulse, i as f64 / rig.rate_hz).norm_sqr())
+            .map(|i| rig.pulse.envelope(i as f64 / rig.rate_hz).norm_sqr())
             .sum();
         let auto = |lag_s: f64| -> Complex64 {
             (0..n)
                 .map(|i| {
                     let t = i as f64 / rig.rate_hz;
-                    envelope(&rig.pulse, t + lag_s) * envelope(&rig.pulse, t).conj()
+                    rig.pulse.envelope(t + lag_s) * rig.pulse.envelope(t).conj()
                 })
                 .sum::<Complex64>()
                 / energy

@@ -9,7 +9,7 @@
 //! Computed with one transform pair of a length that holds the longest row and the longest pulse, so that nothing wraps around. An echo cut
 //! off by the end of the row gives the part of its peak that was heard.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use num_complex::Complex64;
@@ -17,34 +17,12 @@ use rustfft::{Fft, FftPlanner};
 
 use super::RowLimits;
 use crate::config::spec::Shading;
-use crate::flow::{Pulse, PulseKind};
+use crate::flow::Pulse;
 
 /// Transform lengths are multiples of this, so that the fan's tiles divide them.
 const LENGTH_STEP: usize = 16;
 /// A pulse that ends within this fraction of a sample after a sample keeps that sample.
 const EDGE_SAMPLES: f64 = 1e-9;
-
-/// The pulse's complex envelope a(t) about its centre frequency; zero outside 0..=T. See [`Pulse`].
-pub fn envelope(pulse: &Pulse, time_s: f64) -> Complex64 {
-    let length_s = pulse.duration_s;
-    if time_s < 0.0 || time_s > length_s {
-        return Complex64::ZERO;
-    }
-    let flank_s = 0.5 * pulse.taper * length_s;
-    let to_end_s = time_s.min(length_s - time_s);
-    let taper = if to_end_s < flank_s {
-        0.5 - 0.5 * (PI * to_end_s / flank_s).cos()
-    } else {
-        1.0
-    };
-    let from_middle_s = time_s - 0.5 * length_s;
-    let sweep = PI * pulse.bandwidth_hz / length_s * from_middle_s * from_middle_s;
-    match pulse.kind {
-        PulseKind::LfmUp => Complex64::from_polar(taper, sweep),
-        PulseKind::LfmDown => Complex64::from_polar(taper, -sweep),
-        PulseKind::Cw => Complex64::new(taper, 0.0),
-    }
-}
 
 /// Samples that a pulse of `duration_s` covers, its first at time 0 and its end included.
 fn pulse_samples(duration_s: f64, sample_rate_hz: f64) -> usize {
@@ -128,7 +106,7 @@ impl Correlator {
         let mut energy = 0.0;
         for (n, out) in self.spectrum[..samples].iter_mut().enumerate() {
             // The last sample may lie past the end by the rounding that `pulse_samples` forgives.
-            let a = envelope(pulse, (n as f64 / rate_hz).min(pulse.duration_s));
+            let a = pulse.envelope((n as f64 / rate_hz).min(pulse.duration_s));
             let weight = shading_weight(self.window, n, samples);
             *out = a * weight;
             energy += weight * a.norm_sqr();
@@ -222,6 +200,7 @@ impl MatchedFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flow::PulseKind;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -249,7 +228,7 @@ mod tests {
 
     fn echo(pulse: &Pulse, rate_hz: f64, samples: usize, leading_edge_s: f64) -> Vec<Complex64> {
         (0..samples)
-            .map(|k| envelope(pulse, k as f64 / rate_hz - leading_edge_s))
+            .map(|k| pulse.envelope(k as f64 / rate_hz - leading_edge_s))
             .collect()
     }
 
@@ -309,9 +288,7 @@ mod tests {
             let mut mf = filter(&pulse, rate_hz, samples, Shading::Uniform);
             mf.apply(&mut row);
             let n = pulse_samples(pulse.duration_s, rate_hz);
-            let a: Vec<_> = (0..n)
-                .map(|i| envelope(&pulse, i as f64 / rate_hz))
-                .collect();
+            let a: Vec<_> = (0..n).map(|i| pulse.envelope(i as f64 / rate_hz)).collect();
             let energy: f64 = a.iter().map(|a| a.norm_sqr()).sum();
             let mut worst = 0.0_f64;
             for k in 0..samples {

@@ -5,7 +5,6 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::matched::envelope;
 use crate::flow::{ArrayGeometry, ElementFrame, Mounting, Pattern, Pulse};
 use crate::frames::rotation_from_angles;
 
@@ -35,7 +34,7 @@ pub fn elements_of_plane_wave(
     for e in 0..array.elements {
         let (pulse, delay_s) = echo(e);
         let carrier = Complex64::from_polar(1.0, -TAU * pulse.center_frequency_hz * delay_s);
-        iq.extend((0..samples).map(|k| carrier * envelope(&pulse, k as f64 / rate_hz - delay_s)));
+        iq.extend((0..samples).map(|k| carrier * pulse.envelope(k as f64 / rate_hz - delay_s)));
     }
     ElementFrame {
         array: 0,

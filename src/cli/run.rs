@@ -9,6 +9,7 @@ use std::time::Duration;
 use clap::Args;
 
 use super::{Failure, load};
+use crate::config::spec::{NavInputSpec, RigSpec, SeabedShape};
 use crate::io::signals;
 use crate::run::daemon::Daemon;
 use crate::time::SystemClock;
@@ -41,6 +42,45 @@ fn quickstart() -> Result<PathBuf, Failure> {
     })
 }
 
+/// Where the platform's motion, the seabed and the pings come from, a line each.
+fn what_it_does(spec: &RigSpec) -> Vec<String> {
+    let mut lines = Vec::new();
+    for source in &spec.nav.sources {
+        lines.push(match &source.input {
+            NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } => {
+                let how = if spec.nav.loop_log { ", for ever" } else { "" };
+                format!("replays {}{how}", path.display())
+            }
+            NavInputSpec::Udp { listen, .. } => format!("takes navigation from UDP {listen}"),
+            NavInputSpec::Serial { port, baud } => {
+                format!("takes navigation from {port} at {baud} baud")
+            }
+        });
+    }
+    match spec.scene.seabed.as_ref().map(|seabed| &seabed.shape) {
+        Some(SeabedShape::EsriAscii { path, .. }) => lines.push(format!("over {}", path.display())),
+        Some(SeabedShape::Plane { depth_m, .. }) => {
+            lines.push(format!("over a plane {depth_m} m deep"))
+        }
+        None => {}
+    }
+    for sonar in &spec.sonars {
+        lines.push(format!(
+            "sonar {}: {} elements at {:.1} kHz, {:.0} m range, {} pings/s at most",
+            sonar.name,
+            sonar
+                .receive
+                .iter()
+                .map(|array| array.elements)
+                .sum::<usize>(),
+            sonar.pulse.center_frequency_hz / 1e3,
+            sonar.settings.range_m,
+            sonar.settings.max_ping_rate_hz,
+        ));
+    }
+    lines
+}
+
 pub fn main(args: &RunArgs) -> Result<(), Failure> {
     let path = match &args.config {
         Some(path) => path.clone(),
@@ -53,10 +93,10 @@ pub fn main(args: &RunArgs) -> Result<(), Failure> {
     let daemon = Daemon::open(&spec, threads, Arc::new(SystemClock::new()), stop.clone())
         .map_err(Failure::running)?;
     println!("echotank {}: {}", env!("CARGO_PKG_VERSION"), path.display());
-    for line in daemon.describe() {
+    for line in what_it_does(&spec).into_iter().chain(daemon.describe()) {
         println!("{line}");
     }
-    println!("pinging; stop with Ctrl-C");
+    println!("pinging; stop with Ctrl-C; to look: echotank listen ADDRESS");
     if let Some(seconds) = args.seconds {
         if !(seconds.is_finite() && seconds > 0.0) {
             return Err(Failure::Configuration(format!(

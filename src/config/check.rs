@@ -524,7 +524,7 @@ fn nav_input<'t>(
     match table.text("kind")? {
         "log" => Some(NavInputSpec::Log {
             path: table.path("path")?,
-            plain_rate_hz_times_1000: table.scaled("plain_rate_hz", 3)?.round() as u64,
+            plain_rate_hz: table.number("plain_rate_hz")?,
         }),
         "csv" => Some(NavInputSpec::Csv {
             path: table.path("path")?,

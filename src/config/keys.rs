@@ -813,31 +813,42 @@ static MODEL: Table = Table {
     keys: &[
         key(
             "path",
-            Kind::Choice(&["stop-and-hop", "polyline"], &["continuous"]),
+            Kind::Choice(
+                &["stop-and-hop", "polyline", "k-segment", "continuous"],
+                &[],
+            ),
             Default("\"polyline\""),
-            "Whether the platform moves between pulse and echo.",
+            "How the platform moves between pulse and echo: not, on straight pieces, each element on straight pieces of its own, or as it does.",
         ),
         key(
             "doppler",
-            Kind::Choice(&["none", "stretch"], &["paper-eq21", "common", "rank-r"]),
+            Kind::Choice(
+                &["none", "stretch", "stretch-quadratic", "paper-eq21"],
+                &["common", "rank-r"],
+            ),
             Default("\"stretch\""),
-            "",
+            "\"stretch-quadratic\" also follows the change of the stretch during the pulse; \"paper-eq21\" is Eq. 21 of Meng et al. 2023 as printed, for comparison.",
         ),
         key(
             "synthesis",
             Kind::Choice(
-                &["reference", "direct"],
-                &[
-                    "spectral",
-                    "gridded",
-                    "gridded-1d",
-                    "gridded-2d",
-                    "nearest",
-                    "linear",
-                ],
+                &["reference", "direct", "spectral", "nearest", "linear"],
+                &["gridded", "gridded-1d", "gridded-2d"],
             ),
             Default("\"direct\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes.",
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down).",
+        ),
+        key(
+            "frequency_step_hz",
+            Kind::Number(from(0.01, 1e6)),
+            Optional("5.0"),
+            "Of \"spectral\". Left out: one over the record, or finer. Coarser, and late echoes wrap around onto early ones.",
+        ),
+        key(
+            "certificate",
+            Kind::Bool,
+            Default("false"),
+            "Whether random samples are recomputed through the reference and the error found is printed.",
         ),
         key(
             "segment_ms",

@@ -119,12 +119,13 @@ pub struct NavSourceSpec {
     pub provides: Vec<NavChannel>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum NavInputSpec {
-    /// A recorded log: plain NMEA or with a time prefix on each line.
+    /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
+    /// `plain_rate_hz`.
     Log {
         path: PathBuf,
-        plain_rate_hz_times_1000: u64,
+        plain_rate_hz: f64,
     },
     /// CSV track: time, north, east, down, roll, pitch, heading.
     Csv {
@@ -246,8 +247,18 @@ pub struct SonarSpec {
     pub settings: SonarSettings,
     pub limits: LimitsSpec,
     pub model: ModelChoice,
+    pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
     pub outputs: Vec<OutputSpec>,
+}
+
+/// How the chosen synthesis is run and watched.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SynthesisSpec {
+    /// Recompute random samples through the reference.
+    pub certificate: bool,
+    /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
+    pub frequency_step_hz: Option<f64>,
 }
 
 /// The ranges settings may move in, inclusive; buffers are sized from the maxima.

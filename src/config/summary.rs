@@ -322,12 +322,14 @@ fn write_beams(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
 fn model(sonar: &SonarSpec) -> String {
     let model = &sonar.model;
     let path = match model.path {
-        PathModel::StopAndHop => "stop-and-hop".to_owned(),
-        PathModel::Polyline => format!("polyline of {} ms", model.segment_s * 1e3),
+        PathModel::StopAndHop | PathModel::Continuous => model.path.name().to_owned(),
+        PathModel::Polyline | PathModel::KSegment => {
+            format!("{} of {} ms", model.path.name(), model.segment_s * 1e3)
+        }
     };
     let doppler = match model.doppler {
-        DopplerModel::None => "no Doppler",
-        DopplerModel::Stretch => "Doppler stretch",
+        DopplerModel::None => "no Doppler".to_owned(),
+        other => format!("Doppler {}", other.name()),
     };
     let cull = match model.cull_db {
         Some(db) => format!("scatterers below {db} dB left out"),
@@ -335,7 +337,7 @@ fn model(sonar: &SonarSpec) -> String {
     };
     match model.synthesis {
         Synthesis::Reference => format!("reference, {cull}"),
-        Synthesis::Direct => format!("direct, {path}, {doppler}, {cull}"),
+        other => format!("{}, {path}, {doppler}, {cull}", other.name()),
     }
 }
 

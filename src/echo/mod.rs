@@ -9,14 +9,17 @@
 //! Not modelled: refraction, multipath, volume reverberation, occlusion (the scene hands over what is seen).
 
 pub mod absorption;
+pub mod cards;
 mod elementary;
 pub mod levels;
 pub mod paths;
+pub mod probe;
 pub mod reference;
+pub mod stretch;
 pub mod walk;
 
 pub use absorption::absorption_db_per_m;
 pub use reference::reference;
 pub use walk::{
-    Illuminated, LineWorkspace, Stretch, Window, Workspace, arrivals, illuminate, line_arrivals,
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, line_arrivals,
 };

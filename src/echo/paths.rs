@@ -1,4 +1,8 @@
-//! Where the receiver is when an echo arrives: stop-and-hop and polyline delays, in closed form.
+//! Where the receiver is when an echo arrives: delays of the four path models.
+//!
+//! Three of them are legs of constant velocity and solved in closed form: `stop-and-hop` has one leg without velocity, `polyline` the plan's
+//! segments, `k-segment` the element's own chords between the same vertices. `continuous` starts from the chords and ends on the trajectory
+//! itself by Newton's iteration.
 //!
 //! Sound leaves the transmitter (the origin here) at t = 0 and reaches the scatterer S at t1 = r_T/c. A receiver at R + v (t - t_k) on
 //! segment k then sees S at D = S - R - v (t1 - t_k), and the second leg tau solves |D - v tau| = c tau, so
@@ -15,9 +19,13 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::flow::{ArrayGeometry, CHUNK, DopplerModel, PathModel, PingPlan, TransmitArray};
+use crate::frames::Pose;
 
 /// Guard, in metres, on the bounds by which whole segments are passed over: far above the rounding of ranges, far below any range.
 const BOUND_GUARD_M: f64 = 1e-6;
+
+/// A Newton step below this ends the iteration, seconds: the next would be its square times v^2/(r c), below 1e-20 s even 1 mm away.
+const SETTLED_S: f64 = 1e-11;
 
 /// Where a ping is transmitted: the origin of everything below.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,19 +35,39 @@ pub struct Transmit {
     reference_m: DVec3,
     arm_m: DVec3,
     pub array_from_world: DMat3,
-    /// As Doppler needs it: zero under [`DopplerModel::None`].
+    /// As Doppler needs it.
+    pub motion: Motion,
+}
+
+/// How a point moves about one instant; zero under [`DopplerModel::None`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
     pub velocity_m_per_s: DVec3,
+    pub acceleration_m_per_s2: DVec3,
 }
 
 impl Transmit {
-    /// From the first segment of the plan.
+    /// From the first segment of the plan or, where the path model follows the trajectory, from that.
     pub fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];
+        let mounting = &tx.mounting;
+        let (arm_m, world_from_body, motion) = match plan.model.path {
+            PathModel::StopAndHop | PathModel::Polyline => {
+                let arm_m = first.world_from_body * mounting.position_m;
+                (arm_m, first.world_from_body, segment_motion(plan, 0, arm_m))
+            }
+            PathModel::KSegment | PathModel::Continuous => {
+                let pose = plan.trajectory.pose_from(first.position_m, 0.0);
+                let motion = trajectory_motion(plan, mounting.position_m, &pose, 0.0);
+                let arm_m = pose.point_m(mounting.position_m);
+                (arm_m, pose.world_from_body, motion)
+            }
+        };
         Self {
             reference_m: first.position_m,
-            arm_m: first.world_from_body * tx.mounting.position_m,
-            array_from_world: array_from_world(first.world_from_body, tx.mounting.body_from_array),
-            velocity_m_per_s: doppler_velocity(plan, first.velocity_m_per_s),
+            arm_m,
+            array_from_world: array_from_world(world_from_body, mounting.body_from_array),
+            motion: heard_motion(plan, motion),
         }
     }
 
@@ -53,25 +81,57 @@ fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
     DMat3::from_quat((world_from_body * body_from_array).inverse())
 }
 
-fn doppler_velocity(plan: &PingPlan, velocity_m_per_s: DVec3) -> DVec3 {
+/// A point on an arm (in world axes) while the platform is on its `k`th segment: the segment's velocity and what the platform's turning adds.
+/// The segment itself holds its attitude; how fast it turned there is the trajectory's to say.
+fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
+    let segment = &plan.segments[k];
+    let turning = plan
+        .trajectory
+        .pose_at(segment.start_s)
+        .angular_velocity_rad_per_s;
+    Motion {
+        velocity_m_per_s: segment.velocity_m_per_s + turning.cross(arm_m),
+        acceleration_m_per_s2: DVec3::ZERO,
+    }
+}
+
+/// A point of the body on the trajectory, `pose` its pose at `time_s`. The acceleration is the mean one of the pulse that begins there, and
+/// only worked out where something uses it.
+fn trajectory_motion(plan: &PingPlan, body_m: DVec3, pose: &Pose, time_s: f64) -> Motion {
+    let velocity_m_per_s = pose.point_velocity_m_per_s(body_m);
+    let acceleration_m_per_s2 = match plan.model.doppler {
+        DopplerModel::StretchQuadratic => {
+            let duration_s = plan.pulse.duration_s;
+            let later = plan.trajectory.pose_at(time_s + duration_s);
+            (later.point_velocity_m_per_s(body_m) - velocity_m_per_s) / duration_s
+        }
+        _ => DVec3::ZERO,
+    };
+    Motion {
+        velocity_m_per_s,
+        acceleration_m_per_s2,
+    }
+}
+
+fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
     match plan.model.doppler {
-        DopplerModel::None => DVec3::ZERO,
-        DopplerModel::Stretch => velocity_m_per_s,
+        DopplerModel::None => Motion::default(),
+        _ => motion,
     }
 }
 
 /// One element on one segment of the polyline.
 #[derive(Clone, Copy, Debug)]
 pub struct Leg {
-    start_s: f64,
+    pub start_s: f64,
     /// Infinite on the last.
-    end_s: f64,
+    pub end_s: f64,
     /// Element at `start_s`, relative to the transmit position.
-    origin_m: DVec3,
+    pub origin_m: DVec3,
     /// In the path: zero for stop-and-hop.
-    velocity_m_per_s: DVec3,
-    /// In the Doppler term.
-    doppler_velocity_m_per_s: DVec3,
+    pub velocity_m_per_s: DVec3,
+    /// In the Doppler term: at `start_s`, and how it changes from there.
+    pub doppler: Motion,
     array_from_world: DMat3,
 }
 
@@ -81,27 +141,30 @@ impl Leg {
     }
 }
 
-/// A line array on one segment of the polyline.
-#[derive(Clone, Copy, Debug)]
-pub struct LineMotion {
-    /// Unit, world.
-    pub axis: DVec3,
-    /// In the path, and in the Doppler term.
-    pub velocity_m_per_s: DVec3,
-    pub doppler_velocity_m_per_s: DVec3,
-    /// Where the segment ends; infinite on the last.
-    pub until_s: f64,
-}
-
 /// The way of one element through one ping. Its buffer is kept between uses.
 #[derive(Debug, Default)]
 pub struct ElementTrack {
     legs: Vec<Leg>,
     /// Where the polyline was meant to end; echoes from here on are counted.
     end_s: f64,
+    /// Neighbouring legs meet: every scatterer has just one root.
+    seamless: bool,
+    /// How far the element strays from its legs, metres.
+    sag_m: f64,
+    /// The element in the body, and the array's axes there.
+    element_m: DVec3,
+    body_from_array: DQuat,
 }
 
 impl ElementTrack {
+    /// With room for a polyline of so many segments.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            legs: Vec::with_capacity(segments),
+            ..Self::default()
+        }
+    }
+
     /// Sets out the legs of `element` under the plan's path and Doppler models.
     pub fn lay(
         &mut self,
@@ -121,51 +184,98 @@ impl ElementTrack {
         array: &ArrayGeometry,
         along_m: f64,
     ) {
-        let point_m = array.mounting.position_m
+        self.element_m = array.mounting.position_m
             + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
+        self.body_from_array = array.mounting.body_from_array;
+        self.sag_m = 0.0;
+        self.legs.clear();
+        match plan.model.path {
+            PathModel::StopAndHop | PathModel::Polyline => self.lay_segments(plan, transmit),
+            PathModel::KSegment | PathModel::Continuous => self.lay_chords(plan, transmit),
+        }
+        self.seamless = plan.model.path != PathModel::Polyline;
+        self.end_s = match (plan.model.path, self.legs.last()) {
+            (PathModel::Polyline | PathModel::KSegment, Some(last)) => {
+                last.start_s + plan.model.segment_s
+            }
+            _ => f64::INFINITY,
+        };
+    }
+
+    /// The plan's own segments; the first alone, and still, for stop-and-hop.
+    fn lay_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let (segments, moving) = match plan.model.path {
             PathModel::StopAndHop => (&plan.segments[..1], 0.0),
-            PathModel::Polyline => (&plan.segments[..], 1.0),
+            _ => (&plan.segments[..], 1.0),
         };
-        self.legs.clear();
         for (k, segment) in segments.iter().enumerate() {
+            let arm_m = segment.world_from_body * self.element_m;
             self.legs.push(Leg {
                 start_s: segment.start_s,
                 end_s: segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s),
-                origin_m: transmit.relative_m(segment.position_m)
-                    + segment.world_from_body * point_m,
+                origin_m: transmit.relative_m(segment.position_m) + arm_m,
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
-                doppler_velocity_m_per_s: doppler_velocity(plan, segment.velocity_m_per_s),
-                array_from_world: array_from_world(
-                    segment.world_from_body,
-                    array.mounting.body_from_array,
-                ),
+                doppler: heard_motion(plan, segment_motion(plan, k, arm_m)),
+                array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
             });
         }
-        self.end_s = match (plan.model.path, segments.last()) {
-            (PathModel::Polyline, Some(last)) => last.start_s + plan.model.segment_s,
-            _ => f64::INFINITY,
-        };
+    }
+
+    /// Chords between the element's own places at the segments' vertices. Axes are those of each chord's middle; the velocity that Doppler
+    /// sees runs linearly from one vertex's to the next one's.
+    fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
+        let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
+        let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
+        let segments = &plan.segments;
+        let mut here = pose_at(segments[0].start_s);
+        let mut step_s = plan.model.segment_s;
+        for (k, segment) in segments.iter().enumerate() {
+            let start_s = segment.start_s;
+            let end_s = segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s);
+            // The last is as long as the one before it.
+            if end_s.is_finite() {
+                step_s = end_s - start_s;
+            }
+            let (middle, next) = (pose_at(start_s + 0.5 * step_s), pose_at(start_s + step_s));
+            let origin_m = place_m(&here);
+            let chord_m = place_m(&next) - origin_m;
+            let speed = here.point_velocity_m_per_s(self.element_m);
+            let later = next.point_velocity_m_per_s(self.element_m);
+            // Twice the middle's distance from the chord bounds any smooth arc's.
+            let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
+            self.sag_m = self.sag_m.max(2.0 * off_m);
+            self.legs.push(Leg {
+                start_s,
+                end_s,
+                origin_m,
+                velocity_m_per_s: chord_m / step_s,
+                doppler: heard_motion(
+                    plan,
+                    Motion {
+                        velocity_m_per_s: speed,
+                        acceleration_m_per_s2: (later - speed) / step_s,
+                    },
+                ),
+                array_from_world: array_from_world(middle.world_from_body, self.body_from_array),
+            });
+            here = next;
+        }
     }
 
     pub fn end_s(&self) -> f64 {
         self.end_s
     }
 
-    /// How the line moves where an echo arrives at `time_s`.
-    pub fn motion_at(&self, time_s: f64) -> LineMotion {
-        let leg = self
-            .legs
-            .iter()
-            .rfind(|leg| leg.start_s <= time_s)
-            .unwrap_or(&self.legs[0]);
-        let axis = leg.array_from_world.row(0);
-        LineMotion {
-            axis,
-            velocity_m_per_s: leg.velocity_m_per_s,
-            doppler_velocity_m_per_s: leg.doppler_velocity_m_per_s,
-            until_s: leg.end_s,
-        }
+    /// The leg on which an echo arrives at `time_s`, and its number.
+    pub fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
+        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
+        let at = at.saturating_sub(1);
+        (at, &self.legs[at])
+    }
+
+    /// The leg of that number.
+    pub fn leg(&self, number: usize) -> &Leg {
+        &self.legs[number]
     }
 
     /// The farthest this element gets from the transmit position up to `time_s`, metres.
@@ -176,7 +286,24 @@ impl ElementTrack {
                 .max(leg.origin_m.length())
                 .max(leg.at_m(leg.end_s.min(time_s)).length());
         }
-        reach_m
+        reach_m + self.sag_m
+    }
+
+    /// The element's motion when an echo arrives, as Doppler sees it.
+    pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
+        if plan.model.path == PathModel::Continuous {
+            let pose = plan.trajectory.pose_at(time_s);
+            return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
+        }
+        let (_, leg) = self.leg_at(time_s);
+        let Motion {
+            velocity_m_per_s: velocity,
+            acceleration_m_per_s2,
+        } = leg.doppler;
+        Motion {
+            velocity_m_per_s: velocity + acceleration_m_per_s2 * (time_s - leg.start_s),
+            acceleration_m_per_s2,
+        }
     }
 }
 
@@ -264,10 +391,10 @@ fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Odditie
     let n = batch.range_m.len().min(CHUNK);
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
     let range_m = &batch.range_m[..n];
-    let (o, v, w) = (
-        leg.origin_m,
-        leg.velocity_m_per_s,
-        leg.doppler_velocity_m_per_s,
+    let (o, v) = (leg.origin_m, leg.velocity_m_per_s);
+    let (w, dw) = (
+        leg.doppler.velocity_m_per_s,
+        leg.doppler.acceleration_m_per_s2,
     );
     let m = leg.array_from_world;
     let c2_minus_v2 = c * c - v.length_squared();
@@ -308,7 +435,12 @@ fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Odditie
         rays.array_x_m[i] += chosen * (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z);
         rays.array_y_m[i] += chosen * (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z);
         rays.array_z_m[i] += chosen * (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z);
-        rays.closing_m2_per_s[i] += chosen * (w.x * x + w.y * y + w.z * z);
+        let (wx, wy, wz) = (
+            w.x + dw.x * after_s,
+            w.y + dw.y * after_s,
+            w.z + dw.z * after_s,
+        );
+        rays.closing_m2_per_s[i] += chosen * (wx * x + wy * y + wz * z);
     }
     odd.no_root += none;
     odd.two_roots += two;
@@ -352,7 +484,56 @@ pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Odd
         placed += solve_leg(leg, c, batch, rays, &mut odd);
     }
     debug_assert_eq!(placed, n as u64, "the last leg has no end");
+    // Where legs meet, what falls between them fell there by rounding.
+    if track.seamless {
+        return Oddities::default();
+    }
     odd
+}
+
+/// Newton steps at most. Chords leave microseconds, and each step squares what is left.
+const MAX_STEPS: usize = 12;
+
+/// Takes the delays that [`solve`] found on an element's chords to the trajectory itself, and the rays with them: c u = r_T + |S - r(u)|.
+///
+/// The left side less the right grows by 0.9 c at least, so that the residual itself brackets the root: no step may be longer than it says.
+pub fn refine(
+    plan: &PingPlan,
+    transmit: &Transmit,
+    track: &ElementTrack,
+    batch: Batch,
+    rays: &mut Rays,
+) {
+    let c = plan.sound_speed_m_per_s;
+    for i in 0..batch.range_m.len().min(CHUNK) {
+        let at_m = DVec3::new(batch.x_m[i], batch.y_m[i], batch.z_m[i]) + transmit.arm_m;
+        let mut delay_s = rays.delay_s[i];
+        let mut pose = Pose::default();
+        let mut ray_m = DVec3::ZERO;
+        for _ in 0..MAX_STEPS {
+            pose = plan.trajectory.pose_from(transmit.reference_m, delay_s);
+            ray_m = at_m - pose.point_m(track.element_m);
+            let leg_m = ray_m.length();
+            let residual_m = c * delay_s - batch.range_m[i] - leg_m;
+            let closing = pose.point_velocity_m_per_s(track.element_m).dot(ray_m)
+                / leg_m.max(f64::MIN_POSITIVE);
+            let step_s = -residual_m / (c + closing).max(0.9 * c);
+            delay_s += step_s;
+            // The ray is of the last place looked at, at most this step's millimetres away; of the delay nothing is left to gain.
+            if step_s.abs() <= SETTLED_S {
+                break;
+            }
+        }
+        let in_array = array_from_world(pose.world_from_body, track.body_from_array) * ray_m;
+        let heard = match plan.model.doppler {
+            DopplerModel::None => DVec3::ZERO,
+            _ => pose.point_velocity_m_per_s(track.element_m),
+        };
+        rays.delay_s[i] = delay_s;
+        (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = ray_m.into();
+        (rays.array_x_m[i], rays.array_y_m[i], rays.array_z_m[i]) = in_array.into();
+        rays.closing_m2_per_s[i] = heard.dot(ray_m);
+    }
 }
 
 #[cfg(all(test, target_arch = "x86_64"))]
@@ -370,7 +551,10 @@ mod tests {
             end_s: 0.08,
             origin_m: DVec3::new(0.4, -0.2, 0.1),
             velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
-            doppler_velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+            doppler: Motion {
+                velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+                acceleration_m_per_s2: DVec3::new(0.1, 0.2, -0.5),
+            },
             array_from_world: DMat3::from_quat(turn),
         };
         let place = |step: f64| -> Vec<f64> {

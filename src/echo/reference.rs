@@ -5,10 +5,13 @@
 //! echo. A is held at its value at the leading edge. Plain f64, nothing linearised, no pattern culled, no segments; path and Doppler models
 //! of the plan do not enter. It shares the sonar equation with the fast walk and nothing else.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 
-use crate::flow::{ArrayGeometry, EchoCounts, PingPlan, ScatterLaw, Scatterers, TransmitArray};
+use crate::flow::{
+    ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, PingPlan, ScatterLaw, Scatterers, TransmitArray,
+    edge_corrections,
+};
 use crate::frames::Trajectory;
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
@@ -16,13 +19,43 @@ use super::levels::{Directivity, OneWay, amplitude_from_db};
 /// Newton steps at most; a step that leaves the bracket halves it, and 60 halvings reach the last bit of f64.
 const MAX_STEPS: usize = 80;
 
-/// Adds nothing to what is in `out`: overwrites it with the echoes of all scatterers at one element, volts (rms) of the complex envelope.
-/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo lasts 0 <= t' <= T, both ends inclusive.
+/// [`reference_with`] the edges of echoes merely sampled.
 #[expect(
     clippy::too_many_arguments,
     reason = "the whole problem, each part a noun of its own"
 )]
 pub fn reference(
+    plan: &PingPlan,
+    tx: &TransmitArray,
+    array: &ArrayGeometry,
+    element: usize,
+    scatterers: &Scatterers,
+    rate_hz: f64,
+    first_sample_s: f64,
+    out: &mut [Complex64],
+) -> EchoCounts {
+    reference_with(
+        Edges::Sampled,
+        plan,
+        tx,
+        array,
+        element,
+        scatterers,
+        rate_hz,
+        first_sample_s,
+        out,
+    )
+}
+
+/// Adds nothing to what is in `out`: overwrites it with the echoes of all scatterers at one element, volts (rms) of the complex envelope.
+/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo lasts 0 <= t' <= T, both ends inclusive. `edges`: what
+/// happens at the ends of a rectangular pulse; a tapered one is sampled.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the whole problem, each part a noun of its own"
+)]
+pub fn reference_with(
+    edges: Edges,
     plan: &PingPlan,
     tx: &TransmitArray,
     array: &ArrayGeometry,
@@ -50,6 +83,7 @@ pub fn reference(
     let time_s = |k: usize| first_sample_s + k as f64 / rate_hz;
     let receiver_m: Vec<DVec3> = (0..out.len()).map(|k| receiver.at(time_s(k)).0).collect();
     let sonar = Sonar::new(plan, tx, array, &track);
+    let weighted = edges == Edges::Weighted && plan.pulse.taper == 0.0;
     let transmit_m = transmitter.at(0.0).0;
     let last_transmit_m = transmitter.at(duration_s).0;
 
@@ -83,6 +117,7 @@ pub fn reference(
                 scatterers.law[i],
                 scatterers.normal[i],
             );
+        let weights = EdgeWeights::new(leading_s, trailing_s, first_sample_s, rate_hz);
         let mut guess_s = 0.0;
         for k in range {
             let t_s = time_s(k);
@@ -90,7 +125,13 @@ pub fn reference(
             // c (t - t') - |S - p_T(t')| - second leg: falls with t', so the pulse's ends tell whether t' lies in it.
             let before = c * t_s - first_leg_m - second_leg_m;
             let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
-            if before < 0.0 || after > 0.0 {
+            // Beside an edge the weights go by its place in time, and so must what lies inside it.
+            let weight = if weighted {
+                weights.at(k)
+            } else {
+                f64::from(u8::from(before >= 0.0 && after <= 0.0))
+            };
+            if weight == 0.0 {
                 continue;
             }
             let emitted_s = newton(0.0, duration_s, guess_s, |emitted_s| {
@@ -104,10 +145,53 @@ pub fn reference(
             guess_s = emitted_s + 1.0 / rate_hz;
             let cycles = carrier_hz * (emitted_s - t_s);
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * (cycles - cycles.round()));
-            out[k] += amplitude * plan.pulse.envelope(emitted_s) * Complex64::new(cos, sin);
+            // Newton keeps to the pulse; a hair outside its end is its end.
+            let sent = plan.pulse.envelope(emitted_s.clamp(0.0, duration_s));
+            out[k] += amplitude * weight * sent * Complex64::new(cos, sin);
         }
     }
     counts
+}
+
+/// The weights of points between two edges.
+struct EdgeWeights {
+    /// First and last point inside, counted from the first sample, and their distances from their edges, in steps.
+    first: f64,
+    last: f64,
+    corrections: [[f64; EDGE_POINTS]; 2],
+}
+
+impl EdgeWeights {
+    fn new(leading_s: f64, trailing_s: f64, first_sample_s: f64, rate_hz: f64) -> Self {
+        let leading = (leading_s - first_sample_s) * rate_hz;
+        let trailing = (trailing_s - first_sample_s) * rate_hz;
+        let (first, last) = (leading.ceil(), trailing.floor());
+        Self {
+            first,
+            last,
+            corrections: [
+                edge_corrections(first - leading),
+                edge_corrections(trailing - last),
+            ],
+        }
+    }
+
+    /// Of sample `k`; 0 outside.
+    fn at(&self, k: usize) -> f64 {
+        let k = k as f64;
+        if k < self.first || k > self.last {
+            return 0.0;
+        }
+        let from_edges = [k - self.first, self.last - k];
+        let beside = |(from, corrections): (f64, &[f64; EDGE_POINTS])| {
+            corrections.get(from as usize).copied().unwrap_or(0.0)
+        };
+        1.0 + from_edges
+            .into_iter()
+            .zip(&self.corrections)
+            .map(beside)
+            .sum::<f64>()
+    }
 }
 
 /// The trajectory moved so that its first knot is at zero, and where that was: positions far from the world's origin lose nothing then.
@@ -185,7 +269,7 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
 }
 
 /// The sonar equation for one element.
-struct Sonar<'a> {
+pub(super) struct Sonar<'a> {
     track: &'a Trajectory,
     tx: &'a TransmitArray,
     array: &'a ArrayGeometry,
@@ -197,7 +281,7 @@ struct Sonar<'a> {
 }
 
 impl<'a> Sonar<'a> {
-    fn new(
+    pub(super) fn new(
         plan: &PingPlan,
         tx: &'a TransmitArray,
         array: &'a ArrayGeometry,
@@ -226,8 +310,24 @@ impl<'a> Sonar<'a> {
         law: ScatterLaw,
         normal: [f32; 3],
     ) -> f64 {
-        let towards = |pattern: &Directivity, ray_m: DVec3, time_s: f64, mounting: glam::DQuat| {
-            let world_from_body = self.track.pose_at(time_s).world_from_body;
+        let attitude = |time_s: f64| self.track.pose_at(time_s).world_from_body;
+        self.amplitude_seen_from(
+            (transmit_ray_m, attitude(0.0)),
+            (receive_ray_m, attitude(leading_s)),
+            law,
+            normal,
+        )
+    }
+
+    /// [`Self::amplitude`] with the platform's attitudes at transmission and reception given.
+    pub(super) fn amplitude_seen_from(
+        &self,
+        (transmit_ray_m, transmit_attitude): (DVec3, DQuat),
+        (receive_ray_m, receive_attitude): (DVec3, DQuat),
+        law: ScatterLaw,
+        normal: [f32; 3],
+    ) -> f64 {
+        let towards = |pattern: &Directivity, ray_m: DVec3, world_from_body: DQuat, mounting| {
             let array_from_world = DMat3::from_quat(world_from_body * mounting).transpose();
             let u = array_from_world * ray_m.normalize_or_zero();
             pattern.towards(u.x, u.y, u.z)
@@ -235,13 +335,13 @@ impl<'a> Sonar<'a> {
         let transmit = towards(
             &self.transmit_pattern,
             transmit_ray_m,
-            0.0,
+            transmit_attitude,
             self.tx.mounting.body_from_array,
         );
         let receive = towards(
             &self.element_pattern,
             receive_ray_m,
-            leading_s,
+            receive_attitude,
             self.array.mounting.body_from_array,
         );
         let law = match law {

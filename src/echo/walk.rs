@@ -11,16 +11,17 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::flow::{
-    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, EchoCounts, PingPlan, ScatterLaw, Scatterers,
-    TransmitArray,
+    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, EchoCounts, PathModel, PingPlan,
+    ScatterLaw, Scatterers, TransmitArray,
 };
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
-use super::paths::{Batch, ElementTrack, Rays, Transmit, solve};
+use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
+use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
 mod line;
 
-pub use line::{LineWorkspace, Stretch, line_arrivals};
+pub use line::{LineEchoes, LineWorkspace, line_arrivals};
 
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,11 +107,21 @@ impl Workspace {
     pub fn new() -> Self {
         Self::default()
     }
+
+    /// With room for a polyline of so many segments, so that no ping allocates.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            track: ElementTrack::with_room_for(segments),
+            ..Self::default()
+        }
+    }
 }
 
 /// A batch at one element, before anything is left out.
 struct Heard {
     doppler: [f64; CHUNK],
+    /// Half the second derivative of the emission time, per second.
+    curvature_per_s: [f64; CHUNK],
     /// Second leg, element pattern, receive half of the law, sensitivity: volts per uPa at 1 m from the scatterer.
     gain: [f64; CHUNK],
     /// |transmit pattern x element pattern|.
@@ -123,6 +134,7 @@ impl Default for Heard {
         let zero = [0.0; CHUNK];
         Self {
             doppler: zero,
+            curvature_per_s: zero,
             gain: zero,
             level: zero,
             range_m: zero,
@@ -195,7 +207,8 @@ pub fn illuminate(
         lit.normal_x.push(normal[0]);
         lit.normal_y.push(normal[1]);
         lit.normal_z.push(normal[2]);
-        lit.closing_m_per_s.push(transmit.velocity_m_per_s.dot(ray));
+        lit.closing_m_per_s
+            .push(transmit.motion.velocity_m_per_s.dot(ray));
     }
     for batch in lit.range_m.chunks(CHUNK) {
         let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
@@ -236,8 +249,14 @@ pub fn arrivals(
         chunk,
     } = work;
     track.lay(plan, &lit.transmit, array, element);
-    // u >= (2 r_T - reach)/c: batches wholly past the window need no solving.
-    let farthest_m = 0.5 * (c * window.last_s + track.reach_m(window.last_s));
+    // u >= (2 r_T - reach)/c: batches wholly past the window need no solving. Eq. 21 may move an echo forward, by 3 v/c of its delay at most
+    // and with v below 0.1 c.
+    let forward = match plan.model.doppler {
+        DopplerModel::PaperEq21 => 1.5,
+        _ => 1.0,
+    };
+    let last_s = forward * window.last_s;
+    let farthest_m = 0.5 * (c * last_s + track.reach_m(last_s));
     chunk.element = element;
     chunk.len = 0;
 
@@ -258,12 +277,23 @@ pub fn arrivals(
         let odd = solve(track, c, batch, rays);
         counts.no_root += odd.no_root;
         counts.two_roots += odd.two_roots;
+        if plan.model.path == PathModel::Continuous {
+            refine(plan, &lit.transmit, track, batch, rays);
+        }
         weigh(&receive, lit, span.clone(), rays, heard);
+        match plan.model.doppler {
+            DopplerModel::None | DopplerModel::Stretch => {}
+            DopplerModel::StretchQuadratic => {
+                stretch_twice(plan, lit, track, batch, rays, heard);
+            }
+            DopplerModel::PaperEq21 => stretch_delays(c, lit, span.clone(), rays, heard),
+        }
 
         for (i, m) in span.enumerate() {
             let delay_s = rays.delay_s[i];
-            let doppler = heard.doppler[i];
-            let ended = (window.first_s - delay_s) * (1.0 + doppler) > duration_s;
+            let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
+            let heard_s = window.first_s - delay_s;
+            let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
             if delay_s > window.last_s || ended {
                 counts.outside_window += 1;
                 continue;
@@ -279,6 +309,7 @@ pub fn arrivals(
             let at = chunk.len;
             chunk.delay_s[at] = delay_s;
             chunk.doppler[at] = doppler;
+            chunk.curvature_per_s[at] = curvature_per_s;
             chunk.amplitude[at] = amplitude;
             chunk.len = at + 1;
             if chunk.len == CHUNK {
@@ -365,6 +396,57 @@ fn weigh_plain(
         // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), without taking 1 from a number near 1.
         heard.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
             / (receive.c - closing_m_per_s[i]);
+    }
+}
+
+/// [`DopplerModel::StretchQuadratic`]: expansions about mid-pulse in place of those about the leading edge.
+fn stretch_twice(
+    plan: &PingPlan,
+    lit: &Illuminated,
+    track: &ElementTrack,
+    batch: Batch,
+    rays: &mut Rays,
+    heard: &mut Heard,
+) {
+    let half_s = 0.5 * plan.pulse.duration_s;
+    for i in 0..batch.range_m.len().min(CHUNK) {
+        let transmit = Leg {
+            ray_m: DVec3::new(batch.x_m[i], batch.y_m[i], batch.z_m[i]),
+            motion: lit.transmit.motion,
+        };
+        let receive = Leg {
+            ray_m: DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]),
+            motion: track.motion_at(plan, rays.delay_s[i]),
+        };
+        let (delay_s, doppler) = (rays.delay_s[i], heard.doppler[i]);
+        let echo = about_mid_pulse(
+            plan.sound_speed_m_per_s,
+            half_s,
+            transmit,
+            receive,
+            delay_s,
+            doppler,
+        );
+        rays.delay_s[i] = echo.delay_s;
+        heard.doppler[i] = echo.doppler;
+        heard.curvature_per_s[i] = echo.curvature_per_s;
+    }
+}
+
+/// [`DopplerModel::PaperEq21`]: the stretch goes into the delays.
+fn stretch_delays(
+    c: f64,
+    lit: &Illuminated,
+    span: std::ops::Range<usize>,
+    rays: &mut Rays,
+    heard: &mut Heard,
+) {
+    for (i, m) in span.enumerate() {
+        let a = lit.closing_m_per_s[m];
+        // eta - 1 = (a + b)/(c - a)
+        let b = heard.doppler[i] * (c - a) - a;
+        rays.delay_s[i] = paper_eq21_delay_s(c, lit.range_m[m] / c, rays.delay_s[i], (a, b));
+        heard.doppler[i] = 0.0;
     }
 }
 

@@ -4,10 +4,15 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Sets `stop` at the first SIGINT or SIGTERM. At the second the process ends at once, with the shell's usual status.
+/// A signal that follows the first within this is the same wish told twice, as when a shell tells the group and a wrapper tells its child.
+const SAME_WISH: Duration = Duration::from_secs(1);
+
+/// Sets `stop` at the first SIGINT or SIGTERM. At another, later than [`SAME_WISH`], the process ends at once, with the shell's usual
+/// status: what is recorded by then stays readable.
 pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -24,15 +29,21 @@ pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
         .name("signals".into())
         .spawn(move || {
             runtime.block_on(async {
+                let mut first: Option<Instant> = None;
                 loop {
                     let number = tokio::select! {
                         _ = interrupt.recv() => 2,
                         _ = terminate.recv() => 15,
                     };
-                    if stop.swap(true, Ordering::AcqRel) {
-                        std::process::exit(128 + number);
+                    match first {
+                        None => {
+                            first = Some(Instant::now());
+                            stop.store(true, Ordering::Release);
+                            eprintln!("stopping");
+                        }
+                        Some(at) if at.elapsed() > SAME_WISH => std::process::exit(128 + number),
+                        Some(_) => {}
                     }
-                    eprintln!("stopping");
                 }
             });
         })?;

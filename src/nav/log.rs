@@ -19,8 +19,6 @@ const DAY_NS: i64 = 86_400 * NS_PER_S;
 const QUARTER_HOUR_NS: i64 = 900 * NS_PER_S;
 /// Above this the recorder's clock and the messages do not share a time; serial latency stays below it.
 pub const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
-/// Lines per second of a log with neither stamps nor message times, where the configuration says nothing.
-const DEFAULT_RATE_HZ: f64 = 10.0;
 
 /// What a log's lines were.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,7 +61,7 @@ pub fn read_log(
     let mut samples = Vec::new();
     let mut raw = None;
     let mut plain_now = start.first_message.unwrap_or_default();
-    let step_ns = NS_PER_S as f64 / rate_or_default(plain_rate_hz);
+    let step_ns = NS_PER_S as f64 / plain_rate_hz;
     for line in bytes.split_inclusive(|&b| b == b'\n') {
         let (stamp, sentence) = split_line(line);
         counts.lines += 1;
@@ -98,14 +96,6 @@ pub fn read_log(
         }
     }
     (samples, *decoder.counters(), counts)
-}
-
-fn rate_or_default(plain_rate_hz: f64) -> f64 {
-    if plain_rate_hz > 0.0 {
-        plain_rate_hz
-    } else {
-        DEFAULT_RATE_HZ
-    }
 }
 
 struct Survey {

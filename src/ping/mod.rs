@@ -80,6 +80,11 @@ impl Schedule {
         self.next_utc
     }
 
+    /// The number it will have.
+    pub fn next_number(&self) -> u32 {
+        self.next_number
+    }
+
     /// The next ping if its instant has come. `settings_at` tells the settings that were in force at an instant: asking late changes
     /// nothing. While pinging is off the schedule keeps its beat and gives nothing.
     pub fn due(
@@ -162,7 +167,7 @@ pub fn most_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
 }
 
 /// Longest polyline within the limits, for sizing buffers.
-fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+pub fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     (window_s(&longest(spec), sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
 }
 

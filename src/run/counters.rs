@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::flow::{EchoCounts, NavState};
+use crate::flow::{Certificate, EchoCounts, NavState};
 
 /// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
 #[derive(Debug, Default)]
@@ -28,6 +28,10 @@ pub struct PingCounters {
     pub arrivals: AtomicU64,
     pub culled: AtomicU64,
     pub extrapolated: AtomicU64,
+    /// Pings that carried a certificate.
+    pub certified: AtomicU64,
+    /// The newest certificate: error, low, high, as the bits of f64.
+    pub certificate: [AtomicU64; 3],
 }
 
 pub fn add(counter: &AtomicU64, n: u64) {
@@ -52,6 +56,29 @@ impl PingCounters {
         worst(&self.worst_compute_us, compute_us);
     }
 
+    /// What a ping's certificate says, if it has one.
+    pub fn certificate(&self, certificate: Option<&Certificate>) {
+        let Some(c) = certificate else {
+            return;
+        };
+        add(&self.certified, 1);
+        for (to, value) in self.certificate.iter().zip([c.error, c.low, c.high]) {
+            to.store(value.to_bits(), Ordering::Relaxed);
+        }
+    }
+
+    /// For the status lines; empty where no ping was certified.
+    fn certificate_text(&self) -> String {
+        if read(&self.certified) == 0 {
+            return String::new();
+        }
+        let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.certificate[k])));
+        format!(
+            ", {} certified: error {error:.1e} ({low:.1e} to {high:.1e})",
+            read(&self.certified)
+        )
+    }
+
     /// Where the navigation behind a ping came from in time.
     pub fn nav(&self, state: &NavState) {
         let age_s = state.position_age_s.max(state.attitude_age_s).max(0.0);
@@ -63,11 +90,22 @@ impl PingCounters {
     /// For `replay`, which has no clock.
     pub fn replay_line(&self) -> String {
         format!(
-            "{} pings made, {} skipped (navigation), {} samples saturated",
+            "{} pings made, {} skipped (navigation), {} samples saturated{}",
             read(&self.made),
             read(&self.skipped_nav),
-            read(&self.samples_saturated)
+            read(&self.samples_saturated),
+            self.certificate_text()
         )
+    }
+
+    /// What an operator should know who sees nothing but skipped pings.
+    pub fn advice(&self, latency_s: f64) -> Option<String> {
+        (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
+            format!(
+                "  no ping yet: the navigation has covered none within run.latency_ms = {}. `settle` needs two measurements of every quantity after a ping's window: raise run.latency_ms above twice their interval, or take nav.mode = \"predict\"",
+                latency_s * 1e3
+            )
+        })
     }
 
     pub fn skipped(&self) -> u64 {
@@ -80,7 +118,7 @@ impl fmt::Display for PingCounters {
         let made = read(&self.made);
         write!(
             f,
-            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} samples saturated",
+            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} samples saturated{}",
             self.skipped(),
             read(&self.skipped_nav),
             read(&self.skipped_late),
@@ -92,6 +130,7 @@ impl fmt::Display for PingCounters {
             read(&self.nav_age_ms),
             read(&self.extrapolated),
             read(&self.samples_saturated),
+            self.certificate_text(),
         )
     }
 }

@@ -1,7 +1,7 @@
 //! The daemon: pings paced in real time on absolute deadlines.
 //!
 //! ```text
-//! pipeline thread                          delivery thread                    server threads (tokio)
+//! pipeline thread                          a delivery thread per sonar        server threads (tokio)
 //!   nav in -> orders at t_tx -> compute ->   records -> wait for deadline ->    clients, each with its own queue
 //!        ^------------- free slots ------------'
 //! ```
@@ -13,7 +13,7 @@
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread;
+use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
@@ -24,7 +24,7 @@ use crate::io::sonar::RigTime;
 use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::counters::{PingCounters, add, worst};
-use crate::run::outputs::{OutputError, Outputs};
+use crate::run::outputs::{OutputError, OutputReports, Outputs};
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
 use crate::time::{Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
@@ -57,6 +57,49 @@ struct Delivery {
     deadline: MonoNs,
 }
 
+/// The pipeline's end of one sonar's way out. Each sonar has its own, with its own thread: a ping that waits for its deadline holds up no
+/// other sonar's.
+struct Lane {
+    free: Receiver<Box<PingSlot>>,
+    /// A slot whose ping was skipped.
+    spare: Option<Box<PingSlot>>,
+    to_delivery: Sender<Delivery>,
+}
+
+impl Lane {
+    fn slot(&mut self) -> Option<Box<PingSlot>> {
+        self.spare.take().or_else(|| self.free.try_recv().ok())
+    }
+}
+
+/// Makes the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
+fn open_lane(
+    rig: &Rig,
+    sonar: usize,
+    outputs: Outputs,
+    clock: &Arc<dyn Clock>,
+    counters: &Arc<PingCounters>,
+) -> Result<(Lane, JoinHandle<Result<(), OutputError>>), DaemonError> {
+    let slots = rig.spec.run.queue_pings;
+    let (to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let (to_free, free) = bounded::<Box<PingSlot>>(slots);
+    for _ in 0..slots {
+        // Cannot fail: the channel holds exactly this many.
+        let _ = to_free.try_send(Box::new(rig.slot(sonar)));
+    }
+    let (clock, counters) = (clock.clone(), counters.clone());
+    let thread = thread::Builder::new()
+        .name(format!("delivery {sonar}"))
+        .spawn(move || deliver(outputs, &deliveries, &to_free, &*clock, &counters))
+        .map_err(DaemonError::Thread)?;
+    let lane = Lane {
+        free,
+        spare: None,
+        to_delivery,
+    };
+    Ok((lane, thread))
+}
+
 /// An order with its sonar and the last instant at which its ping is of use.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
@@ -72,7 +115,8 @@ pub struct Daemon {
     pool: rayon::ThreadPool,
     rig: Rig,
     inputs: NavInputs,
-    outputs: Outputs,
+    /// One per sonar.
+    outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
     counters: Vec<Arc<PingCounters>>,
     timeline: Arc<OnceLock<Timeline>>,
@@ -102,11 +146,11 @@ impl Daemon {
             })
             .collect();
         let timeline = Arc::new(OnceLock::new());
-        let outputs = Outputs::open(
-            &rig,
-            &settings,
-            &wire_time(spec.nav.stamp, &clock, &timeline),
-        )?;
+        let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
+        let mut outputs = Vec::new();
+        for (unit, settings) in rig.sonars.iter().zip(&settings) {
+            outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
+        }
         let counters = spec
             .sonars
             .iter()
@@ -133,7 +177,7 @@ impl Daemon {
             .iter()
             .map(|(name, address)| format!("nav {name} udp {address}"))
             .collect();
-        lines.extend(self.outputs.addresses());
+        lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         lines
     }
 
@@ -151,28 +195,23 @@ impl Daemon {
             timeline,
             stop,
         } = self;
+        let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
-        let slots = rig.spec.run.queue_pings;
-        let (to_delivery, deliveries) = bounded::<Delivery>(slots);
-        // One row of slots per sonar: they differ in size.
-        let (free, slot_pools): (Vec<_>, Vec<_>) = (0..rig.sonars.len())
-            .map(|_| bounded::<Box<PingSlot>>(slots))
-            .unzip();
-        for (sonar, free) in free.iter().enumerate() {
-            for _ in 0..slots {
-                // Cannot fail: the channel holds exactly this many.
-                let _ = free.try_send(Box::new(rig.slot(sonar)));
-            }
+        let reports: Vec<OutputReports> = outputs.iter().map(Outputs::reports).collect();
+        let mut lanes = Vec::new();
+        let mut deliveries = Vec::new();
+        for (sonar, outputs) in outputs.into_iter().enumerate() {
+            let (lane, thread) = open_lane(&rig, sonar, outputs, &clock, &counters[sonar])?;
+            lanes.push(lane);
+            deliveries.push(thread);
         }
         let nav_lines = Arc::new(Mutex::new(Vec::new()));
-        let reports = outputs.reports();
         let names: Vec<String> = rig
             .spec
             .sonars
             .iter()
             .map(|sonar| sonar.name.clone())
             .collect();
-        let finished = Arc::new(AtomicBool::new(false));
         let pacer = Pacer {
             schedules: Vec::new(),
             waiting: VecDeque::with_capacity(MOST_ORDERS),
@@ -182,40 +221,23 @@ impl Daemon {
             counters: counters.clone(),
             clock: clock.clone(),
             stop: stop.clone(),
-            spare: vec![None; slot_pools.len()],
-            slot_pools,
-            to_delivery,
+            lanes,
             timeline,
             nav_lines: nav_lines.clone(),
             next_nav_lines: MonoNs(0),
         };
-        let delivery_clock = clock.clone();
-        let delivery_counters = counters.clone();
-        let delivery = thread::Builder::new()
-            .name("delivery".into())
-            .spawn(move || {
-                deliver(
-                    outputs,
-                    &deliveries,
-                    &free,
-                    &*delivery_clock,
-                    &delivery_counters,
-                )
-            })
-            .map_err(DaemonError::Thread)?;
-        let done = finished.clone();
         let pipeline = thread::Builder::new()
             .name("pipeline".into())
             .spawn(move || {
                 // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
                 pool.install(move || pacer.run());
-                done.store(true, Ordering::Release);
             })
             .map_err(DaemonError::Thread)?;
         let report = || {
             let mut lines = Vec::new();
             for (name, counters) in names.iter().zip(&counters) {
                 lines.push(format!("sonar {name}: {counters}"));
+                lines.extend(counters.advice(latency_s));
             }
             lines.extend(
                 nav_lines
@@ -224,11 +246,11 @@ impl Daemon {
                     .iter()
                     .cloned(),
             );
-            lines.extend(reports.lines());
+            lines.extend(reports.iter().flat_map(OutputReports::lines));
             lines.join("\n")
         };
         let mut next_status = clock.mono().plus_ns(status_interval_ns);
-        while !finished.load(Ordering::Acquire) {
+        while !pipeline.is_finished() {
             clock.sleep_until(clock.mono().plus_ns(20_000_000).min(next_status));
             if clock.mono() >= next_status {
                 status(&report());
@@ -236,7 +258,11 @@ impl Daemon {
             }
         }
         pipeline.join().map_err(|_| DaemonError::Panic)?;
-        let closed = delivery.join().map_err(|_| DaemonError::Panic)?;
+        let mut closed = Ok(());
+        for thread in deliveries {
+            let this = thread.join().map_err(|_| DaemonError::Panic)?;
+            closed = closed.and(this);
+        }
         status(&report());
         closed.map_err(DaemonError::Output)
     }
@@ -267,10 +293,8 @@ struct Pacer {
     schedules: Vec<Schedule>,
     /// In order of `t_tx`.
     waiting: VecDeque<Waiting>,
-    slot_pools: Vec<Receiver<Box<PingSlot>>>,
-    /// One per sonar: a slot whose ping was skipped.
-    spare: Vec<Option<Box<PingSlot>>>,
-    to_delivery: Sender<Delivery>,
+    /// One per sonar.
+    lanes: Vec<Lane>,
     /// Read by whoever stamps answers.
     timeline: Arc<OnceLock<Timeline>>,
     /// The navigation's counters as text, renewed every second for whoever prints.
@@ -297,7 +321,10 @@ impl Pacer {
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
             self.renew_nav_lines(now);
-            self.order(utc, &timeline);
+            // A log that has ended makes no more pings; those ordered before are still made.
+            if !self.inputs.finished() {
+                self.order(utc, &timeline);
+            }
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -443,10 +470,7 @@ impl Pacer {
         if !covered {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         }
-        let Some(mut slot) = self.spare[sonar]
-            .take()
-            .or_else(|| self.slot_pools[sonar].try_recv().ok())
-        else {
+        let Some(mut slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
         let host_now = self.clock.host_utc();
@@ -461,17 +485,19 @@ impl Pacer {
                     saturated,
                     (self.clock.mono().0 - now.0).max(0) as u64 / 1000,
                 );
+                counters.certificate(output.certificate.as_ref());
                 counters.nav(&slot.plan.nav);
                 // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
-                if let Err(TrySendError::Disconnected(_)) =
-                    self.to_delivery.try_send(Delivery { slot, deadline })
+                if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
+                    .to_delivery
+                    .try_send(Delivery { slot, deadline })
                 {
                     self.stop.store(true, Ordering::Release);
                 }
             }
             Err(_gap) => {
                 add(&counters.skipped_nav, 1);
-                self.spare[sonar] = Some(slot);
+                self.lanes[sonar].spare = Some(slot);
             }
         }
         Step::Done
@@ -482,23 +508,23 @@ impl Pacer {
 fn deliver(
     mut outputs: Outputs,
     deliveries: &Receiver<Delivery>,
-    free: &[Sender<Box<PingSlot>>],
+    free: &Sender<Box<PingSlot>>,
     clock: &dyn Clock,
-    counters: &[Arc<PingCounters>],
+    counters: &PingCounters,
 ) -> Result<(), OutputError> {
     let mut first_error = None;
     for Delivery { slot, deadline } in deliveries {
-        let sonar = slot.plan.sonar;
         outputs.encode(&slot);
-        let _ = free[sonar].try_send(slot);
+        // Its place in the channel is free: it came from there.
+        let _ = free.try_send(slot);
         clock.sleep_until(deadline);
         let late_us = (clock.mono().0 - deadline.0).max(0) as u64 / 1000;
-        worst(&counters[sonar].worst_late_us, late_us);
+        worst(&counters.worst_late_us, late_us);
         if late_us > DEADLINE_TOLERANCE_US {
-            add(&counters[sonar].deadline_misses, 1);
+            add(&counters.deadline_misses, 1);
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver(sonar) {
+        if let Err(error) = outputs.deliver() {
             eprintln!("echotank: {error}");
             first_error.get_or_insert(error);
         }

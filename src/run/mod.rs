@@ -1,4 +1,5 @@
 //! Who knows the order: one ping through the house, the rig around it, and the two ways to run it.
+pub mod certificate;
 pub mod counters;
 pub mod daemon;
 pub mod outputs;

@@ -13,7 +13,7 @@ use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::{OpenError, RigTime, SonarServer};
 use crate::run::recorders::begin_s7k;
-use crate::run::rig::{PingSlot, Rig};
+use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
 use crate::time::UtcNs;
 
@@ -25,9 +25,8 @@ pub enum OutputError {
     Record(#[from] RecordError),
 }
 
-/// One 7k output of one sonar.
+/// One 7k output.
 struct SevenK {
-    sonar: usize,
     name: String,
     emitter: SevenKEmitter,
     server: Arc<SonarServer>,
@@ -36,7 +35,7 @@ struct SevenK {
     pending: Vec<Arc<Datagram>>,
 }
 
-/// All outputs of a rig; belongs to the delivery thread.
+/// The outputs of one sonar; they belong to its delivery thread.
 pub struct Outputs {
     sevenk: Vec<SevenK>,
 }
@@ -48,56 +47,54 @@ pub struct OutputReports {
 
 impl Outputs {
     pub fn open(
-        rig: &Rig,
-        settings: &[Arc<SettingsStore>],
+        spec: &RigSpec,
+        unit: &SonarUnit,
+        settings: &Arc<SettingsStore>,
         rig_time: &RigTime,
     ) -> Result<Self, OutputError> {
-        let spec: &RigSpec = &rig.spec;
         let mut sevenk = Vec::new();
-        for (sonar, unit) in rig.sonars.iter().enumerate() {
-            for output in &unit.spec.outputs {
-                let OutputSpec::SevenK(output) = output;
-                let sheet = Arc::new(DeviceSheet::new(
-                    output,
-                    &unit.spec,
-                    spec.medium.sound_speed_m_per_s,
-                    unit.absorption_db_per_m,
-                ));
-                let port: Arc<dyn SettingsPort> = settings[sonar].clone();
-                let server = SonarServer::start(output, sheet.clone(), port, rig_time.clone())
-                    .map_err(|source| OutputError::Server {
-                        name: unit.spec.name.clone(),
-                        source,
-                    })?;
-                let recorder = match &spec.record {
-                    None => None,
-                    Some(record) => {
-                        make_folder(&record.directory)?;
-                        Some(begin_s7k(
-                            &record.directory.join(file_name(&unit.spec, rig_time())),
-                            &sheet,
-                            rig_time(),
-                        )?)
-                    }
-                };
-                sevenk.push(SevenK {
-                    sonar,
+        for output in &unit.spec.outputs {
+            let OutputSpec::SevenK(output) = output;
+            let sheet = Arc::new(DeviceSheet::new(
+                output,
+                &unit.spec,
+                spec.medium.sound_speed_m_per_s,
+                unit.absorption_db_per_m,
+            ));
+            let port: Arc<dyn SettingsPort> = settings.clone();
+            let server = SonarServer::start(output, sheet.clone(), port, rig_time.clone())
+                .map_err(|source| OutputError::Server {
                     name: unit.spec.name.clone(),
-                    emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
-                    server: Arc::new(server),
-                    recorder,
-                    pending: Vec::new(),
-                });
-            }
+                    source,
+                })?;
+            let recorder = match &spec.record {
+                None => None,
+                Some(record) => {
+                    make_folder(&record.directory)?;
+                    let now = rig_time();
+                    let path = record.directory.join(file_name(&unit.spec, now));
+                    Some(begin_s7k(&path, &sheet, now)?)
+                }
+            };
+            sevenk.push(SevenK {
+                name: unit.spec.name.clone(),
+                emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
+                server: Arc::new(server),
+                recorder,
+                pending: Vec::new(),
+            });
         }
         Ok(Self { sevenk })
     }
 
-    /// One line per output: `7k NAME tcp ADDRESS`.
+    /// Where each output listens, `7k NAME tcp ADDRESS` and the same for UDP.
     pub fn addresses(&self) -> Vec<String> {
+        let address = |out: &SevenK, transport: &str| {
+            format!("7k {} {transport} {}", out.name, out.server.local_addr())
+        };
         self.sevenk
             .iter()
-            .map(|out| format!("7k {} tcp {} (udp too)", out.name, out.server.local_addr()))
+            .flat_map(|out| [address(out, "tcp"), address(out, "udp")])
             .collect()
     }
 
@@ -113,11 +110,7 @@ impl Outputs {
 
     /// Makes the records of a ping that somebody wants.
     pub fn encode(&mut self, slot: &PingSlot) {
-        for out in self
-            .sevenk
-            .iter_mut()
-            .filter(|out| out.sonar == slot.plan.sonar)
-        {
+        for out in &mut self.sevenk {
             let recorded = if out.recorder.is_some() {
                 RecordSet::ALL
             } else {
@@ -133,10 +126,10 @@ impl Outputs {
         }
     }
 
-    /// Hands over what [`Self::encode`] made for this sonar. The clients get theirs whatever becomes of the recorder.
-    pub fn deliver(&mut self, sonar: usize) -> Result<(), OutputError> {
+    /// Hands over what [`Self::encode`] made. The clients get theirs whatever becomes of the recorder.
+    pub fn deliver(&mut self) -> Result<(), OutputError> {
         let mut outcome = Ok(());
-        for out in self.sevenk.iter_mut().filter(|out| out.sonar == sonar) {
+        for out in &mut self.sevenk {
             out.server.deliver(&out.pending);
             if let Some(recorder) = &mut out.recorder {
                 for record in &out.pending {

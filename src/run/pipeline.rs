@@ -13,18 +13,23 @@ use rayon::prelude::*;
 
 use crate::array::direct::Direct;
 use crate::array::filter::{self, Decimator, FilterError};
+use crate::array::linear::Linear;
+use crate::array::nearest::Nearest;
 use crate::array::receiver::receive;
+use crate::array::replica::Replica;
+use crate::array::spectral::{Bins, Spectral, Spectrum};
 use crate::beam::RowLimits;
 use crate::beam::conventional::FanFormer;
 use crate::beam::sidescan::LineFormer;
 use crate::config::spec::{MediumSpec, SonarSpec};
-use crate::echo::reference::reference;
+use crate::echo::reference::reference_with;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan, Pulse,
-    ReceiverFilter, Scatterers, Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan,
+    Pulse, ReceiverFilter, Scatterers, Synthesis,
 };
 use crate::ping;
+use crate::run::certificate::Certifier;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -35,6 +40,8 @@ struct Scratch {
     walk: Workspace,
     /// The element's signal ahead of the receiver filter's sampling.
     dense: Vec<Complex64>,
+    /// The element's spectrum, for `spectral`.
+    bins: Bins,
 }
 
 /// What one element met, kept apart until all are done: sums of integers only.
@@ -56,6 +63,12 @@ pub struct SonarPipeline {
     footprints: Vec<Footprint>,
     /// The receiver filter; none samples the sum at its points.
     decimator: Option<Decimator>,
+    /// The pulse's spectrum, for `spectral`.
+    spectrum: Option<Spectrum>,
+    /// The sampled pulse, for `nearest` and `linear`.
+    replica: Replica,
+    /// Where certificates are asked for.
+    certifier: Option<Certifier>,
     lines: Vec<LineFormer>,
     fan: Option<FanFormer>,
 }
@@ -72,12 +85,31 @@ impl SonarPipeline {
             ReceiverFilter::None => None,
             ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
         };
+        let segments = ping::most_segments(spec, medium.sound_speed_m_per_s);
         let dense = decimator
             .as_ref()
             .map_or(0, |d| d.dense_len(limits.samples));
         let scratch = || Scratch {
-            walk: Workspace::default(),
+            walk: Workspace::with_room_for(segments),
             dense: Vec::with_capacity(dense),
+            bins: Bins::default(),
+        };
+        let spectrum = match spec.model.synthesis {
+            Synthesis::Spectral => {
+                let rate_hz = spec.receiver.sample_rate_hz;
+                let tails_s = decimator
+                    .as_ref()
+                    .map_or(0.0, |d| -2.0 * d.dense_first_s(0.0));
+                let record_s = limits.samples as f64 / rate_hz + limits.pulse_s + tails_s;
+                let step_hz = spec.synthesis.frequency_step_hz;
+                Some(Spectrum::new(
+                    rate_hz,
+                    record_s,
+                    step_hz,
+                    decimator.as_ref(),
+                ))
+            }
+            _ => None,
         };
         let elements = spec
             .receive
@@ -101,6 +133,15 @@ impl SonarPipeline {
             results: vec![ElementResult::default(); elements],
             footprints: Vec::with_capacity(spec.transmit.len()),
             decimator,
+            spectrum,
+            certifier: match spec.synthesis.certificate {
+                true => {
+                    let doppler_hz = doppler_hz(spec, medium);
+                    Some(Certifier::new(spec, &shortest_pulse(spec), doppler_hz)?)
+                }
+                false => None,
+            },
+            replica: Replica::default(),
             lines: spec
                 .beams
                 .lines
@@ -133,6 +174,7 @@ impl SonarPipeline {
                 })
                 .collect(),
             counts: EchoCounts::default(),
+            certificate: None,
         }
     }
 
@@ -162,8 +204,14 @@ impl SonarPipeline {
     ) {
         output.counts = EchoCounts::default();
         self.light(plan, scatterers, &mut output.counts);
+        if let Some(certifier) = &mut self.certifier {
+            certifier.choose(plan, &self.spec, scatterers.len());
+        }
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.synthesise(plan, scatterers, index, frame, &mut output.counts);
+        }
+        if let Some(certifier) = &mut self.certifier {
+            output.certificate = certifier.certify(plan, &self.spec, scatterers);
         }
         for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
             let array = former.array();
@@ -179,6 +227,18 @@ impl SonarPipeline {
     fn light(&mut self, plan: &PingPlan, scatterers: &Scatterers, counts: &mut EchoCounts) {
         if plan.model.synthesis == Synthesis::Reference {
             return;
+        }
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        match plan.model.synthesis {
+            Synthesis::Reference | Synthesis::Direct => {}
+            Synthesis::Spectral => {
+                if let Some(spectrum) = &mut self.spectrum {
+                    spectrum.prepare(plan);
+                }
+            }
+            Synthesis::Nearest | Synthesis::Linear => {
+                self.replica.prepare(plan, rate_hz, self.decimator.as_ref());
+            }
         }
         let (first_s, rate_hz, len) = self.grid(plan);
         let window = Window::of_samples(first_s, rate_hz, len);
@@ -239,6 +299,24 @@ impl SonarPipeline {
         self.results = results;
     }
 
+    /// A sum over echoes through the receiver filter, if there is one: `sum` gets what happens at edges, rate, first instant and samples.
+    fn filtered(
+        &self,
+        plan: &PingPlan,
+        dense: &mut Vec<Complex64>,
+        iq: &mut [Complex64],
+        sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]) -> EchoCounts,
+    ) -> EchoCounts {
+        let (first_s, rate_hz, len) = self.grid(plan);
+        let Some(decimator) = &self.decimator else {
+            return sum(Edges::Sampled, rate_hz, first_s, iq);
+        };
+        dense.resize(len, Complex64::ZERO);
+        let counts = sum(Edges::Weighted, rate_hz, first_s, dense);
+        decimator.apply(dense, iq);
+        counts
+    }
+
     /// One element: its echoes, the receiver filter, the receiver.
     fn element(
         &self,
@@ -254,37 +332,43 @@ impl SonarPipeline {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let Scratch { walk, dense } = &mut *scratch;
-        let (first_s, rate_hz, len) = self.grid(plan);
-        let out = match &self.decimator {
-            None => &mut *iq,
-            Some(_) => {
-                dense.resize(len, Complex64::ZERO);
-                &mut dense[..]
-            }
-        };
+        let Scratch { walk, dense, bins } = &mut *scratch;
+        let lit = &self.lit[array.transmit];
+        let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
         let counts = match plan.model.synthesis {
             Synthesis::Reference => {
                 let transmit = &self.spec.transmit[array.transmit];
-                reference(
-                    plan, transmit, array, element, scatterers, rate_hz, first_s, out,
-                )
+                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+                    reference_with(
+                        edges, plan, transmit, array, element, scatterers, rate_hz, first_s, out,
+                    )
+                })
             }
-            Synthesis::Direct => {
+            Synthesis::Direct => self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                 out.fill(Complex64::ZERO);
-                let mut sink = Direct::new(plan, rate_hz, first_s, out);
-                arrivals(
-                    plan,
-                    array,
-                    element,
-                    &self.lit[array.transmit],
-                    walk,
-                    &mut sink,
-                )
+                let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                arrivals(plan, array, element, lit, walk, &mut sink)
+            }),
+            Synthesis::Spectral => {
+                let spectrum = self.spectrum.as_ref().expect("made with the pipeline");
+                let mut sink = Spectral::new(plan, spectrum, first_s, bins);
+                let counts = arrivals(plan, array, element, lit, walk, &mut sink);
+                sink.finish(iq);
+                counts
+            }
+            Synthesis::Nearest => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Nearest::new(plan, &self.replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, lit, walk, &mut sink)
+            }
+            Synthesis::Linear => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Linear::new(plan, &self.replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, lit, walk, &mut sink)
             }
         };
-        if let Some(decimator) = &self.decimator {
-            decimator.apply(dense, iq);
+        if let Some(certifier) = &self.certifier {
+            certifier.take(plan, rate_hz, index, element, iq);
         }
         ElementResult {
             counts,
@@ -295,19 +379,25 @@ impl SonarPipeline {
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
 fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
-    let shortest = Pulse {
-        duration_s: spec.limits.pulse_duration_s.0,
-        ..spec.pulse
-    };
+    let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
-    let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s
-        * spec.pulse.center_frequency_hz;
     Decimator::new(
         &shortest,
         rate_hz,
-        doppler_hz,
+        doppler_hz(spec, medium),
         filter::oversample(&shortest, rate_hz, spec.model.synthesis),
     )
+}
+
+fn shortest_pulse(spec: &SonarSpec) -> Pulse {
+    Pulse {
+        duration_s: spec.limits.pulse_duration_s.0,
+        ..spec.pulse
+    }
+}
+
+fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
+    2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
 }
 
 /// Sine of the angle from broadside beyond which a line's pattern stays below `cull_db`: the envelope 1/(pi x) of sinc x, x = L s/lambda.

@@ -9,7 +9,7 @@ use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, PingPlan, Target};
-use crate::image::waterfall::{Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
@@ -19,9 +19,14 @@ use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: a picture that fits a screen twice over.
-const WATERFALL_COLUMNS: f64 = 1000.0;
+/// Columns of a waterfall on each side, at most: both sides fit a screen.
+const WATERFALL_COLUMNS: f64 = 600.0;
 
+/// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
+const SCALE: Scale = Scale::Percentiles {
+    low: 0.28,
+    high: 0.99997,
+};
 /// 7k device identifier of a side-scan of no particular make.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
@@ -206,6 +211,7 @@ fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
         range_m: plan.settings.range_m,
         metres_per_pixel,
         rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
+        scale: SCALE,
         ..WaterfallSpec::default()
     };
     Waterfall::new(picture, spec.receiver.sample_rate_hz)

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::config::spec::{NavChannel, NavMode, RigSpec};
+use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::io::record::RecordError;
 use crate::nav::Coverage;
@@ -152,18 +153,20 @@ impl Replay {
 
     /// The next ping in time over all sonars, or none when every one has made its last.
     fn next_order(&mut self) -> Option<(usize, PingOrder)> {
-        let (sonar, next_utc) = self
+        let last = self.pings.1;
+        let (sonar, schedule) = self
             .schedules
-            .iter()
-            .map(Schedule::next_utc)
+            .iter_mut()
             .enumerate()
-            .min_by_key(|&(_, utc)| utc)?;
-        let settings = self.rig.sonars[sonar].spec.settings;
-        let mut running = settings;
-        // Nobody is there to send "start".
-        running.pinging = true;
-        let order = self.schedules[sonar].due(next_utc, |_| running)?;
-        (order.ping_number <= self.pings.1).then_some((sonar, order))
+            .filter(|(_, schedule)| schedule.next_number() <= last)
+            .min_by_key(|(_, schedule)| schedule.next_utc())?;
+        let running = SonarSettings {
+            // Nobody is there to send "start".
+            pinging: true,
+            ..self.rig.sonars[sonar].spec.settings
+        };
+        let order = schedule.due(schedule.next_utc(), |_| running)?;
+        Some((sonar, order))
     }
 
     /// Reads on until the navigation covers the ping; false when the log has ended before.
@@ -204,6 +207,7 @@ impl Replay {
                     .map(|frame| frame.saturated)
                     .sum();
                 counters.ping(&slot.output.counts, saturated, 0);
+                counters.certificate(slot.output.certificate.as_ref());
                 self.recorders.record(slot, self.rig.targets())?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),

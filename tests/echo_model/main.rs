@@ -1,6 +1,8 @@
 //! The echo model held to closed forms and to plain slow formulas: `echo` and `array` together, through their public faces.
 
+mod cards;
 mod paths;
+mod probe;
 mod receiver;
 mod rig;
 mod synthesis;

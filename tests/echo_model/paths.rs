@@ -36,8 +36,13 @@ fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
 #[test]
 fn exact_minus_stop_and_hop_is_the_closed_form_to_1e_12_m() {
     let mut worst: f64 = 0.0;
-    for v in [0.0, 1e-9, 1e-3, 1.0, 5.144, 20.0, 150.0] {
-        let moving = ahead(v);
+    let moving_models = &PathModel::ALL[1..];
+    for (v, path) in [0.0, 1e-9, 1e-3, 1.0, 5.144, 20.0, 150.0]
+        .into_iter()
+        .flat_map(|v| moving_models.iter().map(move |&path| (v, path)))
+    {
+        let mut moving = ahead(v);
+        moving.model.path = path;
         let mut hopping = ahead(v);
         hopping.model.path = PathModel::StopAndHop;
         for r in [0.01, 1.0, 36.0, 75.0, 150.0] {
@@ -54,7 +59,7 @@ fn exact_minus_stop_and_hop_is_the_closed_form_to_1e_12_m() {
                 worst = worst.max(error);
                 assert!(
                     error < 1e-12,
-                    "v {v}, r {r}, theta {theta_deg}: {error:e} m"
+                    "{path:?}, v {v}, r {r}, theta {theta_deg}: {error:e} m"
                 );
             }
         }
@@ -64,12 +69,16 @@ fn exact_minus_stop_and_hop_is_the_closed_form_to_1e_12_m() {
 
 #[test]
 fn a_delay_solves_its_equation_even_1_mm_from_the_receiver() {
-    for v in [0.0, 1e-6, 5.0, 150.0] {
-        let plan = uniform(
+    for (v, path) in [0.0, 1e-6, 5.0, 150.0]
+        .into_iter()
+        .flat_map(|v| PathModel::ALL[1..].iter().map(move |&path| (v, path)))
+    {
+        let mut plan = uniform(
             DVec3::ZERO,
             DVec3::new(0.6 * v, -0.64 * v, 0.48 * v),
             DQuat::IDENTITY,
         );
+        plan.model.path = path;
         let velocity = plan.segments[0].velocity_m_per_s;
         for rx_m in [DVec3::new(-1.5, 0.3, 0.2), DVec3::new(0.0, 0.0, 1e-4)] {
             for offset_m in [1e-3, 1.0, 100.0] {
@@ -81,7 +90,7 @@ fn a_delay_solves_its_equation_even_1_mm_from_the_receiver() {
                 });
                 assert!(
                     (got - want).abs() < 2e-16,
-                    "v {v}, {offset_m} m off: {got} s, halving says {want} s, {:e} apart",
+                    "{path:?}, v {v}, {offset_m} m off: {got} s, halving says {want} s, {:e} apart",
                     got - want
                 );
             }
@@ -96,11 +105,16 @@ fn a_world_of_utm_size_changes_no_delay_by_1e_16_s() {
     let away = uniform(away_m, DVec3::new(3.0, 4.0, 0.5), starboard());
     // Coordinates on a grid of 2^-10 m: the move itself rounds nothing.
     let at_m = DVec3::new(17.25, 80.5, 30.125);
-    let near = one(&home, DVec3::X, DVec3::Y, at_m);
-    let far = one(&away, DVec3::X, DVec3::Y, at_m + away_m);
-    let error_s = (near.delay_s - far.delay_s).abs();
-    assert!(error_s < 1e-16, "{error_s:e} s apart");
-    assert!((near.doppler - far.doppler).abs() < 1e-17);
+    for path in PathModel::ALL {
+        let [near, far] = [(&home, at_m), (&away, at_m + away_m)].map(|(plan, at_m)| {
+            let mut plan = plan.clone();
+            plan.model.path = path;
+            one(&plan, DVec3::X, DVec3::Y, at_m)
+        });
+        let error_s = (near.delay_s - far.delay_s).abs();
+        assert!(error_s < 1e-16, "{path:?}: {error_s:e} s apart");
+        assert!((near.doppler - far.doppler).abs() < 1e-17, "{path:?}");
+    }
 }
 
 /// The stretch eta - 1 is the derivative of emission over reception time: measured here on the exact two-leg equation.
@@ -275,27 +289,149 @@ pub fn restless() -> PingPlan {
     plan
 }
 
-#[test]
-fn polyline_delays_converge_on_the_continuous_track() {
+/// Worst error of a path model's delays on the restless platform over a spread of scatterers, seconds: how far a chord is off depends on
+/// where in it an echo falls. `tx_m` and `rx_m` in the body.
+fn worst_delay_error_s(path: PathModel, (tx_m, rx_m): (DVec3, DVec3), count: usize) -> f64 {
     let mut plan = restless();
-    // Worst over a spread of scatterers: how far a chord is off depends on where in it an echo falls.
-    let mut worst_s = |rx_m: DVec3, count: usize| {
+    plan.model.path = path;
+    chords(&mut plan, 0.256, count);
+    let transmit_m = plan.trajectory.pose_at(0.0).point_m(tx_m);
+    (0..50)
+        .map(|k| {
+            let at_m = DVec3::new(30.0, 20.0 + 2.7 * k as f64, 35.0);
+            let want = bisect(0.0, 1.0, |u| {
+                C * u
+                    - at_m.distance(transmit_m)
+                    - at_m.distance(plan.trajectory.pose_at(u).point_m(rx_m))
+            });
+            (one(&plan, tx_m, rx_m, at_m).delay_s - want).abs()
+        })
+        .fold(0.0, f64::max)
+}
+
+const ARM_M: DVec3 = DVec3::new(-0.5, 0.4, 0.2);
+
+/// Whatever the segments it started from.
+#[test]
+fn continuous_delays_are_those_of_the_track_itself_to_2e_16_s() {
+    for count in [1, 4, 64] {
+        for ends in [(DVec3::ZERO, ARM_M), (DVec3::new(1.5, 0.2, 0.8), ARM_M)] {
+            let error_s = worst_delay_error_s(PathModel::Continuous, ends, count);
+            assert!(error_s < 2e-16, "{count} segments: {error_s:e} s");
+        }
+    }
+}
+
+/// Chords of the element itself: second order on an arm as well, and no jumps to fall into.
+#[test]
+fn k_segment_delays_converge_to_the_second_order_even_on_an_arm() {
+    let ends = (DVec3::new(1.5, 0.2, 0.8), ARM_M);
+    let errors =
+        [4, 16, 64, 256].map(|count| worst_delay_error_s(PathModel::KSegment, ends, count));
+    println!("{errors:?} s");
+    for k in 0..3 {
+        assert!(errors[k + 1] < errors[k] / 12.0, "{errors:?}");
+    }
+    let mut plan = restless();
+    plan.model.path = PathModel::KSegment;
+    chords(&mut plan, 0.256, 16);
+    let fine = points((0..20_000).map(|k| DVec3::new(30.0, 20.0 + 0.005 * k as f64, 35.0)));
+    let (sink, counts) = collect(
+        &plan,
+        &transmitter(ends.0),
+        &element(ends.1),
+        0,
+        ALWAYS,
+        &fine,
+    );
+    assert_eq!((counts.no_root, counts.two_roots), (0, 0));
+    // Delays grow evenly from scatterer to scatterer, over every vertex.
+    let steps: Vec<f64> = sink
+        .arrivals
+        .windows(2)
+        .map(|w| w[1].delay_s - w[0].delay_s)
+        .collect();
+    let uneven = steps
+        .windows(2)
+        .map(|w| (w[1] - w[0]).abs())
+        .fold(0.0, f64::max);
+    assert!(uneven < 1e-8, "a jump of {uneven:e} s");
+}
+
+/// The stretch eta - 1 of every model against the derivative of the true emission time on a platform that turns as well as it moves.
+#[test]
+fn doppler_on_an_arm_holds_what_turning_adds() {
+    let (tx_m, rx_m) = (DVec3::new(1.5, 0.2, 0.8), DVec3::new(-3.0, 0.4, 0.2));
+    let truth = restless().trajectory;
+    let emitted_s = |at_m: DVec3, t: f64| {
+        let second_m = at_m.distance(truth.pose_at(t).point_m(rx_m));
+        bisect(-1e-3, 1e-3, |e| {
+            at_m.distance(truth.pose_at(e).point_m(tx_m)) + second_m - C * (t - e)
+        })
+    };
+    let worst = |path: PathModel, count: usize| {
+        let mut plan = restless();
+        plan.model.path = path;
         chords(&mut plan, 0.256, count);
-        let transmit_m = plan.trajectory.pose_at(0.0).position_m;
         (0..50)
             .map(|k| {
-                let at_m = DVec3::new(30.0, 20.0 + 2.7 * k as f64, 35.0);
-                let want = bisect(0.0, 1.0, |u| {
-                    C * u
-                        - at_m.distance(transmit_m)
-                        - at_m.distance(plan.trajectory.pose_at(u).point_m(rx_m))
-                });
-                (one(&plan, DVec3::ZERO, rx_m, at_m).delay_s - want).abs()
+                let at_m = DVec3::new(-20.0, 20.0 + 2.7 * k as f64, 35.0);
+                let got = one(&plan, tx_m, rx_m, at_m);
+                let (u, h) = (got.delay_s, 1e-5);
+                let slope = (emitted_s(at_m, u + h) - emitted_s(at_m, u - h)) / (2.0 * h);
+                (got.doppler - (slope - 1.0)).abs()
             })
             .fold(0.0, f64::max)
     };
+    let polyline = worst(PathModel::Polyline, 64);
+    let k_segment = [4, 16, 64].map(|count| worst(PathModel::KSegment, count));
+    let continuous = worst(PathModel::Continuous, 4);
+    println!("polyline {polyline:.1e}, k-segment {k_segment:?}, continuous {continuous:.1e}");
+    // What turning adds here is 0.13 rad/s times metres over c: 3e-4. Half a 4 ms segment's acceleration is 1e-6.
+    assert!(polyline < 1e-5, "{polyline:e}");
+    assert!(
+        k_segment[2] < k_segment[0] / 100.0 && k_segment[2] < 1e-8,
+        "{k_segment:?}"
+    );
+    assert!(continuous < 1e-9, "{continuous:e}");
+}
+
+/// Eq. 21 written out: the ratios of Eqs. 19 and 20 times the legs. At 5.144 m/s, 250 m and 60 degrees, closing, it is farther off than no
+/// motion at all.
+#[test]
+fn eq_21_moves_an_echo_by_0p64_m_where_stop_and_hop_errs_by_0p43_m() {
+    let (v, r, theta_deg) = (5.144, 250.0, 60.0_f64);
+    let (sin, cos) = theta_deg.to_radians().sin_cos();
+    let at_m = DVec3::new(r * cos, r * sin, 0.0);
+    let exact_s = one(&ahead(v), DVec3::ZERO, DVec3::ZERO, at_m).delay_s;
+    let mut plan = ahead(v);
+    plan.model.doppler = DopplerModel::PaperEq21;
+    let got = one(&plan, DVec3::ZERO, DVec3::ZERO, at_m);
+    let back_m = at_m - DVec3::X * (v * exact_s);
+    let (cos_t, cos_e) = (cos, back_m.x / back_m.length());
+    let out = C / (C - v * cos_t);
+    let want_s = out * (r / C) + out * (1.0 + v * cos_e / C) * (back_m.length() / C);
+    assert!((got.delay_s - want_s).abs() < 1e-15, "{got:?}, {want_s} s");
+    assert_eq!((got.doppler, got.amplitude.im), (0.0, 0.0));
+    plan.model.path = PathModel::StopAndHop;
+    plan.model.doppler = DopplerModel::None;
+    let still_s = one(&plan, DVec3::ZERO, DVec3::ZERO, at_m).delay_s;
+    let (eq21_m, hop_m) = (
+        0.5 * C * (got.delay_s - exact_s),
+        0.5 * C * (still_s - exact_s),
+    );
+    println!("Eq. 21 {eq21_m:+.3} m, stop-and-hop {hop_m:+.3} m");
+    assert!((eq21_m - 0.64).abs() < 0.005, "{eq21_m} m");
+    assert!((hop_m - 0.426).abs() < 0.001, "{hop_m} m");
+}
+
+#[test]
+fn polyline_delays_converge_on_the_continuous_track() {
+    let worst_s = |rx_m: DVec3, count: usize| {
+        worst_delay_error_s(PathModel::Polyline, (DVec3::ZERO, rx_m), count)
+    };
     let centre = [4, 16, 64].map(|count| worst_s(DVec3::ZERO, count));
-    let arm = [4, 16, 64, 256].map(|count| worst_s(DVec3::new(-0.5, 0.4, 0.2), count));
+    let arm = [4, 16, 64, 256].map(|count| worst_s(ARM_M, count));
     println!("reference point {centre:?} s, element on an arm {arm:?} s");
     // Chords: second order. Attitude held over a segment: first order for whatever sits on an arm.
     assert!(
@@ -317,10 +453,14 @@ proptest! {
         course in 0.0..6.3f64,
         arm in (-2.0..2.0f64, -1.0..1.0f64, -1.0..1.0f64),
         lambert in any::<bool>(),
+        path in 0..4usize,
+        doppler in 0..4usize,
     ) {
         let velocity = DVec3::new(speed * course.cos(), speed * course.sin(), 0.0);
         let mut plan = uniform(DVec3::ZERO, velocity, DQuat::IDENTITY);
         chords(&mut plan, 0.3, 3);
+        plan.model.path = PathModel::ALL[path];
+        plan.model.doppler = DopplerModel::ALL[doppler];
         let rx_m = DVec3::new(arm.0, arm.1, arm.2);
         let offset_m = DVec3::new(direction.0, direction.1, direction.2) * 10f64.powf(range_exponent);
         let at_m = if around_receiver { rx_m + offset_m } else { offset_m };
@@ -335,9 +475,11 @@ proptest! {
         for (i, a) in sink.arrivals.iter().enumerate() {
             prop_assert!(a.delay_s.is_finite() && a.delay_s >= 0.0, "{i} {a:?}");
             prop_assert!(a.doppler.is_finite() && a.doppler.abs() < 0.25, "{i} {a:?}");
+            prop_assert!(a.curvature_per_s.is_finite(), "{i} {a:?}");
             prop_assert!(a.amplitude.norm().is_finite(), "{i} {a:?}");
         }
-        if !lambert {
+        let exact = [DopplerModel::None, DopplerModel::Stretch].contains(&plan.model.doppler);
+        if !lambert && exact && plan.model.path != PathModel::StopAndHop {
             let u = sink.arrivals[0].delay_s;
             let gone_m = C * u - at_m.length() - (at_m - rx_m - velocity * u).length();
             prop_assert!(gone_m.abs() < 1e-12 * (1.0 + C * u), "residual {gone_m:e} m");

@@ -156,6 +156,7 @@ pub fn points(positions_m: impl IntoIterator<Item = DVec3>) -> Scatterers {
 pub struct Arrival {
     pub delay_s: f64,
     pub doppler: f64,
+    pub curvature_per_s: f64,
     pub amplitude: Complex64,
 }
 
@@ -173,6 +174,7 @@ impl ArrivalSink for Collected {
             self.arrivals.push(Arrival {
                 delay_s: chunk.delay_s[i],
                 doppler: chunk.doppler[i],
+                curvature_per_s: chunk.curvature_per_s[i],
                 amplitude: chunk.amplitude[i],
             });
         }

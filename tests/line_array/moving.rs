@@ -8,18 +8,17 @@ use crate::still::FINE;
 
 #[test]
 fn in_motion_the_engine_meets_the_direct_sum() {
-    // Along the array; heave and sway; all at once; and far across it. What limits the slanted ones is the twist (how fast the slope
-    // changes during the pulse) that no curve over the slope describes: a bottom's depth tells port from nadir.
+    // Along the array; heave and sway; all at once; and far across it. What is left are third orders of the motion.
     for (velocity_m_per_s, sector_deg, limit) in [
-        (DVec3::new(5.0, 0.0, 0.0), 15.0, 3e-6),
+        (DVec3::new(5.0, 0.0, 0.0), 15.0, 4e-6),
         (DVec3::new(5.0, 0.0, 0.0), 60.0, 5e-6),
-        (DVec3::new(10.0, 0.0, 0.0), 15.0, 6e-6),
-        (DVec3::new(0.0, 0.0, 0.5), 15.0, 3e-5),
-        (DVec3::new(0.0, 0.0, 0.5), 60.0, 6e-5),
-        (DVec3::new(0.0, 0.5, 0.0), 15.0, 3e-5),
-        (DVec3::new(5.0, 0.3, 0.5), 15.0, 3e-5),
-        (DVec3::new(5.0, 0.3, 0.5), 60.0, 6e-5),
-        (DVec3::new(0.0, 5.0, 0.0), 15.0, 3e-4),
+        (DVec3::new(10.0, 0.0, 0.0), 15.0, 8e-6),
+        (DVec3::new(0.0, 0.0, 0.5), 15.0, 4e-6),
+        (DVec3::new(0.0, 0.0, 0.5), 60.0, 4e-6),
+        (DVec3::new(0.0, 0.5, 0.0), 15.0, 4e-6),
+        (DVec3::new(5.0, 0.3, 0.5), 15.0, 4e-6),
+        (DVec3::new(5.0, 0.3, 0.5), 60.0, 5e-6),
+        (DVec3::new(0.0, 5.0, 0.0), 15.0, 5e-5),
     ] {
         let scene = draw(Draw {
             sector_deg,

@@ -1,7 +1,7 @@
 //! The tolerance asked for is the tolerance kept, in every window.
 
 use echotank::array::gridded::dialect::Dialect;
-use echotank::array::gridded2d::{Bounds, Choice, Precision, PulseMotion, Refusal, choose};
+use echotank::array::gridded2d::{Bounds, Choice, Precision, Refusal, Spec, choose};
 use glam::DVec3;
 
 use crate::rig::C;
@@ -13,16 +13,25 @@ fn chosen(scene: &Scene, drawn: Draw, tolerance: f64) -> Result<Choice, Refusal>
         greatest_slope: drawn.sector_deg.to_radians().sin(),
         along_m_per_s: drawn.velocity_m_per_s.x.abs(),
         across_m_per_s: drawn.velocity_m_per_s.with_x(0.0).length(),
+        turning_rad_per_s: 0.0,
     };
-    choose(
-        tolerance,
-        &scene.rx,
-        &scene.plan.pulse,
-        C,
-        RATE_HZ,
+    choose(&spec(scene, bounds, tolerance))
+}
+
+fn spec(scene: &Scene, bounds: Bounds, tolerance: f64) -> Spec<'_> {
+    Spec {
+        array: &scene.rx,
+        pulse: &scene.plan.pulse,
+        sound_speed_m_per_s: C,
+        sample_rate_hz: RATE_HZ,
+        filter: Some(&scene.decimator),
+        model: &scene.plan.model,
         bounds,
-        PulseMotion::Stretch,
-    )
+        tolerance,
+        level_range_db: 40.0,
+        scatterers: 1000,
+        dialect: Dialect::best(),
+    }
 }
 
 #[test]
@@ -37,6 +46,7 @@ fn the_error_by_window_keeps_every_tolerance() {
         for sector_deg in [15.0, 60.0] {
             let drawn = Draw {
                 elements: 64,
+                scatterers: 200,
                 velocity_m_per_s,
                 sector_deg,
                 far_m: 60.0,

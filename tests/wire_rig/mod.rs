@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
 
 use echotank::config::spec::{
-    BeamsSpec, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec,
+    BeamsSpec, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec, SynthesisSpec,
 };
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::flow::{
@@ -113,6 +113,7 @@ pub fn sonar() -> SonarSpec {
             segment_s: 0.01,
             cull_db: None,
         },
+        synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             lines: vec![
                 LineSpec {
@@ -251,6 +252,7 @@ pub fn output(samples: usize) -> PingOutput {
         amplitude: (0..samples).map(|k| scale * (k % 1000) as f32).collect(),
     };
     PingOutput {
+        certificate: None,
         elements,
         beams: vec![beams],
         lines: vec![line(Side::Port, 0.001), line(Side::Starboard, 0.002)],

@@ -4,80 +4,67 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{FlushWeights, Located, Row32, Row64};
+use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// How many points ahead the rows are fetched: far enough for the second-level cache.
-const AHEAD: usize = 12;
-
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_32(points: &Located<f32>, taps: usize, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 64 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        // x^2 and x^4 of all points first, eight at once: later they are broadcast as they are read.
+        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!((last as usize) < rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm256_set1_ps(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm256_set1_ps(points.x[j]);
-            let x2 = _mm256_mul_ps(x, x);
             // 1, x, x^2, x^3, each twice; then times x^4.
             let p = _mm256_mul_ps(
-                _mm256_blend_ps::<0b1100_1100>(one, x),
-                _mm256_blend_ps::<0b1111_0000>(one, x2),
+                _mm256_blend_ps::<0b1100_1100>(one, _mm256_set1_ps(*x.add(j))),
+                _mm256_blend_ps::<0b1111_0000>(one, _mm256_set1_ps(*x2.add(j))),
             );
+            let x4 = _mm256_set1_ps(*x4.add(j));
             let c = points.amplitude.as_ptr().add(j).cast::<f64>();
             let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
             let low = _mm256_mul_ps(p, c);
-            let high = _mm256_mul_ps(low, _mm256_mul_ps(x2, x2));
-            for t in 0..taps {
-                _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
-                let row = table.add(16 * (points.row[j] as usize + t));
-                let weight = if taps == 1 {
-                    one
-                } else {
-                    _mm256_set1_ps(*points.weight[j].get_unchecked(t))
-                };
-                _mm256_store_ps(row, _mm256_fmadd_ps(low, weight, _mm256_load_ps(row)));
-                let row = row.add(8);
-                _mm256_store_ps(row, _mm256_fmadd_ps(high, weight, _mm256_load_ps(row)));
-            }
+            let at = table.add(16 * *row.add(j) as usize);
+            _mm256_store_ps(at, _mm256_add_ps(low, _mm256_load_ps(at)));
+            let at = at.add(8);
+            _mm256_store_ps(at, _mm256_fmadd_ps(low, x4, _mm256_load_ps(at)));
         }
     }
 }
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row64]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 192 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+    // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f64>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        let last = points.cell.iter().fold(0, |a, &b| a.max(b));
+        assert!((last as usize) < rows.len(), "row {last}");
         let one = _mm256_set1_pd(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm256_set1_pd(points.x[j]);
+            let x = _mm256_set1_pd(*x.add(j));
             let x2 = _mm256_mul_pd(x, x);
-            let c = _mm256_broadcast_pd(&*points.amplitude.as_ptr().add(j).cast());
-            for t in 0..taps {
-                let next = table.wrapping_add(24 * (ahead + t));
-                _mm_prefetch::<_MM_HINT_T0>(next.cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
-                let row = table.add(24 * (points.row[j] as usize + t));
-                let c = if taps == 1 {
-                    c
-                } else {
-                    _mm256_mul_pd(c, _mm256_set1_pd(*points.weight[j].get_unchecked(t)))
-                };
-                let mut moments = _mm256_mul_pd(c, _mm256_blend_pd::<0b1100>(one, x));
-                for v in 0..6 {
-                    let row = row.add(4 * v);
-                    _mm256_store_pd(row, _mm256_add_pd(moments, _mm256_load_pd(row)));
-                    moments = _mm256_mul_pd(moments, x2);
-                }
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm256_set_m128d(c, c);
+            let mut moments = _mm256_mul_pd(c, _mm256_blend_pd::<0b1100>(one, x));
+            let at = table.add(24 * *row.add(j) as usize);
+            for v in 0..6 {
+                let at = at.add(4 * v);
+                _mm256_store_pd(at, _mm256_add_pd(moments, _mm256_load_pd(at)));
+                moments = _mm256_mul_pd(moments, x2);
             }
         }
     }
@@ -87,20 +74,14 @@ pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row6
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn flush_32(
-    rows: &[Row32],
-    columns: usize,
-    column: usize,
-    weights: &FlushWeights<f32>,
-    out: &mut [Complex32],
-) {
+pub unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {
-            0..=4 => flush_32_of::<1>(rows, columns, column, weights, out),
-            5..=8 => flush_32_of::<2>(rows, columns, column, weights, out),
-            9..=12 => flush_32_of::<3>(rows, columns, column, weights, out),
-            _ => flush_32_of::<4>(rows, columns, column, weights, out),
+            0..=4 => flush_32_of::<1>(rows, weights, out),
+            5..=8 => flush_32_of::<2>(rows, weights, out),
+            9..=12 => flush_32_of::<3>(rows, weights, out),
+            _ => flush_32_of::<4>(rows, weights, out),
         }
     }
 }
@@ -109,20 +90,18 @@ pub unsafe fn flush_32(
 #[target_feature(enable = "avx2,fma")]
 unsafe fn flush_32_of<const V: usize>(
     rows: &[Row32],
-    columns: usize,
-    column: usize,
     weights: &FlushWeights<f32>,
     out: &mut [Complex32],
 ) {
-    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more.
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more.
     // `doubled` has 8 entries of 32 weights.
     unsafe {
-        let cells = rows.len() / columns - 1;
+        let cells = rows.len() - 1;
         let zero = _mm256_setzero_ps();
         let mut window = [zero; V];
         let w = weights.doubled.as_ptr().cast::<f32>();
         let out_at = out.as_mut_ptr().cast::<f64>();
-        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        let mut row = rows.as_ptr().cast::<f64>();
         for cell in 0..cells {
             let (mut even, mut odd) = ([zero; V], [zero; V]);
             for k in 0..4 {
@@ -139,7 +118,7 @@ unsafe fn flush_32_of<const V: usize>(
                 window[v] = _mm256_add_ps(window[v], _mm256_add_ps(even[v], odd[v]));
             }
             shift_32(&mut window, out_at.add(cell));
-            row = row.add(8 * columns);
+            row = row.add(8);
         }
         for value in cells..out.len() {
             shift_32(&mut window, out_at.add(value));
@@ -173,22 +152,16 @@ unsafe fn shift_32<const V: usize>(window: &mut [__m256; V], out: *mut f64) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn flush_64(
-    rows: &[Row64],
-    columns: usize,
-    column: usize,
-    weights: &FlushWeights<f64>,
-    out: &mut [Complex64],
-) {
-    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more:
+pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more:
     // cell + i < cells + width - 1. `doubled` has 12 entries of 32 weights. Two complex values per register; taps come in groups of two,
     // the odd last one alone.
     unsafe {
-        let cells = rows.len() / columns - 1;
+        let cells = rows.len() - 1;
         let width = weights.width;
         let w = weights.doubled.as_ptr().cast::<f64>();
         out.fill(Complex64::ZERO);
-        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        let mut row = rows.as_ptr().cast::<f64>();
         for cell in 0..cells {
             let mut moments = [_mm256_setzero_pd(); 12];
             for (k, moment) in moments.iter_mut().enumerate() {
@@ -212,7 +185,81 @@ pub unsafe fn flush_64(
                     _mm_storeu_pd(at, _mm_add_pd(sum, _mm_loadu_pd(at)));
                 }
             }
-            row = row.add(24 * columns);
+            row = row.add(24);
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn spread_32(
+    points: Points<f32>,
+    across: Across<f32>,
+    weights: &FlushWeights<f32>,
+    stride: usize,
+    grids: &mut [Complex32],
+) {
+    // SAFETY: four values at a time, fewer than four past the width and so below MAX_WIDTH, from (column + t) * stride + cell on exist, for
+    // all t below `taps`; all slices have a value per point; `doubled` has 8 entries of 32 weights.
+    unsafe {
+        let w = weights.doubled.as_ptr().cast::<f32>();
+        for j in 0..points.cell.len() {
+            let x = _mm256_set1_ps(*points.x.get_unchecked(j));
+            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+            let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let share = across.weight.as_ptr().add(j).cast::<f32>();
+            for i in (0..weights.width).step_by(4) {
+                let mut values = _mm256_loadu_ps(w.add(32 * 7 + 2 * i));
+                for k in (0..7).rev() {
+                    values = _mm256_fmadd_ps(values, x, _mm256_loadu_ps(w.add(32 * k + 2 * i)));
+                }
+                let values = _mm256_mul_ps(values, c);
+                let mut at = grids.as_mut_ptr().add(first + i).cast::<f32>();
+                for t in 0..across.taps {
+                    let share = _mm256_set1_ps(*share.add(t));
+                    _mm256_storeu_ps(at, _mm256_fmadd_ps(values, share, _mm256_loadu_ps(at)));
+                    at = at.wrapping_add(2 * stride);
+                }
+            }
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn spread_64(
+    points: Points<f64>,
+    across: Across<f64>,
+    weights: &FlushWeights<f64>,
+    stride: usize,
+    grids: &mut [Complex64],
+) {
+    // SAFETY: two values at a time, one past the width at most and so not past MAX_WIDTH, from (column + t) * stride + cell on exist, for
+    // all t below `taps`; all slices have a value per point; `doubled` has 12 entries of 32 weights.
+    unsafe {
+        let w = weights.doubled.as_ptr().cast::<f64>();
+        for j in 0..points.cell.len() {
+            let x = _mm256_set1_pd(*points.x.get_unchecked(j));
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm256_set_m128d(c, c);
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let share = across.weight.as_ptr().add(j).cast::<f64>();
+            for i in (0..weights.width).step_by(2) {
+                let mut values = _mm256_loadu_pd(w.add(32 * 11 + 2 * i));
+                for k in (0..11).rev() {
+                    values = _mm256_fmadd_pd(values, x, _mm256_loadu_pd(w.add(32 * k + 2 * i)));
+                }
+                let values = _mm256_mul_pd(values, c);
+                let mut at = grids.as_mut_ptr().add(first + i).cast::<f64>();
+                for t in 0..across.taps {
+                    let share = _mm256_set1_pd(*share.add(t));
+                    _mm256_storeu_pd(at, _mm256_fmadd_pd(values, share, _mm256_loadu_pd(at)));
+                    at = at.wrapping_add(2 * stride);
+                }
+            }
         }
     }
 }

@@ -4,86 +4,90 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{FlushWeights, Located, Row32, Row64};
+use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// How many points ahead the rows are fetched: far enough for the second-level cache.
-const AHEAD: usize = 12;
-
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// a times b in the lanes of `mask`, a in the others. As assembler because the compiler makes a product and a blend of the intrinsic, and the
+/// port that blends is the one that is short here.
+#[inline]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_32(points: &Located<f32>, taps: usize, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 64 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+fn times_where(mask: u16, mut a: __m512, b: __m512) -> __m512 {
+    // SAFETY: one instruction on registers, of a feature that the function requires.
     unsafe {
-        let n = points.len.min(points.row.len());
+        std::arch::asm!(
+            "vmulps {a}{{{mask}}}, {a}, {b}",
+            a = inout(zmm_reg) a,
+            b = in(zmm_reg) b,
+            mask = in(kreg) mask,
+            options(pure, nomem, nostack, preserves_flags),
+        );
+    }
+    a
+}
+
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
+    unsafe {
+        let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        // x^2 and x^4 of all points first, sixteen at once: later they are broadcast as they are read.
+        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!((last as usize) < rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm512_set1_ps(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm512_set1_ps(points.x[j]);
-            let x2 = _mm512_mul_ps(x, x);
-            let x4 = _mm512_mul_ps(x2, x2);
             // 1, x, x^2 ... x^7, each twice.
-            let p = _mm512_mask_blend_ps(0b1100_1100_1100_1100, one, x);
-            let p = _mm512_mask_mul_ps(p, 0b1111_0000_1111_0000, p, x2);
-            let p = _mm512_mask_mul_ps(p, 0b1111_1111_0000_0000, p, x4);
+            let p = times_where(0b1100_1100_1100_1100, one, _mm512_set1_ps(*x.add(j)));
+            let p = times_where(0b1111_0000_1111_0000, p, _mm512_set1_ps(*x2.add(j)));
+            let p = times_where(0b1111_1111_0000_0000, p, _mm512_set1_ps(*x4.add(j)));
             let c = points.amplitude.as_ptr().add(j).cast::<f64>();
             let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let row = table.add(16 * points.row[j] as usize);
-            if taps == 1 {
-                _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * ahead).cast());
-                _mm512_store_ps(row, _mm512_fmadd_ps(p, c, _mm512_load_ps(row)));
-            } else {
-                let moments = _mm512_mul_ps(p, c);
-                for t in 0..taps {
-                    _mm_prefetch::<_MM_HINT_T0>(table.wrapping_add(16 * (ahead + t)).cast());
-                    let weight = _mm512_set1_ps(*points.weight[j].get_unchecked(t));
-                    let row = row.add(16 * t);
-                    _mm512_store_ps(row, _mm512_fmadd_ps(moments, weight, _mm512_load_ps(row)));
-                }
-            }
+            let at = table.add(16 * *row.add(j) as usize);
+            _mm512_store_ps(at, _mm512_fmadd_ps(p, c, _mm512_load_ps(at)));
         }
     }
 }
 
-/// SAFETY: the processor must have the features; every row of `points` (and the `taps` - 1 after it) must lie in `rows`.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row64]) {
-    // SAFETY: the caller vouches for the features and the rows. Rows are aligned to 64 bytes and 192 bytes long; x, amplitude and weight are
-    // read below `points.len`, which their lengths bound. Prefetches may point anywhere.
+pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+    // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
-        let n = points.len.min(points.row.len());
+        let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f64>();
+        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
+        let (mut x2, mut x4) = ([0f64; BLOCK], [0f64; BLOCK]);
+        let mut last = 0;
+        for j in 0..n {
+            x2[j] = *x.add(j) * *x.add(j);
+            x4[j] = x2[j] * x2[j];
+            last = last.max(*row.add(j));
+        }
+        assert!((last as usize) < rows.len(), "row {last}");
+        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
         let one = _mm512_set1_pd(1.0);
         for j in 0..n {
-            let ahead = points.row[(j + AHEAD).min(n - 1)] as usize;
-            let x = _mm512_set1_pd(points.x[j]);
-            let x2 = _mm512_mul_pd(x, x);
-            let x4 = _mm512_mul_pd(x2, x2);
             // 1, x, x^2, x^3, each twice; then times x^4 and x^8.
-            let p = _mm512_mask_blend_pd(0b1100_1100, one, x);
-            let p = _mm512_mask_mul_pd(p, 0b1111_0000, p, x2);
+            let p = _mm512_mask_blend_pd(0b1100_1100, one, _mm512_set1_pd(*x.add(j)));
+            let p = _mm512_mask_mul_pd(p, 0b1111_0000, p, _mm512_set1_pd(*x2.add(j)));
+            let x4 = _mm512_set1_pd(*x4.add(j));
             let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
             let low = _mm512_mul_pd(p, _mm512_broadcast_f64x2(c));
             let middle = _mm512_mul_pd(low, x4);
-            let high = _mm512_mul_pd(middle, x4);
-            let row = table.add(24 * points.row[j] as usize);
-            for t in 0..taps {
-                let next = table.wrapping_add(24 * (ahead + t));
-                _mm_prefetch::<_MM_HINT_T0>(next.cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(8).cast());
-                _mm_prefetch::<_MM_HINT_T0>(next.wrapping_add(16).cast());
-                let row = row.add(24 * t);
-                let weight = if taps == 1 {
-                    one
-                } else {
-                    _mm512_set1_pd(*points.weight[j].get_unchecked(t))
-                };
-                for (v, moments) in [low, middle, high].into_iter().enumerate() {
-                    let row = row.add(8 * v);
-                    _mm512_store_pd(row, _mm512_fmadd_pd(moments, weight, _mm512_load_pd(row)));
-                }
-            }
+            let at = table.add(24 * *row.add(j) as usize);
+            _mm512_store_pd(at, _mm512_add_pd(low, _mm512_load_pd(at)));
+            let at = at.add(8);
+            _mm512_store_pd(at, _mm512_add_pd(middle, _mm512_load_pd(at)));
+            let at = at.add(8);
+            _mm512_store_pd(at, _mm512_fmadd_pd(middle, x4, _mm512_load_pd(at)));
         }
     }
 }
@@ -92,18 +96,12 @@ pub unsafe fn accumulate_64(points: &Located<f64>, taps: usize, rows: &mut [Row6
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn flush_32(
-    rows: &[Row32],
-    columns: usize,
-    column: usize,
-    weights: &FlushWeights<f32>,
-    out: &mut [Complex32],
-) {
+pub unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {
-            0..=8 => flush_32_of::<1>(rows, columns, column, weights, out),
-            _ => flush_32_of::<2>(rows, columns, column, weights, out),
+            0..=8 => flush_32_of::<1>(rows, weights, out),
+            _ => flush_32_of::<2>(rows, weights, out),
         }
     }
 }
@@ -112,15 +110,13 @@ pub unsafe fn flush_32(
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 unsafe fn flush_32_of<const V: usize>(
     rows: &[Row32],
-    columns: usize,
-    column: usize,
     weights: &FlushWeights<f32>,
     out: &mut [Complex32],
 ) {
-    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more,
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more,
     // of which the last loop writes min(8 V, width) - 1. `doubled` has 8 entries of 32 weights.
     unsafe {
-        let cells = rows.len() / columns - 1;
+        let cells = rows.len() - 1;
         let mut w = [[_mm512_setzero_ps(); V]; 8];
         for (k, w) in w.iter_mut().enumerate() {
             for (v, w) in w.iter_mut().enumerate() {
@@ -130,7 +126,7 @@ unsafe fn flush_32_of<const V: usize>(
         let zero = _mm512_setzero_ps();
         let mut window = [zero; V];
         let out_at = out.as_mut_ptr().cast::<f64>();
-        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        let mut row = rows.as_ptr().cast::<f64>();
         for cell in 0..cells {
             // Two chains of products per register, apart from the window: only its one addition waits for the cell before.
             let (mut even, mut odd) = ([zero; V], [zero; V]);
@@ -146,7 +142,7 @@ unsafe fn flush_32_of<const V: usize>(
                 window[v] = _mm512_add_ps(window[v], _mm512_add_ps(even[v], odd[v]));
             }
             shift_32(&mut window, out_at.add(cell));
-            row = row.add(8 * columns);
+            row = row.add(8);
         }
         for value in cells..out.len() {
             shift_32(&mut window, out_at.add(value));
@@ -181,20 +177,14 @@ unsafe fn shift_32<const V: usize>(window: &mut [__m512; V], out: *mut f64) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn flush_64(
-    rows: &[Row64],
-    columns: usize,
-    column: usize,
-    weights: &FlushWeights<f64>,
-    out: &mut [Complex64],
-) {
+pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {
-            0..=4 => flush_64_of::<1>(rows, columns, column, weights, out),
-            5..=8 => flush_64_of::<2>(rows, columns, column, weights, out),
-            9..=12 => flush_64_of::<3>(rows, columns, column, weights, out),
-            _ => flush_64_of::<4>(rows, columns, column, weights, out),
+            0..=4 => flush_64_of::<1>(rows, weights, out),
+            5..=8 => flush_64_of::<2>(rows, weights, out),
+            9..=12 => flush_64_of::<3>(rows, weights, out),
+            _ => flush_64_of::<4>(rows, weights, out),
         }
     }
 }
@@ -203,19 +193,17 @@ pub unsafe fn flush_64(
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 unsafe fn flush_64_of<const V: usize>(
     rows: &[Row64],
-    columns: usize,
-    column: usize,
     weights: &FlushWeights<f64>,
     out: &mut [Complex64],
 ) {
-    // SAFETY: cells = rows / columns - 1, so cell * columns + column is inside `rows`; `out` has a value for every cell and width - 1 more.
+    // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more.
     // `doubled` has 12 entries of 32 weights.
     unsafe {
-        let cells = rows.len() / columns - 1;
+        let cells = rows.len() - 1;
         let zero = _mm512_setzero_pd();
         let mut window = [zero; V];
         let w = weights.doubled.as_ptr().cast::<f64>();
-        let mut row = rows.as_ptr().add(column).cast::<f64>();
+        let mut row = rows.as_ptr().cast::<f64>();
         for cell in 0..cells {
             let (mut even, mut odd) = ([zero; V], [zero; V]);
             for k in 0..6 {
@@ -232,7 +220,7 @@ unsafe fn flush_64_of<const V: usize>(
                 window[v] = _mm512_add_pd(window[v], _mm512_add_pd(even[v], odd[v]));
             }
             shift_64(&mut window, out.as_mut_ptr().add(cell).cast());
-            row = row.add(24 * columns);
+            row = row.add(24);
         }
         for value in cells..out.len() {
             shift_64(&mut window, out.as_mut_ptr().add(value).cast());
@@ -259,6 +247,132 @@ unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
                 next,
                 _mm512_castpd_si512(window[v]),
             ));
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn spread_32(
+    points: Points<f32>,
+    across: Across<f32>,
+    weights: &FlushWeights<f32>,
+    stride: usize,
+    grids: &mut [Complex32],
+) {
+    // SAFETY: the caller vouches for features and shapes.
+    unsafe {
+        match weights.width {
+            0..=8 => spread_32_of::<1>(points, across, weights, stride, grids),
+            _ => spread_32_of::<2>(points, across, weights, stride, grids),
+        }
+    }
+}
+
+/// V registers of eight complex values hold a point's taps.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn spread_32_of<const V: usize>(
+    points: Points<f32>,
+    across: Across<f32>,
+    weights: &FlushWeights<f32>,
+    stride: usize,
+    grids: &mut [Complex32],
+) {
+    // SAFETY: 8 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
+    // `doubled` has 8 entries of 32 weights.
+    unsafe {
+        let mut w = [[_mm512_setzero_ps(); V]; 8];
+        for (k, w) in w.iter_mut().enumerate() {
+            for (v, w) in w.iter_mut().enumerate() {
+                *w = _mm512_loadu_ps(weights.doubled.get_unchecked(k).as_ptr().add(16 * v));
+            }
+        }
+        for j in 0..points.cell.len() {
+            let x = _mm512_set1_ps(*points.x.get_unchecked(j));
+            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
+            let mut values = w[7];
+            for w in w[..7].iter().rev() {
+                for v in 0..V {
+                    values[v] = _mm512_fmadd_ps(values[v], x, w[v]);
+                }
+            }
+            for value in &mut values {
+                *value = _mm512_mul_ps(*value, c);
+            }
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let mut at = grids.as_mut_ptr().add(first).cast::<f32>();
+            let share = across.weight.as_ptr().add(j).cast::<f32>();
+            for t in 0..across.taps {
+                let share = _mm512_set1_ps(*share.add(t));
+                for (v, value) in values.iter().enumerate() {
+                    let at = at.add(16 * v);
+                    _mm512_storeu_ps(at, _mm512_fmadd_ps(*value, share, _mm512_loadu_ps(at)));
+                }
+                at = at.wrapping_add(2 * stride);
+            }
+        }
+    }
+}
+
+/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn spread_64(
+    points: Points<f64>,
+    across: Across<f64>,
+    weights: &FlushWeights<f64>,
+    stride: usize,
+    grids: &mut [Complex64],
+) {
+    // SAFETY: the caller vouches for features and shapes.
+    unsafe {
+        match weights.width {
+            0..=8 => spread_64_of::<2>(points, across, weights, stride, grids),
+            9..=12 => spread_64_of::<3>(points, across, weights, stride, grids),
+            _ => spread_64_of::<4>(points, across, weights, stride, grids),
+        }
+    }
+}
+
+/// V registers of four complex values hold a point's taps.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn spread_64_of<const V: usize>(
+    points: Points<f64>,
+    across: Across<f64>,
+    weights: &FlushWeights<f64>,
+    stride: usize,
+    grids: &mut [Complex64],
+) {
+    // SAFETY: 4 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
+    // `doubled` has 12 entries of 32 weights.
+    unsafe {
+        let w = weights.doubled.as_ptr().cast::<f64>();
+        for j in 0..points.cell.len() {
+            let x = _mm512_set1_pd(*points.x.get_unchecked(j));
+            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let c = _mm512_broadcast_f64x2(c);
+            let mut values = [_mm512_setzero_pd(); V];
+            for k in (0..12).rev() {
+                for (v, value) in values.iter_mut().enumerate() {
+                    *value = _mm512_fmadd_pd(*value, x, _mm512_loadu_pd(w.add(32 * k + 8 * v)));
+                }
+            }
+            for value in &mut values {
+                *value = _mm512_mul_pd(*value, c);
+            }
+            let first = *across.column.get_unchecked(j) as usize * stride
+                + *points.cell.get_unchecked(j) as usize;
+            let mut at = grids.as_mut_ptr().add(first).cast::<f64>();
+            let share = across.weight.as_ptr().add(j).cast::<f64>();
+            for t in 0..across.taps {
+                let share = _mm512_set1_pd(*share.add(t));
+                for (v, value) in values.iter().enumerate() {
+                    let at = at.add(8 * v);
+                    _mm512_storeu_pd(at, _mm512_fmadd_pd(*value, share, _mm512_loadu_pd(at)));
+                }
+                at = at.wrapping_add(2 * stride);
+            }
         }
     }
 }

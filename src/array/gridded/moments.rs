@@ -1,21 +1,23 @@
 //! Points into moments, moments onto the grid: the two hot loops, for f32 and f64.
 //!
-//! In: points located in cells. Per point one (or, over a second dimension, a few neighbouring) aligned rows of a table of moments get
-//! c x^k added, whatever the kernel's width; nothing is sorted. Out: grid values, a (width x moments) matrix per cell.
+//! In: points located in cells. Per point one aligned row of a table of moments gets c x^k added, whatever the kernel's width; nothing is
+//! sorted ([`Real::accumulate`]). Out: grid values, by a (width x moments) matrix per cell ([`Real::flush`]).
+//! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
+//! ([`Real::spread`]).
 //!
-//! The table is cell-major with `columns` rows per cell; the last cell is a drain for points that lie nowhere.
+//! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
 
 use num_complex::{Complex, Complex32, Complex64};
 use rustfft::FftNum;
 
-use super::dialect::Dialect;
+use super::dialect::{Dialect, Kind};
 use super::kernel::{Kernel, MAX_WIDTH};
 
 /// Points worked on together.
 pub const BLOCK: usize = 256;
 
-/// Weights per point in the second dimension, at most.
+/// Neighbouring columns that a point goes to in the second dimension, at most.
 pub const MAX_TAPS: usize = 8;
 
 /// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three), interleaved re, im.
@@ -26,17 +28,28 @@ pub struct Row<R, const N: usize>(pub [R; N]);
 pub type Row32 = Row<f32, 16>;
 pub type Row64 = Row<f64, 24>;
 
-/// Up to [`BLOCK`] points of one element, structure of arrays.
+/// Up to [`BLOCK`] points, structure of arrays; all slices have the same length.
+#[derive(Clone, Copy, Debug)]
+pub struct Points<'a, T> {
+    pub cell: &'a [u32],
+    /// Place across the cell, -1..1.
+    pub x: &'a [T],
+    pub amplitude: &'a [Complex<T>],
+}
+
+/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on.
+#[derive(Clone, Copy, Debug)]
+pub struct Across<'a, T> {
+    pub column: &'a [u32],
+    pub weight: &'a [[T; MAX_TAPS]],
+    pub taps: usize,
+}
+
+/// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
 #[derive(Clone, Debug)]
 pub struct Located<T> {
-    pub len: usize,
-    /// First row each point adds to; taken from [`locate`] and multiplied by the columns by the caller.
-    pub row: [u32; BLOCK],
-    /// Place across the cell, -1..1.
+    pub cell: [u32; BLOCK],
     pub x: [T; BLOCK],
-    pub amplitude: [Complex<T>; BLOCK],
-    /// Of the rows `row`, `row + 1`, ...; only the first `taps` are read. With one tap it is 1 and not read.
-    pub weight: [[T; MAX_TAPS]; BLOCK],
 }
 
 /// The real numbers that moments are made of.
@@ -49,18 +62,27 @@ pub trait Real: FftNum + Default {
     /// Rounds to this precision.
     fn narrow(value: f64) -> Self;
 
-    /// Adds every point's moments. Panics if a point's last row is outside `rows`.
-    fn accumulate(dialect: Dialect, points: &Located<Self>, taps: usize, rows: &mut [Self::Row]);
+    /// Adds every point's moments to the row of its cell. Panics where there is none.
+    fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [Self::Row]);
 
-    /// Puts column `column` of all cells but the drain on the grid: `out[cell + i]` is what tap i of each cell adds up to.
+    /// Puts all cells but the drain on the grid: `out[cell + i]` is what tap i of each cell adds up to.
     /// `out` is overwritten; its length is cells + width - 1 without the drain.
     fn flush(
         dialect: Dialect,
         rows: &[Self::Row],
-        columns: usize,
-        column: usize,
         weights: &FlushWeights<Self>,
         out: &mut [Complex<Self>],
+    );
+
+    /// Adds every point's values to a few of many grids, `stride` values apart: tap i of column q at `grids[q * stride + cell + i]`.
+    /// May add zeros up to [`MAX_WIDTH`] values from there on. Panics where the grids end before that.
+    fn spread(
+        dialect: Dialect,
+        points: Points<Self>,
+        across: Across<Self>,
+        weights: &FlushWeights<Self>,
+        stride: usize,
+        grids: &mut [Complex<Self>],
     );
 }
 
@@ -95,11 +117,8 @@ impl<T: Real> FlushWeights<T> {
 impl<T: Real> Located<T> {
     pub fn new() -> Self {
         Self {
-            len: 0,
-            row: [0; BLOCK],
+            cell: [0; BLOCK],
             x: [T::default(); BLOCK],
-            amplitude: [Complex::new(T::default(), T::default()); BLOCK],
-            weight: [[T::default(); MAX_TAPS]; BLOCK],
         }
     }
 }
@@ -113,28 +132,30 @@ impl<T: Real> Default for Located<T> {
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Cell and place of up to [`BLOCK`] positions `scale * delay_s + offset`, in cells; those outside 0..`cells` go to the drain, which is
-/// cell `cells`. Returns how many did. NaN is outside.
+/// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
+#[derive(Clone, Copy, Debug)]
+pub struct Axis {
+    pub per_s: f64,
+    pub offset: f64,
+    pub cells: usize,
+    pub drain: usize,
+}
+
+/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
 #[inline(always)]
-fn locate_plain<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    row: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    let end = cells as f64;
-    let drain = end + 0.5;
+fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    let end = axis.cells as f64;
+    let drain = axis.drain as f64 + 0.5;
     let mut outside = 0;
-    for ((&delay_s, row), x) in delay_s.iter().zip(row).zip(x) {
-        let position = delay_s * scale + offset;
+    let Located { cell, x } = located;
+    for ((&delay_s, cell), x) in delay_s.iter().zip(cell).zip(x) {
+        let position = delay_s * axis.per_s + axis.offset;
         let inside = (position >= 0.0) & (position < end);
         outside += u64::from(!inside);
         let position = if inside { position } else { drain };
         // Truncation by rounding half a cell earlier; a position on a boundary may go to either cell, as x = 1 or x = -1.
         let shifted = (position - 0.5) + ROUND;
-        *row = shifted.to_bits() as u32;
+        *cell = shifted.to_bits() as u32;
         *x = T::narrow(2.0 * (position - (shifted - ROUND)) - 1.0);
     }
     outside
@@ -143,90 +164,69 @@ fn locate_plain<T: Real>(
 /// The AVX2 and AVX-512 builds of [`locate_plain`]: the same arithmetic, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn locate_avx2<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    row: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    locate_plain(delay_s, scale, offset, cells, row, x)
+fn locate_avx2<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    locate_plain(axis, delay_s, located)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn locate_avx512<T: Real>(
-    delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    row: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
-) -> u64 {
-    locate_plain(delay_s, scale, offset, cells, row, x)
+fn locate_avx512<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
+    locate_plain(axis, delay_s, located)
 }
 
-/// See [`locate_plain`].
+/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
 pub fn locate<T: Real>(
     dialect: Dialect,
+    axis: Axis,
     delay_s: &[f64],
-    scale: f64,
-    offset: f64,
-    cells: usize,
-    row: &mut [u32; BLOCK],
-    x: &mut [T; BLOCK],
+    located: &mut Located<T>,
 ) -> u64 {
     assert!(delay_s.len() <= BLOCK);
     match dialect.kind() {
+        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: a `Dialect` of this kind exists only where the processor has the features.
-        super::dialect::Kind::Avx512 => unsafe {
-            locate_avx512(delay_s, scale, offset, cells, row, x)
-        },
+        Kind::Avx512 => unsafe { locate_avx512(axis, delay_s, located) },
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: a `Dialect` of this kind exists only where the processor has the features.
-        super::dialect::Kind::Avx2 => unsafe { locate_avx2(delay_s, scale, offset, cells, row, x) },
-        _ => locate_plain(delay_s, scale, offset, cells, row, x),
+        Kind::Avx2 => unsafe { locate_avx2(axis, delay_s, located) },
+        _ => locate_plain(axis, delay_s, located),
     }
 }
 
-/// What the vector loops rely on: every row that any point adds to exists.
-fn check_rows<T>(points: &Located<T>, taps: usize, rows: usize) {
-    assert!((1..=MAX_TAPS).contains(&taps), "{taps} taps");
-    assert!(points.len <= BLOCK);
-    let last = points.row[..points.len]
-        .iter()
-        .fold(0, |a, &b| a.max(b as usize));
-    assert!(
-        last + taps <= rows,
-        "row {last} + {taps} of a table of {rows}"
-    );
+/// What the vector loops rely on: slices long enough. (That every row exists each of them checks in its own first pass.)
+fn check_points<T>(points: &Points<T>) {
+    let len = points.cell.len();
+    assert!(len <= BLOCK, "{len} points in a block of {BLOCK}");
+    assert_eq!(points.x.len(), len, "places");
+    assert_eq!(points.amplitude.len(), len, "amplitudes");
 }
 
-/// What the vector loops rely on: shapes that fit one another.
-fn check_flush<T>(
-    rows: usize,
-    columns: usize,
-    column: usize,
-    weights: &FlushWeights<T>,
-    moments: usize,
-    out: usize,
-) {
-    assert!(column < columns, "column {column} of {columns}");
-    assert_eq!(rows % columns, 0, "whole cells");
+fn check_weights<T: Real>(weights: &FlushWeights<T>) {
+    let width = weights.width;
+    assert!((1..=MAX_WIDTH).contains(&width), "width {width}");
+    assert_eq!(weights.doubled.len(), T::MOMENTS, "weights for each moment");
+}
+
+/// What the vector loops rely on: every value that any point adds to exists.
+fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, stride: usize, grids: usize) {
+    let len = points.cell.len();
+    assert_eq!(across.column.len(), len, "columns");
+    assert_eq!(across.weight.len(), len, "weights");
     assert!(
-        (1..=MAX_WIDTH).contains(&weights.width),
-        "width {}",
-        weights.width
+        (1..=MAX_TAPS).contains(&across.taps),
+        "{} taps",
+        across.taps
     );
-    assert_eq!(weights.doubled.len(), moments, "weights for every moment");
-    assert!(rows >= 2 * columns, "a cell and the drain");
-    assert_eq!(out, rows / columns - 1 + weights.width - 1, "grid values");
+    let greatest = |v: &[u32]| v.iter().fold(0, |a, &b| a.max(b)) as usize;
+    let last_column = greatest(across.column) + across.taps - 1;
+    let last_cell = greatest(points.cell);
+    assert!(
+        last_column * stride + last_cell + MAX_WIDTH <= grids,
+        "column {last_column}, cell {last_cell}, stride {stride} in {grids} values"
+    );
 }
 
 macro_rules! real {
-    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident) => {
+    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident) => {
         impl Real for $real {
             type Row = $row;
             const MOMENTS: usize = $moments;
@@ -237,90 +237,84 @@ macro_rules! real {
                 value as $real
             }
 
-            fn accumulate(
-                dialect: Dialect,
-                points: &Located<Self>,
-                taps: usize,
-                rows: &mut [$row],
-            ) {
-                check_rows(points, taps, rows.len());
+            fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [$row]) {
+                check_points(&points);
                 match dialect.kind() {
+                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; slices checked above.
                     #[cfg(target_arch = "x86_64")]
-                    // SAFETY: a `Dialect` of this kind exists only where the processor has the features; the rows were checked above.
-                    super::dialect::Kind::Avx512 => unsafe {
-                        super::avx512::$accumulate(points, taps, rows)
-                    },
+                    Kind::Avx512 => unsafe { super::avx512::$accumulate(points, rows) },
                     #[cfg(target_arch = "x86_64")]
-                    // SAFETY: as above.
-                    super::dialect::Kind::Avx2 => unsafe {
-                        super::avx2::$accumulate(points, taps, rows)
-                    },
-                    _ => accumulate_plain(points, taps, rows),
+                    Kind::Avx2 => unsafe { super::avx2::$accumulate(points, rows) },
+                    _ => accumulate_plain(points, rows),
                 }
             }
 
             fn flush(
                 dialect: Dialect,
                 rows: &[$row],
-                columns: usize,
-                column: usize,
                 weights: &FlushWeights<Self>,
                 out: &mut [$complex],
             ) {
-                check_flush(
-                    rows.len(),
-                    columns,
-                    column,
-                    weights,
-                    Self::MOMENTS,
-                    out.len(),
-                );
+                check_weights(weights);
+                assert!(rows.len() >= 2, "a cell and the drain");
+                assert_eq!(out.len(), rows.len() - 1 + weights.width - 1, "grid values");
                 match dialect.kind() {
+                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; shapes checked above.
                     #[cfg(target_arch = "x86_64")]
-                    // SAFETY: a `Dialect` of this kind exists only where the processor has the features; the shapes were checked above.
-                    super::dialect::Kind::Avx512 => unsafe {
-                        super::avx512::$flush(rows, columns, column, weights, out)
+                    Kind::Avx512 => unsafe { super::avx512::$flush(rows, weights, out) },
+                    #[cfg(target_arch = "x86_64")]
+                    Kind::Avx2 => unsafe { super::avx2::$flush(rows, weights, out) },
+                    _ => flush_plain(rows, weights, out),
+                }
+            }
+
+            fn spread(
+                dialect: Dialect,
+                points: Points<Self>,
+                across: Across<Self>,
+                weights: &FlushWeights<Self>,
+                stride: usize,
+                grids: &mut [$complex],
+            ) {
+                check_points(&points);
+                check_weights(weights);
+                check_spread(&points, &across, stride, grids.len());
+                match dialect.kind() {
+                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; all checked above.
+                    #[cfg(target_arch = "x86_64")]
+                    Kind::Avx512 => unsafe {
+                        super::avx512::$spread(points, across, weights, stride, grids)
                     },
                     #[cfg(target_arch = "x86_64")]
-                    // SAFETY: as above.
-                    super::dialect::Kind::Avx2 => unsafe {
-                        super::avx2::$flush(rows, columns, column, weights, out)
+                    Kind::Avx2 => unsafe {
+                        super::avx2::$spread(points, across, weights, stride, grids)
                     },
-                    _ => flush_plain(rows, columns, column, weights, out),
+                    _ => spread_plain(points, across, weights, stride, grids),
                 }
             }
         }
     };
 }
 
-real!(f32, Row32, Complex32, 8, accumulate_32, flush_32);
-real!(f64, Row64, Complex64, 12, accumulate_64, flush_64);
+real!(f32, Row32, Complex32, 8, accumulate_32, flush_32, spread_32);
+real!(
+    f64,
+    Row64,
+    Complex64,
+    12,
+    accumulate_64,
+    flush_64,
+    spread_64
+);
 
 /// The portable twin of the vector loops.
-fn accumulate_plain<T: Real, const N: usize>(
-    points: &Located<T>,
-    taps: usize,
-    rows: &mut [Row<T, N>],
-) {
-    for j in 0..points.len {
-        let mut moments = [T::zero(); N];
-        let mut now = points.amplitude[j];
-        for pair in moments.chunks_exact_mut(2) {
-            pair[0] = now.re;
-            pair[1] = now.im;
-            now = now * points.x[j];
-        }
-        let first = points.row[j] as usize;
-        if taps == 1 {
-            for (sum, moment) in rows[first].0.iter_mut().zip(moments) {
-                *sum = *sum + moment;
-            }
-            continue;
-        }
-        for (row, &weight) in rows[first..first + taps].iter_mut().zip(&points.weight[j]) {
-            for (sum, moment) in row.0.iter_mut().zip(moments) {
-                *sum = *sum + weight * moment;
-            }
+fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<T, N>]) {
+    for ((&cell, &x), &amplitude) in points.cell.iter().zip(points.x).zip(points.amplitude) {
+        let mut moment = amplitude;
+        for pair in rows[cell as usize].0.chunks_exact_mut(2) {
+            pair[0] = pair[0] + moment.re;
+            pair[1] = pair[1] + moment.im;
+            moment = moment * x;
         }
     }
 }
@@ -328,19 +322,40 @@ fn accumulate_plain<T: Real, const N: usize>(
 /// The portable twin of the vector loops.
 fn flush_plain<T: Real, const N: usize>(
     rows: &[Row<T, N>],
-    columns: usize,
-    column: usize,
     weights: &FlushWeights<T>,
     out: &mut [Complex<T>],
 ) {
     out.fill(Complex::new(T::zero(), T::zero()));
-    let cells = rows.len() / columns - 1;
-    for cell in 0..cells {
-        let moments = &rows[cell * columns + column].0;
+    for (cell, moments) in rows[..rows.len() - 1].iter().enumerate() {
         for (i, value) in out[cell..cell + weights.width].iter_mut().enumerate() {
-            for (pair, weight) in moments.chunks_exact(2).zip(&weights.doubled) {
+            for (pair, weight) in moments.0.chunks_exact(2).zip(&weights.doubled) {
                 value.re = value.re + weight[2 * i] * pair[0];
                 value.im = value.im + weight[2 * i] * pair[1];
+            }
+        }
+    }
+}
+
+/// The portable twin of the vector loops.
+fn spread_plain<T: Real>(
+    points: Points<T>,
+    across: Across<T>,
+    weights: &FlushWeights<T>,
+    stride: usize,
+    grids: &mut [Complex<T>],
+) {
+    let zero = Complex::new(T::zero(), T::zero());
+    for j in 0..points.cell.len() {
+        let mut values = [zero; MAX_WIDTH];
+        for (i, value) in values[..weights.width].iter_mut().enumerate() {
+            let polynomial = weights.doubled.iter().rev();
+            let weight = polynomial.fold(T::zero(), |sum, w| sum * points.x[j] + w[2 * i]);
+            *value = points.amplitude[j] * weight;
+        }
+        for (t, &share) in across.weight[j][..across.taps].iter().enumerate() {
+            let first = (across.column[j] as usize + t) * stride + points.cell[j] as usize;
+            for (sum, value) in grids[first..first + weights.width].iter_mut().zip(&values) {
+                *sum = *sum + *value * share;
             }
         }
     }
@@ -358,59 +373,83 @@ mod tests {
         (x >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    fn points<T: Real>(cells: usize, columns: usize, len: usize) -> Located<T> {
-        let mut points = Located::new();
-        points.len = len;
-        for j in 0..len {
-            points.row[j] = ((chance(7 * j).abs() * (cells - 1) as f64) as usize * columns) as u32;
-            points.x[j] = T::narrow(chance(7 * j + 1));
-            points.amplitude[j] =
-                Complex::new(T::narrow(chance(7 * j + 2)), T::narrow(chance(7 * j + 3)));
-            for t in 0..MAX_TAPS {
-                points.weight[j][t] = T::narrow(chance(97 * j + t + 4));
-            }
+    type Block<T> = (
+        Located<T>,
+        [Complex<T>; BLOCK],
+        [u32; BLOCK],
+        [[T; MAX_TAPS]; BLOCK],
+    );
+
+    /// Points in all cells but the last of `cells`, in columns 0..4.
+    fn block<T: Real>(cells: usize) -> Block<T> {
+        let number = |i: usize| T::narrow(chance(i));
+        let below = |i: usize, end: usize| (chance(i).abs() * end as f64) as u32;
+        let mut located = Located::new();
+        for j in 0..BLOCK {
+            located.cell[j] = below(7 * j, cells - 1);
+            located.x[j] = number(7 * j + 1);
         }
-        points
+        (
+            located,
+            std::array::from_fn(|j| Complex::new(number(7 * j + 2), number(7 * j + 3))),
+            std::array::from_fn(|j| below(7 * j + 4, 4)),
+            std::array::from_fn(|j| std::array::from_fn(|t| number(97 * j + t + 5))),
+        )
     }
 
-    fn largest_difference<T: Real + Into<f64>, const N: usize>(
-        a: &[Row<T, N>],
-        b: &[Row<T, N>],
-    ) -> f64 {
-        let flat = |rows: &[Row<T, N>]| -> Vec<f64> {
-            rows.iter().flat_map(|r| r.0.map(Into::into)).collect()
-        };
-        let worst = flat(a)
-            .iter()
-            .zip(flat(b))
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f64::max);
-        worst
+    fn points<T>(block: &Block<T>, len: usize) -> Points<'_, T> {
+        Points {
+            cell: &block.0.cell[..len],
+            x: &block.0.x[..len],
+            amplitude: &block.1[..len],
+        }
     }
 
+    fn worst<T: Real + Into<f64>>(got: &[Complex<T>], want: &[Complex<T>]) -> f64 {
+        let pairs = got.iter().zip(want).map(|(g, w)| g - w);
+        pairs.fold(0.0, |worst: f64, d| {
+            worst.max(d.re.into().abs()).max(d.im.into().abs())
+        })
+    }
+
+    /// Accumulate and flush, and spread, against their portable twins.
     fn every_dialect_agrees<T: Real<Row = Row<T, N>> + Into<f64>, const N: usize>(limit: f64) {
         const CELLS: usize = 23;
+        let one = Complex::new(T::one(), T::one());
+        let block = block::<T>(CELLS);
         for dialect in Dialect::available() {
-            for taps in 1..=MAX_TAPS {
-                let columns = taps;
-                let points = points::<T>(CELLS, columns, BLOCK);
-                let mut want = vec![T::EMPTY; CELLS * columns];
-                let mut got = want.clone();
-                accumulate_plain(&points, taps, &mut want);
-                T::accumulate(dialect, &points, taps, &mut got);
-                let error = largest_difference(&got, &want);
-                assert!(error < limit, "{dialect:?}, {taps} taps: {error:e}");
-                for width in 2..=MAX_WIDTH {
-                    let weights = FlushWeights::<T>::new(&Kernel::new(width, 2.0, T::MOMENTS));
-                    let zero = Complex::new(T::zero(), T::zero());
-                    let mut want_grid = vec![zero; CELLS - 1 + width - 1];
-                    let mut grid = vec![Complex::new(T::one(), T::one()); want_grid.len()];
-                    flush_plain(&want, columns, columns - 1, &weights, &mut want_grid);
-                    T::flush(dialect, &want, columns, columns - 1, &weights, &mut grid);
-                    for (g, w) in grid.iter().zip(&want_grid) {
-                        let error = (g.re - w.re).into().abs().max((g.im - w.im).into().abs());
-                        assert!(error < limit, "{dialect:?}, width {width}: {g:?} {w:?}");
-                    }
+            let mut want = vec![T::EMPTY; CELLS];
+            let mut got = want.clone();
+            for len in [0, 1, 17, BLOCK] {
+                accumulate_plain(points(&block, len), &mut want);
+                T::accumulate(dialect, points(&block, len), &mut got);
+            }
+            for width in 2..=MAX_WIDTH {
+                let weights = FlushWeights::<T>::new(&Kernel::new(width, 2.0, T::MOMENTS));
+                let mut want_grid = vec![one; CELLS - 1 + width - 1];
+                let mut grid = want_grid.clone();
+                flush_plain(&want, &weights, &mut want_grid);
+                T::flush(dialect, &got, &weights, &mut grid);
+                let error = worst(&grid, &want_grid);
+                assert!(
+                    error < limit,
+                    "{dialect:?}, flush, width {width}: {error:e}"
+                );
+
+                let stride = CELLS + MAX_WIDTH + 3;
+                for taps in 1..=MAX_TAPS {
+                    let across = Across {
+                        column: &block.2,
+                        weight: &block.3,
+                        taps,
+                    };
+                    let mut want_grids = vec![one; stride * (3 + taps)];
+                    let mut grids = want_grids.clone();
+                    let points = points(&block, BLOCK);
+                    spread_plain(points, across, &weights, stride, &mut want_grids);
+                    T::spread(dialect, points, across, &weights, stride, &mut grids);
+                    let error = worst(&grids, &want_grids);
+                    assert!(error < limit, "{dialect:?}, {width} x {taps}: {error:e}");
                 }
             }
         }
@@ -443,35 +482,30 @@ mod tests {
         {
             delay_s[10 * i] = odd;
         }
-        let cells = 2000;
+        let axis = Axis {
+            per_s: 1e6,
+            offset: 0.0,
+            cells: 2000,
+            drain: 2007,
+        };
         let mut want = Located::<f64>::new();
-        let scale = cells as f64 / 2e-3;
-        let outside = locate_plain(&delay_s, scale, 0.0, cells, &mut want.row, &mut want.x);
+        let outside = locate_plain(axis, &delay_s, &mut want);
         assert_eq!(outside, 6);
         for (j, delay_s) in delay_s.iter().enumerate() {
             if (0.0..2e-3).contains(delay_s) {
-                let position = f64::from(want.row[j]) + 0.5 + 0.5 * want.x[j];
-                assert!((position - delay_s * scale).abs() < 1e-11);
+                let position = f64::from(want.cell[j]) + 0.5 + 0.5 * want.x[j];
+                assert!((position - delay_s * 1e6).abs() < 1e-11);
                 assert!(want.x[j].abs() <= 1.0, "{}", want.x[j]);
             } else {
-                assert_eq!(want.row[j] as usize, cells);
+                assert_eq!(want.cell[j] as usize, axis.drain);
             }
         }
         for dialect in Dialect::available() {
             let mut got = Located::<f64>::new();
-            let scale = cells as f64 / 2e-3;
-            let count = locate(
-                dialect,
-                &delay_s,
-                scale,
-                0.0,
-                cells,
-                &mut got.row,
-                &mut got.x,
-            );
+            let count = locate(dialect, axis, &delay_s, &mut got);
             assert_eq!(
-                (count, got.row, got.x),
-                (outside, want.row, want.x),
+                (count, got.cell, got.x),
+                (outside, want.cell, want.x),
                 "{dialect:?}"
             );
         }
@@ -480,13 +514,15 @@ mod tests {
     #[test]
     fn moments_of_one_point_are_its_powers() {
         let mut rows = vec![f64::EMPTY; 2];
-        let mut points = Located::<f64>::new();
-        points.len = 1;
-        points.x[0] = 0.5;
-        points.amplitude[0] = Complex64::from_polar(1.0, 0.1 * TAU);
-        f64::accumulate(Dialect::best(), &points, 1, &mut rows);
+        let amplitude = Complex64::from_polar(1.0, 0.1 * TAU);
+        let points = Points {
+            cell: &[0],
+            x: &[0.5],
+            amplitude: &[amplitude],
+        };
+        f64::accumulate(Dialect::best(), points, &mut rows);
         for k in 0..12 {
-            let want = points.amplitude[0] * 0.5f64.powi(k as i32);
+            let want = amplitude * 0.5f64.powi(k as i32);
             let got = Complex64::new(rows[0].0[2 * k], rows[0].0[2 * k + 1]);
             assert!((got - want).norm() < 1e-16, "{k}: {got} {want}");
         }

@@ -13,7 +13,7 @@ use rustfft::{Fft, FftPlanner};
 
 use super::dialect::Dialect;
 use super::kernel::Kernel;
-use super::moments::{BLOCK, FlushWeights, Located, Real, locate};
+use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
 
 /// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
@@ -39,7 +39,7 @@ pub struct Transform1d<T: Real> {
 
 /// Buffers of one thread for one plan.
 pub struct Workspace<T: Real> {
-    points: Box<Located<T>>,
+    located: Located<T>,
     rows: Vec<T::Row>,
     grid: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
@@ -95,7 +95,7 @@ impl<T: Real> Transform1d<T> {
     pub fn workspace(&self) -> Workspace<T> {
         let zero = Complex::new(T::zero(), T::zero());
         Workspace {
-            points: Box::default(),
+            located: Located::new(),
             // Cells 0..=grid, because odd kernels put the last half step into one of its own; and the drain.
             rows: vec![T::EMPTY; self.grid + 2],
             grid: vec![zero; self.grid + self.kernel.width],
@@ -114,36 +114,29 @@ impl<T: Real> Transform1d<T> {
         assert_eq!(delay_s.len(), amplitude.len(), "delays and amplitudes");
         assert_eq!(out.len(), self.bins, "bins");
         work.rows.fill(T::EMPTY);
-        let scale = self.grid as f64 / self.period_s;
+        let axis = Axis {
+            per_s: self.grid as f64 / self.period_s,
+            offset: self.kernel.shift(),
+            cells: self.grid + 1,
+            drain: self.grid + 1,
+        };
         let mut outside = 0;
         for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
-            let points = &mut *work.points;
-            points.len = delay_s.len();
-            points.amplitude[..points.len].copy_from_slice(amplitude);
-            outside += locate(
-                self.dialect,
-                delay_s,
-                scale,
-                self.kernel.shift(),
-                self.grid + 1,
-                &mut points.row,
-                &mut points.x,
-            );
-            T::accumulate(self.dialect, points, 1, &mut work.rows);
+            outside += locate(self.dialect, axis, delay_s, &mut work.located);
+            let Located { cell, x } = &work.located;
+            let points = Points {
+                cell: &cell[..delay_s.len()],
+                x: &x[..delay_s.len()],
+                amplitude,
+            };
+            T::accumulate(self.dialect, points, &mut work.rows);
         }
         self.finish(work, out);
         outside
     }
 
     fn finish(&self, work: &mut Workspace<T>, out: &mut [Complex<T>]) {
-        T::flush(
-            self.dialect,
-            &work.rows,
-            1,
-            0,
-            &self.weights,
-            &mut work.grid,
-        );
+        T::flush(self.dialect, &work.rows, &self.weights, &mut work.grid);
         let (grid, beyond) = work.grid.split_at_mut(self.grid);
         // The period closes: what was put past the end belongs to the beginning.
         for (value, past) in grid.iter_mut().zip(beyond) {

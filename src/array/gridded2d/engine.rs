@@ -10,7 +10,7 @@ use crate::array::gridded::dialect::{Dialect, Kind};
 use crate::array::gridded::kernel::{Kernel, MAX_WIDTH};
 use crate::array::gridded::transform::grid_size;
 use crate::array::phasor::{LANES, cis, cis_lanes};
-use crate::flow::{ArrayGeometry, LineChunk, LineSink, Pattern, PingPlan};
+use crate::flow::{ArrayGeometry, LineChunk, LineSink, LineStretch, Pattern, PingPlan};
 
 use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra, Reading, chebyshev_nodes};
 use super::series::{powers_from_nodes, series_from_nodes, sizes, terms_needed};
@@ -24,6 +24,9 @@ const MOST_BAND: usize = 6;
 const MOST_DILATION: usize = MOST_INSTANTS;
 const MOST_BEND: usize = 8;
 const MOST_TURN: usize = 12;
+const MOST_TWIST: usize = 4;
+/// Most channels of the grid.
+const MOST_CHANNELS: usize = 64;
 /// Columns per cycle of the aperture, over the least that sampling asks for.
 const SLOPE_OVERSAMPLING: f64 = 2.0;
 const TIME_OVERSAMPLING: f64 = 2.0;
@@ -121,9 +124,10 @@ pub struct Orders {
     pub turn: usize,
     /// Powers of the frequency.
     pub band: usize,
-    /// Channels for what is left of the dilation, and for the bend.
+    /// Terms for what is left of the dilation, for the bend, and for what is left of the twist; a channel is a product of three.
     pub dilation: usize,
     pub bend: usize,
+    pub twist: usize,
 }
 
 /// What a task met.
@@ -152,6 +156,8 @@ pub struct LineEngine<T: Sample> {
     fineness: Fineness,
     rate_hz: f64,
     filter_half_s: f64,
+    /// Room in the tables of the pulse.
+    fastest_m_per_s: f64,
     dialect: Dialect,
     stretches: Vec<Stretch>,
     /// Length and shape of the element pattern along the line, metres; 0 is none.
@@ -198,7 +204,7 @@ pub struct Work<T: Sample> {
     spectrum: Split<T>,
     /// `[block][column][power][lane]`.
     moments: Split<T>,
-    /// `[instant][bend][power along][power of frequency]`.
+    /// `[instant][bend][twist][power along][power of frequency]`.
     template: Vec<Complex64>,
     values: Vec<Complex64>,
     values_next: Vec<Complex64>,
@@ -268,17 +274,6 @@ impl LineSink for Gather<'_> {
     }
 }
 
-/// Which echoes a task wants.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wanted {
-    /// Place on the line, from the array's centre.
-    pub middle_m: f64,
-    pub elements: usize,
-    /// Leading edges there.
-    pub earliest_s: f64,
-    pub latest_s: f64,
-}
-
 impl<T: Sample> LineEngine<T> {
     pub fn new(
         array: &ArrayGeometry,
@@ -331,6 +326,7 @@ impl<T: Sample> LineEngine<T> {
             fineness,
             rate_hz,
             filter_half_s: filter.half_s,
+            fastest_m_per_s: 5.0,
             dialect,
             stretches,
             element_m,
@@ -349,6 +345,12 @@ impl<T: Sample> LineEngine<T> {
             pulse: None,
             ping: Ping::default(),
         }
+    }
+
+    /// Makes tables that do not have to be made again for platforms up to this speed.
+    pub fn with_room_for(mut self, fastest_m_per_s: f64) -> Self {
+        self.fastest_m_per_s = self.fastest_m_per_s.max(1.1 * fastest_m_per_s);
+        self
     }
 
     fn bins(&self) -> usize {
@@ -394,7 +396,7 @@ impl<T: Sample> LineEngine<T> {
             .is_some_and(|p| p.is_of(pulse, half_hz + shift(speed)))
         {
             // Room for a platform that speeds up.
-            let reach_hz = half_hz + shift((1.5 * speed).max(5.0));
+            let reach_hz = half_hz + shift((1.5 * speed).max(self.fastest_m_per_s));
             self.pulse = Some(PulseSpectra::new(
                 pulse,
                 reach_hz,
@@ -453,13 +455,14 @@ impl<T: Sample> LineEngine<T> {
                 .unwrap_or(0)
     }
 
-    pub fn wanted(&self, task: usize) -> Wanted {
+    /// Which echoes a task wants.
+    pub fn wanted(&self, task: usize) -> LineStretch {
         let stretch = self.stretch(task);
         let ping = &self.ping;
         let edge_s = |slab: usize| ping.first_edge_s + slab as f64 * ping.slab_s;
-        Wanted {
+        LineStretch {
             middle_m: stretch.middle_m,
-            elements: stretch.along_m.len(),
+            elements: stretch.along_m.len() as u64,
             earliest_s: edge_s(self.slab(task)),
             latest_s: edge_s(self.slab(task) + 1),
         }
@@ -486,8 +489,13 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// Adds an element's slabs up, in order. `outputs[task]` is what [`Self::synthesise`] made.
-    pub fn assemble(&self, outputs: &[Vec<Complex<T>>], element: usize, record: &mut [Complex64]) {
+    /// Adds an element's slabs up, in order. `outputs(task)` is what [`Self::synthesise`] made.
+    pub fn assemble<'a>(
+        &self,
+        outputs: impl Fn(usize) -> &'a [Complex<T>],
+        element: usize,
+        record: &mut [Complex64],
+    ) {
         record.fill(Complex64::ZERO);
         let Some(s) = self
             .stretches
@@ -498,7 +506,7 @@ impl<T: Sample> LineEngine<T> {
         };
         let bins = self.bins();
         for slab in 0..self.ping.slabs {
-            let output = &outputs[s * self.ping.slabs + slab];
+            let output = outputs(s * self.ping.slabs + slab);
             if output.is_empty() {
                 continue;
             }
@@ -545,6 +553,22 @@ impl<T: Sample> LineEngine<T> {
     }
 }
 
+/// What an echo has of its own beyond its slope: inverse range, and what is left of the twist over the most that is.
+#[derive(Clone, Copy)]
+struct Ray {
+    per_range_per_m: f64,
+    twist: f64,
+}
+
+/// Channels of one term of the bend times one of the twist.
+#[derive(Clone, Copy, Default)]
+struct Kept {
+    bend: usize,
+    twist: usize,
+    /// First terms of the dilation.
+    dilation: usize,
+}
+
 /// The numbers of one task.
 struct Task<'a, T: Sample> {
     engine: &'a LineEngine<T>,
@@ -552,8 +576,9 @@ struct Task<'a, T: Sample> {
     stretch: &'a Stretch,
     smooth: Smooth,
     orders: Orders,
-    /// Of each power of the bend, how many terms of the dilation have a channel.
-    kept: [usize; MOST_BEND],
+    /// Which products of terms of bend and twist have channels, and for how many terms of the dilation.
+    kept: [Kept; MOST_BEND * MOST_TWIST],
+    kept_len: usize,
     left_out: f64,
     /// Slope per column, index of the first column, number.
     step: f64,
@@ -579,7 +604,8 @@ impl<'a, T: Sample> Task<'a, T> {
             stretch,
             smooth,
             orders: Orders::default(),
-            kept: [0; MOST_BEND],
+            kept: [Kept::default(); MOST_BEND * MOST_TWIST],
+            kept_len: 0,
             left_out: 0.0,
             step,
             first,
@@ -598,21 +624,23 @@ impl<'a, T: Sample> Task<'a, T> {
         self.engine.ping.carrier_hz + 0.5 * self.engine.rate_hz * band
     }
 
-    /// What an echo of slope `s` and inverse range `per_range` (1/m) becomes beyond the plane wave, at `x` (of the half stretch), `w` (of the half pulse) and
-    /// `band` (of the half band).
-    fn beyond_plane(&self, s: f64, per_range: f64, x: f64, w: f64, band: f64) -> Complex64 {
+    /// What an echo becomes beyond the plane wave, at `x` (of the half stretch), `w` (of the half pulse) and `band` (of the half band).
+    fn beyond_plane(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
         let (y, t) = (x * self.stretch.half_m, w * 0.5 * ping.duration_s);
+        let per_range = ray.per_range_per_m;
         // Polynomials in the slope, so that columns beside the echoes' own slopes, beyond endfire even, go on smoothly.
         let bend = per_range * (1.0 - s * s);
         let (twist, swing) = (self.smooth.twist.at(s), self.smooth.swing.at(s));
+        let twist_rest = ray.twist * self.smooth.twist_rest;
         let quadratic = match self.engine.fineness.motion {
             PulseMotion::Stretch => 0.0,
             PulseMotion::Quadratic => 1.0,
         };
         // Second order of the delay, and the third that follows from it: the range itself changes along the line.
         let path_m = per_range * t * (twist * y + 0.5 * quadratic * swing * t)
+            + twist_rest * y * t
             + bend * y * y * 0.5 * (1.0 + s * y * per_range)
             + 1.5 * s * per_range * per_range * y * t * (twist * y + quadratic * swing * t);
         let (cos, sin) = cis(-self.absolute_hz(band) / c * path_m);
@@ -633,7 +661,7 @@ impl<'a, T: Sample> Task<'a, T> {
     /// A column stands for echoes beside it too. With Y the place along the aperture in cycles per unit of slope and D the kernel's
     /// spectrum, exp(j 2pi Y s) has the weights exp(j 2pi Y s_k) / D(Y); differentiating by Y gives those of s exp(j 2pi Y s), so a factor
     /// g(s) needs g/D + g' (1/D)'/(j 2pi) + g''/2 (1/D)''/(j 2pi)^2 + ...
-    fn shape(&self, s: f64, per_range: f64, x: f64, w: f64, band: f64) -> Complex64 {
+    fn shape(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
         let per_column = self.absolute_hz(band) / c * self.step;
@@ -646,7 +674,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let first = (after - before) / (2.0 * STEP_NU);
         let second = (after + before - 2.0 * at) / (STEP_NU * STEP_NU);
 
-        let g = |columns: f64| self.beyond_plane(s + columns * self.step, per_range, x, w, band);
+        let g = |columns: f64| self.beyond_plane(s + columns * self.step, ray, x, w, band);
         let (here, left, right) = (g(0.0), g(-0.5), g(0.5));
         let slope = right - left;
         let curve = (left + right - here * 2.0) * 4.0;
@@ -670,12 +698,17 @@ impl<'a, T: Sample> Task<'a, T> {
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
         let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
         let mut left_out: f64 = 0.0;
-        let mut most = |f: &dyn Fn(f64, f64, f64, f64) -> Complex64, limit: usize| {
+        // f of the coordinate, slope, ray and the sign of the others.
+        let mut most = |f: &dyn Fn(f64, f64, Ray, f64) -> Complex64, limit: usize| {
             let (mut terms, mut rest) = (1, 0.0f64);
             for s in slopes {
-                for bend in bends {
+                for per_range_per_m in bends {
                     for sign in [-1.0, 1.0] {
-                        let got = terms_needed(|x| f(x, s, bend, sign), limit, tolerance);
+                        let ray = Ray {
+                            per_range_per_m,
+                            twist: sign,
+                        };
+                        let got = terms_needed(|x| f(x, s, ray, sign), limit, tolerance);
                         terms = terms.max(got.0);
                         rest = rest.max(got.1);
                     }
@@ -686,52 +719,31 @@ impl<'a, T: Sample> Task<'a, T> {
         };
         let rest_rad = self.rest_rad(1.0);
         let beyond = |angle: f64| Complex64::from_polar(1.0, -angle);
+        let bent = |ray: Ray, b: f64| Ray {
+            per_range_per_m: self.smooth.per_range_per_m.at(b),
+            ..ray
+        };
+        let twisted = |ray: Ray, twist: f64| Ray { twist, ..ray };
         let instants = most(
-            &|w, s, bend, x| self.shape(s, bend, x, w, 1.0) * beyond(rest_rad * w),
+            &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
             MOST_INSTANTS,
         );
-        let along = most(&|x, s, bend, w| self.shape(s, bend, x, w, 1.0), MOST_ALONG);
+        let along = most(&|x, s, ray, w| self.shape(s, ray, x, w, 1.0), MOST_ALONG);
         let bend = most(
-            &|b, s, _, x| self.shape(s, self.smooth.per_range_per_m.at(b), x, x, 1.0),
+            &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
             MOST_BEND,
+        );
+        let twist = most(
+            &|z, s, ray, x| self.shape(s, twisted(ray, z), x, x, 1.0),
+            MOST_TWIST,
         );
         let dilation = most(&|d, _, _, _| beyond(rest_rad * d), MOST_DILATION);
         let band = most(
-            &|b, s, bend, x| self.shape(s, bend, x, x, b) * beyond(self.rest_rad(b)),
+            &|b, s, ray, x| self.shape(s, ray, x, x, b) * beyond(self.rest_rad(b)),
             MOST_BAND,
         );
         let turn_rad = self.turn_rad(0, slopes[0].abs().max(slopes[2].abs()) + self.step);
         let turn = most(&|x, _, _, _| beyond(turn_rad * x), MOST_TURN);
-        // Channels whose two terms together are too small to count are left out too.
-        let dilation_sizes = sizes(|d| beyond(rest_rad * d), dilation + 4);
-        let mut bend_sizes = [0.0f64; MOST_BEND];
-        for s in slopes {
-            for x in [-1.0, 1.0] {
-                let f = |b: f64| self.shape(s, self.smooth.per_range_per_m.at(b), x, x, 1.0);
-                for (most, size) in bend_sizes.iter_mut().zip(sizes(f, bend + 4)) {
-                    *most = most.max(size);
-                }
-            }
-        }
-        let share = tolerance / bend as f64;
-        for (p, &bend_size) in bend_sizes[..bend].iter().enumerate() {
-            let mut rest = 0.0;
-            let mut kept = dilation;
-            while p > 0 && kept > 1 && rest + dilation_sizes[kept - 1] * bend_size <= share {
-                rest += dilation_sizes[kept - 1] * bend_size;
-                kept -= 1;
-            }
-            self.kept[p] = kept;
-            left_out += rest;
-        }
-        // Twist and swing that no curve over the slope describes.
-        let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
-        let half_s = 0.5 * ping.duration_s;
-        left_out += per_m * self.smooth.twist_rest * half_m * half_s;
-        if self.engine.fineness.motion == PulseMotion::Quadratic {
-            left_out += 0.5 * per_m * self.smooth.swing_rest * half_s * half_s;
-        }
-        self.left_out = left_out / kernel.window_gain(end);
         self.orders = Orders {
             instants,
             along,
@@ -739,7 +751,85 @@ impl<'a, T: Sample> Task<'a, T> {
             band,
             dilation,
             bend,
+            twist,
         };
+        left_out += self.choose_channels(slopes, tolerance);
+        // Swing that no curve over the slope describes.
+        let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
+        let half_s = 0.5 * ping.duration_s;
+        if self.engine.fineness.motion == PulseMotion::Quadratic {
+            left_out += 0.5 * per_m * self.smooth.swing_rest * half_s * half_s;
+        }
+        // Fourth order of the delay along the stretch.
+        left_out +=
+            per_m * half_m.powi(4) / 8.0 * self.smooth.per_range_per_m.at(1.0).max(0.0).powi(3);
+        self.left_out = left_out / kernel.window_gain(end);
+    }
+
+    /// Channels whose terms together are too small to count are left out too. Returns their sum.
+    fn choose_channels(&mut self, slopes: [f64; 3], tolerance: f64) -> f64 {
+        let Orders {
+            dilation,
+            bend,
+            twist,
+            ..
+        } = self.orders;
+        let rest_rad = self.rest_rad(1.0);
+        let dilation_sizes = sizes(|d| Complex64::from_polar(1.0, -rest_rad * d), dilation + 4);
+        let (mut bend_sizes, mut twist_sizes) = ([0.0f64; MOST_BEND], [0.0f64; MOST_TWIST]);
+        let widen = |most: &mut [f64], found: &[f64]| {
+            for (most, size) in most.iter_mut().zip(found) {
+                *most = most.max(*size);
+            }
+        };
+        for s in slopes {
+            for x in [-1.0, 1.0] {
+                let at = |b: f64, twist: f64| {
+                    let per_range_per_m = self.smooth.per_range_per_m.at(b);
+                    self.shape(
+                        s,
+                        Ray {
+                            per_range_per_m,
+                            twist,
+                        },
+                        x,
+                        x,
+                        1.0,
+                    )
+                };
+                widen(&mut bend_sizes, &sizes(|b| at(b, 0.0), bend + 4));
+                widen(&mut twist_sizes, &sizes(|z| at(0.0, z), twist + 4));
+            }
+        }
+        let share = tolerance / (bend * twist) as f64;
+        let (mut left_out, mut channels, mut len) = (0.0, 0, 0);
+        for (p, z) in (0..bend).flat_map(|p| (0..twist).map(move |z| (p, z))) {
+            let size = bend_sizes[p] * twist_sizes[z];
+            let (mut rest, mut terms) = (0.0, dilation);
+            // The first of all carries the echo itself.
+            while p + z > 0 && terms > 0 && rest + dilation_sizes[terms - 1] * size <= share
+                || channels + terms > MOST_CHANNELS
+            {
+                rest += dilation_sizes[terms - 1] * size;
+                terms -= 1;
+            }
+            left_out += rest;
+            if terms > 0 {
+                self.kept[len] = Kept {
+                    bend: p,
+                    twist: z,
+                    dilation: terms,
+                };
+                len += 1;
+                channels += terms;
+            }
+        }
+        self.kept_len = len;
+        left_out
+    }
+
+    fn kept(&self) -> &[Kept] {
+        &self.kept[..self.kept_len]
     }
 
     /// How far the rotor of slope `s` to the stretch's end turns from the middle of a block to its lane, radians.
@@ -750,7 +840,7 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     fn channels(&self) -> usize {
-        self.kept[..self.orders.bend].iter().sum()
+        self.kept().iter().map(|kept| kept.dilation).sum()
     }
 
     fn powers(&self) -> usize {
@@ -796,7 +886,12 @@ impl<'a, T: Sample> Task<'a, T> {
     /// Echoes onto the grid, each in all channels.
     #[inline(always)]
     fn spread<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let Orders { dilation, bend, .. } = self.orders;
+        let Orders {
+            dilation,
+            bend,
+            twist,
+            ..
+        } = self.orders;
         let channels = self.channels();
         // Numbers per row and per echo and row: re and im beside one another.
         let width = 2 * self.columns * channels;
@@ -804,8 +899,8 @@ impl<'a, T: Sample> Task<'a, T> {
         work.grid.resize(self.engine.rows * width, T::ZERO);
         let (time, slope) = (&self.engine.time_kernel, &self.engine.slope_kernel);
         let rows_per_s = self.engine.rows as f64 * self.engine.rate_hz / self.engine.bins() as f64;
-        let mut shares = [[0.0; MOST_DILATION]; 2];
-        let mut each = [T::ZERO; 2 * MOST_DILATION * MOST_BEND];
+        let mut shares = [[0.0; MOST_DILATION]; 3];
+        let mut each = [T::ZERO; 2 * MOST_CHANNELS];
         let each = &mut each[..2 * channels];
         let mut line = [T::ZERO; MOST_LINE];
         let line = &mut line[..2 * slope.width * channels];
@@ -821,11 +916,18 @@ impl<'a, T: Sample> Task<'a, T> {
             chebyshev_values(unit, &mut shares[0][..dilation]);
             let unit = self.smooth.per_range_per_m.unit(echoes.per_range_per_m[i]);
             chebyshev_values(unit, &mut shares[1][..bend]);
+            let unit = if self.smooth.twist_rest > 0.0 {
+                self.smooth.twist_left(echoes, i) / self.smooth.twist_rest
+            } else {
+                0.0
+            };
+            chebyshev_values(unit, &mut shares[2][..twist]);
             let mut at = 0;
-            for (p, &kept) in shares[1][..bend].iter().zip(&self.kept) {
-                for r in &shares[0][..kept] {
-                    each[at] = T::narrow(echoes.re[i] * r * p);
-                    each[at + 1] = T::narrow(echoes.im[i] * r * p);
+            for kept in self.kept() {
+                let share = shares[1][kept.bend] * shares[2][kept.twist];
+                for r in &shares[0][..kept.dilation] {
+                    each[at] = T::narrow(echoes.re[i] * r * share);
+                    each[at + 1] = T::narrow(echoes.im[i] * r * share);
                     at += 2;
                 }
             }
@@ -932,43 +1034,36 @@ impl<'a, T: Sample> Task<'a, T> {
     /// The column's shape as series of bend, powers along the stretch and powers of the frequency.
     fn template(&self, work: &mut Work<T>, column: usize, instants: &Instants) {
         let Orders {
-            along, band, bend, ..
+            along,
+            band,
+            bend,
+            twist,
+            ..
         } = self.orders;
         let s = self.slope(column);
         work.values.clear();
         for &w in &instants.x {
             for b in chebyshev_nodes(bend) {
-                let bend = self.smooth.per_range_per_m.at(b);
-                for x in chebyshev_nodes(along) {
-                    for f in chebyshev_nodes(band) {
-                        work.values.push(self.shape(s, bend, x, w, f));
+                for twist in chebyshev_nodes(twist) {
+                    let ray = Ray {
+                        per_range_per_m: self.smooth.per_range_per_m.at(b),
+                        twist,
+                    };
+                    for x in chebyshev_nodes(along) {
+                        for f in chebyshev_nodes(band) {
+                            work.values.push(self.shape(s, ray, x, w, f));
+                        }
                     }
                 }
             }
         }
         // One dimension after the other, from the outside in.
         let engine = self.engine;
-        let turned = |matrix: &[f64], from: &[Complex64], to: &mut Vec<Complex64>, inner| {
-            along_dimension(matrix, from, to, inner);
-        };
-        turned(
-            &engine.series[bend - 1],
-            &work.values,
-            &mut work.values_next,
-            along * band,
-        );
-        turned(
-            &engine.powers[along - 1],
-            &work.values_next,
-            &mut work.values,
-            band,
-        );
-        turned(
-            &engine.powers[band - 1],
-            &work.values,
-            &mut work.template,
-            1,
-        );
+        let (values, next) = (&mut work.values, &mut work.values_next);
+        along_dimension(&engine.series[bend - 1], values, next, twist * along * band);
+        along_dimension(&engine.series[twist - 1], next, values, along * band);
+        along_dimension(&engine.powers[along - 1], values, next, band);
+        along_dimension(&engine.powers[band - 1], next, &mut work.template, 1);
     }
 
     /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of Lagrange's polynomials of the instants.
@@ -1021,6 +1116,7 @@ impl<'a, T: Sample> Task<'a, T> {
             band,
             dilation,
             bend,
+            twist,
         } = self.orders;
         let bins = self.engine.bins();
         let powers = self.powers();
@@ -1034,9 +1130,9 @@ impl<'a, T: Sample> Task<'a, T> {
         let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
         for (n, pulse) in pulses[..instants].iter().enumerate() {
             let mut at = from;
-            for (p, &kept) in self.kept[..bend].iter().enumerate() {
+            for kept in self.kept() {
                 let mut heard = Lanes::ZERO;
-                for r in 0..kept {
+                for r in 0..kept.dilation {
                     let channel = Lanes::load(&work.spectrum, at);
                     at += bins;
                     let series = &work.dilation[(n * dilation + r) * band..][..band];
@@ -1044,7 +1140,7 @@ impl<'a, T: Sample> Task<'a, T> {
                 }
                 let heard = heard.times::<FUSED>(pulse);
                 for (q, sum) in sums[..along].iter_mut().enumerate() {
-                    let at = ((n * bend + p) * along + q) * band;
+                    let at = (((n * bend + kept.bend) * twist + kept.twist) * along + q) * band;
                     let series = &work.template[at..][..band];
                     sum.add_product::<FUSED>(&heard, &Lanes::polynomial::<FUSED>(series, &f));
                 }
@@ -1174,7 +1270,7 @@ fn every_second<T: Sample, const FUSED: bool>(
 }
 
 /// Most values of one echo on one row of the grid.
-const MOST_LINE: usize = 2 * MAX_WIDTH * MOST_DILATION * MOST_BEND;
+const MOST_LINE: usize = 2 * MAX_WIDTH * MOST_CHANNELS;
 
 /// T_0(x) ... into `out`.
 fn chebyshev_values(x: f64, out: &mut [f64]) {

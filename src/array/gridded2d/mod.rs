@@ -22,12 +22,12 @@
 //! the filter's stop band (82 dB down).
 
 mod engine;
+mod line_array;
 pub mod plan;
 pub mod pulse;
 mod series;
 mod smooth;
 
-pub use engine::{
-    Filter, Fineness, Gather, LineEngine, Orders, PulseMotion, Sample, TaskReport, Wanted, Work,
-};
-pub use plan::{Bounds, Choice, Precision, Refusal, choose};
+pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, Sample, TaskReport, Work};
+pub use line_array::Gridded2d;
+pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};

@@ -222,6 +222,12 @@ impl Smooth {
         echoes.dilation[i] - self.dilation(echoes.slope[i])
     }
 
+    /// What the curve leaves of an echo's twist.
+    #[inline]
+    pub fn twist_left(&self, echoes: &Echoes, i: usize) -> f64 {
+        echoes.twist_per_s[i] - echoes.per_range_per_m[i] * self.twist.at(echoes.slope[i])
+    }
+
     /// The dilation shared at a slope.
     #[inline]
     pub fn dilation(&self, slope: f64) -> f64 {

@@ -96,7 +96,8 @@ pub fn sonar<'t>(
         receiver: receiver?,
         settings: settings?,
         limits: limits?,
-        model: table.table("model").and_then(model)?,
+        model: table.table("model").and_then(|t| model(t, problems))?,
+        synthesis: table.table("model").and_then(|t| synthesis(t, problems))?,
         beams: beams?,
         outputs: outputs?,
     })
@@ -510,23 +511,48 @@ fn refuse_huge_ping(
 
 // ---------------------------------------------------------------- model, beams, outputs
 
-fn model(table: &RawTable) -> Option<ModelChoice> {
+fn model(table: &RawTable, problems: &mut Problems) -> Option<ModelChoice> {
+    let doppler = table.text("doppler");
+    let doppler = DopplerModel::ALL
+        .into_iter()
+        .find(|d| Some(d.name()) == doppler);
+    let synthesis = table.text("synthesis");
+    let synthesis = Synthesis::ALL
+        .into_iter()
+        .find(|s| Some(s.name()) == synthesis);
+    if let (Some(doppler), Some(synthesis)) = (doppler, synthesis)
+        && synthesis.shares_pulse()
+        && !doppler.keeps_pulse()
+    {
+        problems.refuse(
+            table.entry("doppler"),
+            format!(
+                "must be \"none\" or \"paper-eq21\" with synthesis = \"{}\", which lays one pulse under every echo",
+                synthesis.name()
+            ),
+        );
+    }
+    let path = table.text("path")?;
     Some(ModelChoice {
-        path: match table.text("path")? {
-            "stop-and-hop" => PathModel::StopAndHop,
-            _ => PathModel::Polyline,
-        },
-        doppler: match table.text("doppler")? {
-            "none" => DopplerModel::None,
-            _ => DopplerModel::Stretch,
-        },
-        synthesis: match table.text("synthesis")? {
-            "reference" => Synthesis::Reference,
-            _ => Synthesis::Direct,
-        },
+        path: PathModel::ALL.into_iter().find(|p| p.name() == path)?,
+        doppler: doppler?,
+        synthesis: synthesis?,
         segment_s: table.scaled("segment_ms", -3)?,
         cull_db: match table.given("cull_db") {
             true => Some(table.number("cull_db")?),
+            false => None,
+        },
+    })
+}
+
+fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec> {
+    let spectral = table.text("synthesis").map(|s| s == "spectral");
+    let keys = ["frequency_step_hz"];
+    only_with(table, &keys, spectral, "synthesis = \"spectral\"", problems);
+    Some(SynthesisSpec {
+        certificate: table.bool("certificate")?,
+        frequency_step_hz: match table.given("frequency_step_hz") {
+            true => Some(table.number("frequency_step_hz")?),
             false => None,
         },
     })

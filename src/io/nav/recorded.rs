@@ -105,11 +105,10 @@ fn read_source(
     let (samples, path) = match &source.input {
         NavInputSpec::Log {
             path,
-            plain_rate_hz_times_1000,
+            plain_rate_hz,
         } => {
             let bytes = read_file(&source.name, path)?;
-            let rate_hz = *plain_rate_hz_times_1000 as f64 / 1000.0;
-            let (samples, decoder, log) = read_log(&bytes, index, source, rate_hz);
+            let (samples, decoder, log) = read_log(&bytes, index, source, *plain_rate_hz);
             (counters.decoder, counters.log) = (decoder, log);
             (samples, path)
         }

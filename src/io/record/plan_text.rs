@@ -5,8 +5,8 @@ use serde_json::{Value, json};
 
 use crate::config::spec::{Shading, SonarSpec};
 use crate::flow::{
-    DopplerModel, Mounting, PathModel, Pattern, PingPlan, Pulse, PulseKind, Receiver,
-    ReceiverFilter, Segment, Side, Synthesis, TimeVaryingGain,
+    Mounting, Pattern, PingPlan, Pulse, PulseKind, Receiver, ReceiverFilter, Segment, Side,
+    TimeVaryingGain,
 };
 
 /// What is the same for all pings of a fixed setting, from one ping's plan.
@@ -66,18 +66,9 @@ pub(super) fn plan_summary(plan: &PingPlan) -> Value {
         "sample_count": plan.sample_count,
         "first_sample_s": plan.first_sample_s,
         "model": {
-            "path": match plan.model.path {
-                PathModel::StopAndHop => "stop-and-hop",
-                PathModel::Polyline => "polyline",
-            },
-            "doppler": match plan.model.doppler {
-                DopplerModel::None => "none",
-                DopplerModel::Stretch => "stretch",
-            },
-            "synthesis": match plan.model.synthesis {
-                Synthesis::Reference => "reference",
-                Synthesis::Direct => "direct",
-            },
+            "path": plan.model.path.name(),
+            "doppler": plan.model.doppler.name(),
+            "synthesis": plan.model.synthesis.name(),
             "segment_s": plan.model.segment_s,
             "cull_db": plan.model.cull_db,
         },

@@ -3,7 +3,9 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use crate::config::spec::{BeamsSpec, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec};
+use crate::config::spec::{
+    BeamsSpec, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec, SynthesisSpec,
+};
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{
     ArrayGeometry, BeamFrame, ElementFrame, Line, Mounting, Pattern, PingOutput, PingPlan, Pulse,
@@ -76,6 +78,7 @@ pub fn sonar() -> SonarSpec {
             pulse_duration_s: (1e-3, 1e-3),
         },
         model: plan.model,
+        synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             lines: vec![
                 LineSpec {
@@ -138,6 +141,7 @@ pub fn output(ping_number: u32) -> PingOutput {
         amplitude: iq(1, salt).iter().map(|x| x.norm() as f32).collect(),
     };
     PingOutput {
+        certificate: None,
         elements,
         beams: vec![BeamFrame {
             beams: 3,

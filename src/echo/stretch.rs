@@ -1,0 +1,101 @@
+//! Doppler beyond the leading edge, and the paper's Eq. 21.
+//!
+//! What is heard at t left at t' with c (t - t') = R_T(t') + R_R(t), R the two legs. With a and b the speeds at which transmitter and receiver
+//! close in on the scatterer, the first two derivatives are
+//!
+//! ```text
+//! dt'/dt   = (c + b) / (c - a)
+//! d2t'/dt2 = -(R_T'' (dt'/dt)^2 + R_R'') / (c - a),     R'' = (v.v - (v.e)^2)/R - acceleration.e
+//! ```
+//!
+//! The first alone, taken at the leading edge (Meng et al. 2023, Eqs. 19-20), leaves a phase of 2 pi f v^2 sin^2 s^2 / (r c) at s seconds into
+//! the pulse, f up to f_c + B/2. Both, taken at mid-pulse, leave the third derivative: some v/r T/12 of that.
+
+use glam::DVec3;
+
+use super::paths::Motion;
+
+/// One leg as it is when the leading edge passes: the ray from the sonar to the scatterer, and how the sonar's end of it moves.
+#[derive(Clone, Copy, Debug)]
+pub struct Leg {
+    pub ray_m: DVec3,
+    pub motion: Motion,
+}
+
+impl Leg {
+    /// Length and its first two derivatives, `later_s` after the leading edge.
+    fn at(&self, later_s: f64) -> (f64, f64, f64) {
+        let Motion {
+            velocity_m_per_s: velocity,
+            acceleration_m_per_s2: acceleration,
+        } = self.motion;
+        let ray_m = self.ray_m - (velocity + acceleration * (0.5 * later_s)) * later_s;
+        let velocity = velocity + acceleration * later_s;
+        let range_m = ray_m.length();
+        let e = ray_m / range_m.max(f64::MIN_POSITIVE);
+        let closing = velocity.dot(e);
+        let across2 = (velocity.length_squared() - closing * closing).max(0.0);
+        let second = across2 / range_m.max(f64::MIN_POSITIVE) - acceleration.dot(e);
+        (range_m, -closing, second)
+    }
+}
+
+/// Emission time to the second order: s after `delay_s` sounds what left at (1 + doppler) s + curvature s^2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretched {
+    pub delay_s: f64,
+    pub doppler: f64,
+    pub curvature_per_s: f64,
+}
+
+/// A leg shorter than this many times what either end moves in a pulse has no use for a Taylor series about a later moment.
+const NEAREST_LEG: f64 = 5.0;
+
+/// The expansion about mid-pulse, in terms of its own leading edge. `delay_s` and `doppler` are those of the leading edge, `half_s` is T/2.
+/// A scatterer that the sonar all but touches keeps the stretch of its leading edge.
+pub fn about_mid_pulse(
+    c: f64,
+    half_s: f64,
+    transmit: Leg,
+    receive: Leg,
+    delay_s: f64,
+    doppler: f64,
+) -> Stretched {
+    let moved_m = |leg: &Leg| 2.0 * half_s * leg.motion.velocity_m_per_s.length();
+    let nearest_m = transmit.ray_m.length().min(receive.ray_m.length());
+    if nearest_m < NEAREST_LEG * moved_m(&transmit).max(moved_m(&receive)) {
+        return Stretched {
+            delay_s,
+            doppler,
+            curvature_per_s: 0.0,
+        };
+    }
+    let (transmit_m, transmit_rate, transmit_second) = transmit.at(half_s);
+    // When the middle arrives: from the stretch at the leading edge two Newton steps reach the last bit.
+    let mut since_s = half_s / (1.0 + doppler);
+    for _ in 0..2 {
+        let (receive_m, rate, _) = receive.at(since_s);
+        let residual_m = c * ((delay_s - half_s) + since_s) - transmit_m - receive_m;
+        since_s -= residual_m / (c - rate);
+    }
+    let (_, receive_rate, receive_second) = receive.at(since_s);
+    let doppler = -(receive_rate + transmit_rate) / (c + transmit_rate);
+    let eta = 1.0 + doppler;
+    let curvature_per_s =
+        -0.5 * (transmit_second * eta * eta + receive_second) / (c + transmit_rate);
+    // Back to where t' = 0: half + eta s + curvature s^2 = 0.
+    let root = (eta * eta - 4.0 * curvature_per_s * half_s).max(0.0).sqrt();
+    let edge_s = -2.0 * half_s / (eta + root);
+    Stretched {
+        delay_s: delay_s + (since_s + edge_s),
+        doppler: doppler + 2.0 * curvature_per_s * edge_s,
+        curvature_per_s,
+    }
+}
+
+/// Eq. 21 of Meng et al. 2023 as printed, with Eq. 20's f_S read as f_{m,T}: frequencies f c/(c - a) out and f (c + b)/(c - a) back times the
+/// delays of either leg, which is a pulse that is not stretched at this delay. `closing` are a and b, m/s.
+pub fn paper_eq21_delay_s(c: f64, first_leg_s: f64, delay_s: f64, closing: (f64, f64)) -> f64 {
+    let (a, b) = closing;
+    delay_s + (first_leg_s * a + (delay_s - first_leg_s) * (a + b)) / (c - a)
+}

@@ -1,0 +1,114 @@
+//! A ping allocates nothing once buffers have met the largest: every synthesis, with a certificate.
+
+mod counting;
+
+use std::path::Path;
+
+use echotank::config;
+use echotank::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
+use echotank::frames::{Trajectory, rotation_from_angles};
+use echotank::ping::{self, PingOrder};
+use echotank::run::pipeline::SonarPipeline;
+use echotank::time::UtcNs;
+use glam::DVec3;
+use num_complex::Complex64;
+
+const CONFIGURATION: &str = r#"
+[[nav.source]]
+name = "gnss"
+kind = "udp"
+listen = "127.0.0.1:10110"
+[scene.seabed]
+shape = "plane"
+depth_m = 40.0
+[[sonar]]
+name = "main"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 400.0
+bandwidth_khz = 30.0
+duration_ms = 2.0
+[[sonar.transmit]]
+name = "tx"
+[[sonar.receive]]
+name = "rx"
+elements = 12
+spacing_m = 0.002
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "fir"
+[sonar.ping]
+range_m = 30.0
+rate_hz = 5.0
+source_level_db = 200.0
+[sonar.limits]
+pulse_duration_ms = [1.0, 2.0]
+[sonar.model]
+certificate = true
+"#;
+
+#[test]
+fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
+    let mut scatterers = Scatterers::default();
+    for k in 0..300 {
+        let at_m = DVec3::new(8.0 + 0.03 * f64::from(k), 10.0, 8.0);
+        scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    }
+    for model in [
+        "path = \"polyline\"",
+        "path = \"k-segment\"\ndoppler = \"stretch-quadratic\"",
+        "path = \"continuous\"\ndoppler = \"stretch-quadratic\"",
+        "doppler = \"paper-eq21\"",
+        "doppler = \"none\"\nsynthesis = \"spectral\"",
+        "doppler = \"none\"\nsynthesis = \"nearest\"",
+        "doppler = \"none\"\nsynthesis = \"linear\"",
+    ] {
+        let text = format!("{CONFIGURATION}{model}\n");
+        let rig = config::parse(&text, Path::new(".")).expect("a good configuration");
+        let sonar = &rig.sonars[0];
+        // One thread and its own pool: what the pool does for itself is not the ping's.
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .expect("a pool");
+        let mut plans: Vec<PingPlan> = (1..=100)
+            .map(|number| {
+                let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
+                plan.trajectory = Trajectory::uniform(
+                    DVec3::ZERO,
+                    DVec3::new(5.0, 1.0, 0.3),
+                    rotation_from_angles(0.0, 0.0, 0.0),
+                );
+                let mut settings = sonar.settings;
+                // The pulse changes now and then, the longest first.
+                settings.pulse_duration_s = if number / 10 % 2 == 0 { 2e-3 } else { 1.5e-3 };
+                let order = PingOrder {
+                    ping_number: number,
+                    transmit_utc: UtcNs(0),
+                    settings,
+                    period_s: 0.2,
+                };
+                ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
+                plan
+            })
+            .collect();
+        let measured = plans.split_off(60);
+        let (allocations, certified) = pool.install(|| {
+            let mut pipeline = SonarPipeline::new(sonar, &rig.medium).expect("fits");
+            let mut output = pipeline.blank_output();
+            for plan in &plans {
+                pipeline.compute_ping(plan, &scatterers, &mut output);
+            }
+            let before = counting::in_all_threads();
+            for plan in &measured {
+                pipeline.compute_ping(plan, &scatterers, &mut output);
+            }
+            let during = counting::in_all_threads() - before;
+            (during, output.certificate.is_some())
+        });
+        println!("{model}: {allocations} allocations, certified: {certified}");
+        assert_eq!(allocations, 0, "{model}");
+        // Few samples of cheap methods are paid for; of the others there are enough by now.
+        assert!(certified || model.contains("synthesis"), "{model}");
+    }
+}

@@ -1,0 +1,73 @@
+//! The ping path allocates nothing after warm-up: a test of its own, because it counts with the global allocator.
+
+mod counting;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use echotank::config;
+use echotank::config::spec::NavMode;
+use echotank::io::nav::NavInputs;
+use echotank::nav::Coverage;
+use echotank::ping::Schedule;
+use echotank::run::rig::{Rig, pool};
+use echotank::time::VirtualClock;
+
+/// Allocations in each of the last pings of `count`.
+fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("hil-configs")
+        .join(file);
+    let mut spec = config::load(&path).expect("a good configuration");
+    // Tiles are made while the ship moves on; a still scene shows the ping alone.
+    spec.scene
+        .seabed
+        .iter_mut()
+        .for_each(|seabed| seabed.density_per_m2 = 0.5);
+    for sonar in &mut spec.sonars {
+        sonar.model.synthesis = echotank::flow::Synthesis::Direct;
+    }
+    let pool = pool(threads).expect("threads");
+    pool.install(|| {
+        let mut rig = Rig::open(&spec).expect("rig");
+        let mut inputs =
+            NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
+        while rig.history.first_usable_utc().is_none() {
+            assert!(inputs.pull_next(&mut rig.history));
+        }
+        let first = rig.history.first_usable_utc().expect("nav");
+        let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
+        let mut slot = rig.slot(0);
+        let settings = spec.sonars[0].settings;
+        let mut counted = Vec::new();
+        for ping in 0..count {
+            let order = schedule
+                .due(schedule.next_utc(), |_| settings)
+                .expect("due");
+            let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
+            while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
+                assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
+            }
+            let before = counting::in_all_threads();
+            rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
+                .expect("covered");
+            if ping >= count - watched {
+                counted.push(counting::in_all_threads() - before);
+            }
+        }
+        counted
+    })
+}
+
+#[test]
+fn a_ping_allocates_nothing_after_warm_up() {
+    for threads in [1, 2] {
+        let points = allocations_per_ping("points.toml", threads, 8, 4);
+        assert_eq!(points, [0; 4], "points, {threads} threads");
+        // Over a seabed new tiles come in as the ship moves on, and more scatterers than ever before may lie in one ping: both grow a
+        // buffer, rarely, and nothing else does.
+        let seabed = allocations_per_ping("quickstart.toml", threads, 60, 20);
+        let quiet = seabed.iter().filter(|&&n| n == 0).count();
+        assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");
+    }
+}

@@ -1,0 +1,344 @@
+//! Synthesis methods on one scene: error and milliseconds of each on one line.
+//!
+//! Timed: arrivals of all elements to samples through the receiver filter, one thread, best of some runs. Not timed: the walk that makes
+//! the arrivals, noise, gain, converter. Error: one element, the first 2000 scatterers, worst window of a pulse's length, against the
+//! direct sum 256 B dense.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use echotank::array::gridded::pulse_spectrum::PulseSpectrum;
+use echotank::array::gridded::transform::grid_size;
+use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, Gridded1dWork, one_dimensional};
+use echotank::array::{Decimator, Direct};
+use echotank::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
+use num_complex::Complex64;
+use rustfft::{Fft, FftPlanner};
+
+use super::machine;
+use super::scene::{BANDWIDTH_HZ, DURATION_S, SAMPLE_RATE_HZ, SOUND_SPEED_M_PER_S, Scene, Shape};
+
+const ELEMENTS: usize = 5;
+const ERROR_SCATTERERS: usize = 2000;
+const TRUTH_DENSITY: f64 = 256.0;
+const DIRECT_DENSITY: f64 = 8.0;
+/// Room for Doppler in the receiver filter, and the engine's span: a platform of 5 m/s.
+const FASTEST_M_PER_S: f64 = 5.0;
+
+/// Samples of one element out of its arrivals.
+trait Method {
+    fn name(&self) -> String;
+    fn element(&mut self, chunks: &[ArrivalChunk], out: &mut [Complex64]);
+    /// What it says of itself.
+    fn says(&self) -> String {
+        String::new()
+    }
+}
+
+fn filter(plan: &PingPlan, density: f64) -> Decimator {
+    let doppler_hz =
+        2.0 * FASTEST_M_PER_S / SOUND_SPEED_M_PER_S * plan.pulse.center_frequency_hz * 0.3;
+    let oversample = (density * BANDWIDTH_HZ / SAMPLE_RATE_HZ).ceil() as usize;
+    Decimator::new(&plan.pulse, SAMPLE_RATE_HZ, doppler_hz, oversample)
+        .expect("40 kHz hold 30 kHz and 800 Hz of Doppler")
+}
+
+struct DirectSum<'a> {
+    plan: &'a PingPlan,
+    filter: Decimator,
+    dense: Vec<Complex64>,
+}
+
+impl<'a> DirectSum<'a> {
+    fn new(plan: &'a PingPlan, density: f64) -> Self {
+        let filter = filter(plan, density);
+        Self {
+            plan,
+            dense: vec![Complex64::ZERO; filter.dense_len(plan.sample_count)],
+            filter,
+        }
+    }
+}
+
+impl Method for DirectSum<'_> {
+    fn name(&self) -> String {
+        "direct".into()
+    }
+    fn element(&mut self, chunks: &[ArrivalChunk], out: &mut [Complex64]) {
+        self.dense.fill(Complex64::ZERO);
+        let first_s = self.filter.dense_first_s(self.plan.first_sample_s);
+        let rate_hz = self.filter.dense_rate_hz();
+        let mut sink = Direct::new(self.plan, rate_hz, first_s, &mut self.dense);
+        chunks.iter().for_each(|chunk| sink.accept(chunk));
+        self.filter.apply(&self.dense, out);
+    }
+}
+
+struct Gridded {
+    tolerance: f64,
+    engine: Gridded1d,
+    work: Gridded1dWork,
+    span: DopplerSpan,
+    doppler: DopplerModel,
+}
+
+impl Gridded {
+    fn new(
+        plan: &PingPlan,
+        tolerance: f64,
+        span: DopplerSpan,
+        doppler: DopplerModel,
+        arrivals: usize,
+    ) -> Self {
+        let fastest = 2.0 * FASTEST_M_PER_S / SOUND_SPEED_M_PER_S;
+        // Denser filters differ from one another by some 1e-8: below that it must be the truth's own.
+        let density = if tolerance < 1e-6 {
+            TRUTH_DENSITY
+        } else {
+            32.0
+        };
+        let filter = filter(plan, density);
+        let engine = Gridded1d::new(&one_dimensional::Spec {
+            pulse: &plan.pulse,
+            sample_rate_hz: SAMPLE_RATE_HZ,
+            samples: plan.sample_count,
+            filter: Some(&filter),
+            doppler,
+            span: DopplerSpan {
+                least: -0.3 * fastest,
+                greatest: 0.3 * fastest,
+            },
+            tolerance,
+            level_range_db: 55.0,
+            arrivals,
+            dialect: Dialect::best(),
+        })
+        .expect("a filtered pulse is within reach");
+        Self {
+            tolerance,
+            work: engine.work(),
+            engine,
+            span,
+            doppler,
+        }
+    }
+}
+
+impl Method for Gridded {
+    fn name(&self) -> String {
+        let doppler = match self.doppler {
+            DopplerModel::None => " no Doppler",
+            _ => "",
+        };
+        format!("gridded-1d {:.0e}{doppler}", self.tolerance)
+    }
+    fn element(&mut self, chunks: &[ArrivalChunk], out: &mut [Complex64]) {
+        self.work.start(0.0, self.span);
+        chunks.iter().for_each(|chunk| self.work.accept(chunk));
+        self.work.finish(out);
+    }
+    fn says(&self) -> String {
+        self.engine.card().why.clone()
+    }
+}
+
+/// What simulators usually do: every echo to the nearest sample, or shared between two, with its carrier phase; one transmitted pulse
+/// for all, no Doppler.
+struct Samples {
+    linear: bool,
+    carrier_hz: f64,
+    grid: Vec<Complex64>,
+    template: Vec<Complex64>,
+    forward: Arc<dyn Fft<f64>>,
+    inverse: Arc<dyn Fft<f64>>,
+    scratch: Vec<Complex64>,
+    lead: f64,
+}
+
+impl Samples {
+    fn new(plan: &PingPlan, linear: bool) -> Self {
+        let filter = filter(plan, 32.0);
+        let spectrum = PulseSpectrum::new(&plan.pulse, SAMPLE_RATE_HZ);
+        let lead = (2.0 * DURATION_S * SAMPLE_RATE_HZ).ceil();
+        let len = grid_size(plan.sample_count + 2 * lead as usize);
+        let template = (0..len)
+            .map(|k| {
+                let bin = if k < len / 2 {
+                    k as f64
+                } else {
+                    k as f64 - len as f64
+                };
+                let f_hz = bin * SAMPLE_RATE_HZ / len as f64;
+                spectrum.at(f_hz) * filter.gain(f_hz) * (SAMPLE_RATE_HZ / len as f64)
+            })
+            .collect();
+        let mut planner = FftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(len), planner.plan_fft_inverse(len));
+        let scratch = forward
+            .get_inplace_scratch_len()
+            .max(inverse.get_inplace_scratch_len());
+        Self {
+            linear,
+            carrier_hz: plan.pulse.center_frequency_hz,
+            grid: vec![Complex64::ZERO; len],
+            template,
+            forward,
+            inverse,
+            scratch: vec![Complex64::ZERO; scratch],
+            lead,
+        }
+    }
+}
+
+impl Method for Samples {
+    fn name(&self) -> String {
+        if self.linear { "linear" } else { "nearest" }.into()
+    }
+    fn element(&mut self, chunks: &[ArrivalChunk], out: &mut [Complex64]) {
+        self.grid.fill(Complex64::ZERO);
+        for chunk in chunks {
+            for i in 0..chunk.len {
+                let turns = self.carrier_hz * chunk.delay_s[i];
+                let phase = -std::f64::consts::TAU * (turns - turns.round());
+                let c = chunk.amplitude[i] * Complex64::from_polar(1.0, phase);
+                let middle_s = chunk.delay_s[i] + 0.5 * DURATION_S;
+                let position = middle_s * SAMPLE_RATE_HZ + self.lead;
+                if self.linear {
+                    let place = position.floor();
+                    let share = position - place;
+                    self.grid[place as usize] += c * (1.0 - share);
+                    self.grid[place as usize + 1] += c * share;
+                } else {
+                    self.grid[position.round() as usize] += c;
+                }
+            }
+        }
+        self.forward
+            .process_with_scratch(&mut self.grid, &mut self.scratch);
+        self.grid
+            .iter_mut()
+            .zip(&self.template)
+            .for_each(|(a, b)| *a *= b);
+        self.inverse
+            .process_with_scratch(&mut self.grid, &mut self.scratch);
+        let lead = self.lead as usize;
+        out.copy_from_slice(&self.grid[lead..lead + out.len()]);
+    }
+}
+
+/// Largest relative error over windows of a pulse's length in which the echoes are whole.
+fn windowed(got: &[Complex64], want: &[Complex64]) -> f64 {
+    let length = (DURATION_S * SAMPLE_RATE_HZ) as usize;
+    let (first, last) = (0.05, 0.195);
+    let range = (first * SAMPLE_RATE_HZ) as usize..(last * SAMPLE_RATE_HZ) as usize;
+    range
+        .step_by(length / 2)
+        .map(|at| {
+            let window = at..at + length;
+            let pairs = got[window.clone()].iter().zip(&want[window.clone()]);
+            let off: f64 = pairs.map(|(g, w)| (g - w).norm_sqr()).sum();
+            (off / want[window].iter().map(|w| w.norm_sqr()).sum::<f64>()).sqrt()
+        })
+        .fold(0.0, f64::max)
+}
+
+fn doppler_span(chunks: &[Vec<ArrivalChunk>]) -> DopplerSpan {
+    let all = chunks.iter().flatten().flat_map(|c| &c.doppler[..c.len]);
+    let (least, greatest) = all.fold((0.0f64, 0.0f64), |(a, b), &d| (a.min(d), b.max(d)));
+    DopplerSpan { least, greatest }
+}
+
+/// Prints the table; writes it as JSON to `json` too.
+pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
+    let machine = machine::describe();
+    println!("{machine}");
+    println!(
+        "{ELEMENTS} elements, 400 kHz, 30 kHz, 5 ms, 36..150 m, one thread; without the walk over the scatterers and the receiver"
+    );
+    println!(
+        "{:>9} {:>5}  {:<28} {:>9} {:>10} {:>9}",
+        "M", "m/s", "method", "error", "ms/ping", "M/s"
+    );
+    let mut rows = Vec::new();
+    let sizes: &[usize] = if quick {
+        &[42_936]
+    } else {
+        &[42_936, 1_000_000]
+    };
+    for &scatterers in sizes {
+        for speed_m_per_s in [0.0, FASTEST_M_PER_S] {
+            rows.extend(scene(scatterers, speed_m_per_s, quick));
+        }
+    }
+    if let Some(path) = json {
+        let document = serde_json::json!({ "machine": machine, "rows": rows });
+        std::fs::write(path, format!("{document:#}\n"))
+            .map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    Ok(())
+}
+
+fn scene(scatterers: usize, speed_m_per_s: f64, quick: bool) -> Vec<serde_json::Value> {
+    let shape = Shape {
+        scatterers,
+        speed_m_per_s,
+        sector_deg: 15.0,
+        taper: 0.1,
+    };
+    let scene = Scene::new(shape);
+    let plan = &scene.plan;
+    let chunks = scene.chunks(ELEMENTS);
+    let few = Scene::new(Shape {
+        scatterers: ERROR_SCATTERERS,
+        ..shape
+    })
+    .chunks(1);
+    let mut want = vec![Complex64::ZERO; plan.sample_count];
+    DirectSum::new(plan, TRUTH_DENSITY).element(&few[0], &mut want);
+
+    let span = doppler_span(&chunks);
+    let gridded = |tolerance, doppler| -> Box<dyn Method> {
+        Box::new(Gridded::new(plan, tolerance, span, doppler, scatterers))
+    };
+    let mut methods: Vec<Box<dyn Method>> = vec![
+        Box::new(DirectSum::new(plan, DIRECT_DENSITY)),
+        Box::new(Samples::new(plan, false)),
+        Box::new(Samples::new(plan, true)),
+        gridded(1e-3, DopplerModel::None),
+    ];
+    for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8] {
+        methods.push(gridded(tolerance, DopplerModel::Stretch));
+    }
+    let mut rows = Vec::new();
+    for method in &mut methods {
+        let mut out = vec![Complex64::ZERO; plan.sample_count];
+        method.element(&few[0], &mut out);
+        let error = windowed(&out, &want);
+        let slow = method.name() == "direct";
+        let runs = match (slow, quick) {
+            (true, _) => 1,
+            (false, true) => 5,
+            (false, false) => 10,
+        };
+        let mut best_ms = f64::INFINITY;
+        for _ in 0..runs {
+            let start = Instant::now();
+            for chunks in &chunks {
+                method.element(chunks, &mut out);
+            }
+            best_ms = best_ms.min(start.elapsed().as_secs_f64() * 1e3);
+        }
+        let per_s = (scatterers * ELEMENTS) as f64 / best_ms * 1e-3;
+        println!(
+            "{scatterers:>9} {speed_m_per_s:>5}  {:<28} {error:>9.1e} {best_ms:>10.2} {per_s:>9.1}  {}",
+            method.name(),
+            method.says()
+        );
+        rows.push(serde_json::json!({
+            "scatterers": scatterers, "elements": ELEMENTS, "speed_m_per_s": speed_m_per_s, "method": method.name(),
+            "error": error, "ms_per_ping": best_ms, "load": machine::load(),
+        }));
+    }
+    rows
+}

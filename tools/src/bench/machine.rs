@@ -1,0 +1,27 @@
+//! What was measured on, and how busy it was.
+
+fn first_line(path: &str, key: &str) -> Option<String> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let line = text.lines().find(|line| line.starts_with(key))?;
+    Some(line.split(':').next_back()?.trim().to_string())
+}
+
+/// Processor, cores, vector instructions and the load of the last minute.
+pub fn describe() -> String {
+    let processor = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
+    let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
+    let dialect = echotank::array::gridded::Dialect::best();
+    format!(
+        "{processor}, {cores} cores, {:?}, load {}",
+        dialect.kind(),
+        load()
+    )
+}
+
+/// Runnable tasks averaged over the last minute; above 1 or so a measurement of one thread on two cores suffers.
+pub fn load() -> String {
+    std::fs::read_to_string("/proc/loadavg")
+        .ok()
+        .and_then(|text| text.split_whitespace().next().map(str::to_string))
+        .unwrap_or_else(|| "unknown".into())
+}

@@ -1,0 +1,202 @@
+//! The scene that all methods and peers are timed on: a side-scan swath over a rough bottom, as the echo model hands it over.
+//!
+//! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
+
+use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::flow::*;
+use echotank::frames::Trajectory;
+use echotank::time::UtcNs;
+use glam::{DQuat, DVec3};
+use num_complex::Complex64;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+pub const SOUND_SPEED_M_PER_S: f64 = 1500.0;
+pub const CARRIER_HZ: f64 = 400e3;
+pub const BANDWIDTH_HZ: f64 = 30e3;
+pub const DURATION_S: f64 = 5e-3;
+pub const SAMPLE_RATE_HZ: f64 = 40e3;
+/// The transform's period and bins: bandwidth times period.
+pub const PERIOD_S: f64 = 0.2048;
+pub const BINS: usize = 6144;
+pub const WINDOW_S: f64 = 0.21;
+
+#[derive(Clone, Copy)]
+pub struct Shape {
+    pub scatterers: usize,
+    pub speed_m_per_s: f64,
+    /// Azimuth about broadside, either side.
+    pub sector_deg: f64,
+    /// Fraction of the pulse under its flanks.
+    pub taper: f64,
+}
+
+pub struct Scene {
+    pub plan: PingPlan,
+    pub transmit: TransmitArray,
+    pub scatterers: Scatterers,
+}
+
+/// Draws in 0..1.
+struct Chance(ChaCha8Rng);
+
+impl Chance {
+    fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+    /// Box and Muller (1958).
+    fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+impl Scene {
+    /// Scatterers in no order at all.
+    pub fn new(shape: Shape) -> Self {
+        let mut chance = Chance(ChaCha8Rng::seed_from_u64(1));
+        let mut scatterers = Scatterers::default();
+        let (near, far) = (20f64.powi(2), 146f64.powi(2));
+        for _ in 0..shape.scatterers {
+            let ground_m = (near + chance.uniform() * (far - near)).sqrt();
+            let azimuth = (2.0 * chance.uniform() - 1.0) * shape.sector_deg.to_radians();
+            let position_m = DVec3::new(
+                ground_m * azimuth.sin(),
+                ground_m * azimuth.cos(),
+                30.0 + 0.3 * chance.normal(),
+            );
+            let strength = Complex64::new(chance.normal(), chance.normal());
+            scatterers.push(position_m, [0.0, 0.0, -1.0], strength, ScatterLaw::Lambert);
+        }
+        Self {
+            plan: plan(shape),
+            transmit: TransmitArray {
+                mounting: level(DVec3::ZERO),
+                pattern: Pattern::Omnidirectional,
+                level_offset_db: 0.0,
+            },
+            scatterers,
+        }
+    }
+
+    /// A line of omnidirectional elements half a wavelength apart, along the track.
+    pub fn array(&self, elements: usize) -> ArrayGeometry {
+        ArrayGeometry {
+            mounting: level(DVec3::ZERO),
+            elements,
+            spacing_m: 0.5 * SOUND_SPEED_M_PER_S / CARRIER_HZ,
+            element_pattern: Pattern::Omnidirectional,
+            sensitivity_db: -180.0,
+            transmit: 0,
+        }
+    }
+
+    /// Arrivals at each element, as the walk makes them.
+    pub fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
+        let array = self.array(elements);
+        let mut lit = Illuminated::new();
+        let window = Window {
+            first_s: 0.0,
+            last_s: WINDOW_S,
+        };
+        illuminate(
+            &self.plan,
+            &self.transmit,
+            window,
+            &self.scatterers,
+            &mut lit,
+        );
+        (0..elements)
+            .map(|element| {
+                let mut kept = Kept(Vec::new());
+                let mut work = Workspace::new();
+                arrivals(&self.plan, &array, element, &lit, &mut work, &mut kept);
+                kept.0
+            })
+            .collect()
+    }
+}
+
+struct Kept(Vec<ArrivalChunk>);
+
+impl ArrivalSink for Kept {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        self.0.push(ArrivalChunk {
+            len: chunk.len,
+            element: chunk.element,
+            delay_s: chunk.delay_s,
+            doppler: chunk.doppler,
+            curvature_per_s: chunk.curvature_per_s,
+            amplitude: chunk.amplitude,
+        });
+    }
+}
+
+fn level(position_m: DVec3) -> Mounting {
+    Mounting {
+        position_m,
+        body_from_array: DQuat::IDENTITY,
+    }
+}
+
+fn plan(shape: Shape) -> PingPlan {
+    let velocity_m_per_s = DVec3::X * shape.speed_m_per_s;
+    let trajectory = Trajectory::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY);
+    let pose = trajectory.pose_at(0.0);
+    PingPlan {
+        sonar: 0,
+        ping_number: 1,
+        transmit_utc: UtcNs(0),
+        stamp_utc: UtcNs(0),
+        ping_period_s: 0.1,
+        settings: SonarSettings {
+            pinging: true,
+            range_m: 150.0,
+            max_ping_rate_hz: 10.0,
+            source_level_db: 220.0,
+            gain_db: 0.0,
+            pulse_duration_s: DURATION_S,
+        },
+        ping_rate_hz: 10.0,
+        pulse: Pulse {
+            kind: PulseKind::LfmUp,
+            center_frequency_hz: CARRIER_HZ,
+            bandwidth_hz: BANDWIDTH_HZ,
+            duration_s: DURATION_S,
+            taper: shape.taper,
+        },
+        sound_speed_m_per_s: SOUND_SPEED_M_PER_S,
+        absorption_db_per_m: 0.096,
+        sample_count: (WINDOW_S * SAMPLE_RATE_HZ) as usize,
+        first_sample_s: 0.0,
+        model: ModelChoice {
+            path: PathModel::Polyline,
+            doppler: DopplerModel::Stretch,
+            synthesis: Synthesis::Direct,
+            segment_s: 1.0,
+            cull_db: None,
+        },
+        nav: NavState {
+            utc: UtcNs(0),
+            pose,
+            roll_rad: 0.0,
+            pitch_rad: 0.0,
+            heading_rad: 0.0,
+            heave_down_m: 0.0,
+            latitude_rad: 0.0,
+            longitude_rad: 0.0,
+            height_m: 0.0,
+            fix: FixQuality::None,
+            position_age_s: 0.0,
+            attitude_age_s: 0.0,
+            extrapolated: false,
+        },
+        trajectory,
+        segments: vec![Segment {
+            start_s: 0.0,
+            position_m: DVec3::ZERO,
+            velocity_m_per_s,
+            world_from_body: DQuat::IDENTITY,
+        }],
+    }
+}

@@ -1,0 +1,238 @@
+//! The table of what path and Doppler models cost in truth: one point, one element, over speed and angle.
+
+use echotank::array::Direct;
+use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate, reference};
+use echotank::flow::*;
+use echotank::frames::Trajectory;
+use echotank::time::UtcNs;
+use glam::{DQuat, DVec3};
+use num_complex::Complex64;
+
+const C: f64 = 1500.0;
+/// Samples of the comparison, Hz: over twice the band, so that a chirp and its shifted self are both whole.
+const RATE_HZ: f64 = 80e3;
+/// An element-level error up to this is a pass.
+pub const TOLERANCE: f64 = 1e-3;
+
+/// Errors below are not told apart.
+const ROUNDING: f64 = 1e-9;
+
+pub struct Method {
+    pub name: &'static str,
+    path: PathModel,
+    doppler: DopplerModel,
+}
+
+/// What is compared, with the reference as truth.
+pub const METHODS: [Method; 5] = [
+    Method {
+        name: "paper-eq21",
+        path: PathModel::Polyline,
+        doppler: DopplerModel::PaperEq21,
+    },
+    Method {
+        name: "stop-and-hop",
+        path: PathModel::StopAndHop,
+        doppler: DopplerModel::None,
+    },
+    Method {
+        name: "none",
+        path: PathModel::Polyline,
+        doppler: DopplerModel::None,
+    },
+    Method {
+        name: "stretch",
+        path: PathModel::Polyline,
+        doppler: DopplerModel::Stretch,
+    },
+    Method {
+        name: "stretch-quadratic",
+        path: PathModel::Polyline,
+        doppler: DopplerModel::StretchQuadratic,
+    },
+];
+
+#[derive(Clone, Copy)]
+pub struct Case {
+    pub speed_m_per_s: f64,
+    pub range_m: f64,
+    /// From the track: 0 straight ahead.
+    pub angle_deg: f64,
+}
+
+/// Speeds, ranges and angles of the whole table.
+pub fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for range_m in [36.0, 250.0] {
+        for speed_m_per_s in [0.1, 1.0, 2.572, 5.144, 10.0] {
+            for angle_deg in [0.0, 30.0, 60.0, 90.0, 120.0, 180.0] {
+                cases.push(Case {
+                    speed_m_per_s,
+                    range_m,
+                    angle_deg,
+                });
+            }
+        }
+    }
+    cases
+}
+
+pub fn heading() -> String {
+    let mut lines = format!("{:>5} {:>6} {:>5}", "m", "m/s", "deg");
+    for method in &METHODS {
+        lines += &format!(" | {:^23}", method.name);
+    }
+    lines += &format!("\n{:>5} {:>6} {:>5}", "", "", "");
+    for _ in &METHODS {
+        lines += &format!(" | {:>8} {:>7} {:>6}", "range m", "error", "");
+    }
+    lines
+}
+
+/// One line: for each method the range at which it puts the echo less the true one, the relative error of its samples, and whether that
+/// passes.
+pub fn row(case: Case) -> String {
+    let mut line = format!(
+        "{:>5} {:>6} {:>5}",
+        case.range_m, case.speed_m_per_s, case.angle_deg
+    );
+    for method in &METHODS {
+        let (range_error_m, error) = measure(method, case);
+        let verdict = if error <= TOLERANCE { "pass" } else { "fail" };
+        // Half a millimetre is not shown; neither is its sign.
+        let range_error_m = if range_error_m.abs() < 5e-4 {
+            0.0
+        } else {
+            range_error_m
+        };
+        // What is left then is the rounding of delays.
+        let error = if error < ROUNDING {
+            format!("<{ROUNDING:.0e}")
+        } else {
+            format!("{error:.1e}")
+        };
+        line += &format!(" | {range_error_m:>+8.3} {error:>7} {verdict:>6}");
+    }
+    line
+}
+
+/// Range error of the leading edge, metres one way, and relative l2 error of the samples over the echo and 3 ms either side.
+pub fn measure(method: &Method, case: Case) -> (f64, f64) {
+    let (sin, cos) = case.angle_deg.to_radians().sin_cos();
+    let at_m = DVec3::new(case.range_m * cos, case.range_m * sin, 0.0);
+    let mut scatterers = Scatterers::default();
+    scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    let mut plan = plan(case);
+    let exact_s = leading_s(&plan, &scatterers);
+    plan.model.path = method.path;
+    plan.model.doppler = method.doppler;
+    let got_s = leading_s(&plan, &scatterers);
+
+    let (tx, rx) = sonar();
+    let first_s = exact_s - 3e-3;
+    let count = ((plan.pulse.duration_s + 6e-3) * RATE_HZ) as usize;
+    let mut want = vec![Complex64::ZERO; count];
+    reference(&plan, &tx, &rx, 0, &scatterers, RATE_HZ, first_s, &mut want);
+    let mut got = vec![Complex64::ZERO; count];
+    let window = Window::of_samples(first_s, RATE_HZ, count);
+    let mut sink = Direct::new(&plan, RATE_HZ, first_s, &mut got);
+    walk(&plan, window, &scatterers, &mut sink);
+    let square = |x: Complex64| x.norm_sqr();
+    let difference: f64 = got.iter().zip(&want).map(|(g, w)| square(g - w)).sum();
+    let size: f64 = want.iter().map(|w| square(*w)).sum();
+    (0.5 * C * (got_s - exact_s), (difference / size).sqrt())
+}
+
+fn sonar() -> (TransmitArray, ArrayGeometry) {
+    let mounting = Mounting {
+        position_m: DVec3::ZERO,
+        body_from_array: DQuat::IDENTITY,
+    };
+    let tx = TransmitArray {
+        mounting,
+        pattern: Pattern::Omnidirectional,
+        level_offset_db: 0.0,
+    };
+    let rx = ArrayGeometry {
+        mounting,
+        elements: 1,
+        spacing_m: 0.0,
+        element_pattern: Pattern::Omnidirectional,
+        sensitivity_db: 0.0,
+        transmit: 0,
+    };
+    (tx, rx)
+}
+
+fn walk(plan: &PingPlan, window: Window, scatterers: &Scatterers, sink: &mut impl ArrivalSink) {
+    let (tx, rx) = sonar();
+    let mut lit = Illuminated::new();
+    illuminate(plan, &tx, window, scatterers, &mut lit);
+    arrivals(plan, &rx, 0, &lit, &mut Workspace::new(), sink);
+}
+
+/// Keeps the last echo's leading edge.
+struct LeadingEdge(f64);
+
+impl ArrivalSink for LeadingEdge {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        self.0 = chunk.delay_s[chunk.len - 1];
+    }
+}
+
+fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
+    let always = Window {
+        first_s: 0.0,
+        last_s: 10.0,
+    };
+    let mut edge = LeadingEdge(f64::NAN);
+    walk(plan, always, scatterers, &mut edge);
+    edge.0
+}
+
+/// 400 kHz, 30 kHz, 5 ms (the paper's pulse, its ends tapered by a twentieth each), straight ahead along x.
+fn plan(case: Case) -> PingPlan {
+    let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
+    PingPlan {
+        sonar: 0,
+        ping_number: 1,
+        transmit_utc: UtcNs(0),
+        stamp_utc: UtcNs(0),
+        ping_period_s: 1.0,
+        settings: SonarSettings {
+            pinging: true,
+            range_m: case.range_m,
+            max_ping_rate_hz: 1.0,
+            source_level_db: 0.0,
+            gain_db: 0.0,
+            pulse_duration_s: 5e-3,
+        },
+        ping_rate_hz: 1.0,
+        pulse: Pulse {
+            kind: PulseKind::LfmUp,
+            center_frequency_hz: 400e3,
+            bandwidth_hz: 30e3,
+            duration_s: 5e-3,
+            taper: 0.1,
+        },
+        sound_speed_m_per_s: C,
+        absorption_db_per_m: 0.0,
+        sample_count: 0,
+        first_sample_s: 0.0,
+        model: ModelChoice {
+            path: PathModel::Continuous,
+            doppler: DopplerModel::Stretch,
+            synthesis: Synthesis::Direct,
+            segment_s: 10.0,
+            cull_db: None,
+        },
+        nav: NavState::default(),
+        trajectory: Trajectory::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY),
+        segments: vec![Segment {
+            start_s: 0.0,
+            position_m: DVec3::ZERO,
+            velocity_m_per_s,
+            world_from_body: DQuat::IDENTITY,
+        }],
+    }
+}
