@@ -11,6 +11,7 @@ pub mod cards;
 pub mod direct;
 pub mod filter;
 pub mod gridded;
+pub mod gridded2d;
 pub mod linear;
 pub mod nearest;
 mod phasor;

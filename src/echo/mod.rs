@@ -22,4 +22,6 @@ pub mod walk;
 pub use absorption::absorption_db_per_m;
 pub use reference::reference;
 pub use span::doppler_span;
-pub use walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+pub use walk::{
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, line_arrivals,
+};

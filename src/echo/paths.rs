@@ -123,15 +123,15 @@ fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
 /// One element on one segment of the polyline.
 #[derive(Clone, Copy, Debug)]
 pub struct Leg {
-    start_s: f64,
+    pub start_s: f64,
     /// Infinite on the last.
-    end_s: f64,
+    pub end_s: f64,
     /// Element at `start_s`, relative to the transmit position.
-    origin_m: DVec3,
+    pub origin_m: DVec3,
     /// In the path: zero for stop-and-hop.
-    velocity_m_per_s: DVec3,
+    pub velocity_m_per_s: DVec3,
     /// In the Doppler term: at `start_s`, and how it changes from there.
-    doppler: Motion,
+    pub doppler: Motion,
     array_from_world: DMat3,
 }
 
@@ -173,7 +173,19 @@ impl ElementTrack {
         array: &ArrayGeometry,
         element: usize,
     ) {
-        self.element_m = array.element_body_m(element);
+        self.lay_at(plan, transmit, array, array.element_x_m(element));
+    }
+
+    /// As [`Self::lay`], for a point `along_m` from the array's centre.
+    pub fn lay_at(
+        &mut self,
+        plan: &PingPlan,
+        transmit: &Transmit,
+        array: &ArrayGeometry,
+        along_m: f64,
+    ) {
+        self.element_m = array.mounting.position_m
+            + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
         self.body_from_array = array.mounting.body_from_array;
         self.sag_m = 0.0;
         self.legs.clear();
@@ -254,6 +266,18 @@ impl ElementTrack {
         self.end_s
     }
 
+    /// The leg on which an echo arrives at `time_s`, and its number.
+    pub fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
+        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
+        let at = at.saturating_sub(1);
+        (at, &self.legs[at])
+    }
+
+    /// The leg of that number.
+    pub fn leg(&self, number: usize) -> &Leg {
+        &self.legs[number]
+    }
+
     /// The farthest this element gets from the transmit position up to `time_s`, metres.
     pub fn reach_m(&self, time_s: f64) -> f64 {
         let mut reach_m: f64 = 0.0;
@@ -295,8 +319,7 @@ impl ElementTrack {
             let pose = plan.trajectory.pose_at(time_s);
             return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
         }
-        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
-        let leg = &self.legs[at.saturating_sub(1)];
+        let (_, leg) = self.leg_at(time_s);
         let Motion {
             velocity_m_per_s: velocity,
             acceleration_m_per_s2,
