@@ -381,7 +381,9 @@ mod tests {
             "{error}"
         );
         let mut full = TruthRecorder::at("/dev/full".into()).expect("opens");
-        let error = full.push(&sonar(), &plan(1), None, &[]).expect_err("full disk");
+        let error = full
+            .push(&sonar(), &plan(1), None, &[])
+            .expect_err("full disk");
         assert!(
             error.to_string().starts_with("/dev/full: cannot write"),
             "{error}"
