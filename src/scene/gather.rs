@@ -7,13 +7,12 @@ use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-use super::SceneCounts;
 use super::occlusion::{Around, Occlusion};
 use super::pool::{Place, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::{Recipe, Tile, TileBox, TileId};
-use crate::flow::{Footprint, ScatterLaw, Scatterers};
+use crate::flow::{Footprint, ScatterLaw, SceneCounts, Scatterers};
 
 /// Farther from the scene's zero there is no seabed, metres.
 const EDGE_M: f64 = 1e9;

@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 
 use crate::config::spec::SceneSpec;
-use crate::flow::{Footprint, Scatterers, Target};
+use crate::flow::{Footprint, SceneCounts, Scatterers, Target};
 use gather::{Gatherer, Listeners};
 use occlusion::{Around, Occlusion};
 use pool::TilePool;
@@ -55,26 +55,6 @@ pub enum SceneError {
         "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
     )]
     NoRoomForATile { limit_bytes: u64 },
-}
-
-/// What one gathering met.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SceneCounts {
-    /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
-    pub tiles_used: u64,
-    pub tiles_made: u64,
-    /// Pieces of the seabed around the footprints, one tile or many, that were out of reach or held no seabed.
-    pub culled_tiles: u64,
-    /// Scatterers of the seabed: those in the tiles that had to be made.
-    pub made: u64,
-    /// Those in the tiles in reach, which every ping looks at, are culled (in no footprint), in shadow, or handed on.
-    pub culled: u64,
-    /// Explicit points and scatterers of targets are among these.
-    pub shadowed: u64,
-    pub scatterers: u64,
-    /// Explicit points and targets handed on.
-    pub points: u64,
-    pub targets: u64,
 }
 
 /// The virtual world around the platform.

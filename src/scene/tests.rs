@@ -11,12 +11,12 @@ use super::pool::TilePool;
 use super::read::ascii_grid::Grid;
 use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
-use super::{Scene, SceneCounts, SceneError};
+use super::{Scene, SceneError};
 use crate::config::spec::{
     BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, OcclusionSpec, SceneSpec,
     SeabedShape, SeabedSpec, Sediment,
 };
-use crate::flow::{Footprint, ScatterLaw, Scatterers};
+use crate::flow::{Footprint, ScatterLaw, SceneCounts, Scatterers};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
     depth_m: 50.0,
