@@ -27,7 +27,7 @@ use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
     BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, PingOutput, PingPlan,
-    Pulse, ReceiverFilter, SceneCounts, Scatterers, SonarSettings, Synthesis,
+    Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
 };
 use crate::ping;
 use crate::run::certificate::Certifier;

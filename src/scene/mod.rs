@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 
 use crate::config::spec::SceneSpec;
-use crate::flow::{Footprint, SceneCounts, Scatterers, Target};
+use crate::flow::{Footprint, Scatterers, SceneCounts, Target};
 use gather::{Gatherer, Listeners};
 use occlusion::{Around, Occlusion};
 use pool::TilePool;

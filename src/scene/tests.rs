@@ -16,7 +16,7 @@ use crate::config::spec::{
     BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, OcclusionSpec, SceneSpec,
     SeabedShape, SeabedSpec, Sediment,
 };
-use crate::flow::{Footprint, ScatterLaw, SceneCounts, Scatterers};
+use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
     depth_m: 50.0,

@@ -312,7 +312,9 @@ mod tests {
         let dir = tempfile::tempdir().expect("dir");
         let mut truth = TruthRecorder::create(dir.path()).expect("create");
         for plan in pings {
-            truth.push(&sonar(), plan, &PingOutput::default(), targets).expect("push");
+            truth
+                .push(&sonar(), plan, &PingOutput::default(), targets)
+                .expect("push");
         }
         let text = std::fs::read_to_string(truth.path()).expect("read");
         assert!(text.ends_with('\n'));
