@@ -178,6 +178,7 @@ pub struct SceneSpec {
     pub points: Option<PathBuf>,
     /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
+    pub occlusion: OcclusionSpec,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,
 }
@@ -191,6 +192,17 @@ pub enum AnchorSpec {
     FirstFix,
     /// Where the seabed's file says it lies on the earth.
     File,
+}
+
+/// What hides what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OcclusionSpec {
+    /// Nothing.
+    None,
+    /// Whatever stands between.
+    Horizon,
+    /// Over the seabed, Meng et al. 2023, Eq. 27 as printed.
+    Paper,
 }
 
 #[derive(Clone, Debug)]
@@ -458,12 +470,25 @@ pub struct SonarSpec {
 }
 
 /// How the chosen synthesis is run and watched.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
+    /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
+    /// certificate is held to.
+    pub tolerance: f64,
     /// Recompute random samples through the reference.
     pub certificate: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
+}
+
+impl Default for SynthesisSpec {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-3,
+            certificate: false,
+            frequency_step_hz: None,
+        }
+    }
 }
 
 /// The ranges settings may move in, inclusive; buffers are sized from the maxima.

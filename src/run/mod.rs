@@ -2,6 +2,8 @@
 pub mod certificate;
 pub mod counters;
 pub mod daemon;
+pub mod engines;
+mod footprints;
 pub mod outputs;
 pub mod pipeline;
 pub mod recorders;

@@ -2,15 +2,14 @@
 
 use thiserror::Error;
 
-use crate::array::filter::FilterError;
 use crate::config::spec::{AnchorSpec, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
 use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
-use crate::run::pipeline::SonarPipeline;
-use crate::scene::{Scene, SceneCounts, SceneError};
+use crate::run::pipeline::{PipelineError, SonarPipeline};
+use crate::scene::{Scene, SceneError};
 use crate::time::UtcNs;
 
 #[derive(Debug, Error)]
@@ -19,8 +18,8 @@ pub enum RigError {
     Scene(#[from] SceneError),
     #[error("navigation: {0}")]
     Nav(#[from] NavOpenError),
-    #[error("receiver filter: {0}")]
-    Filter(#[from] FilterError),
+    #[error("sonar {name}: {why}")]
+    Sonar { name: String, why: PipelineError },
 }
 
 /// A ping and everything it made, in buffers that are used again.
@@ -46,7 +45,6 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     placed: bool,
     scatterers: Scatterers,
-    pub scene_counts: SceneCounts,
 }
 
 impl Rig {
@@ -65,8 +63,12 @@ impl Rig {
                 // The law undoes the medium's own absorption, which only now is a number.
                 *law = absorption_db_per_m;
             }
+            let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
+                let name = sonar.name.clone();
+                RigError::Sonar { name, why }
+            })?;
             sonars.push(SonarUnit {
-                pipeline: SonarPipeline::new(&sonar, &spec.medium)?,
+                pipeline,
                 spec: sonar,
                 absorption_db_per_m,
             });
@@ -78,7 +80,6 @@ impl Rig {
             sonars,
             placed: false,
             scatterers: Scatterers::default(),
-            scene_counts: SceneCounts::default(),
         })
     }
 
@@ -169,7 +170,7 @@ impl Rig {
         let unit = &mut self.sonars[sonar];
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
-        self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
         unit.pipeline
             .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())

@@ -1,0 +1,78 @@
+//! What a header promises is weighed before memory is taken for it. Alone in its process, since it counts the process's memory.
+
+#[path = "scene_readers/peak.rs"]
+mod peak;
+#[allow(dead_code, reason = "shared with tests/scene_readers")]
+#[path = "scene_readers/seeds.rs"]
+mod seeds;
+
+use echotank::config::spec::SeabedFileSpec;
+use echotank::scene::read::Survey;
+use echotank::scene::read::mesh::{self, MeshAxes};
+use seeds::Tiff;
+
+fn refusal(name: &str, bytes: Vec<u8>) -> String {
+    match Survey::parse(bytes, &SeabedFileSpec::of(name.into())) {
+        Ok(s) => format!("read as {}", s.format),
+        Err(said) => said.to_string(),
+    }
+}
+
+#[test]
+fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
+    let huge = Tiff {
+        width: 1_000_000,
+        height: 1_000_000,
+        ..Tiff::default()
+    };
+    let mut stl = seeds::stl();
+    stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+    let mut las = seeds::las();
+    // Number of point records of LAS 1.2: an announcement of 4 million, which is allowed, and of 4 thousand million.
+    let (mut many, mut most) = (las.clone(), std::mem::take(&mut las));
+    many[107..111].copy_from_slice(&4_000_000_u32.to_le_bytes());
+    most[107..111].copy_from_slice(&u32::MAX.to_le_bytes());
+    let before = peak::in_use();
+    for (name, bytes, want) in [
+        (
+            "a.asc",
+            b"ncols 1000000 nrows 1000000 xllcorner 0 yllcorner 0 cellsize 1 1 2 3".to_vec(),
+            "nrows x ncols: `1000000 x 1000000`: may have 67108864 cells at most",
+        ),
+        (
+            "a.asc",
+            b"ncols 8000 nrows 8000 xllcorner 0 yllcorner 0 cellsize 1 1 2 3".to_vec(),
+            "line 1: `end of file`: comes after 3 numbers; 8000 x 8000 were announced",
+        ),
+        (
+            "a.tif",
+            huge.bytes(),
+            "tag ImageWidth: `1000000 x 1000000`: may have 67108864 cells at most",
+        ),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n".to_vec(),
+            "PLY header: `4000000000`: at most 16777216 vertex elements are read",
+        ),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(),
+            "PLY header: `4000000`: vertex elements are announced, more than the file can hold",
+        ),
+        ("a.las", many, "LAS header: `4000000`: points were announced, more than the file's"),
+        ("a.las", most, "LAS header: `4294967295`: at most 4194304 points are read"),
+    ] {
+        peak::reset();
+        let said = refusal(name, bytes);
+        assert!(said.starts_with(want), "{name}: {said}");
+        let taken = peak::highest().saturating_sub(before);
+        assert!(taken < 4 << 20, "{name} took {taken} bytes");
+    }
+    let said = mesh::parse(stl, "stl", MeshAxes::EastNorthUp)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        said.starts_with("STL header: `4294967295`: triangles are announced"),
+        "{said}"
+    );
+}
