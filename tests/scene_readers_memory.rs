@@ -26,6 +26,7 @@ fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
         ..Tiff::default()
     };
     let mut stl = seeds::stl();
+    stl[..5].fill(b' ');
     stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
     let mut las = seeds::las();
     // Number of point records of LAS 1.2: an announcement of 4 million, which is allowed, and of 4 thousand million.

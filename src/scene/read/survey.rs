@@ -29,6 +29,8 @@ const ONE_SIDED: f64 = 0.95;
 const CELL_SIZES_M: std::ops::RangeInclusive<f64> = 0.01..=1e5;
 /// A grid of degrees with larger cells, some 50 km, is no seabed for a sonar.
 const MAX_CELL_DEG: f64 = 0.5;
+/// How far outside a grid of degrees its outer cells are still taken, cells.
+const EDGE_CELLS: f64 = 0.05;
 /// A file's own bounding box is given to some hundredths of a degree.
 const COVER_TOLERANCE_DEG: f64 = 0.02;
 
@@ -555,6 +557,7 @@ fn resampled(
             let lon = lon.to_degrees();
             let lon = lon + 360.0 * ((x - lon) / 360.0).round();
             let (r, c) = grid_place(grid, lon, lat.to_degrees());
+            let (r, c) = (at_edge(r, grid.rows), at_edge(c, grid.cols));
             down_m.push(bilinear(grid, r, c).map_or(f32::NAN, |d| d as f32));
         }
     }
@@ -626,6 +629,16 @@ fn grid_place(grid: &RawGrid, x: f64, y: f64) -> (f64, f64) {
         (y - grid.y_south) / grid.y_step,
         (x - grid.x_west) / grid.x_step,
     )
+}
+
+/// A place a hair outside the outer centres is put on them: meridians and parallels are not straight on the plane.
+fn at_edge(cells: f64, count: usize) -> f64 {
+    let edge = cells.clamp(0.0, (count - 1) as f64);
+    if (cells - edge).abs() <= EDGE_CELLS {
+        edge
+    } else {
+        cells
+    }
 }
 
 /// The cell around a place; none outside.
