@@ -658,6 +658,9 @@ fn seabed(table: &RawTable, problems: &mut Problems) -> Option<SeabedSpec> {
             slope_north: table.number("slope_north")?,
             slope_east: table.number("slope_east")?,
         },
+        name if name.starts_with("paper-") => {
+            SeabedShape::Paper(PaperShape::ALL.into_iter().find(|s| s.name() == name)?)
+        }
         _ => SeabedShape::EsriAscii {
             path: table.path("path")?,
             positive_up: table.text("values")? == "elevation",

@@ -401,9 +401,18 @@ static SEABED: Table = Table {
     keys: &[
         key(
             "shape",
-            Kind::Choice(&["plane", "esri-ascii"], &["geotiff", "bag", "xyz"]),
+            Kind::Choice(
+                &[
+                    "plane",
+                    "esri-ascii",
+                    "paper-curves",
+                    "paper-relief",
+                    "paper-lake",
+                ],
+                &["geotiff", "bag", "xyz"],
+            ),
             Required("\"plane\""),
-            "",
+            "The paper's bottoms (Figs. 6, 12, 17) lie some 30 m under the scene's zero, east of a track along north.",
         ),
         key(
             "depth_m",

@@ -93,6 +93,7 @@ fn scene(scene: &SceneSpec) -> String {
         let shape = match &seabed.shape {
             SeabedShape::Plane { depth_m, .. } => format!("plane {depth_m} m deep"),
             SeabedShape::EsriAscii { path, .. } => path.display().to_string(),
+            SeabedShape::Paper(shape) => shape.name().to_owned(),
         };
         let mirrored = if scene.mirror { " mirrored" } else { "" };
         parts.push(format!(

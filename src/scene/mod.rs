@@ -5,9 +5,11 @@
 //! coordinates, so that the seabed does not depend on where the scene is put.
 //! Not modelled: occlusion (shadows), bottom laws other than Lambert's, simplification, volume and surface scattering.
 
+pub mod paper;
 pub mod points;
 pub mod read;
 pub mod seabed;
+pub mod simplify;
 pub mod targets;
 pub mod tiles;
 

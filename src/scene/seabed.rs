@@ -4,7 +4,8 @@
 
 use super::SceneError;
 use super::ascii_grid::Grid;
-use crate::config::spec::SeabedShape;
+use super::paper;
+use crate::config::spec::{PaperShape, SeabedShape};
 
 /// The surface at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,7 @@ pub enum Surface {
         slope_east: f64,
     },
     Grid(GridSurface),
+    Paper(PaperShape),
 }
 
 /// A grid whose centre lies at the scene's zero, moved by an offset.
@@ -82,6 +84,7 @@ impl Surface {
                 slope_north: *slope_north,
                 slope_east: *slope_east,
             }),
+            SeabedShape::Paper(shape) => Ok(Self::Paper(*shape)),
             SeabedShape::EsriAscii {
                 path,
                 positive_up,
@@ -133,6 +136,7 @@ impl Surface {
                 slope_east: *slope_east,
             }),
             Self::Grid(surface) => surface.sample(north_m, east_m),
+            Self::Paper(shape) => paper::sample(*shape, north_m, east_m),
         }
     }
 
@@ -152,6 +156,7 @@ impl Surface {
                 ))
             }
             Self::Grid(surface) => surface.bounds_m(north_m, east_m),
+            Self::Paper(shape) => Some(paper::bounds_m(*shape, east_m)),
         }
     }
 }
