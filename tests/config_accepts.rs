@@ -323,7 +323,11 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         (&Some(track.clone()), &Some(track.clone()))
     );
     let seabed = scene.seabed.as_ref().expect("a seabed");
-    assert!(!seabed.speckle && seabed.density_per_m2 == 0.5 && seabed.lambert_db == -15.0);
+    assert!(
+        !seabed.speckle
+            && seabed.density == Density::PerM2(0.5)
+            && seabed.bottom == BottomSpec::BistaticLambert { mu_db: -15.0 }
+    );
     assert!(matches!(
         &seabed.shape,
         SeabedShape::EsriAscii { path, positive_up: false, offset_north_m, offset_east_m }

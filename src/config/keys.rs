@@ -389,11 +389,82 @@ static SCENE: Table = Table {
             "memory_mib",
             Kind::Integer(1, 1_048_576),
             Default("512"),
-            "Memory for the scatterers around the sonar.",
+            "Memory for the tiles of seabed around the sonar.",
+        ),
+        key(
+            "incidence",
+            Kind::Choice(&["normal", "flat"], &[]),
+            Default("\"normal\""),
+            "What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).",
         ),
         key("seabed", Kind::Table(&SEABED), Shown(""), ""),
+        key("simplify", Kind::Table(&SIMPLIFY), Default("{}"), ""),
     ],
-    later: &["occlusion", "simplify", "incidence"],
+    later: &["occlusion"],
+};
+
+static SIMPLIFY: Table = Table {
+    doc: "Leaves out scatterers of the seabed that a ping can do without; points and targets stay.",
+    keys: &[
+        key(
+            "method",
+            Kind::Choice(
+                &["none", "acoustic-unbiased", "acoustic", "paper"],
+                &["conventional"],
+            ),
+            Default("\"none\""),
+            "All are computed; by chance with the lost level made up for; the strongest energies (Meng et al. 2023, mended); the same as printed.",
+        ),
+        key(
+            "keep",
+            Kind::Integer(1, 100_000_000),
+            Optional("20000"),
+            "Scatterers of a ping, needed unless method is none; acoustic-unbiased keeps so many on average.",
+        ),
+        key(
+            "weight_curvature",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What Gaussian curvature counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_scattering",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the energy that is sent back counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_axis",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the two-way pattern counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_echo",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the product of the last two counts; 0 unless acoustic-unbiased, then 1.",
+        ),
+        key(
+            "hold_m",
+            Kind::Number(from(0.0, 1.0e4)),
+            Default("0.5"),
+            "A choice is kept until the sonar has moved this far",
+        ),
+        key(
+            "hold_deg",
+            Kind::Number(from(0.0, 180.0)),
+            Default("0.5"),
+            "or turned this much.",
+        ),
+        key(
+            "shadows",
+            Kind::Bool,
+            Default("false"),
+            "Search for shadows among the scatterers, and choose what lies in them last (acoustic-unbiased: never).",
+        ),
+    ],
+    later: &[],
 };
 
 static SEABED: Table = Table {
@@ -457,16 +528,100 @@ static SEABED: Table = Table {
             "Only with shape = \"esri-ascii\".",
         ),
         key(
+            "density",
+            Kind::Choice(&["auto"], &[]),
+            Optional("\"auto\""),
+            "Five scatterers or more in every resolution cell of the finest sonar, c/(2 B) times beam width times range: fewer the farther away.",
+        ),
+        key(
             "density_per_m2",
             Kind::Number(above(0.0, 1.0e6)),
             Default("1.0"),
-            "Scatterers per square metre of the horizontal. The mean level does not depend on it; five or more per resolution cell make good speckle.",
+            "The same number everywhere, per square metre of the horizontal; not with density = \"auto\". The mean level does not depend on it.",
+        ),
+        key(
+            "bottom",
+            Kind::Choice(
+                &[
+                    "bistatic-lambert",
+                    "lambert",
+                    "three-term",
+                    "mud",
+                    "silt",
+                    "sand",
+                    "gravel",
+                    "rock",
+                ],
+                &[],
+            ),
+            Default("\"bistatic-lambert\""),
+            "The law of scattering. \"three-term\": mirror facets, Lambert and a slope between them; the names of sediments are three-term with values of their own.",
         ),
         key(
             "lambert_db",
             Kind::Number(from(-100.0, 20.0)),
             Default("-27.0"),
-            "Lambert's mu: mud about -35, sand -27, rock -15.",
+            "Lambert's mu: mud about -35, sand -27, rock -15. Not with the name of a sediment.",
+        ),
+        key(
+            "lambert_exponent",
+            Kind::Number(from(0.0, 10.0)),
+            Default("2.0"),
+            "Of the cosine. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "specular_db",
+            Kind::Number(from(-100.0, 30.0)),
+            Default("-5.0"),
+            "What the facets mirror at normal incidence. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "specular_width_deg",
+            Kind::Number(from(2.0, 60.0)),
+            Default("6.0"),
+            "Standard deviation of that lobe. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "intermediate_db",
+            Kind::Number(from(-100.0, 30.0)),
+            Default("-23.0"),
+            "The slope between the lobe and Lambert's law, at normal incidence. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "intermediate_width_deg",
+            Kind::Number(from(2.0, 80.0)),
+            Default("18.0"),
+            "Standard deviation of that slope. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "mosaic",
+            Kind::File,
+            Optional("\"data/backscatter.asc\""),
+            "ESRI ASCII grid of backscattering strengths in dB, its centre at the scene's zero; holes keep the bottom's own.",
+        ),
+        key(
+            "mosaic_values",
+            Kind::Choice(&["absolute", "relative"], &[]),
+            Default("\"absolute\""),
+            "\"absolute\": strengths at mosaic_incidence_deg, to which the law is raised or lowered; \"relative\": to be added to it. Only with a mosaic.",
+        ),
+        key(
+            "mosaic_incidence_deg",
+            Kind::Number(from(0.0, 85.0)),
+            Default("45.0"),
+            "Only with mosaic_values = \"absolute\".",
+        ),
+        key(
+            "mosaic_offset_north_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Moves the mosaic's centre. Only with a mosaic.",
+        ),
+        key(
+            "mosaic_offset_east_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Moves the mosaic's centre. Only with a mosaic.",
         ),
         key(
             "speckle",

@@ -96,15 +96,46 @@ fn scene(scene: &SceneSpec) -> String {
             SeabedShape::Paper(shape) => shape.name().to_owned(),
         };
         let mirrored = if scene.mirror { " mirrored" } else { "" };
-        parts.push(format!(
-            "{shape}{mirrored}, {} scatterers/m^2, Lambert {} dB",
-            seabed.density_per_m2, seabed.lambert_db
-        ));
+        let density = match seabed.density {
+            Density::PerM2(n) => format!("{n} scatterers/m^2"),
+            Density::Auto {
+                per_cell,
+                range_m,
+                beam_rad,
+                longest_range_m: far_m,
+            } => format!(
+                "{per_cell} scatterers or more in {:.1} cm x {:.2} degrees ({:.3}/m^2 at {far_m} m)",
+                range_m * 1e2,
+                beam_rad.to_degrees(),
+                per_cell / (range_m * beam_rad * far_m)
+            ),
+        };
+        let bottom = match &seabed.bottom {
+            BottomSpec::BistaticLambert { mu_db } => format!("Lambert {mu_db} dB"),
+            BottomSpec::Lambert { mu_db } => format!("Lambert of the incoming ray {mu_db} dB"),
+            BottomSpec::Sediment(s) => s.name().to_owned(),
+            BottomSpec::ThreeTerm(t) => format!(
+                "three terms {:.1} dB over {:.1} degrees, Lambert {} dB, {} dB over {:.1} degrees",
+                t.specular_db,
+                t.specular_rad.to_degrees(),
+                t.lambert_db,
+                t.intermediate_db,
+                t.intermediate_rad.to_degrees()
+            ),
+        };
+        parts.push(format!("{shape}{mirrored}, {density}, {bottom}"));
     }
     for (what, path) in [("points", &scene.points), ("targets", &scene.targets)] {
         if let Some(path) = path {
             parts.push(format!("{what} {}", path.display()));
         }
+    }
+    if let Some(simplify) = &scene.simplify {
+        parts.push(format!(
+            "{} of them by {}",
+            simplify.keep,
+            simplify.method.name()
+        ));
     }
     match parts.is_empty() {
         true => "empty".to_owned(),

@@ -30,6 +30,11 @@ use crate::flow::{
 };
 use crate::ping;
 use crate::run::certificate::Certifier;
+use crate::scene::simplify::energy::{Beam, View};
+
+/// Transmit and receive arrays turned less than this against each other share their axes in [`SonarPipeline::view`]; others are seen with the
+/// transmitter's pattern alone.
+const PARALLEL_RAD: f64 = 1e-3;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -193,6 +198,49 @@ impl SonarPipeline {
                 max_range_m,
             }));
         &self.footprints
+    }
+
+    /// How this ping's transmitters and elements see the scene, for the choice of scatterers: one beam for each receive array, its element's
+    /// pattern with that of the transmitter it listens to, since every output is made of elements.
+    pub fn view(&self, plan: &PingPlan, view: &mut View) {
+        let pose = plan.trajectory.pose_at(0.0);
+        let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
+        let face = |pattern: &Pattern| match *pattern {
+            Pattern::Omnidirectional => (0.0, 0.0, false),
+            Pattern::Rectangle {
+                length_m,
+                width_m,
+                baffled,
+            } => (length_m / wavelength_m, width_m / wavelength_m, baffled),
+        };
+        view.apex_m = pose.position_m;
+        view.beams.clear();
+        view.beams.extend(self.spec.receive.iter().map(|array| {
+            let transmit = &self.spec.transmit[array.transmit];
+            // Axes of the narrower of the two: an omnidirectional face has none of its own.
+            let mounting = match transmit.pattern {
+                Pattern::Omnidirectional => &array.mounting,
+                Pattern::Rectangle { .. } => &transmit.mounting,
+            };
+            let turn = pose.world_from_body * mounting.body_from_array;
+            let parallel = mounting
+                .body_from_array
+                .angle_between(array.mounting.body_from_array)
+                < PARALLEL_RAD;
+            let sent = face(&transmit.pattern);
+            let heard = match parallel {
+                true => face(&array.element_pattern),
+                false => (0.0, 0.0, false),
+            };
+            Beam {
+                along: turn * DVec3::X,
+                across: turn * DVec3::Y,
+                boresight: turn * DVec3::Z,
+                lengths: [sent.0, heard.0],
+                widths: [sent.1, heard.1],
+                baffled: sent.2 || heard.2,
+            }
+        }));
     }
 
     /// One ping: scatterers to element samples, beams and lines, into the caller's buffers.

@@ -10,6 +10,8 @@ use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::pipeline::SonarPipeline;
+use crate::scene::simplify::energy::View;
+use crate::scene::simplify::stage::{Stage, StageCounts};
 use crate::scene::{Scene, SceneCounts, SceneError};
 use crate::time::UtcNs;
 
@@ -34,6 +36,8 @@ pub struct PingSlot {
 pub struct SonarUnit {
     pub spec: SonarSpec,
     pub pipeline: SonarPipeline,
+    /// Leaves out what a ping can do without.
+    simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
 }
@@ -47,6 +51,7 @@ pub struct Rig {
     placed: bool,
     scatterers: Scatterers,
     pub scene_counts: SceneCounts,
+    pub simplify_counts: StageCounts,
 }
 
 impl Rig {
@@ -66,6 +71,15 @@ impl Rig {
                 *law = absorption_db_per_m;
             }
             sonars.push(SonarUnit {
+                simplify: spec.scene.simplify.as_ref().map(|simplify| {
+                    let view = View {
+                        slack_m: simplify.hold_m,
+                        slack_rad: simplify.hold_rad,
+                        shadows: simplify.shadows,
+                        ..View::default()
+                    };
+                    (Stage::of_spec(simplify, spec.scene.seed), view)
+                }),
                 pipeline: SonarPipeline::new(&sonar, &spec.medium)?,
                 spec: sonar,
                 absorption_db_per_m,
@@ -79,6 +93,7 @@ impl Rig {
             placed: false,
             scatterers: Scatterers::default(),
             scene_counts: SceneCounts::default(),
+            simplify_counts: StageCounts::default(),
         })
     }
 
@@ -157,6 +172,12 @@ impl Rig {
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
         self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        if let Some((stage, view)) = &mut unit.simplify {
+            unit.pipeline.view(&slot.plan, view);
+            // The seabed's come first; points and targets stay.
+            let seabed = self.scene_counts.scatterers as usize;
+            self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
+        }
         unit.pipeline
             .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())

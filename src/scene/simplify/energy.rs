@@ -61,15 +61,32 @@ fn sinc(x: f64) -> f64 {
 }
 
 /// Where the sonar is and where it looks.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 pub struct View {
     pub apex_m: DVec3,
     /// None: hears all round.
     pub beams: Vec<Beam>,
-    /// The choice is to serve the sonar as long as it has not moved farther than this, metres.
+    /// The choice is to serve the sonar as long as it has not moved farther than this, metres, nor turned more than that.
     pub slack_m: f64,
+    pub slack_rad: f64,
     /// Search for shadows; false where something else takes care of them.
     pub shadows: bool,
+}
+
+impl Clone for View {
+    fn clone(&self) -> Self {
+        Self {
+            beams: self.beams.clone(),
+            ..*self
+        }
+    }
+    /// Without a new allocation where there is room.
+    fn clone_from(&mut self, other: &Self) {
+        self.beams.clone_from(&other.beams);
+        self.apex_m = other.apex_m;
+        (self.slack_m, self.slack_rad) = (other.slack_m, other.slack_rad);
+        self.shadows = other.shadows;
+    }
 }
 
 impl View {
@@ -78,7 +95,7 @@ impl View {
             return 1.0;
         }
         let slack = if range_m > 0.0 {
-            self.slack_m / range_m
+            self.slack_m / range_m + self.slack_rad
         } else {
             1.0
         };

@@ -2,7 +2,8 @@
 //!
 //! Seen from the sonar, a point is hidden when a nearer one in its direction stands higher in the view. The points are sorted into
 //! sectors as wide as their spacing at the middle range, and each sector is scanned outward with the running maximum of the slope
-//! (down - down_sonar) / horizontal range, upward counted positive. It knows height fields only; exact within about one spacing.
+//! (down - down_sonar) / horizontal range, upward counted positive. It knows height fields only. Against
+//! rays, 1 % of the points of a bottom with letters 1.5 m high come out otherwise, next to shadows' edges and on walls steeper than 45 degrees.
 
 use std::f64::consts::PI;
 

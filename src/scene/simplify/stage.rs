@@ -6,6 +6,7 @@
 
 use super::energy::{Energies, View, Yardstick};
 use super::{Rule, Selection, Settings};
+use crate::config::spec::SimplifySpec;
 use crate::flow::Scatterers;
 
 /// What one call did.
@@ -22,18 +23,25 @@ pub struct StageCounts {
 #[derive(Debug)]
 pub struct Stage {
     settings: Settings,
-    /// The rule is kept until a beam has turned by this, radians; moves are bounded by the view's own slack.
-    hold_turn_rad: f64,
     held: Option<Held>,
     energies: Energies,
     selection: Selection,
 }
 
 impl Stage {
-    pub fn new(settings: Settings, hold_turn_rad: f64) -> Self {
+    pub fn of_spec(spec: &SimplifySpec, seed: u64) -> Self {
+        let settings = Settings {
+            method: spec.method,
+            keep: spec.keep,
+            weights: spec.weights,
+            seed,
+        };
+        Self::new(settings)
+    }
+
+    pub fn new(settings: Settings) -> Self {
         Self {
             settings,
-            hold_turn_rad,
             held: None,
             energies: Energies::default(),
             selection: Selection::default(),
@@ -47,7 +55,7 @@ impl Stage {
             offered: scatterers.len() as u64,
             ..StageCounts::default()
         };
-        let serves = |held: &Held| still_serves(&held.view, view, self.hold_turn_rad);
+        let serves = |held: &Held| still_serves(&held.view, view);
         let chosen = !self.held.as_ref().is_some_and(serves);
         let held = self.held.get_or_insert_default();
         if chosen {
@@ -90,10 +98,10 @@ impl Default for Held {
     }
 }
 
-fn still_serves(held: &View, now: &View, hold_turn_rad: f64) -> bool {
-    let turned = |a: glam::DVec3, b: glam::DVec3| a.angle_between(b) > hold_turn_rad;
+fn still_serves(held: &View, now: &View) -> bool {
+    let turned = |a: glam::DVec3, b: glam::DVec3| a.angle_between(b) > now.slack_rad;
     held.apex_m.distance(now.apex_m) <= now.slack_m
-        && held.slack_m == now.slack_m
+        && (held.slack_m, held.slack_rad) == (now.slack_m, now.slack_rad)
         && held.beams.len() == now.beams.len()
         && held
             .beams

@@ -422,6 +422,7 @@ fn view(at_m: DVec3, slack_m: f64) -> View {
             baffled: true,
         }],
         slack_m,
+        slack_rad: 0.0,
         shadows: true,
     }
 }
