@@ -862,7 +862,7 @@ static RECEIVER: Table = Table {
         key(
             "rx_filter",
             Kind::Choice(&["none", "fir"], &[]),
-            Default("\"none\""),
+            Set("\"none\"", "\"fir\""),
             "\"fir\": a linear-phase low-pass ahead of the sampling, its delay removed.",
         ),
         key(
@@ -996,11 +996,24 @@ static MODEL: Table = Table {
         key(
             "synthesis",
             Kind::Choice(
-                &["reference", "direct", "spectral", "nearest", "linear"],
-                &["gridded", "gridded-1d", "gridded-2d"],
+                &[
+                    "reference",
+                    "direct",
+                    "gridded-1d",
+                    "spectral",
+                    "nearest",
+                    "linear",
+                ],
+                &["gridded", "gridded-2d"],
             ),
-            Default("\"direct\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down).",
+            Shown("\"gridded-1d\""),
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with doppler \"none\" or \"stretch\". For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
+        ),
+        key(
+            "tolerance",
+            Kind::Number(from(1e-8, 1e-1)),
+            Default("1e-3"),
+            "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what \"gridded-1d\" is made for, and what a certificate is held to.",
         ),
         key(
             "frequency_step_hz",
@@ -1012,7 +1025,7 @@ static MODEL: Table = Table {
             "certificate",
             Kind::Bool,
             Default("false"),
-            "Whether random samples are recomputed through the reference and the error found is printed.",
+            "Whether random samples are recomputed through the reference and the error found is printed. Above 1.3 times tolerance on two pings running it is a fault.",
         ),
         key(
             "segment_ms",
@@ -1027,7 +1040,7 @@ static MODEL: Table = Table {
             "Scatterers whose two-way pattern lies below are left out. Left out: all are kept.",
         ),
     ],
-    later: &["tolerance", "tolerance_image", "simd", "incidence"],
+    later: &["tolerance_image", "simd", "incidence"],
 };
 
 static BEAMS: Table = Table {

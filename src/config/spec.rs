@@ -441,12 +441,25 @@ pub struct SonarSpec {
 }
 
 /// How the chosen synthesis is run and watched.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
+    /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
+    /// certificate is held to.
+    pub tolerance: f64,
     /// Recompute random samples through the reference.
     pub certificate: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
+}
+
+impl Default for SynthesisSpec {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-3,
+            certificate: false,
+            frequency_step_hz: None,
+        }
+    }
 }
 
 /// The ranges settings may move in, inclusive; buffers are sized from the maxima.

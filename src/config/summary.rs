@@ -367,9 +367,22 @@ fn model(sonar: &SonarSpec) -> String {
         Some(db) => format!("scatterers below {db} dB left out"),
         None => "no scatterer left out".to_owned(),
     };
+    let certificate = match sonar.synthesis.certificate {
+        true => format!(", certified against {:.0e}", sonar.synthesis.tolerance),
+        false => String::new(),
+    };
     match model.synthesis {
-        Synthesis::Reference => format!("reference, {cull}"),
-        other => format!("{}, {path}, {doppler}, {cull}", other.name()),
+        Synthesis::Reference => format!("reference, {cull}{certificate}"),
+        other => {
+            let within = match other.keeps_tolerance() {
+                true => format!(" within {:.0e}", sonar.synthesis.tolerance),
+                false => String::new(),
+            };
+            format!(
+                "{}{within}, {path}, {doppler}, {cull}{certificate}",
+                other.name()
+            )
+        }
     }
 }
 

@@ -18,8 +18,12 @@ use crate::flow::{
 };
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
-use super::paths::{Batch, ElementTrack, Rays, Transmit, refine, solve};
+use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
+
+mod line;
+
+pub use line::{LineEchoes, LineWorkspace, line_arrivals};
 
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +46,7 @@ impl Window {
 #[derive(Debug, Default)]
 pub struct Illuminated {
     window: Option<Window>,
-    transmit: Transmit,
+    pub(super) transmit: Transmit,
     /// Relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
@@ -63,7 +67,9 @@ pub struct Illuminated {
     /// Transmitter's speed towards the scatterer, m/s.
     closing_m_per_s: Vec<f64>,
     /// Least and greatest `range_m` of each batch of [`CHUNK`].
-    batch_range_m: Vec<(f64, f64)>,
+    pub(super) batch_range_m: Vec<(f64, f64)>,
+    /// ... and of `closing_m_per_s`.
+    pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
 }
 
 impl Illuminated {
@@ -93,13 +99,14 @@ impl Illuminated {
         self.normal_z.clear();
         self.closing_m_per_s.clear();
         self.batch_range_m.clear();
+        self.batch_closing_m_per_s.clear();
     }
 }
 
 /// Scratch of one thread of [`arrivals`].
 #[derive(Default)]
 pub struct Workspace {
-    track: ElementTrack,
+    pub(super) track: ElementTrack,
     rays: Rays,
     heard: Heard,
     chunk: ArrivalChunk,
@@ -215,12 +222,20 @@ pub fn illuminate(
         lit.closing_m_per_s
             .push(transmit.motion.velocity_m_per_s.dot(ray));
     }
-    for batch in lit.range_m.chunks(CHUNK) {
-        let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
-        let greatest_m = batch.iter().copied().fold(0.0, f64::max);
-        lit.batch_range_m.push((least_m, greatest_m));
-    }
+    lit.batch_range_m
+        .extend(lit.range_m.chunks(CHUNK).map(ends));
+    lit.batch_closing_m_per_s
+        .extend(lit.closing_m_per_s.chunks(CHUNK).map(ends));
     counts
+}
+
+/// Least and greatest.
+fn ends(values: &[f64]) -> (f64, f64) {
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
+            (least.min(x), most.max(x))
+        })
 }
 
 /// One leg of a scatterer on a curve: nothing on the far side.
