@@ -7,8 +7,8 @@ mod counting;
 mod measure;
 
 use echotank::config::spec::{
-    BottomSpec, Density, EnergyWeights, IncidenceSpec, PaperShape, SceneSpec, SeabedShape,
-    SeabedSpec, SimplifyMethod, SimplifySpec,
+    BottomSpec, Density, EnergyWeights, IncidenceSpec, OcclusionSpec, PaperShape, SceneSpec,
+    SeabedShape, SeabedSpec, SimplifyMethod, SimplifySpec,
 };
 use echotank::flow::{Footprint, Scatterers};
 use echotank::scene::Scene;
@@ -77,6 +77,7 @@ fn scene(shape: PaperShape) -> Scene {
         }),
         points: None,
         targets: None,
+        occlusion: OcclusionSpec::None,
         memory_limit_bytes: 64 << 20,
         simplify: None,
     })
@@ -84,12 +85,7 @@ fn scene(shape: PaperShape) -> Scene {
 }
 
 fn around(north_m: f64) -> Footprint {
-    Footprint {
-        apex_m: DVec3::new(north_m, 45.0, 0.0),
-        axis: DVec3::X,
-        max_axis_sine: 1.0,
-        max_range_m: 60.0,
-    }
+    Footprint::all_round(DVec3::new(north_m, 45.0, 0.0), 60.0)
 }
 
 #[test]

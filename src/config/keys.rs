@@ -397,10 +397,16 @@ static SCENE: Table = Table {
             Default("\"normal\""),
             "What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).",
         ),
+        key(
+            "occlusion",
+            Kind::Choice(&["none", "horizon", "paper"], &[]),
+            Default("\"horizon\""),
+            "Shadows: none; of seabed and solids, from transmitter and receiver; or over the seabed by the paper's rule (Eq. 27), which forgets obstacles.",
+        ),
         key("seabed", Kind::Table(&SEABED), Shown(""), ""),
         key("simplify", Kind::Table(&SIMPLIFY), Default("{}"), ""),
     ],
-    later: &["occlusion"],
+    later: &[],
 };
 
 static SIMPLIFY: Table = Table {
@@ -461,7 +467,7 @@ static SIMPLIFY: Table = Table {
             "shadows",
             Kind::Bool,
             Default("false"),
-            "Search for shadows among the scatterers, and choose what lies in them last (acoustic-unbiased: never).",
+            "Search for shadows among the scatterers itself, where occlusion is none, and choose what lies in them last (acoustic-unbiased: never).",
         ),
     ],
     later: &[],

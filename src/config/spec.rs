@@ -179,9 +179,21 @@ pub struct SceneSpec {
     pub points: Option<PathBuf>,
     /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
+    pub occlusion: OcclusionSpec,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,
     pub simplify: Option<SimplifySpec>,
+}
+
+/// What hides what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OcclusionSpec {
+    /// Nothing.
+    None,
+    /// Whatever stands between.
+    Horizon,
+    /// Over the seabed, Meng et al. 2023, Eq. 27 as printed.
+    Paper,
 }
 
 #[derive(Clone, Debug)]

@@ -9,9 +9,10 @@ use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
+use crate::run::view;
 use crate::scene::simplify::energy::View;
 use crate::scene::simplify::stage::{Stage, StageCounts};
-use crate::scene::{Scene, SceneCounts, SceneError};
+use crate::scene::{Scene, SceneError};
 use crate::time::UtcNs;
 
 #[derive(Debug, Error)]
@@ -49,7 +50,6 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     placed: bool,
     scatterers: Scatterers,
-    pub scene_counts: SceneCounts,
     pub simplify_counts: StageCounts,
 }
 
@@ -95,7 +95,6 @@ impl Rig {
             sonars,
             placed: false,
             scatterers: Scatterers::default(),
-            scene_counts: SceneCounts::default(),
             simplify_counts: StageCounts::default(),
         })
     }
@@ -174,11 +173,11 @@ impl Rig {
         let unit = &mut self.sonars[sonar];
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
-        self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
         if let Some((stage, view)) = &mut unit.simplify {
-            unit.pipeline.view(&slot.plan, view);
+            view::view(&unit.spec, &slot.plan, view);
             // The seabed's come first; points and targets stay.
-            let seabed = self.scene_counts.scatterers as usize;
+            let seabed = slot.output.scene.scatterers as usize;
             self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
         }
         unit.pipeline

@@ -13,6 +13,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 
+use super::occlusion::Piece;
 use super::seabed::Depth;
 use super::targets::chance::Chance;
 use crate::config::spec::PaperShape;
@@ -82,6 +83,29 @@ pub fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
             lake_slope_m(east_m.0) - BANK_HEIGHT_M,
             lake_slope_m(east_m.1),
         ),
+    }
+}
+
+/// Steps of [`profile`], metres: a third of the narrowest feature, whose quadratic pieces follow it to a millimetre.
+const PIECE_M: f64 = 0.1;
+
+/// The ground along a ray, as [`Surface::profile`](super::seabed::Surface::profile) has it.
+pub(super) fn profile(
+    shape: PaperShape,
+    from_m: DVec2,
+    along: DVec2,
+    reach_m: f64,
+    mut piece: impl FnMut(Piece),
+) {
+    let mut here_m = 0.0;
+    while here_m < reach_m {
+        let next_m = (here_m + PIECE_M).min(reach_m);
+        let at = Piece::AT.map(|share| {
+            let place_m = from_m + along * (here_m + share * (next_m - here_m));
+            down_m(shape, place_m.x, place_m.y)
+        });
+        piece(Piece::through(here_m, next_m, at));
+        here_m = next_m;
     }
 }
 

@@ -83,6 +83,11 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
         },
         points: optional_file(table, "points")?,
         targets: optional_file(table, "targets")?,
+        occlusion: match table.text("occlusion")? {
+            "none" => OcclusionSpec::None,
+            "paper" => OcclusionSpec::Paper,
+            _ => OcclusionSpec::Horizon,
+        },
         memory_limit_bytes,
         simplify: simplify(table.table("simplify")?, problems)?,
     })
