@@ -37,7 +37,7 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
     };
     let seabed = seabed_table.and_then(|t| seabed(t, rig, incidence, problems));
     let gridded = match seabed_table {
-        Some(t) => t.text("shape").map(|s| s != "plane"),
+        Some(t) => t.text("shape").map(is_survey),
         None => Some(table.given("seabed")),
     };
     let condition = "a seabed of shape \"file\" or \"esri-ascii\"";
@@ -96,7 +96,44 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
             _ => OcclusionSpec::Horizon,
         },
         memory_limit_bytes,
+        simplify: simplify(table.table("simplify")?, problems)?,
     })
+}
+
+/// What is asked for, or that nothing is; none if that is no good.
+fn simplify(table: &RawTable, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
+    let name = table.text("method")?;
+    let some = Some(name != "none");
+    let keys = [
+        "keep",
+        "weight_curvature",
+        "weight_scattering",
+        "weight_axis",
+        "weight_echo",
+    ];
+    only_with(table, &keys, some, "a method", problems);
+    needed_with(table, "keep", some, "a method", problems);
+    let Some(method) = SimplifyMethod::ALL.into_iter().find(|m| m.name() == name) else {
+        return Some(None);
+    };
+    let default = EnergyWeights::default_of(method);
+    let weight = |key: &str, default: f64| match table.given(key) {
+        true => table.number(key),
+        false => Some(default),
+    };
+    Some(Some(SimplifySpec {
+        method,
+        keep: usize::try_from(table.integer("keep")?).ok()?,
+        weights: EnergyWeights {
+            curvature: weight("weight_curvature", default.curvature)?,
+            scattering: weight("weight_scattering", default.scattering)?,
+            axis: weight("weight_axis", default.axis)?,
+            echo: weight("weight_echo", default.echo)?,
+        },
+        hold_m: table.number("hold_m")?,
+        hold_rad: table.number("hold_deg")?.to_radians(),
+        shadows: table.bool("shadows")?,
+    }))
 }
 
 /// The file, or that none was given; none if the one given is no good.
@@ -123,7 +160,7 @@ fn seabed(
         problems,
     );
     needed_with(table, "depth_m", is("plane"), "shape = \"plane\"", problems);
-    let is_file = shape.map(|s| s != "plane");
+    let is_file = shape.map(is_survey);
     let condition = "shape = \"file\" or \"esri-ascii\"";
     let keys = [
         "path",
@@ -153,6 +190,9 @@ fn seabed(
             slope_north: table.number("slope_north")?,
             slope_east: table.number("slope_east")?,
         },
+        name if name.starts_with("paper-") => {
+            SeabedShape::Paper(PaperShape::ALL.into_iter().find(|s| s.name() == name)?)
+        }
         shape => SeabedShape::File {
             file: file(table, shape, problems)?,
             offset_north_m: table.number("offset_north_m")?,
@@ -167,6 +207,11 @@ fn seabed(
         mosaic,
         speckle: table.bool("speckle")?,
     })
+}
+
+/// Shapes that come from a file.
+fn is_survey(shape: &str) -> bool {
+    matches!(shape, "file" | "esri-ascii")
 }
 
 fn file(table: &RawTable, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
