@@ -1,5 +1,7 @@
 //! `echotank scene`: looks at seabeds and models.
 
+mod simplify;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -26,11 +28,14 @@ pub struct SceneArgs {
 pub enum SceneCommand {
     /// What a seabed or a model is found to be: format, coordinates, which way heights are positive, holes, depths
     Info(InfoArgs),
+    /// Leaves out the scatterers of a seabed that one sonar's view can do without, and writes the others as points
+    Simplify(simplify::SimplifyArgs),
 }
 
 pub fn main(args: &SceneArgs) -> Result<(), Failure> {
     match &args.command {
         SceneCommand::Info(args) => info(args),
+        SceneCommand::Simplify(args) => simplify::main(args),
     }
 }
 

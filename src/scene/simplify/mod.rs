@@ -17,6 +17,7 @@
 pub mod collapse;
 pub mod curvature;
 pub mod energy;
+pub mod field;
 pub mod shadow;
 pub mod stage;
 
@@ -96,6 +97,15 @@ impl Rank {
 }
 
 impl Selection {
+    /// A choice made elsewhere: indices ascending, a gain each.
+    pub fn of(kept: Vec<u32>, gain: Vec<f64>) -> Self {
+        Self {
+            kept,
+            gain,
+            order: Vec::new(),
+        }
+    }
+
     /// The rule that keeps `settings.keep` of the first `free` scatterers (those after are deterministic and always kept).
     pub fn rule(&mut self, energies: &Energies, free: usize, settings: &Settings) -> Rule {
         let free = free.min(energies.energy.len());
