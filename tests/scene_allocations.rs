@@ -41,6 +41,7 @@ fn gather_on_the_move() {
         targets: None,
         occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: 40 * TILE_BYTES,
+        simplify: None,
     };
     let mut scene = Scene::open(&spec).unwrap();
     let mut out = Scatterers::default();

@@ -88,6 +88,7 @@ fn scene(density: Density) -> Scene {
         targets: None,
         occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: 1 << 26,
+        simplify: None,
     })
     .expect("a plane")
 }

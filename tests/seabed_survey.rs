@@ -29,6 +29,7 @@ fn pings_along_ten_kilometres_make_the_same_number_of_tiles_and_come_back_to_the
         targets: None,
         occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: 500 * TILE_BYTES,
+        simplify: None,
     };
     let mut scene = Scene::open(&spec).expect("a plane");
     let mut out = Scatterers::default();

@@ -10,3 +10,4 @@ pub mod recorders;
 pub mod replay;
 pub mod rig;
 pub mod settings;
+mod view;

@@ -3,16 +3,18 @@
 //! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
 //! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
 //! coordinates, so that the seabed does not depend on where the scene is put.
-//! Not modelled: simplification, volume and surface scattering.
+//! Not modelled: volume and surface scattering.
 
 pub mod bottoms;
 mod draws;
 mod gather;
 mod occlusion;
+pub mod paper;
 pub mod points;
 mod pool;
 pub mod read;
 pub mod seabed;
+pub mod simplify;
 pub mod targets;
 pub mod tiles;
 

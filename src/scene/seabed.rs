@@ -7,7 +7,8 @@ use glam::DVec2;
 use super::SceneError;
 use super::ascii_grid::Grid;
 use super::occlusion::Piece;
-use crate::config::spec::{MosaicSpec, SeabedShape};
+use super::paper;
+use crate::config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
 /// The surface at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,6 +41,7 @@ pub enum Surface {
         slope_east: f64,
     },
     Grid(GridSurface),
+    Paper(PaperShape),
 }
 
 /// A grid whose centre lies at the scene's zero, moved by an offset.
@@ -85,6 +87,7 @@ impl Surface {
                 slope_north: *slope_north,
                 slope_east: *slope_east,
             }),
+            SeabedShape::Paper(shape) => Ok(Self::Paper(*shape)),
             SeabedShape::EsriAscii {
                 path,
                 positive_up,
@@ -147,6 +150,7 @@ impl Surface {
                 slope_east: *slope_east,
             }),
             Self::Grid(surface) => surface.sample(north_m, east_m),
+            Self::Paper(shape) => paper::sample(*shape, north_m, east_m),
         }
     }
 
@@ -166,6 +170,7 @@ impl Surface {
                 ))
             }
             Self::Grid(surface) => surface.bounds_m(north_m, east_m),
+            Self::Paper(shape) => Some(paper::bounds_m(*shape, east_m)),
         }
     }
 }
@@ -173,13 +178,15 @@ impl Surface {
 impl Surface {
     /// Whether one part of it could hide another.
     pub fn is_hilly(&self) -> bool {
-        matches!(self, Self::Grid(_))
+        matches!(self, Self::Grid(_) | Self::Paper(_))
     }
 
     /// The ground along a ray from `from_m` in the horizontal unit direction `along`, out to `reach_m`, piece by piece. Holes give none.
     pub fn profile(&self, from_m: DVec2, along: DVec2, reach_m: f64, mut piece: impl FnMut(Piece)) {
-        let Self::Grid(surface) = self else {
-            return;
+        let surface = match self {
+            Self::Plane { .. } => return,
+            Self::Paper(shape) => return paper::profile(*shape, from_m, along, reach_m, piece),
+            Self::Grid(surface) => surface,
         };
         let grid = &surface.grid;
         let mut north = Crossings::new(from_m.x, along.x, surface.south_m, grid.cell_m);

@@ -60,6 +60,7 @@ fn spec(path: PathBuf, occlusion: OcclusionSpec) -> SceneSpec {
         targets: None,
         occlusion,
         memory_limit_bytes: 1 << 26,
+        simplify: None,
     }
 }
 

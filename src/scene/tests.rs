@@ -47,6 +47,7 @@ fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
         targets: None,
         occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: tiles * TILE_BYTES,
+        simplify: None,
     }
 }
 
