@@ -68,6 +68,8 @@ pub struct Illuminated {
     closing_m_per_s: Vec<f64>,
     /// Least and greatest `range_m` of each batch of [`CHUNK`].
     batch_range_m: Vec<(f64, f64)>,
+    /// Lowest and highest corner of each batch.
+    batch_box_m: Vec<(DVec3, DVec3)>,
 }
 
 impl Illuminated {
@@ -97,6 +99,7 @@ impl Illuminated {
         self.normal_z.clear();
         self.closing_m_per_s.clear();
         self.batch_range_m.clear();
+        self.batch_box_m.clear();
     }
 }
 
@@ -223,6 +226,15 @@ pub fn illuminate(
         let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
         let greatest_m = batch.iter().copied().fold(0.0, f64::max);
         lit.batch_range_m.push((least_m, greatest_m));
+    }
+    let places = lit.x_m.chunks(CHUNK).zip(lit.y_m.chunks(CHUNK));
+    for ((x_m, y_m), z_m) in places.zip(lit.z_m.chunks(CHUNK)) {
+        let least = |v: &[f64]| v.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = |v: &[f64]| v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        lit.batch_box_m.push((
+            DVec3::new(least(x_m), least(y_m), least(z_m)),
+            DVec3::new(most(x_m), most(y_m), most(z_m)),
+        ));
     }
     counts
 }
