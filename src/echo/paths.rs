@@ -289,6 +289,30 @@ impl ElementTrack {
         reach_m + self.sag_m
     }
 
+    /// Tells `visit` the velocities that Doppler can see on this way: some, and how far others lie beside them, m/s.
+    pub fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
+        let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
+        for leg in &self.legs {
+            let end_s = leg.end_s.min(last_s).max(leg.start_s);
+            let Motion {
+                velocity_m_per_s: first,
+                acceleration_m_per_s2,
+            } = leg.doppler;
+            let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
+            let beside = match plan.model.path {
+                PathModel::Continuous => {
+                    // Twice the middle's distance from the chord bounds any smooth arc's.
+                    let middle_s = 0.5 * (leg.start_s + end_s);
+                    let middle = self.motion_at(plan, middle_s).velocity_m_per_s;
+                    2.0 * (middle - 0.5 * (first + last)).length()
+                }
+                _ => 0.0,
+            };
+            visit(first, beside);
+            visit(last, beside);
+        }
+    }
+
     /// The element's motion when an echo arrives, as Doppler sees it.
     pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {

@@ -46,7 +46,7 @@ impl Window {
 #[derive(Debug, Default)]
 pub struct Illuminated {
     window: Option<Window>,
-    transmit: Transmit,
+    pub(super) transmit: Transmit,
     /// Relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
@@ -67,7 +67,9 @@ pub struct Illuminated {
     /// Transmitter's speed towards the scatterer, m/s.
     closing_m_per_s: Vec<f64>,
     /// Least and greatest `range_m` of each batch of [`CHUNK`].
-    batch_range_m: Vec<(f64, f64)>,
+    pub(super) batch_range_m: Vec<(f64, f64)>,
+    /// ... and of `closing_m_per_s`.
+    pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
     /// Lowest and highest corner of each batch.
     batch_box_m: Vec<(DVec3, DVec3)>,
 }
@@ -99,6 +101,7 @@ impl Illuminated {
         self.normal_z.clear();
         self.closing_m_per_s.clear();
         self.batch_range_m.clear();
+        self.batch_closing_m_per_s.clear();
         self.batch_box_m.clear();
     }
 }
@@ -106,7 +109,7 @@ impl Illuminated {
 /// Scratch of one thread of [`arrivals`].
 #[derive(Default)]
 pub struct Workspace {
-    track: ElementTrack,
+    pub(super) track: ElementTrack,
     rays: Rays,
     heard: Heard,
     chunk: ArrivalChunk,
@@ -222,21 +225,26 @@ pub fn illuminate(
         lit.closing_m_per_s
             .push(transmit.motion.velocity_m_per_s.dot(ray));
     }
-    for batch in lit.range_m.chunks(CHUNK) {
-        let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
-        let greatest_m = batch.iter().copied().fold(0.0, f64::max);
-        lit.batch_range_m.push((least_m, greatest_m));
-    }
+    lit.batch_range_m
+        .extend(lit.range_m.chunks(CHUNK).map(ends));
+    lit.batch_closing_m_per_s
+        .extend(lit.closing_m_per_s.chunks(CHUNK).map(ends));
     let places = lit.x_m.chunks(CHUNK).zip(lit.y_m.chunks(CHUNK));
-    for ((x_m, y_m), z_m) in places.zip(lit.z_m.chunks(CHUNK)) {
-        let least = |v: &[f64]| v.iter().copied().fold(f64::INFINITY, f64::min);
-        let most = |v: &[f64]| v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        lit.batch_box_m.push((
-            DVec3::new(least(x_m), least(y_m), least(z_m)),
-            DVec3::new(most(x_m), most(y_m), most(z_m)),
-        ));
-    }
+    lit.batch_box_m
+        .extend(places.zip(lit.z_m.chunks(CHUNK)).map(|((x, y), z)| {
+            let (x, y, z) = (ends(x), ends(y), ends(z));
+            (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
+        }));
     counts
+}
+
+/// Least and greatest.
+fn ends(values: &[f64]) -> (f64, f64) {
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
+            (least.min(x), most.max(x))
+        })
 }
 
 /// One leg of a scatterer on a curve: nothing on the far side.

@@ -2,9 +2,12 @@
 pub mod certificate;
 pub mod counters;
 pub mod daemon;
+pub mod engines;
+mod footprints;
 pub mod outputs;
 pub mod pipeline;
 pub mod recorders;
 pub mod replay;
 pub mod rig;
 pub mod settings;
+mod view;

@@ -2,15 +2,17 @@
 
 use thiserror::Error;
 
-use crate::array::filter::FilterError;
 use crate::config::spec::{MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
 use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
-use crate::run::pipeline::SonarPipeline;
-use crate::scene::{Scene, SceneCounts, SceneError};
+use crate::run::pipeline::{PipelineError, SonarPipeline};
+use crate::run::view;
+use crate::scene::simplify::energy::View;
+use crate::scene::simplify::stage::{Stage, StageCounts};
+use crate::scene::{Scene, SceneError};
 use crate::time::UtcNs;
 
 #[derive(Debug, Error)]
@@ -19,8 +21,8 @@ pub enum RigError {
     Scene(#[from] SceneError),
     #[error("navigation: {0}")]
     Nav(#[from] NavOpenError),
-    #[error("receiver filter: {0}")]
-    Filter(#[from] FilterError),
+    #[error("sonar {name}: {why}")]
+    Sonar { name: String, why: PipelineError },
 }
 
 /// A ping and everything it made, in buffers that are used again.
@@ -34,6 +36,8 @@ pub struct PingSlot {
 pub struct SonarUnit {
     pub spec: SonarSpec,
     pub pipeline: SonarPipeline,
+    /// Leaves out what a ping can do without.
+    simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
 }
@@ -46,7 +50,7 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     placed: bool,
     scatterers: Scatterers,
-    pub scene_counts: SceneCounts,
+    pub simplify_counts: StageCounts,
 }
 
 impl Rig {
@@ -65,8 +69,21 @@ impl Rig {
                 // The law undoes the medium's own absorption, which only now is a number.
                 *law = absorption_db_per_m;
             }
+            let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
+                let name = sonar.name.clone();
+                RigError::Sonar { name, why }
+            })?;
             sonars.push(SonarUnit {
-                pipeline: SonarPipeline::new(&sonar, &spec.medium)?,
+                simplify: spec.scene.simplify.as_ref().map(|simplify| {
+                    let view = View {
+                        slack_m: simplify.hold_m,
+                        slack_rad: simplify.hold_rad,
+                        shadows: simplify.shadows,
+                        ..View::default()
+                    };
+                    (Stage::of_spec(simplify, spec.scene.seed), view)
+                }),
+                pipeline,
                 spec: sonar,
                 absorption_db_per_m,
             });
@@ -78,7 +95,7 @@ impl Rig {
             sonars,
             placed: false,
             scatterers: Scatterers::default(),
-            scene_counts: SceneCounts::default(),
+            simplify_counts: StageCounts::default(),
         })
     }
 
@@ -156,7 +173,13 @@ impl Rig {
         let unit = &mut self.sonars[sonar];
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
-        self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
+        if let Some((stage, view)) = &mut unit.simplify {
+            view::view(&unit.spec, &slot.plan, view);
+            // The seabed's come first; points and targets stay.
+            let seabed = slot.output.scene.scatterers as usize;
+            self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
+        }
         unit.pipeline
             .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())
