@@ -64,14 +64,14 @@ impl<T: Sample> Lanes<T> {
     #[inline(always)]
     pub fn add_weighted<const FUSED: bool>(&mut self, a: &Self, by: &[T; BLOCK], by_j: bool) {
         if by_j {
-            for j in 0..BLOCK {
-                self.re[j] = (-a.im[j]).times_plus::<FUSED>(by[j], self.re[j]);
-                self.im[j] = a.re[j].times_plus::<FUSED>(by[j], self.im[j]);
+            for (j, &by) in by.iter().enumerate() {
+                self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
+                self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
             }
         } else {
-            for j in 0..BLOCK {
-                self.re[j] = a.re[j].times_plus::<FUSED>(by[j], self.re[j]);
-                self.im[j] = a.im[j].times_plus::<FUSED>(by[j], self.im[j]);
+            for (j, &by) in by.iter().enumerate() {
+                self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
+                self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
             }
         }
     }
