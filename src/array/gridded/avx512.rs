@@ -4,7 +4,8 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
+use super::kernel::MAX_WIDTH;
+use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
 
 /// a times b in the lanes of `mask`, a in the others. As assembler because the compiler makes a product and a blend of the intrinsic, and the
 /// port that blends is the one that is short here.
@@ -251,66 +252,68 @@ unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
     }
 }
 
+/// Lane indices that put a point's eight weights, each twice, on the row's sixteen numbers: `[column]`. Lanes without a weight take the
+/// last one, which is 0 for all points that do not begin at column 0.
+const PLACED: [[i32; 16]; MAX_TAPS] = {
+    let mut all = [[0; 16]; MAX_TAPS];
+    let mut column = 0;
+    while column < MAX_TAPS {
+        let mut lane = 0;
+        while lane < 16 {
+            let tap = lane / 2;
+            all[column][lane] = if tap < column {
+                7
+            } else {
+                (tap - column) as i32
+            };
+            lane += 1;
+        }
+        column += 1;
+    }
+    all
+};
+
 /// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub unsafe fn spread_32(
     points: Points<f32>,
     across: Across<f32>,
     weights: &FlushWeights<f32>,
-    stride: usize,
-    grids: &mut [Complex32],
+    rows: &mut [Row32],
 ) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's weights are moved to their lanes and whole rows
+    // added to, cell + i < rows. More: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the next value's rows.
+    // All slices have a value per point, at most BLOCK. With one row column + taps <= 8, so that `column` has its entry in `PLACED`.
     unsafe {
-        match weights.width {
-            0..=8 => spread_32_of::<1>(points, across, weights, stride, grids),
-            _ => spread_32_of::<2>(points, across, weights, stride, grids),
-        }
-    }
-}
-
-/// V registers of eight complex values hold a point's taps.
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-unsafe fn spread_32_of<const V: usize>(
-    points: Points<f32>,
-    across: Across<f32>,
-    weights: &FlushWeights<f32>,
-    stride: usize,
-    grids: &mut [Complex32],
-) {
-    // SAFETY: 8 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
-    // `doubled` has 8 entries of 32 weights.
-    unsafe {
-        let mut w = [[_mm512_setzero_ps(); V]; 8];
-        for (k, w) in w.iter_mut().enumerate() {
-            for (v, w) in w.iter_mut().enumerate() {
-                *w = _mm512_loadu_ps(weights.doubled.get_unchecked(k).as_ptr().add(16 * v));
-            }
-        }
+        let mut values = [[0f32; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f32>();
+        let step = 16 * across.rows;
+        let alone = across.rows == 1;
         for j in 0..points.cell.len() {
-            let x = _mm512_set1_ps(*points.x.get_unchecked(j));
-            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let mut values = w[7];
-            for w in w[..7].iter().rev() {
-                for v in 0..V {
-                    values[v] = _mm512_fmadd_ps(values[v], x, w[v]);
-                }
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
             }
-            for value in &mut values {
-                *value = _mm512_mul_ps(*value, c);
-            }
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let mut at = grids.as_mut_ptr().add(first).cast::<f32>();
-            let share = across.weight.as_ptr().add(j).cast::<f32>();
-            for t in 0..across.taps {
-                let share = _mm512_set1_ps(*share.add(t));
-                for (v, value) in values.iter().enumerate() {
-                    let at = at.add(16 * v);
-                    _mm512_storeu_ps(at, _mm512_fmadd_ps(*value, share, _mm512_loadu_ps(at)));
-                }
-                at = at.wrapping_add(2 * stride);
+            let column = *across.column.get_unchecked(j) as usize;
+            let (lane, place) = if alone { (0, column) } else { (2 * column, 0) };
+            let c = points
+                .amplitude
+                .as_ptr()
+                .add(j)
+                .cast::<f64>()
+                .read_unaligned();
+            let shares = across.weight.as_ptr().add(j).cast::<f32>();
+            let place = PLACED.get_unchecked(place).as_ptr();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
+            let shares = _mm512_castps256_ps512(_mm256_loadu_ps(shares));
+            let row = _mm512_mul_ps(
+                _mm512_permutexvar_ps(_mm512_loadu_si512(place.cast()), shares),
+                _mm512_castpd_ps(_mm512_set1_pd(c)),
+            );
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm512_set1_ps(*value.get_unchecked(j % STRIP));
+                _mm512_storeu_ps(at, _mm512_fmadd_ps(row, value, _mm512_loadu_ps(at)));
+                at = at.wrapping_add(step);
             }
         }
     }
@@ -322,56 +325,36 @@ pub unsafe fn spread_64(
     points: Points<f64>,
     across: Across<f64>,
     weights: &FlushWeights<f64>,
-    stride: usize,
-    grids: &mut [Complex64],
+    rows: &mut [Row64],
 ) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
+    // next value's rows. All slices have a value per point, at most BLOCK.
     unsafe {
-        match weights.width {
-            0..=8 => spread_64_of::<2>(points, across, weights, stride, grids),
-            9..=12 => spread_64_of::<3>(points, across, weights, stride, grids),
-            _ => spread_64_of::<4>(points, across, weights, stride, grids),
-        }
-    }
-}
-
-/// V registers of four complex values hold a point's taps.
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-unsafe fn spread_64_of<const V: usize>(
-    points: Points<f64>,
-    across: Across<f64>,
-    weights: &FlushWeights<f64>,
-    stride: usize,
-    grids: &mut [Complex64],
-) {
-    // SAFETY: 4 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
-    // `doubled` has 12 entries of 32 weights.
-    unsafe {
-        let w = weights.doubled.as_ptr().cast::<f64>();
+        let mut values = [[0f64; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f64>();
+        let step = 24 * across.rows;
         for j in 0..points.cell.len() {
-            let x = _mm512_set1_pd(*points.x.get_unchecked(j));
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
+            }
+            let lane = 2 * *across.column.get_unchecked(j) as usize;
             let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let shares = across.weight.as_ptr().add(j).cast::<f64>();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
+            let shares = _mm512_loadu_pd(shares);
             let c = _mm512_broadcast_f64x2(c);
-            let mut values = [_mm512_setzero_pd(); V];
-            for k in (0..12).rev() {
-                for (v, value) in values.iter_mut().enumerate() {
-                    *value = _mm512_fmadd_pd(*value, x, _mm512_loadu_pd(w.add(32 * k + 8 * v)));
+            let low = _mm512_setr_epi64(0, 0, 1, 1, 2, 2, 3, 3);
+            let high = _mm512_setr_epi64(4, 4, 5, 5, 6, 6, 7, 7);
+            let row = [low, high].map(|i| _mm512_mul_pd(_mm512_permutexvar_pd(i, shares), c));
+            let row = &row[..across.taps.div_ceil(4)];
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm512_set1_pd(*value.get_unchecked(j % STRIP));
+                for (h, row) in row.iter().enumerate() {
+                    let at = at.add(8 * h);
+                    _mm512_storeu_pd(at, _mm512_fmadd_pd(*row, value, _mm512_loadu_pd(at)));
                 }
-            }
-            for value in &mut values {
-                *value = _mm512_mul_pd(*value, c);
-            }
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let mut at = grids.as_mut_ptr().add(first).cast::<f64>();
-            let share = across.weight.as_ptr().add(j).cast::<f64>();
-            for t in 0..across.taps {
-                let share = _mm512_set1_pd(*share.add(t));
-                for (v, value) in values.iter().enumerate() {
-                    let at = at.add(8 * v);
-                    _mm512_storeu_pd(at, _mm512_fmadd_pd(*value, share, _mm512_loadu_pd(at)));
-                }
-                at = at.wrapping_add(2 * stride);
+                at = at.wrapping_add(step);
             }
         }
     }
