@@ -133,14 +133,17 @@ impl<T: Real> Frame<T> {
             points.column[j] = (column - bounds.first_column) as u32;
             place[j] = T::narrow(x);
         }
-        for j in 0..n {
-            let mut sum = self.weights[self.powers - 1];
-            for k in (0..self.powers - 1).rev() {
-                for t in 0..MAX_TAPS {
-                    sum[t] = sum[t] * place[j] + self.weights[k][t];
+        let (highest, lower) = self.weights[..self.powers]
+            .split_last()
+            .expect("a power at least");
+        for (weight, &x) in points.weight[..n].iter_mut().zip(&place) {
+            let mut sum = *highest;
+            for weights in lower.iter().rev() {
+                for (sum, weight) in sum.iter_mut().zip(weights) {
+                    *sum = *sum * x + *weight;
                 }
             }
-            points.weight[j] = sum;
+            *weight = sum;
         }
         outside
     }
