@@ -449,13 +449,13 @@ pub fn arrivals(
         let n = span.len();
         let amplitude = &lit.amplitude[span];
         let mut kept = 0;
-        for i in 0..n {
+        for (i, amplitude) in amplitude.iter().enumerate() {
             let delay_s = rays.delay_s[i];
             let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
             let heard_s = window.first_s - delay_s;
             let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
             let outside = (delay_s > window.last_s) | ended;
-            let product = amplitude[i] * heard.gain[i];
+            let product = *amplitude * heard.gain[i];
             let silent = (heard.level[i] < floor) | (product.re == 0.0) & (product.im == 0.0);
             heard.amplitude[i] = product;
             let keep = !(outside | silent);

@@ -7,52 +7,89 @@ use num_complex::{Complex32, Complex64};
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
 
-/// a times b in the lanes of `mask`, a in the others. As assembler because the compiler makes a product and a blend of the intrinsic, and the
-/// port that blends is the one that is short here.
-#[inline]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn times_where(mask: u16, mut a: __m512, b: __m512) -> __m512 {
-    // SAFETY: one instruction on registers, of a feature that the function requires.
-    unsafe {
-        std::arch::asm!(
-            "vmulps {a}{{{mask}}}, {a}, {b}",
-            a = inout(zmm_reg) a,
-            b = in(zmm_reg) b,
-            mask = in(kreg) mask,
-            options(pure, nomem, nostack, preserves_flags),
-        );
-    }
-    a
-}
+/// Points whose factors are worked out together.
+const GROUP: usize = 16;
 
+/// Row numbers of four floats: which of 1, x^2, x^4, x^6 each of a row's lanes is multiplied with.
+const SPREAD_FOUR: [i32; 16] = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
+/// Eight numbers, each twice.
+const TWICE: [i32; 16] = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7];
+
+/// A row is (c, c x) times (1, x^2, x^4, x^6). The four numbers on either side are made for 16 points at once; what is left per point is two
+/// loads, one permutation and the addition.
+///
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
+    // SAFETY: the caller vouches for features and shapes: all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are
+    // 64 bytes long and so aligned. Beyond the last point nothing is read: the masks leave it out.
     unsafe {
         let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
-        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
-        // x^2 and x^4 of all points first, sixteen at once: later they are broadcast as they are read.
-        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
-        let mut last = 0;
-        for j in 0..n {
-            x2[j] = *x.add(j) * *x.add(j);
-            x4[j] = x2[j] * x2[j];
-            last = last.max(*row.add(j));
-        }
+        let last = points.cell.iter().fold(0, |a, &b| a.max(b));
         assert!((last as usize) < rows.len(), "row {last}");
-        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
+        let spread_four = _mm512_loadu_si512(SPREAD_FOUR.as_ptr().cast());
+        let twice = _mm512_loadu_si512(TWICE.as_ptr().cast());
+        let twice_high = _mm512_add_epi32(twice, _mm512_set1_epi32(8));
         let one = _mm512_set1_ps(1.0);
-        for j in 0..n {
-            // 1, x, x^2 ... x^7, each twice.
-            let p = times_where(0b1100_1100_1100_1100, one, _mm512_set1_ps(*x.add(j)));
-            let p = times_where(0b1111_0000_1111_0000, p, _mm512_set1_ps(*x2.add(j)));
-            let p = times_where(0b1111_1111_0000_0000, p, _mm512_set1_ps(*x4.add(j)));
-            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let at = table.add(16 * *row.add(j) as usize);
-            _mm512_store_ps(at, _mm512_fmadd_ps(p, c, _mm512_load_ps(at)));
+        // Of point 4 l + r of a group: lanes 4 l ... of the r-th register. And of 8 h + 2 l + r: of the 2 h + r-th.
+        let mut powers = [one; 4];
+        let mut pairs = [one; 4];
+        for first in (0..n).step_by(GROUP) {
+            let count = (n - first).min(GROUP);
+            let mask = (0xffff_u32 >> (GROUP - count)) as u16;
+            let x = _mm512_maskz_loadu_ps(mask, points.x.as_ptr().wrapping_add(first));
+            let x2 = _mm512_mul_ps(x, x);
+            let x4 = _mm512_mul_ps(x2, x2);
+            let x6 = _mm512_mul_ps(x4, x2);
+            let low = [_mm512_unpacklo_ps(one, x2), _mm512_unpackhi_ps(one, x2)]
+                .map(|v| _mm512_castps_pd(v));
+            let high = [_mm512_unpacklo_ps(x4, x6), _mm512_unpackhi_ps(x4, x6)]
+                .map(|v| _mm512_castps_pd(v));
+            for h in 0..2 {
+                powers[2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(low[h], high[h]));
+                powers[2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(low[h], high[h]));
+            }
+            for (h, twice) in [twice, twice_high].into_iter().enumerate() {
+                let c = points.amplitude.as_ptr().wrapping_add(first + 8 * h);
+                let c = _mm512_maskz_loadu_pd((mask >> (8 * h)) as u8, c.cast());
+                let x = _mm512_permutexvar_ps(twice, x);
+                let cx = _mm512_castps_pd(_mm512_mul_ps(_mm512_castpd_ps(c), x));
+                pairs[2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(c, cx));
+                pairs[2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(c, cx));
+            }
+            let (powers, pairs) = (powers.as_ptr().cast::<f32>(), pairs.as_ptr().cast::<f32>());
+            let add = |p: usize| {
+                let powers = powers.add(16 * (p % 4) + 4 * (p / 4));
+                let pairs = pairs.add(32 * (p / 8) + 16 * (p % 2) + 4 * (p / 2 % 4));
+                let powers = _mm512_castps128_ps512(_mm_load_ps(powers));
+                let powers = _mm512_permutexvar_ps(spread_four, powers);
+                let pairs = _mm512_broadcast_f32x4(_mm_load_ps(pairs));
+                let row = *points.cell.get_unchecked(first + p) as usize;
+                let at = table.add(16 * row);
+                _mm512_store_ps(at, _mm512_fmadd_ps(powers, pairs, _mm512_load_ps(at)));
+            };
+            if count == GROUP {
+                // Unrolled, so that all the offsets above are constants.
+                add(0);
+                add(1);
+                add(2);
+                add(3);
+                add(4);
+                add(5);
+                add(6);
+                add(7);
+                add(8);
+                add(9);
+                add(10);
+                add(11);
+                add(12);
+                add(13);
+                add(14);
+                add(15);
+            } else {
+                (0..count).for_each(add);
+            }
         }
     }
 }

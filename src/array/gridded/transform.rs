@@ -24,24 +24,6 @@ pub fn grid_size(least: usize) -> usize {
         .unwrap_or(least)
 }
 
-/// Points between two requests to memory.
-const STRIP: usize = 64;
-
-/// Asks for the [`STRIP`] values from `first` on to be brought near. Changes nothing but time.
-#[inline(always)]
-fn prefetch<T>(values: &[T], first: usize) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(values) = values.get(first..first + STRIP) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        for line in values.chunks(64 / size_of::<T>().clamp(1, 64)) {
-            // SAFETY: SSE, which every x86-64 has; an address that exists, and reading it is all that a prefetch could do.
-            unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (values, first);
-}
-
 /// The plan.
 pub struct Transform1d<T: Real> {
     bins: usize,
@@ -139,22 +121,15 @@ impl<T: Real> Transform1d<T> {
             drain: self.grid + 1,
         };
         let mut outside = 0;
-        for first in (0..delay_s.len()).step_by(BLOCK) {
-            let end = delay_s.len().min(first + BLOCK);
-            outside += locate(self.dialect, axis, &delay_s[first..end], &mut work.located);
+        for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
+            outside += locate(self.dialect, axis, delay_s, &mut work.located);
             let Located { cell, x } = &work.located;
-            for strip in (first..end).step_by(STRIP) {
-                let stop = end.min(strip + STRIP);
-                // What the next block will read is fetched while this one is added up.
-                prefetch(delay_s, strip + BLOCK);
-                prefetch(amplitude, strip + BLOCK);
-                let points = Points {
-                    cell: &cell[strip - first..stop - first],
-                    x: &x[strip - first..stop - first],
-                    amplitude: &amplitude[strip..stop],
-                };
-                T::accumulate(self.dialect, points, &mut work.rows);
-            }
+            let points = Points {
+                cell: &cell[..delay_s.len()],
+                x: &x[..delay_s.len()],
+                amplitude,
+            };
+            T::accumulate(self.dialect, points, &mut work.rows);
         }
         self.finish(work, out);
         outside
