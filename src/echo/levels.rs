@@ -42,6 +42,11 @@ impl Directivity {
         }
     }
 
+    /// 1 towards everything.
+    pub fn is_omnidirectional(&self) -> bool {
+        self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
+    }
+
     /// Response towards the unit vector (x, y, z) in array axes: 1 on the boresight, side lobes with their sign.
     #[inline(always)]
     pub fn towards(&self, x: f64, y: f64, z: f64) -> f64 {
@@ -55,6 +60,8 @@ impl Directivity {
 pub struct OneWay {
     /// Closer than this the far-field amplitude does not hold; it is kept at this range's.
     pub wavelength_m: f64,
+    /// 1 / `wavelength_m`.
+    most_per_m: f64,
     nepers_per_m: f64,
 }
 
@@ -62,6 +69,7 @@ impl OneWay {
     pub fn new(wavelength_m: f64, absorption_db_per_m: f64) -> Self {
         Self {
             wavelength_m,
+            most_per_m: 1.0 / wavelength_m,
             nepers_per_m: absorption_db_per_m * std::f64::consts::LN_10 / 20.0,
         }
     }
@@ -69,8 +77,13 @@ impl OneWay {
     /// Pressure at `range_m` over pressure at 1 m.
     #[inline(always)]
     pub fn amplitude(&self, range_m: f64) -> f64 {
-        let range_m = range_m.max(self.wavelength_m);
-        exp_decay(-self.nepers_per_m * range_m) / range_m
+        self.amplitude_at(range_m, 1.0 / range_m)
+    }
+
+    /// The same where `per_m`, 1 / `range_m`, is known: a division less.
+    #[inline(always)]
+    pub fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
+        exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.most_per_m)
     }
 }
 

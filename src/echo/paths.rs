@@ -72,6 +72,7 @@ impl Transmit {
     }
 
     /// A world position relative to where this ping is transmitted.
+    #[inline(always)]
     pub fn relative_m(&self, world_m: DVec3) -> DVec3 {
         (world_m - self.reference_m) - self.arm_m
     }
@@ -409,9 +410,16 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     over / under
 }
 
-/// Solves one leg for a whole batch and keeps what falls on it. Returns how many were placed.
+/// Solves one leg for a whole batch and keeps what falls on it. Returns how many were placed. `ALONE`: the leg has neither a start nor an
+/// end, so that everything falls on it and nothing needs to have been begun.
 #[inline(always)]
-fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Oddities) -> u64 {
+fn solve_leg<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    odd: &mut Oddities,
+) -> u64 {
     let n = batch.range_m.len().min(CHUNK);
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
     let range_m = &batch.range_m[..n];
@@ -435,6 +443,22 @@ fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Odditie
             c2_minus_v2,
         );
         let root_s = first_leg_s + second_s;
+        if ALONE {
+            let after_s = root_s - leg.start_s;
+            let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
+            rays.delay_s[i] = root_s;
+            (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = (x, y, z);
+            rays.array_x_m[i] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
+            rays.array_y_m[i] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
+            rays.array_z_m[i] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+            let (wx, wy, wz) = (
+                w.x + dw.x * after_s,
+                w.y + dw.y * after_s,
+                w.z + dw.z * after_s,
+            );
+            rays.closing_m2_per_s[i] = wx * x + wy * y + wz * z;
+            continue;
+        }
 
         let open = rays.delay_s[i] == f64::INFINITY;
         let early = root_s < leg.start_s;
@@ -466,22 +490,79 @@ fn solve_leg(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Odditie
         );
         rays.closing_m2_per_s[i] += chosen * (wx * x + wy * y + wz * z);
     }
+    if ALONE {
+        return n as u64;
+    }
     odd.no_root += none;
     odd.two_roots += two;
     placed
 }
 
-/// The AVX2 build of [`solve_leg`]: the same arithmetic in the same order, so the same bits.
+/// The AVX2 and AVX-512 builds of [`solve_leg`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn solve_leg_avx2(leg: &Leg, c: f64, batch: Batch, rays: &mut Rays, odd: &mut Oddities) -> u64 {
-    solve_leg(leg, c, batch, rays, odd)
+fn solve_leg_avx2<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    odd: &mut Oddities,
+) -> u64 {
+    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn solve_leg_avx512<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    odd: &mut Oddities,
+) -> u64 {
+    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+}
+
+/// [`solve_leg`] in the widest registers that this processor has.
+fn solve_widest<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    odd: &mut Oddities,
+) -> u64 {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, odd) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, odd) };
+        }
+    }
+    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+}
+
+/// AVX-512 F, DQ and VL.
+#[cfg(target_arch = "x86_64")]
+pub fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
 }
 
 /// Delays and receive rays of a batch: per scatterer the first leg k with t_k <= u < t_{k+1}.
 pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
     let n = batch.range_m.len();
     let mut odd = Oddities::default();
+    if let [leg] = &track.legs[..]
+        && leg.start_s == 0.0
+    {
+        solve_widest::<true>(leg, c, batch, rays, &mut odd);
+        return odd;
+    }
     rays.begin();
     let mut placed = 0;
     for leg in &track.legs {
@@ -499,13 +580,7 @@ pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Odd
         if placed == n as u64 && before_all {
             break;
         }
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
-            placed += unsafe { solve_leg_avx2(leg, c, batch, rays, &mut odd) };
-            continue;
-        }
-        placed += solve_leg(leg, c, batch, rays, &mut odd);
+        placed += solve_widest::<false>(leg, c, batch, rays, &mut odd);
     }
     debug_assert_eq!(placed, n as u64, "the last leg has no end");
     // Where legs meet, what falls between them fell there by rounding.
@@ -598,16 +673,13 @@ mod tests {
             least_range_m: 0.0,
             greatest_range_m: 300.0,
         };
-        let run = |wide: bool| {
+        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, &mut Oddities) -> u64;
+        let run = |leg: &Leg, build: Build| {
             let mut rays = Rays::default();
             rays.begin();
             let mut odd = Oddities::default();
-            let placed = if wide {
-                // SAFETY: asked above.
-                unsafe { solve_leg_avx2(&leg, 1500.0, batch, &mut rays, &mut odd) }
-            } else {
-                solve_leg(&leg, 1500.0, batch, &mut rays, &mut odd)
-            };
+            // SAFETY: asked for before any build that needs it is run.
+            let placed = unsafe { build(leg, 1500.0, batch, &mut rays, &mut odd) };
             assert!(placed > 20, "{placed}");
             let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
             (
@@ -621,6 +693,20 @@ mod tests {
                 ],
             )
         };
-        assert!(run(true) == run(false));
+        let want = run(&leg, solve_leg::<false>);
+        assert!(run(&leg, solve_leg_avx2::<false>) == want);
+        // A leg alone gives what it gives among others, but for the sign of zero.
+        let alone = Leg {
+            start_s: 0.0,
+            end_s: f64::INFINITY,
+            ..leg
+        };
+        let want_alone = run(&alone, solve_leg::<false>);
+        assert!(run(&alone, solve_leg::<true>) == want_alone);
+        assert!(run(&alone, solve_leg_avx2::<true>) == want_alone);
+        if has_avx512() {
+            assert!(run(&leg, solve_leg_avx512::<false>) == want);
+            assert!(run(&alone, solve_leg_avx512::<true>) == want_alone);
+        }
     }
 }

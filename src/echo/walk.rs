@@ -18,6 +18,8 @@ use crate::flow::{
 };
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
+#[cfg(target_arch = "x86_64")]
+use super::paths::has_avx512;
 use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
@@ -139,6 +141,10 @@ struct Heard {
     /// |transmit pattern x element pattern|.
     level: [f64; CHUNK],
     range_m: [f64; CHUNK],
+    /// With the scatterer's own.
+    amplitude: [Complex64; CHUNK],
+    /// Whether it goes on.
+    keep: [bool; CHUNK],
 }
 
 impl Default for Heard {
@@ -150,6 +156,8 @@ impl Default for Heard {
             gain: zero,
             level: zero,
             range_m: zero,
+            amplitude: [Complex64::ZERO; CHUNK],
+            keep: [false; CHUNK],
         }
     }
 }
@@ -186,44 +194,49 @@ pub fn illuminate(
     lit.curve.clone_from(&scatterers.curve);
     let curve = scatterers.curve.as_deref();
     let mut counts = EchoCounts::default();
-    for i in 0..scatterers.len() {
-        let ray_m = transmit.relative_m(scatterers.position_m(i));
-        let range_m = ray_m.length();
-        if range_m > farthest_m || range_m.is_nan() {
-            counts.outside_window += 1;
-            continue;
+    let leg = TransmitLeg {
+        transmit: &transmit,
+        pattern,
+        one_way,
+        source,
+    };
+    let mut ahead = Ahead::default();
+    for first in (0..scatterers.len()).step_by(CHUNK) {
+        let n = CHUNK.min(scatterers.len() - first);
+        look(&leg, scatterers, first, n, &mut ahead);
+        for j in 0..n {
+            let (i, range_m) = (first + j, ahead.range_m[j]);
+            if range_m > farthest_m || range_m.is_nan() {
+                counts.outside_window += 1;
+                continue;
+            }
+            let facing = ahead.facing[j].max(0.0);
+            let normal = scatterers.normal[i];
+            let (law, bias, normal) = match scatterers.law[i] {
+                ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
+                ScatterLaw::Lambert => (facing.sqrt(), 0.0, normal),
+                ScatterLaw::LambertOneWay => (facing, 1.0, [0.0; 3]),
+                ScatterLaw::Curve => (half_of_curve(curve, facing.sqrt()), 0.0, normal),
+            };
+            let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
+            if ahead.level[j] < floor || amplitude == Complex64::ZERO {
+                counts.culled += 1;
+                continue;
+            }
+            counts.too_close += u64::from(range_m < one_way.wavelength_m);
+            lit.x_m.push(ahead.x_m[j]);
+            lit.y_m.push(ahead.y_m[j]);
+            lit.z_m.push(ahead.z_m[j]);
+            lit.range_m.push(range_m);
+            lit.amplitude.push(amplitude);
+            lit.level.push(ahead.level[j]);
+            lit.bias.push(bias);
+            lit.curved.push(scatterers.law[i] == ScatterLaw::Curve);
+            lit.normal_x.push(normal[0]);
+            lit.normal_y.push(normal[1]);
+            lit.normal_z.push(normal[2]);
+            lit.closing_m_per_s.push(ahead.closing_m_per_s[j]);
         }
-        let ray = ray_m / range_m.max(f64::MIN_POSITIVE);
-        let in_array = transmit.array_from_world * ray;
-        let response = pattern.towards(in_array.x, in_array.y, in_array.z);
-        let n = scatterers.normal[i];
-        let facing = || (-(DVec3::new(n[0].into(), n[1].into(), n[2].into()).dot(ray))).max(0.0);
-        let (law, bias, normal) = match scatterers.law[i] {
-            ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
-            ScatterLaw::Lambert => (facing().sqrt(), 0.0, n),
-            ScatterLaw::LambertOneWay => (facing(), 1.0, [0.0; 3]),
-            ScatterLaw::Curve => (half_of_curve(curve, facing().sqrt()), 0.0, n),
-        };
-        let amplitude =
-            scatterers.strength[i] * (source * response * law * one_way.amplitude(range_m));
-        if response.abs() < floor || amplitude == Complex64::ZERO {
-            counts.culled += 1;
-            continue;
-        }
-        counts.too_close += u64::from(range_m < one_way.wavelength_m);
-        lit.x_m.push(ray_m.x);
-        lit.y_m.push(ray_m.y);
-        lit.z_m.push(ray_m.z);
-        lit.range_m.push(range_m);
-        lit.amplitude.push(amplitude);
-        lit.level.push(response.abs());
-        lit.bias.push(bias);
-        lit.curved.push(scatterers.law[i] == ScatterLaw::Curve);
-        lit.normal_x.push(normal[0]);
-        lit.normal_y.push(normal[1]);
-        lit.normal_z.push(normal[2]);
-        lit.closing_m_per_s
-            .push(transmit.motion.velocity_m_per_s.dot(ray));
     }
     lit.batch_range_m
         .extend(lit.range_m.chunks(CHUNK).map(ends));
@@ -236,6 +249,112 @@ pub fn illuminate(
             (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
         }));
     counts
+}
+
+/// What the first leg needs.
+struct TransmitLeg<'a> {
+    transmit: &'a Transmit,
+    pattern: Directivity,
+    one_way: OneWay,
+    source: f64,
+}
+
+/// A batch as the transmitter sees it.
+struct Ahead {
+    x_m: [f64; CHUNK],
+    y_m: [f64; CHUNK],
+    z_m: [f64; CHUNK],
+    range_m: [f64; CHUNK],
+    /// Cosine of the incidence.
+    facing: [f64; CHUNK],
+    /// Source level, pattern and loss.
+    amplitude: [f64; CHUNK],
+    /// |pattern|.
+    level: [f64; CHUNK],
+    closing_m_per_s: [f64; CHUNK],
+}
+
+impl Default for Ahead {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            x_m: zero,
+            y_m: zero,
+            z_m: zero,
+            range_m: zero,
+            facing: zero,
+            amplitude: zero,
+            level: zero,
+            closing_m_per_s: zero,
+        }
+    }
+}
+
+/// The first leg of `n` scatterers from `first` on, [`CHUNK`] at most.
+fn look(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, ahead: &mut Ahead) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { look_avx512(leg, scatterers, first, n, ahead) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { look_avx2(leg, scatterers, first, n, ahead) };
+        }
+    }
+    look_plain(leg, scatterers, first, n, ahead);
+}
+
+/// The AVX2 and AVX-512 builds of [`look_plain`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn look_avx2(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, out: &mut Ahead) {
+    look_plain(leg, scatterers, first, n, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn look_avx512(
+    leg: &TransmitLeg,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
+    look_plain(leg, scatterers, first, n, out);
+}
+
+#[inline(always)]
+fn look_plain(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, out: &mut Ahead) {
+    let n = n.min(CHUNK);
+    let north_m = &scatterers.north_m[first..][..n];
+    let east_m = &scatterers.east_m[first..][..n];
+    let down_m = &scatterers.down_m[first..][..n];
+    let normal = &scatterers.normal[first..][..n];
+    let v = leg.transmit.motion.velocity_m_per_s;
+    for j in 0..n {
+        let ray_m = leg
+            .transmit
+            .relative_m(DVec3::new(north_m[j], east_m[j], down_m[j]));
+        let range_m = (ray_m.x * ray_m.x + ray_m.y * ray_m.y + ray_m.z * ray_m.z).sqrt();
+        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let ray = (ray_m.x * per_m, ray_m.y * per_m, ray_m.z * per_m);
+        let m = &leg.transmit.array_from_world;
+        let response = leg.pattern.towards(
+            m.x_axis.x * ray.0 + m.y_axis.x * ray.1 + m.z_axis.x * ray.2,
+            m.x_axis.y * ray.0 + m.y_axis.y * ray.1 + m.z_axis.y * ray.2,
+            m.x_axis.z * ray.0 + m.y_axis.z * ray.1 + m.z_axis.z * ray.2,
+        );
+        let [a, b, c] = normal[j];
+        let n = [f64::from(a), f64::from(b), f64::from(c)];
+        (out.x_m[j], out.y_m[j], out.z_m[j]) = (ray_m.x, ray_m.y, ray_m.z);
+        out.range_m[j] = range_m;
+        out.facing[j] = -(n[0] * ray.0 + n[1] * ray.1 + n[2] * ray.2);
+        out.amplitude[j] = leg.source * response * leg.one_way.amplitude_at(range_m, per_m);
+        out.level[j] = response.abs();
+        out.closing_m_per_s[j] = v.x * ray.0 + v.y * ray.1 + v.z * ray.2;
+    }
 }
 
 /// Least and greatest.
@@ -327,33 +446,52 @@ pub fn arrivals(
             DopplerModel::PaperEq21 => stretch_delays(c, lit, span.clone(), rays, heard),
         }
 
-        for (i, m) in span.enumerate() {
+        let n = span.len();
+        let amplitude = &lit.amplitude[span];
+        let mut kept = 0;
+        for (i, amplitude) in amplitude.iter().enumerate() {
             let delay_s = rays.delay_s[i];
             let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
             let heard_s = window.first_s - delay_s;
             let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
-            if delay_s > window.last_s || ended {
-                counts.outside_window += 1;
-                continue;
+            let outside = (delay_s > window.last_s) | ended;
+            let product = *amplitude * heard.gain[i];
+            let silent = (heard.level[i] < floor) | (product.re == 0.0) & (product.im == 0.0);
+            heard.amplitude[i] = product;
+            let keep = !(outside | silent);
+            heard.keep[i] = keep;
+            kept += u64::from(keep);
+            counts.outside_window += u64::from(outside);
+            counts.culled += u64::from(!outside & silent);
+            let near = heard.range_m[i] < receive.one_way.wavelength_m;
+            counts.too_close += u64::from(keep & near);
+            counts.beyond_track += u64::from(keep & (delay_s >= track.end_s()));
+        }
+        counts.used += kept;
+        // The usual case: a whole batch into an empty chunk.
+        if kept == n as u64 && chunk.len == 0 {
+            chunk.delay_s[..n].copy_from_slice(&rays.delay_s[..n]);
+            chunk.doppler[..n].copy_from_slice(&heard.doppler[..n]);
+            chunk.curvature_per_s[..n].copy_from_slice(&heard.curvature_per_s[..n]);
+            chunk.amplitude[..n].copy_from_slice(&heard.amplitude[..n]);
+            chunk.len = n;
+        } else {
+            for i in (0..n).filter(|&i| heard.keep[i]) {
+                if chunk.len == CHUNK {
+                    sink.accept(chunk);
+                    chunk.len = 0;
+                }
+                let at = chunk.len;
+                chunk.delay_s[at] = rays.delay_s[i];
+                chunk.doppler[at] = heard.doppler[i];
+                chunk.curvature_per_s[at] = heard.curvature_per_s[i];
+                chunk.amplitude[at] = heard.amplitude[i];
+                chunk.len = at + 1;
             }
-            let amplitude = lit.amplitude[m] * heard.gain[i];
-            if heard.level[i] < floor || amplitude == Complex64::ZERO {
-                counts.culled += 1;
-                continue;
-            }
-            counts.used += 1;
-            counts.too_close += u64::from(heard.range_m[i] < receive.one_way.wavelength_m);
-            counts.beyond_track += u64::from(delay_s >= track.end_s());
-            let at = chunk.len;
-            chunk.delay_s[at] = delay_s;
-            chunk.doppler[at] = doppler;
-            chunk.curvature_per_s[at] = curvature_per_s;
-            chunk.amplitude[at] = amplitude;
-            chunk.len = at + 1;
-            if chunk.len == CHUNK {
-                sink.accept(chunk);
-                chunk.len = 0;
-            }
+        }
+        if chunk.len == CHUNK {
+            sink.accept(chunk);
+            chunk.len = 0;
         }
     }
     if chunk.len > 0 {
@@ -379,14 +517,17 @@ fn weigh(
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    if lit.curved[span.clone()].contains(&true) {
-        return weigh_as::<true>(receive, lit, span, rays, heard);
+    let curved = lit.curved[span.clone()].contains(&true);
+    match (curved, receive.pattern.is_omnidirectional()) {
+        (false, false) => weigh_as::<false, false>(receive, lit, span, rays, heard),
+        (false, true) => weigh_as::<false, true>(receive, lit, span, rays, heard),
+        (true, false) => weigh_as::<true, false>(receive, lit, span, rays, heard),
+        (true, true) => weigh_as::<true, true>(receive, lit, span, rays, heard),
     }
-    weigh_as::<false>(receive, lit, span, rays, heard);
 }
 
-/// `CURVED`: some of the batch lie on the curve.
-fn weigh_as<const CURVED: bool>(
+/// `CURVED`: some of the batch lie on the curve. `ROUND`: the element hears the same from everywhere.
+fn weigh_as<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
     lit: &Illuminated,
     span: std::ops::Range<usize>,
@@ -394,28 +535,46 @@ fn weigh_as<const CURVED: bool>(
     heard: &mut Heard,
 ) {
     #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
-        return unsafe { weigh_avx2::<CURVED>(receive, lit, span, rays, heard) };
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { weigh_avx512::<CURVED, ROUND>(receive, lit, span, rays, heard) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { weigh_avx2::<CURVED, ROUND>(receive, lit, span, rays, heard) };
+        }
     }
-    weigh_plain::<CURVED>(receive, lit, span, rays, heard);
+    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
 }
 
-/// The AVX2 build of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
+/// The AVX2 and AVX-512 builds of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn weigh_avx2<const CURVED: bool>(
+fn weigh_avx2<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
     lit: &Illuminated,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    weigh_plain::<CURVED>(receive, lit, span, rays, heard);
+    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn weigh_avx512<const CURVED: bool, const ROUND: bool>(
+    receive: &ReceiveLeg,
+    lit: &Illuminated,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
 }
 
 #[inline(always)]
-fn weigh_plain<const CURVED: bool>(
+fn weigh_plain<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
     lit: &Illuminated,
     span: std::ops::Range<usize>,
@@ -435,11 +594,15 @@ fn weigh_plain<const CURVED: bool>(
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
         let range_m = (x * x + y * y + z * z).sqrt();
         let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
-        let response = receive.pattern.towards(
-            rays.array_x_m[i] * per_m,
-            rays.array_y_m[i] * per_m,
-            rays.array_z_m[i] * per_m,
-        );
+        let response = if ROUND {
+            1.0
+        } else {
+            receive.pattern.towards(
+                rays.array_x_m[i] * per_m,
+                rays.array_y_m[i] * per_m,
+                rays.array_z_m[i] * per_m,
+            )
+        };
         let normal_along_ray =
             (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
                 * per_m;
@@ -448,7 +611,8 @@ fn weigh_plain<const CURVED: bool>(
             law = half_of_curve(curve, law);
         }
         heard.range_m[i] = range_m;
-        heard.gain[i] = receive.sensitivity * response * law * receive.one_way.amplitude(range_m);
+        heard.gain[i] =
+            receive.sensitivity * response * law * receive.one_way.amplitude_at(range_m, per_m);
         heard.level[i] = level[i] * response.abs();
         // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), without taking 1 from a number near 1.
         heard.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
@@ -562,9 +726,9 @@ mod tests {
             let mut heard = Heard::default();
             if wide {
                 // SAFETY: asked above.
-                unsafe { weigh_avx2::<CURVED>(receive, lit, 0..CHUNK, rays, &mut heard) };
+                unsafe { weigh_avx2::<CURVED, false>(receive, lit, 0..CHUNK, rays, &mut heard) };
             } else {
-                weigh_plain::<CURVED>(receive, lit, 0..CHUNK, rays, &mut heard);
+                weigh_plain::<CURVED, false>(receive, lit, 0..CHUNK, rays, &mut heard);
             }
             [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
         }
@@ -573,5 +737,47 @@ mod tests {
         assert!(run::<false>(true, all) == plain && run::<true>(true, all) == curved);
         assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
         assert!(plain[1] != curved[1]);
+        if has_avx512() {
+            let mut heard = Heard::default();
+            // SAFETY: asked above.
+            unsafe { weigh_avx512::<true, false>(&receive, &lit, 0..CHUNK, &rays, &mut heard) };
+            let wide = [heard.doppler, heard.gain, heard.level, heard.range_m]
+                .map(|v| v.map(f64::to_bits));
+            assert!(wide == curved);
+        }
+    }
+
+    #[test]
+    fn every_build_of_the_first_leg_gives_the_same_bits() {
+        let mut scatterers = Scatterers::default();
+        let place = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
+        for k in 0..CHUNK {
+            let (a, b, c) = (place(k, 0.618), place(k, 0.755), place(k, 0.57));
+            let normal = [a as f32, b as f32, c as f32];
+            let position_m = DVec3::new(a, b, c) * 90.0;
+            scatterers.push(position_m, normal, Complex64::ONE, ScatterLaw::Lambert);
+        }
+        let leg = TransmitLeg {
+            transmit: &Transmit::default(),
+            pattern: Directivity::new(&Pattern::Omnidirectional, 0.00375),
+            one_way: OneWay::new(0.00375, 0.096),
+            source: 3.0,
+        };
+        let bits = |a: &Ahead| {
+            let all = [a.x_m, a.range_m, a.facing, a.amplitude, a.level];
+            all.map(|v| v.map(f64::to_bits))
+        };
+        let mut want = Ahead::default();
+        look_plain(&leg, &scatterers, 0, CHUNK, &mut want);
+        assert!(want.amplitude.iter().all(|a| *a > 0.0));
+        for wide in [look_avx2, look_avx512] {
+            if !has_avx512() {
+                return;
+            }
+            let mut got = Ahead::default();
+            // SAFETY: AVX-512 was asked for above, and no processor has it without AVX2.
+            unsafe { wide(&leg, &scatterers, 0, CHUNK, &mut got) };
+            assert!(bits(&got) == bits(&want));
+        }
     }
 }

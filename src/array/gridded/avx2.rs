@@ -4,7 +4,8 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
+use super::kernel::MAX_WIDTH;
+use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
@@ -190,38 +191,72 @@ pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [C
     }
 }
 
+/// Lane indices that put a point's eight weights, each twice, on the row's sixteen numbers: `[column]`. Lanes without a weight take the
+/// last one, which is 0 for all points that do not begin at column 0.
+const PLACED: [[i32; 16]; MAX_TAPS] = {
+    let mut all = [[0; 16]; MAX_TAPS];
+    let mut column = 0;
+    while column < MAX_TAPS {
+        let mut lane = 0;
+        while lane < 16 {
+            let tap = lane / 2;
+            all[column][lane] = if tap < column {
+                7
+            } else {
+                (tap - column) as i32
+            };
+            lane += 1;
+        }
+        column += 1;
+    }
+    all
+};
+
 /// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
 #[target_feature(enable = "avx2,fma")]
 pub unsafe fn spread_32(
     points: Points<f32>,
     across: Across<f32>,
     weights: &FlushWeights<f32>,
-    stride: usize,
-    grids: &mut [Complex32],
+    rows: &mut [Row32],
 ) {
-    // SAFETY: four values at a time, fewer than four past the width and so below MAX_WIDTH, from (column + t) * stride + cell on exist, for
-    // all t below `taps`; all slices have a value per point; `doubled` has 8 entries of 32 weights.
+    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's weights are moved to their lanes and whole rows
+    // added to, cell + i < rows. More: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the next value's rows.
+    // All slices have a value per point, at most BLOCK. With one row column + taps <= 8, so that `column` has its entry in `PLACED`.
     unsafe {
-        let w = weights.doubled.as_ptr().cast::<f32>();
+        let mut values = [[0f32; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f32>();
+        let step = 16 * across.rows;
+        let alone = across.rows == 1;
         for j in 0..points.cell.len() {
-            let x = _mm256_set1_ps(*points.x.get_unchecked(j));
-            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-            let c = _mm256_castpd_ps(_mm256_set1_pd(c.read_unaligned()));
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let share = across.weight.as_ptr().add(j).cast::<f32>();
-            for i in (0..weights.width).step_by(4) {
-                let mut values = _mm256_loadu_ps(w.add(32 * 7 + 2 * i));
-                for k in (0..7).rev() {
-                    values = _mm256_fmadd_ps(values, x, _mm256_loadu_ps(w.add(32 * k + 2 * i)));
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
+            }
+            let column = *across.column.get_unchecked(j) as usize;
+            let (lane, place) = if alone { (0, column) } else { (2 * column, 0) };
+            let c = points
+                .amplitude
+                .as_ptr()
+                .add(j)
+                .cast::<f64>()
+                .read_unaligned();
+            let shares = across.weight.as_ptr().add(j).cast::<f32>();
+            let place = PLACED.get_unchecked(place).as_ptr();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
+            let shares = _mm256_loadu_ps(shares);
+            let c = _mm256_castpd_ps(_mm256_set1_pd(c));
+            let row = [0, 1].map(|h| {
+                let place = _mm256_loadu_si256(place.add(8 * h).cast());
+                _mm256_mul_ps(_mm256_permutevar8x32_ps(shares, place), c)
+            });
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm256_set1_ps(*value.get_unchecked(j % STRIP));
+                for (h, row) in row.iter().enumerate() {
+                    let at = at.add(8 * h);
+                    _mm256_storeu_ps(at, _mm256_fmadd_ps(*row, value, _mm256_loadu_ps(at)));
                 }
-                let values = _mm256_mul_ps(values, c);
-                let mut at = grids.as_mut_ptr().add(first + i).cast::<f32>();
-                for t in 0..across.taps {
-                    let share = _mm256_set1_ps(*share.add(t));
-                    _mm256_storeu_ps(at, _mm256_fmadd_ps(values, share, _mm256_loadu_ps(at)));
-                    at = at.wrapping_add(2 * stride);
-                }
+                at = at.wrapping_add(step);
             }
         }
     }
@@ -233,32 +268,36 @@ pub unsafe fn spread_64(
     points: Points<f64>,
     across: Across<f64>,
     weights: &FlushWeights<f64>,
-    stride: usize,
-    grids: &mut [Complex64],
+    rows: &mut [Row64],
 ) {
-    // SAFETY: two values at a time, one past the width at most and so not past MAX_WIDTH, from (column + t) * stride + cell on exist, for
-    // all t below `taps`; all slices have a value per point; `doubled` has 12 entries of 32 weights.
+    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
+    // next value's rows. All slices have a value per point, at most BLOCK.
     unsafe {
-        let w = weights.doubled.as_ptr().cast::<f64>();
+        let mut values = [[0f64; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f64>();
+        let step = 24 * across.rows;
         for j in 0..points.cell.len() {
-            let x = _mm256_set1_pd(*points.x.get_unchecked(j));
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
+            }
+            let lane = 2 * *across.column.get_unchecked(j) as usize;
             let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let shares = across.weight.as_ptr().add(j).cast::<f64>();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
             let c = _mm256_set_m128d(c, c);
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let share = across.weight.as_ptr().add(j).cast::<f64>();
-            for i in (0..weights.width).step_by(2) {
-                let mut values = _mm256_loadu_pd(w.add(32 * 11 + 2 * i));
-                for k in (0..11).rev() {
-                    values = _mm256_fmadd_pd(values, x, _mm256_loadu_pd(w.add(32 * k + 2 * i)));
+            let row: [_; MAX_TAPS / 2] = std::array::from_fn(|h| {
+                let pair = _mm256_castpd128_pd256(_mm_loadu_pd(shares.add(2 * h)));
+                _mm256_mul_pd(_mm256_permute4x64_pd::<0b01_01_00_00>(pair), c)
+            });
+            let row = &row[..across.taps.div_ceil(2)];
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm256_set1_pd(*value.get_unchecked(j % STRIP));
+                for (h, row) in row.iter().enumerate() {
+                    let at = at.add(4 * h);
+                    _mm256_storeu_pd(at, _mm256_fmadd_pd(*row, value, _mm256_loadu_pd(at)));
                 }
-                let values = _mm256_mul_pd(values, c);
-                let mut at = grids.as_mut_ptr().add(first + i).cast::<f64>();
-                for t in 0..across.taps {
-                    let share = _mm256_set1_pd(*share.add(t));
-                    _mm256_storeu_pd(at, _mm256_fmadd_pd(values, share, _mm256_loadu_pd(at)));
-                    at = at.wrapping_add(2 * stride);
-                }
+                at = at.wrapping_add(step);
             }
         }
     }

@@ -4,54 +4,92 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::moments::{Across, BLOCK, FlushWeights, Points, Row32, Row64};
+use super::kernel::MAX_WIDTH;
+use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
 
-/// a times b in the lanes of `mask`, a in the others. As assembler because the compiler makes a product and a blend of the intrinsic, and the
-/// port that blends is the one that is short here.
-#[inline]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn times_where(mask: u16, mut a: __m512, b: __m512) -> __m512 {
-    // SAFETY: one instruction on registers, of a feature that the function requires.
-    unsafe {
-        std::arch::asm!(
-            "vmulps {a}{{{mask}}}, {a}, {b}",
-            a = inout(zmm_reg) a,
-            b = in(zmm_reg) b,
-            mask = in(kreg) mask,
-            options(pure, nomem, nostack, preserves_flags),
-        );
-    }
-    a
-}
+/// Points whose factors are worked out together.
+const GROUP: usize = 16;
 
+/// Row numbers of four floats: which of 1, x^2, x^4, x^6 each of a row's lanes is multiplied with.
+const SPREAD_FOUR: [i32; 16] = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
+/// Eight numbers, each twice.
+const TWICE: [i32; 16] = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7];
+
+/// A row is (c, c x) times (1, x^2, x^4, x^6). The four numbers on either side are made for 16 points at once; what is left per point is two
+/// loads, one permutation and the addition.
+///
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
+    // SAFETY: the caller vouches for features and shapes: all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are
+    // 64 bytes long and so aligned. Beyond the last point nothing is read: the masks leave it out.
     unsafe {
         let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
-        let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
-        // x^2 and x^4 of all points first, sixteen at once: later they are broadcast as they are read.
-        let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
-        let mut last = 0;
-        for j in 0..n {
-            x2[j] = *x.add(j) * *x.add(j);
-            x4[j] = x2[j] * x2[j];
-            last = last.max(*row.add(j));
-        }
+        let last = points.cell.iter().fold(0, |a, &b| a.max(b));
         assert!((last as usize) < rows.len(), "row {last}");
-        let (x2, x4) = (x2.as_ptr(), x4.as_ptr());
+        let spread_four = _mm512_loadu_si512(SPREAD_FOUR.as_ptr().cast());
+        let twice = _mm512_loadu_si512(TWICE.as_ptr().cast());
+        let twice_high = _mm512_add_epi32(twice, _mm512_set1_epi32(8));
         let one = _mm512_set1_ps(1.0);
-        for j in 0..n {
-            // 1, x, x^2 ... x^7, each twice.
-            let p = times_where(0b1100_1100_1100_1100, one, _mm512_set1_ps(*x.add(j)));
-            let p = times_where(0b1111_0000_1111_0000, p, _mm512_set1_ps(*x2.add(j)));
-            let p = times_where(0b1111_1111_0000_0000, p, _mm512_set1_ps(*x4.add(j)));
-            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let at = table.add(16 * *row.add(j) as usize);
-            _mm512_store_ps(at, _mm512_fmadd_ps(p, c, _mm512_load_ps(at)));
+        // Of point 4 l + r of a group: lanes 4 l ... of the r-th register. And of 8 h + 2 l + r: of the 2 h + r-th.
+        let mut powers = [one; 4];
+        let mut pairs = [one; 4];
+        for first in (0..n).step_by(GROUP) {
+            let count = (n - first).min(GROUP);
+            let mask = (0xffff_u32 >> (GROUP - count)) as u16;
+            let x = _mm512_maskz_loadu_ps(mask, points.x.as_ptr().wrapping_add(first));
+            let x2 = _mm512_mul_ps(x, x);
+            let x4 = _mm512_mul_ps(x2, x2);
+            let x6 = _mm512_mul_ps(x4, x2);
+            let low = [_mm512_unpacklo_ps(one, x2), _mm512_unpackhi_ps(one, x2)]
+                .map(|v| _mm512_castps_pd(v));
+            let high = [_mm512_unpacklo_ps(x4, x6), _mm512_unpackhi_ps(x4, x6)]
+                .map(|v| _mm512_castps_pd(v));
+            for h in 0..2 {
+                powers[2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(low[h], high[h]));
+                powers[2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(low[h], high[h]));
+            }
+            for (h, twice) in [twice, twice_high].into_iter().enumerate() {
+                let c = points.amplitude.as_ptr().wrapping_add(first + 8 * h);
+                let c = _mm512_maskz_loadu_pd((mask >> (8 * h)) as u8, c.cast());
+                let x = _mm512_permutexvar_ps(twice, x);
+                let cx = _mm512_castps_pd(_mm512_mul_ps(_mm512_castpd_ps(c), x));
+                pairs[2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(c, cx));
+                pairs[2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(c, cx));
+            }
+            let (powers, pairs) = (powers.as_ptr().cast::<f32>(), pairs.as_ptr().cast::<f32>());
+            let add = |p: usize| {
+                let powers = powers.add(16 * (p % 4) + 4 * (p / 4));
+                let pairs = pairs.add(32 * (p / 8) + 16 * (p % 2) + 4 * (p / 2 % 4));
+                let powers = _mm512_castps128_ps512(_mm_load_ps(powers));
+                let powers = _mm512_permutexvar_ps(spread_four, powers);
+                let pairs = _mm512_broadcast_f32x4(_mm_load_ps(pairs));
+                let row = *points.cell.get_unchecked(first + p) as usize;
+                let at = table.add(16 * row);
+                _mm512_store_ps(at, _mm512_fmadd_ps(powers, pairs, _mm512_load_ps(at)));
+            };
+            if count == GROUP {
+                // Unrolled, so that all the offsets above are constants.
+                add(0);
+                add(1);
+                add(2);
+                add(3);
+                add(4);
+                add(5);
+                add(6);
+                add(7);
+                add(8);
+                add(9);
+                add(10);
+                add(11);
+                add(12);
+                add(13);
+                add(14);
+                add(15);
+            } else {
+                (0..count).for_each(add);
+            }
         }
     }
 }
@@ -251,66 +289,142 @@ unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
     }
 }
 
+/// Lane indices that put a point's eight weights, each twice, on the row's sixteen numbers: `[column]`. Lanes without a weight take the
+/// last one, which is 0 for all points that do not begin at column 0.
+const PLACED: [[i32; 16]; MAX_TAPS] = {
+    let mut all = [[0; 16]; MAX_TAPS];
+    let mut column = 0;
+    while column < MAX_TAPS {
+        let mut lane = 0;
+        while lane < 16 {
+            let tap = lane / 2;
+            all[column][lane] = if tap < column {
+                7
+            } else {
+                (tap - column) as i32
+            };
+            lane += 1;
+        }
+        column += 1;
+    }
+    all
+};
+
 /// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub unsafe fn spread_32(
     points: Points<f32>,
     across: Across<f32>,
     weights: &FlushWeights<f32>,
-    stride: usize,
-    grids: &mut [Complex32],
+    rows: &mut [Row32],
 ) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller vouches for features and shapes; in the first five one row belongs to a value, as `spread_32_of` wants it.
     unsafe {
-        match weights.width {
-            0..=8 => spread_32_of::<1>(points, across, weights, stride, grids),
-            _ => spread_32_of::<2>(points, across, weights, stride, grids),
+        match (across.rows, weights.width) {
+            (1, 4) => spread_32_of::<4>(points, across, weights, rows),
+            (1, 5) => spread_32_of::<5>(points, across, weights, rows),
+            (1, 6) => spread_32_of::<6>(points, across, weights, rows),
+            (1, 7) => spread_32_of::<7>(points, across, weights, rows),
+            (1, 8) => spread_32_of::<8>(points, across, weights, rows),
+            _ => spread_32_any(points, across, weights, rows),
         }
     }
 }
 
-/// V registers of eight complex values hold a point's taps.
+/// [`spread_32_any`] with one row to a value and W taps: with its loops of fixed length it takes two thirds of the time.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-unsafe fn spread_32_of<const V: usize>(
+unsafe fn spread_32_of<const W: usize>(
     points: Points<f32>,
     across: Across<f32>,
     weights: &FlushWeights<f32>,
-    stride: usize,
-    grids: &mut [Complex32],
+    rows: &mut [Row32],
 ) {
-    // SAFETY: 8 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
-    // `doubled` has 8 entries of 32 weights.
+    // SAFETY: column + taps <= 8, so that `column` has its entry in `PLACED`; rows cell to cell + W - 1 exist and are aligned; all slices
+    // have a value per point; `doubled` has 8 entries.
     unsafe {
-        let mut w = [[_mm512_setzero_ps(); V]; 8];
-        for (k, w) in w.iter_mut().enumerate() {
-            for (v, w) in w.iter_mut().enumerate() {
-                *w = _mm512_loadu_ps(weights.doubled.get_unchecked(k).as_ptr().add(16 * v));
+        let table = rows.as_mut_ptr();
+        let mut values = [[0f32; STRIP]; W];
+        for first in (0..points.cell.len()).step_by(STRIP) {
+            let end = points.cell.len().min(first + STRIP);
+            let mut x = [0f32; STRIP];
+            x[..end - first].copy_from_slice(points.x.get_unchecked(first..end));
+            for (i, values) in values.iter_mut().enumerate() {
+                let weight: [f32; 8] =
+                    std::array::from_fn(|k| weights.doubled.get_unchecked(k)[2 * i]);
+                for j in 0..STRIP {
+                    let mut sum = weight[7];
+                    for &weight in weight[..7].iter().rev() {
+                        sum = sum.mul_add(x[j], weight);
+                    }
+                    values[j] = sum;
+                }
+            }
+            for j in first..end {
+                let c = points.amplitude.as_ptr().add(j).cast::<f64>();
+                let shares = across.weight.as_ptr().add(j).cast::<f32>();
+                let column = *across.column.get_unchecked(j) as usize;
+                let place = PLACED.get_unchecked(column).as_ptr();
+                let row = _mm512_mul_ps(
+                    _mm512_permutexvar_ps(
+                        _mm512_loadu_si512(place.cast()),
+                        _mm512_castps256_ps512(_mm256_loadu_ps(shares)),
+                    ),
+                    _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned())),
+                );
+                let at = table.add(*points.cell.get_unchecked(j) as usize);
+                for (i, values) in values.iter().enumerate() {
+                    let at = at.add(i).cast::<f32>();
+                    let value = _mm512_set1_ps(*values.get_unchecked(j - first));
+                    _mm512_store_ps(at, _mm512_fmadd_ps(row, value, _mm512_load_ps(at)));
+                }
             }
         }
+    }
+}
+
+/// Any width, any number of rows to a value.
+///
+/// SAFETY: as for [`spread_32`].
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+unsafe fn spread_32_any(
+    points: Points<f32>,
+    across: Across<f32>,
+    weights: &FlushWeights<f32>,
+    rows: &mut [Row32],
+) {
+    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's weights are moved to their lanes and whole rows
+    // added to, cell + i < rows. More: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the next value's rows.
+    // All slices have a value per point, at most BLOCK. With one row column + taps <= 8, so that `column` has its entry in `PLACED`.
+    unsafe {
+        let mut values = [[0f32; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f32>();
+        let step = 16 * across.rows;
+        let alone = across.rows == 1;
         for j in 0..points.cell.len() {
-            let x = _mm512_set1_ps(*points.x.get_unchecked(j));
-            let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-            let c = _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned()));
-            let mut values = w[7];
-            for w in w[..7].iter().rev() {
-                for v in 0..V {
-                    values[v] = _mm512_fmadd_ps(values[v], x, w[v]);
-                }
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
             }
-            for value in &mut values {
-                *value = _mm512_mul_ps(*value, c);
-            }
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let mut at = grids.as_mut_ptr().add(first).cast::<f32>();
-            let share = across.weight.as_ptr().add(j).cast::<f32>();
-            for t in 0..across.taps {
-                let share = _mm512_set1_ps(*share.add(t));
-                for (v, value) in values.iter().enumerate() {
-                    let at = at.add(16 * v);
-                    _mm512_storeu_ps(at, _mm512_fmadd_ps(*value, share, _mm512_loadu_ps(at)));
-                }
-                at = at.wrapping_add(2 * stride);
+            let column = *across.column.get_unchecked(j) as usize;
+            let (lane, place) = if alone { (0, column) } else { (2 * column, 0) };
+            let c = points
+                .amplitude
+                .as_ptr()
+                .add(j)
+                .cast::<f64>()
+                .read_unaligned();
+            let shares = across.weight.as_ptr().add(j).cast::<f32>();
+            let place = PLACED.get_unchecked(place).as_ptr();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
+            let shares = _mm512_castps256_ps512(_mm256_loadu_ps(shares));
+            let row = _mm512_mul_ps(
+                _mm512_permutexvar_ps(_mm512_loadu_si512(place.cast()), shares),
+                _mm512_castpd_ps(_mm512_set1_pd(c)),
+            );
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm512_set1_ps(*value.get_unchecked(j % STRIP));
+                _mm512_storeu_ps(at, _mm512_fmadd_ps(row, value, _mm512_loadu_ps(at)));
+                at = at.wrapping_add(step);
             }
         }
     }
@@ -322,56 +436,36 @@ pub unsafe fn spread_64(
     points: Points<f64>,
     across: Across<f64>,
     weights: &FlushWeights<f64>,
-    stride: usize,
-    grids: &mut [Complex64],
+    rows: &mut [Row64],
 ) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
+    // next value's rows. All slices have a value per point, at most BLOCK.
     unsafe {
-        match weights.width {
-            0..=8 => spread_64_of::<2>(points, across, weights, stride, grids),
-            9..=12 => spread_64_of::<3>(points, across, weights, stride, grids),
-            _ => spread_64_of::<4>(points, across, weights, stride, grids),
-        }
-    }
-}
-
-/// V registers of four complex values hold a point's taps.
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-unsafe fn spread_64_of<const V: usize>(
-    points: Points<f64>,
-    across: Across<f64>,
-    weights: &FlushWeights<f64>,
-    stride: usize,
-    grids: &mut [Complex64],
-) {
-    // SAFETY: 4 V <= MAX_WIDTH values from (column + t) * stride + cell on exist, for all t below `taps`; all slices have a value per point;
-    // `doubled` has 12 entries of 32 weights.
-    unsafe {
-        let w = weights.doubled.as_ptr().cast::<f64>();
+        let mut values = [[0f64; STRIP]; MAX_WIDTH];
+        let table = rows.as_mut_ptr().cast::<f64>();
+        let step = 24 * across.rows;
         for j in 0..points.cell.len() {
-            let x = _mm512_set1_pd(*points.x.get_unchecked(j));
+            if j % STRIP == 0 {
+                let end = points.x.len().min(j + STRIP);
+                along(points.x.get_unchecked(j..end), weights, &mut values);
+            }
+            let lane = 2 * *across.column.get_unchecked(j) as usize;
             let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
+            let shares = across.weight.as_ptr().add(j).cast::<f64>();
+            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
+            let shares = _mm512_loadu_pd(shares);
             let c = _mm512_broadcast_f64x2(c);
-            let mut values = [_mm512_setzero_pd(); V];
-            for k in (0..12).rev() {
-                for (v, value) in values.iter_mut().enumerate() {
-                    *value = _mm512_fmadd_pd(*value, x, _mm512_loadu_pd(w.add(32 * k + 8 * v)));
+            let low = _mm512_setr_epi64(0, 0, 1, 1, 2, 2, 3, 3);
+            let high = _mm512_setr_epi64(4, 4, 5, 5, 6, 6, 7, 7);
+            let row = [low, high].map(|i| _mm512_mul_pd(_mm512_permutexvar_pd(i, shares), c));
+            let row = &row[..across.taps.div_ceil(4)];
+            for value in values.get_unchecked(..weights.width) {
+                let value = _mm512_set1_pd(*value.get_unchecked(j % STRIP));
+                for (h, row) in row.iter().enumerate() {
+                    let at = at.add(8 * h);
+                    _mm512_storeu_pd(at, _mm512_fmadd_pd(*row, value, _mm512_loadu_pd(at)));
                 }
-            }
-            for value in &mut values {
-                *value = _mm512_mul_pd(*value, c);
-            }
-            let first = *across.column.get_unchecked(j) as usize * stride
-                + *points.cell.get_unchecked(j) as usize;
-            let mut at = grids.as_mut_ptr().add(first).cast::<f64>();
-            let share = across.weight.as_ptr().add(j).cast::<f64>();
-            for t in 0..across.taps {
-                let share = _mm512_set1_pd(*share.add(t));
-                for (v, value) in values.iter().enumerate() {
-                    let at = at.add(8 * v);
-                    _mm512_storeu_pd(at, _mm512_fmadd_pd(*value, share, _mm512_loadu_pd(at)));
-                }
-                at = at.wrapping_add(2 * stride);
+                at = at.wrapping_add(step);
             }
         }
     }

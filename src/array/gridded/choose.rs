@@ -1,15 +1,16 @@
 //! What a tolerance needs, at the least cost: the band, the kernel over delay, the grid of Dopplers.
 
-use crate::flow::DopplerModel;
+use crate::array::filter::occupied_hz;
+use crate::flow::Pulse;
 
-use super::doppler::{DopplerGrid, DopplerSpan};
+use super::doppler::{Coupling, DopplerGrid, DopplerSpan, Received, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
 use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::{GriddedError, Spec};
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
 
-/// Each of three errors may take this share of the tolerance: kernel over delay, kernel over Doppler, band left out.
+/// Each of these errors may take this share of the tolerance: kernel over delay, band left out.
 pub const SHARE: f64 = 1.0 / 3.0;
 
 /// Multiples of the sample rate that the band may have.
@@ -84,31 +85,91 @@ pub fn delay_kernel<M: Real>(
 }
 
 // Nanoseconds of one core, rough: measured on two processors, within a factor of two.
-pub const NS_PER_ARRIVAL: f64 = 8.0;
-pub const NS_PER_TAP: f64 = 1.5;
-pub const NS_PER_GRID_VALUE: f64 = 8.0;
+pub const NS_PER_ARRIVAL: f64 = 6.0;
+/// Of an arrival on all its values of the grids, per row that a value has.
+pub const NS_PER_ROW: f64 = 6.0;
+pub const NS_PER_GRID_VALUE: f64 = 3.0;
 
-/// The grid of Dopplers that costs least.
-pub fn doppler_grid<M: Real>(spec: &Spec, bins_hz: f64, grid: usize) -> Option<DopplerGrid> {
-    let span_width = spec.span.greatest - spec.span.least;
-    let phase = std::f64::consts::TAU * spec.pulse.center_frequency_hz * spec.pulse.duration_s;
-    // One scatterer at the end of the span, its phase running linearly away from the template's: model.md 11.
-    let common_error = phase * 0.5 * span_width / 12f64.sqrt();
-    if spec.doppler == DopplerModel::None || common_error <= SHARE * spec.tolerance {
-        return Some(DopplerGrid::common());
+/// Error that the grid of Dopplers may leave to the echo that it serves worst, as a share of the tolerance. A window of a pulse's length holds
+/// some 1 + B T independent values: where those are few, echoes cancel each other in some windows, and their errors do not.
+fn worst_share(pulse: &Pulse) -> f64 {
+    const MANY: f64 = 20.0;
+    if pulse.bandwidth_hz * pulse.duration_s < MANY {
+        0.3
+    } else {
+        0.6
     }
-    let reach = 0.5 * spec.pulse.duration_s * (spec.pulse.center_frequency_hz + 0.5 * bins_hz)
-        / (1.0 - spec.span.least.abs().max(spec.span.greatest)).powi(2);
+}
+
+/// Frequencies that a grid of Dopplers is tried on.
+const TRIAL_FREQUENCIES: usize = 96;
+
+/// Cells of the grids that are tried.
+const TRIAL_CELLS: [usize; 16] = [1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64];
+
+/// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.
+const TRIAL_SHAPES: [f64; 4] = [1.25, 1.5, 2.0, 4.0];
+
+/// The grid of Dopplers that costs least of those that are fine enough, with or without coupling. `grid`: values of a column, roughly.
+pub fn doppler_grid<M: Real>(
+    spec: &Spec,
+    span: DopplerSpan,
+    spectrum: &PulseSpectrum,
+    band_hz: f64,
+    grid: usize,
+) -> Option<(DopplerGrid, Coupling)> {
+    let common = DopplerGrid::common(span);
+    if span.greatest == span.least {
+        return Some((common, Coupling::NONE));
+    }
     let cost = |g: &DopplerGrid| {
-        g.taps as f64 * NS_PER_TAP * spec.arrivals as f64
+        let rows = g.columns.div_ceil(M::MOMENTS);
+        rows as f64 * NS_PER_ROW * spec.arrivals as f64
             + g.columns as f64 * NS_PER_GRID_VALUE * grid as f64
     };
-    [1.5, 2.0, 3.0, 4.0]
+    // Where the echoes are.
+    let fastest = span.least.abs().max(span.greatest);
+    let occupied_hz = occupied_hz(spec.pulse) + 2.0 * fastest * spec.pulse.center_frequency_hz;
+    let band_hz = band_hz.min(1.25 * occupied_hz);
+    let share = worst_share(spec.pulse);
+    let frequency_hz: Vec<f64> = (0..TRIAL_FREQUENCIES)
+        .map(|i| ((i as f64 + 0.5) / TRIAL_FREQUENCIES as f64 - 0.5) * band_hz)
+        .collect();
+    let gain: Vec<f64> = frequency_hz
+        .iter()
+        .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
+        .collect();
+    let kernels: Vec<Kernel> = (MIN_WIDTH..=MAX_TAPS)
+        .flat_map(|taps| TRIAL_SHAPES.map(|shape| Kernel::rough(taps, shape, taps)))
+        .collect();
+    let most_cells = TRIAL_CELLS[TRIAL_CELLS.len() - 1];
+    let mut best: Option<(DopplerGrid, Coupling)> = None;
+    let dearer = |best: &Option<(DopplerGrid, Coupling)>, g: &DopplerGrid| {
+        best.as_ref().is_some_and(|(held, _)| cost(g) >= cost(held))
+    };
+    for coupling in [Coupling::of(spec.pulse), Some(Coupling::NONE)]
         .into_iter()
-        .filter_map(|oversampling| {
-            (MIN_WIDTH..=MAX_TAPS)
-                .map(|taps| DopplerGrid::new(spec.span, reach, taps, oversampling, M::MOMENTS))
-                .find(|grid| grid.error <= SHARE * spec.tolerance)
-        })
-        .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+        .flatten()
+    {
+        let received = Received {
+            spectrum,
+            carrier_hz: spec.pulse.center_frequency_hz,
+            coupling,
+        };
+        let trial = Trial::new(received, span, most_cells, &frequency_hz, &gain);
+        let enough = |g: &DopplerGrid| trial.worst(g) <= share * spec.tolerance;
+        if !dearer(&best, &common) && enough(&common) {
+            best = Some((common.clone(), coupling));
+        }
+        for kernel in &kernels {
+            // The finer the better, give or take: the coarsest that is enough is found by halving.
+            let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(span, cells, kernel));
+            let affordable = grids.partition_point(|g| !dearer(&best, g));
+            let first = grids[..affordable].partition_point(|g| !enough(g));
+            if first < affordable {
+                best = Some((grids[first].clone(), coupling));
+            }
+        }
+    }
+    best
 }

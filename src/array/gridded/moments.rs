@@ -3,7 +3,8 @@
 //! In: points located in cells. Per point one aligned row of a table of moments gets c x^k added, whatever the kernel's width; nothing is
 //! sorted ([`Real::accumulate`]). Out: grid values, by a (width x moments) matrix per cell ([`Real::flush`]).
 //! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
-//! ([`Real::spread`]).
+//! ([`Real::spread`]), with the columns of the second dimension side by side, so that a point's share of all of them is one addition per
+//! tap of the first.
 //!
 //! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
@@ -37,12 +38,14 @@ pub struct Points<'a, T> {
     pub amplitude: &'a [Complex<T>],
 }
 
-/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on.
+/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on. Weights from `taps` on are 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Across<'a, T> {
     pub column: &'a [u32],
     pub weight: &'a [[T; MAX_TAPS]],
     pub taps: usize,
+    /// Rows that a value of the first dimension has: column q is lane q % [`Real::MOMENTS`] of row q / [`Real::MOMENTS`].
+    pub rows: usize,
 }
 
 /// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
@@ -74,16 +77,17 @@ pub trait Real: FftNum + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds every point's values to a few of many grids, `stride` values apart: tap i of column q at `grids[q * stride + cell + i]`.
-    /// May add zeros up to [`MAX_WIDTH`] values from there on. Panics where the grids end before that.
+    /// Adds every point's values to a few of many grids: tap i of column q to lane q of value `cell + i`, whose rows begin at
+    /// `(cell + i) * across.rows`. May add zeros to lanes next to a point's. Panics where the rows end before that.
     fn spread(
         dialect: Dialect,
         points: Points<Self>,
         across: Across<Self>,
         weights: &FlushWeights<Self>,
-        stride: usize,
-        grids: &mut [Complex<Self>],
+        rows: &mut [Self::Row],
     );
+
+    fn lane(row: &Self::Row, lane: usize) -> Complex<Self>;
 }
 
 /// The kernel's weights laid out for the loops: every weight twice (re, im), taps padded with zeros to a whole number of vectors.
@@ -93,6 +97,12 @@ pub struct FlushWeights<T> {
     /// `[k][2 i]` and `[k][2 i + 1]`: of tap i for moment k.
     pub doubled: Vec<[T; 2 * MAX_WIDTH]>,
 }
+
+/// Points whose weights on the values of the first dimension are worked out together.
+pub const STRIP: usize = 64;
+
+/// Those weights: `[i][point]`.
+pub type Along<T> = [[T; STRIP]; MAX_WIDTH];
 
 impl<T: Real> FlushWeights<T> {
     pub fn new(kernel: &Kernel) -> Self {
@@ -206,8 +216,8 @@ fn check_weights<T: Real>(weights: &FlushWeights<T>) {
     assert_eq!(weights.doubled.len(), T::MOMENTS, "weights for each moment");
 }
 
-/// What the vector loops rely on: every value that any point adds to exists.
-fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, stride: usize, grids: usize) {
+/// What the vector loops rely on: every lane that any point adds to, and up to [`MAX_TAPS`] from its first column on, exists.
+fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, rows: usize) {
     let len = points.cell.len();
     assert_eq!(across.column.len(), len, "columns");
     assert_eq!(across.weight.len(), len, "weights");
@@ -217,11 +227,18 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, stride: usize, 
         across.taps
     );
     let greatest = |v: &[u32]| v.iter().fold(0, |a, &b| a.max(b)) as usize;
-    let last_column = greatest(across.column) + across.taps - 1;
-    let last_cell = greatest(points.cell);
+    let last_column = greatest(across.column) + across.taps;
     assert!(
-        last_column * stride + last_cell + MAX_WIDTH <= grids,
-        "column {last_column}, cell {last_cell}, stride {stride} in {grids} values"
+        last_column <= across.rows * T::MOMENTS,
+        "column {last_column} in {} rows",
+        across.rows
+    );
+    let last_cell = greatest(points.cell) + width;
+    // One value more: what reaches past the last column lies in the next value's rows.
+    assert!(
+        (last_cell + 1) * across.rows <= rows,
+        "value {last_cell}, {} rows each, in {rows}",
+        across.rows
     );
 }
 
@@ -268,28 +285,30 @@ macro_rules! real {
                 }
             }
 
+            #[inline(always)]
+            fn lane(row: &$row, lane: usize) -> $complex {
+                Complex::new(row.0[2 * lane], row.0[2 * lane + 1])
+            }
+
             fn spread(
                 dialect: Dialect,
                 points: Points<Self>,
                 across: Across<Self>,
                 weights: &FlushWeights<Self>,
-                stride: usize,
-                grids: &mut [$complex],
+                rows: &mut [$row],
             ) {
                 check_points(&points);
                 check_weights(weights);
-                check_spread(&points, &across, stride, grids.len());
+                check_spread(&points, &across, weights.width, rows.len());
                 match dialect.kind() {
                     // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; all checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe {
-                        super::avx512::$spread(points, across, weights, stride, grids)
+                        super::avx512::$spread(points, across, weights, rows)
                     },
                     #[cfg(target_arch = "x86_64")]
-                    Kind::Avx2 => unsafe {
-                        super::avx2::$spread(points, across, weights, stride, grids)
-                    },
-                    _ => spread_plain(points, across, weights, stride, grids),
+                    Kind::Avx2 => unsafe { super::avx2::$spread(points, across, weights, rows) },
+                    _ => spread_plain(points, across, weights, rows),
                 }
             }
         }
@@ -336,27 +355,45 @@ fn flush_plain<T: Real, const N: usize>(
     }
 }
 
+/// Weights of all points on the values of the first dimension, by Horner's rule, one tap after another.
+#[inline(always)]
+pub fn along<T: Real>(x: &[T], weights: &FlushWeights<T>, out: &mut Along<T>) {
+    for (i, out) in out[..weights.width].iter_mut().enumerate() {
+        let out = &mut out[..x.len()];
+        out.fill(weights.doubled[T::MOMENTS - 1][2 * i]);
+        for k in (0..T::MOMENTS - 1).rev() {
+            let weight = weights.doubled[k][2 * i];
+            for (sum, &x) in out.iter_mut().zip(x) {
+                *sum = *sum * x + weight;
+            }
+        }
+    }
+}
+
 /// The portable twin of the vector loops.
-fn spread_plain<T: Real>(
+fn spread_plain<T: Real, const N: usize>(
     points: Points<T>,
     across: Across<T>,
     weights: &FlushWeights<T>,
-    stride: usize,
-    grids: &mut [Complex<T>],
+    rows: &mut [Row<T, N>],
 ) {
-    let zero = Complex::new(T::zero(), T::zero());
+    let mut values = [[T::default(); STRIP]; MAX_WIDTH];
     for j in 0..points.cell.len() {
-        let mut values = [zero; MAX_WIDTH];
-        for (i, value) in values[..weights.width].iter_mut().enumerate() {
-            let polynomial = weights.doubled.iter().rev();
-            let weight = polynomial.fold(T::zero(), |sum, w| sum * points.x[j] + w[2 * i]);
-            *value = points.amplitude[j] * weight;
+        if j % STRIP == 0 {
+            let end = points.x.len().min(j + STRIP);
+            along(&points.x[j..end], weights, &mut values);
         }
-        for (t, &share) in across.weight[j][..across.taps].iter().enumerate() {
-            let first = (across.column[j] as usize + t) * stride + points.cell[j] as usize;
-            for (sum, value) in grids[first..first + weights.width].iter_mut().zip(&values) {
-                *sum = *sum + *value * share;
+        let column = across.column[j] as usize;
+        let mut first = points.cell[j] as usize * across.rows;
+        for value in &values[..weights.width] {
+            let c = points.amplitude[j] * value[j % STRIP];
+            for (t, &share) in across.weight[j][..across.taps].iter().enumerate() {
+                let lane = 2 * (column + t);
+                let row = &mut rows[first + lane / N].0[lane % N..][..2];
+                row[0] = row[0] + c.re * share;
+                row[1] = row[1] + c.im * share;
             }
+            first += across.rows;
         }
     }
 }
@@ -436,18 +473,27 @@ mod tests {
                     "{dialect:?}, flush, width {width}: {error:e}"
                 );
 
-                let stride = CELLS + MAX_WIDTH + 3;
                 for taps in 1..=MAX_TAPS {
+                    let mut weight = block.3;
+                    weight.iter_mut().for_each(|w| w[taps..].fill(T::zero()));
                     let across = Across {
                         column: &block.2,
-                        weight: &block.3,
+                        weight: &weight,
                         taps,
+                        rows: (3 + taps).div_ceil(T::MOMENTS),
                     };
-                    let mut want_grids = vec![one; stride * (3 + taps)];
-                    let mut grids = want_grids.clone();
+                    let ones = Row([T::one(); N]);
+                    let mut want_rows = vec![ones; across.rows * (CELLS + width)];
+                    let mut rows = want_rows.clone();
                     let points = points(&block, BLOCK);
-                    spread_plain(points, across, &weights, stride, &mut want_grids);
-                    T::spread(dialect, points, across, &weights, stride, &mut grids);
+                    spread_plain(points, across, &weights, &mut want_rows);
+                    T::spread(dialect, points, across, &weights, &mut rows);
+                    let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
+                        rows.iter()
+                            .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
+                            .collect()
+                    };
+                    let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
                     let error = worst(&grids, &want_grids);
                     assert!(error < limit, "{dialect:?}, {width} x {taps}: {error:e}");
                 }

@@ -20,11 +20,11 @@ use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
 use super::choose::{
-    MOST_BANDS, NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_TAP, SHARE, band, delay_kernel,
+    MOST_BANDS, NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_ROW, SHARE, band, delay_kernel,
     doppler_grid,
 };
 use super::dialect::Dialect;
-use super::doppler::{DopplerSpan, POWERS, Templates};
+use super::doppler::{DopplerSpan, Received, Templates};
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Bounds, Frame, Prepared};
@@ -185,8 +185,6 @@ struct Plan<M: Real, G: Real> {
     period: usize,
     bins: usize,
     grid: usize,
-    /// Values between the grids of two columns.
-    stride: usize,
     /// Grid steps per second.
     scale: f64,
     shift: f64,
@@ -231,17 +229,25 @@ impl<M: Real, G: Real> Plan<M, G> {
         let spectrum = PulseSpectrum::new(pulse, highest_hz);
         let (bands, outside) = band(spec, span, &spectrum)?;
 
-        // An echo reaches from half a pulse and half a filter before its middle to as much after it.
+        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what coupling moves it.
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
-        let reach_s = 0.5 * pulse.duration_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
-        let period = grid_size(spec.samples + (2.0 * reach_s * rate_hz).ceil() as usize);
+        let alone_s = 0.5 * pulse.duration_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
+        let period_with =
+            |reach_s: f64| grid_size(spec.samples + (2.0 * reach_s * rate_hz).ceil() as usize);
+        let roughly = 2 * bands * period_with(alone_s);
+        let (doppler, coupling) =
+            doppler_grid::<M>(spec, span, &spectrum, bands as f64 * rate_hz, roughly)
+                .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+        let coupled_s = coupling
+            .shift_s(span.least)
+            .abs()
+            .max(coupling.shift_s(span.greatest).abs());
+        let reach_s = alone_s + coupled_s;
+        let period = period_with(reach_s);
         let period = period + period % 2;
         let bins = bands * period;
         let period_s = period as f64 / rate_hz;
 
-        let guess = delay_kernel::<M>(spec.tolerance, bins, MAX_WIDTH).map_or(2 * bins, |k| k.0);
-        let doppler = doppler_grid::<M>(spec, bands as f64 * rate_hz, guess)
-            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
         // Moments cost the same whatever the width; values spread at once do not.
         let widest = match (doppler.columns, M::MOMENTS) {
             (1, _) => MAX_WIDTH,
@@ -259,8 +265,13 @@ impl<M: Real, G: Real> Plan<M, G> {
             .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
             .collect();
         let carrier_hz = pulse.center_frequency_hz;
-        let received = Templates::new(&doppler, span, &spectrum, carrier_hz, &frequency_hz, &gain);
-        let templates = received
+        let received = Received {
+            spectrum: &spectrum,
+            carrier_hz,
+            coupling,
+        };
+        let fitted = Templates::new(&doppler, received, pulse.duration_s, &frequency_hz, &gain);
+        let templates = fitted
             .values
             .iter()
             .enumerate()
@@ -274,12 +285,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             })
             .collect();
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
-        let middle = 0.5 * (span.greatest - span.least);
-        let common = match doppler.columns {
-            1 => std::f64::consts::TAU * carrier_hz * pulse.duration_s * middle / 12f64.sqrt(),
-            _ => received.error,
-        };
-        let error = [kernel.error, common, outside, rounding]
+        let error = [kernel.error, fitted.error, outside, rounding]
             .iter()
             .map(|e| e * e)
             .sum::<f64>()
@@ -290,8 +296,6 @@ impl<M: Real, G: Real> Plan<M, G> {
             period,
             bins,
             grid,
-            // A whole number of cache lines, and an odd one: columns then do not collide in the caches.
-            stride: ((grid + 2 * MAX_WIDTH + 1).div_ceil(8) | 1) * 8,
             scale: grid as f64 / period_s,
             shift: kernel.shift(),
             lead_s: reach_s,
@@ -300,8 +304,9 @@ impl<M: Real, G: Real> Plan<M, G> {
                 carrier_hz,
                 half_pulse_s: 0.5 * pulse.duration_s,
                 still,
+                coupling,
                 weights: doppler.weights.map(|row| row.map(M::narrow)),
-                powers: M::MOMENTS.min(POWERS),
+                powers: doppler.powers,
                 grid: doppler,
             },
             templates,
@@ -311,7 +316,7 @@ impl<M: Real, G: Real> Plan<M, G> {
         })
     }
 
-    /// Where what is not heard goes: right behind a table of moments; on a grid far enough past the values that count.
+    /// Where what is not heard goes: right behind a table of moments; on grids far enough past the values that count.
     fn drain(&self) -> usize {
         match self.frame.grid.columns {
             1 => self.grid + 1,
@@ -321,20 +326,19 @@ impl<M: Real, G: Real> Plan<M, G> {
 
     fn cost_ms(&self, arrivals: usize) -> f64 {
         let columns = self.frame.grid.columns as f64;
-        let per_arrival = NS_PER_ARRIVAL + NS_PER_TAP * self.frame.grid.taps as f64;
+        let per_arrival = NS_PER_ARRIVAL
+            + match self.frame.grid.columns {
+                1 => 0.0,
+                columns => NS_PER_ROW * columns.div_ceil(M::MOMENTS) as f64,
+            };
         1e-6 * (arrivals as f64 * per_arrival + columns * self.grid as f64 * NS_PER_GRID_VALUE)
     }
 }
 
-/// Where a thread adds up: moments for one column, grids for several.
-enum Table<M: Real> {
-    Moments(Vec<M::Row>),
-    Grids(Vec<Complex<M>>),
-}
-
 struct Work<M: Real, G: Real> {
     plan: Arc<Plan<M, G>>,
-    table: Table<M>,
+    /// Where a thread adds up: moments for one column; for several their grids side by side.
+    table: Vec<M::Row>,
     prepared: Box<Prepared<M>>,
     located: Box<Located<M>>,
     /// One column, flushed.
@@ -347,22 +351,25 @@ struct Work<M: Real, G: Real> {
     span: DopplerSpan,
     first_column: usize,
     columns: usize,
+    /// Rows per grid value.
+    rows: usize,
     misfits: Misfits,
 }
 
 impl<M: Real, G: Real> Work<M, G> {
     fn new(plan: Arc<Plan<M, G>>) -> Self {
         let columns = plan.frame.grid.columns;
-        let table = match columns {
-            1 => Table::Moments(vec![M::EMPTY; plan.grid + 2]),
-            _ => Table::Grids(vec![zero::<M>(); columns * plan.stride]),
+        let rows = match columns {
+            1 => plan.grid + 2,
+            // Up to the drain, and what it reaches.
+            _ => columns.div_ceil(M::MOMENTS) * (plan.grid + 2 * MAX_WIDTH + 1),
         };
         let scratch = plan
             .forward
             .get_inplace_scratch_len()
             .max(plan.inverse.get_inplace_scratch_len());
         Self {
-            table,
+            table: vec![M::EMPTY; rows],
             prepared: Box::new(Prepared::new()),
             located: Box::default(),
             values: vec![zero::<M>(); plan.grid + plan.flush.width],
@@ -376,6 +383,7 @@ impl<M: Real, G: Real> Work<M, G> {
             },
             first_column: 0,
             columns,
+            rows: 1,
             misfits: Misfits::default(),
             plan,
         }
@@ -395,10 +403,12 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         let grid = &plan.frame.grid;
         self.first_column = grid.place(span.least).0;
         self.columns = grid.place(span.greatest).0 - self.first_column + grid.taps;
-        match &mut self.table {
-            Table::Moments(rows) => rows.fill(M::EMPTY),
-            Table::Grids(grids) => grids[..self.columns * plan.stride].fill(zero()),
-        }
+        self.rows = self.columns.div_ceil(M::MOMENTS);
+        let used = match grid.columns {
+            1 => self.table.len(),
+            _ => self.rows * (plan.grid + 2 * MAX_WIDTH + 1),
+        };
+        self.table[..used].fill(M::EMPTY);
     }
 
     fn accept(&mut self, chunk: &ArrivalChunk) {
@@ -424,25 +434,17 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             x: &x[..n],
             amplitude: &prepared.amplitude[..n],
         };
-        match &mut self.table {
-            Table::Moments(rows) => M::accumulate(plan.dialect, points, rows),
-            Table::Grids(grids) => {
-                let across = Across {
-                    column: &prepared.column[..n],
-                    weight: &prepared.weight[..n],
-                    taps: plan.frame.grid.taps,
-                };
-                let grids = &mut grids[..self.columns * plan.stride];
-                M::spread(
-                    plan.dialect,
-                    points,
-                    across,
-                    &plan.flush,
-                    plan.stride,
-                    grids,
-                );
-            }
+        if plan.frame.grid.columns == 1 {
+            M::accumulate(plan.dialect, points, &mut self.table);
+            return;
         }
+        let across = Across {
+            column: &prepared.column[..n],
+            weight: &prepared.weight[..n],
+            taps: plan.frame.grid.taps,
+            rows: self.rows,
+        };
+        M::spread(plan.dialect, points, across, &plan.flush, &mut self.table);
     }
 
     fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
@@ -455,22 +457,28 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         );
         self.spectrum.fill(zero());
         for q in 0..self.columns {
-            let values = match &self.table {
-                Table::Moments(rows) => {
-                    M::flush(plan.dialect, rows, &plan.flush, &mut self.values);
-                    &self.values[..]
-                }
-                Table::Grids(grids) => &grids[q * plan.stride..][..plan.grid + plan.flush.width],
-            };
             let widen =
-                |v: &Complex<M>| Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()));
-            let (period, beyond) = values.split_at(plan.grid);
-            for (value, v) in self.column.iter_mut().zip(period) {
-                *value = widen(v);
-            }
+                |v: Complex<M>| Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()));
             // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
-            for (value, v) in self.column.iter_mut().zip(beyond) {
-                *value = *value + widen(v);
+            if plan.frame.grid.columns == 1 {
+                M::flush(plan.dialect, &self.table, &plan.flush, &mut self.values);
+                let (period, beyond) = self.values.split_at(plan.grid);
+                for (value, v) in self.column.iter_mut().zip(period) {
+                    *value = widen(*v);
+                }
+                for (value, v) in self.column.iter_mut().zip(beyond) {
+                    *value = *value + widen(*v);
+                }
+            } else {
+                let lane = q % M::MOMENTS;
+                let rows = self.table[q / M::MOMENTS..].iter().step_by(self.rows);
+                for (value, row) in self.column.iter_mut().zip(rows.clone()) {
+                    *value = widen(M::lane(row, lane));
+                }
+                let beyond = rows.skip(plan.grid).take(plan.flush.width);
+                for (value, row) in self.column.iter_mut().zip(beyond) {
+                    *value = *value + widen(M::lane(row, lane));
+                }
             }
             plan.forward
                 .process_with_scratch(&mut self.column, &mut self.scratch);
@@ -515,7 +523,7 @@ mod tests {
     use super::*;
     use crate::array::Direct;
     use crate::flow::testing::plan_at_rest;
-    use crate::flow::{CHUNK, PulseKind};
+    use crate::flow::{CHUNK, Edges, PulseKind};
 
     const RATE_HZ: f64 = 40e3;
     const SAMPLES: usize = 2400;
@@ -561,8 +569,12 @@ mod tests {
     ) -> Vec<Complex64> {
         let plan = plan_at_rest(pulse, SAMPLES, 1500.0);
         let mut out = vec![Complex64::ZERO; SAMPLES];
+        let edges = match filter {
+            None => Edges::Sampled,
+            Some(_) => Edges::Weighted,
+        };
         let sum = |rate_hz: f64, first_s: f64, out: &mut [Complex64]| {
-            let mut sink = Direct::new(&plan, rate_hz, first_s, out);
+            let mut sink = Direct::new(&plan, rate_hz, first_s, out).with_edges(edges);
             chunks.iter().for_each(|chunk| sink.accept(chunk));
         };
         match filter {
@@ -651,7 +663,7 @@ mod tests {
         }
     }
 
-    /// The paper's pulse has edges; the direct sum at 48 samples per output sample is then good to 1e-3 or so.
+    /// The paper's pulse has edges: the direct sum at 48 samples per output sample converges because their points are weighted.
     #[test]
     fn a_rectangular_pulse_meets_the_filtered_direct_sum_to_1e_3() {
         let pulse = pulse(PulseKind::LfmUp, 0.0);

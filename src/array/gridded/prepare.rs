@@ -1,6 +1,7 @@
 //! From a chunk of arrivals to points on the grids: middle of the echo, carrier phase there, place among the Doppler columns.
 //!
-//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)).
+//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)). What
+//! [`Coupling`] takes out of the templates moves it on by tau, with the phase exp(j pi f_c d tau).
 
 use num_complex::Complex;
 
@@ -8,7 +9,7 @@ use crate::array::phasor::cis;
 use crate::flow::{ArrivalChunk, CHUNK};
 
 use super::dialect::{Dialect, Kind};
-use super::doppler::{DopplerGrid, DopplerSpan, POWERS};
+use super::doppler::{Coupling, DopplerGrid, DopplerSpan, POWERS};
 use super::moments::{BLOCK, MAX_TAPS, Real};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
@@ -19,6 +20,7 @@ pub struct Frame<T> {
     pub half_pulse_s: f64,
     /// Stretch is left out: eta is 1.
     pub still: bool,
+    pub coupling: Coupling,
     pub grid: DopplerGrid,
     /// The grid's weights as T.
     pub weights: [[T; MAX_TAPS]; POWERS],
@@ -105,11 +107,14 @@ impl<T: Real> Frame<T> {
         let (mut cos, mut sin) = ([0.0; BLOCK], [0.0; BLOCK]);
         for j in 0..n {
             let d = doppler[j];
-            let middle_s = self.half_pulse_s / (1.0 + d);
+            let per_eta = 1.0 / (1.0 + d);
+            let middle_s = self.half_pulse_s * per_eta;
+            let shift_s = self.coupling.per_doppler_s * d * per_eta * per_eta;
             let turns = self.carrier_hz * chunk.delay_s[j];
             // Whole turns away first: the rest keeps its digits.
-            let turns = self.carrier_hz * d * middle_s - (turns - turns.round_ties_even());
-            points.delay_s[j] = chunk.delay_s[j] + middle_s;
+            let turns = self.carrier_hz * d * (middle_s + 0.5 * shift_s)
+                - (turns - turns.round_ties_even());
+            points.delay_s[j] = chunk.delay_s[j] + (middle_s + shift_s);
             (cos[j], sin[j]) = cis(turns);
         }
         for j in 0..n {
@@ -128,9 +133,12 @@ impl<T: Real> Frame<T> {
             points.column[j] = (column - bounds.first_column) as u32;
             place[j] = T::narrow(x);
         }
+        let (highest, lower) = self.weights[..self.powers]
+            .split_last()
+            .expect("a power at least");
         for (weight, &x) in points.weight[..n].iter_mut().zip(&place) {
-            let mut sum = [T::zero(); MAX_TAPS];
-            for weights in self.weights[..self.powers].iter().rev() {
+            let mut sum = *highest;
+            for weights in lower.iter().rev() {
                 for (sum, weight) in sum.iter_mut().zip(weights) {
                     *sum = *sum * x + *weight;
                 }
