@@ -4,7 +4,8 @@
 //! far is kept over the distance; a point is hidden where it lies below that. The surface is bilinear, so its profile along a ray is a parabola
 //! in every cell, whose highest tangent is known in closed form: nothing between samples is missed. Rays lie a scatterer's spacing apart or
 //! closer and the horizon between two of them is theirs in proportion; distances are kept in steps of half a spacing, and the horizon of a point
-//! ends one step before it: against a ray cast for each scatterer, shadows end within one spacing or so of the right place.
+//! ends one step before it: against a ray cast for each scatterer, shadows end within one spacing of the right place, or within a
+//! 1024th of the longest range where the spacing is finer.
 //!
 //! Where a point lies closer to its horizon than the ground may do between two rays, a ray is cast for it alone.
 //!
@@ -29,8 +30,8 @@ const RAYS_TO_A_SPACING: usize = 1;
 const STEPS_TO_A_SPACING: usize = 2;
 /// Rays that are run together, because something may be looked at along any of them.
 const SECTOR: usize = 16;
-/// Rays of one eye and steps of one ray at most: finer than the longest range over this is not asked for.
-const MOST_STEPS: f64 = 16_384.0;
+/// Spacings in the longest range at most: half a circle of rays then takes some 70 MB an eye.
+const MOST_SPACINGS: f64 = 1024.0;
 /// Below the horizon of nothing at all.
 const OPEN: f32 = -1e9;
 /// Nearer than this there is nothing that could hide anything, metres.
@@ -86,7 +87,7 @@ struct Horizon {
 impl Horizon {
     fn start(&mut self, eye_m: DVec3, longest_m: f64, spacing_m: f64) {
         self.eye_m = eye_m;
-        let fine = (longest_m / spacing_m).clamp(64.0, MOST_STEPS).ceil() as usize;
+        let fine = (longest_m / spacing_m).clamp(64.0, MOST_SPACINGS).ceil() as usize;
         // A unit of `turn` holds up to 2 radians, and steps even in the root are twice as wide at the end as on average.
         self.rays = (RAYS_TO_A_SPACING * 8 * fine).next_multiple_of(SECTOR);
         self.steps = STEPS_TO_A_SPACING * 2 * fine + 1;
