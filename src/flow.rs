@@ -348,6 +348,8 @@ pub enum Synthesis {
     Linear,
     /// Echoes spread on a grid and transformed, an element at a time, within a tolerance.
     Gridded1d,
+    /// The same over delay and slope, a whole line array at a time.
+    Gridded2d,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -410,13 +412,14 @@ impl DopplerModel {
 }
 
 impl Synthesis {
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Reference,
         Self::Direct,
         Self::Spectral,
         Self::Nearest,
         Self::Linear,
         Self::Gridded1d,
+        Self::Gridded2d,
     ];
     /// As the configuration and the records spell it.
     pub fn name(self) -> &'static str {
@@ -427,6 +430,7 @@ impl Synthesis {
             Self::Nearest => "nearest",
             Self::Linear => "linear",
             Self::Gridded1d => "gridded-1d",
+            Self::Gridded2d => "gridded-2d",
         }
     }
     /// Whether it lays one and the same pulse under every echo, so that only [`DopplerModel::keeps_pulse`] models go with it.
@@ -435,7 +439,7 @@ impl Synthesis {
     }
     /// Whether it is made for a tolerance and keeps it, rather than having the error it has.
     pub fn keeps_tolerance(self) -> bool {
-        matches!(self, Self::Gridded1d)
+        matches!(self, Self::Gridded1d | Self::Gridded2d)
     }
     /// Whether it can sum echoes of this Doppler model.
     pub fn takes(self, doppler: DopplerModel) -> bool {
@@ -443,6 +447,7 @@ impl Synthesis {
             Self::Reference | Self::Direct => true,
             Self::Spectral | Self::Nearest | Self::Linear => doppler.keeps_pulse(),
             Self::Gridded1d => matches!(doppler, DopplerModel::None | DopplerModel::Stretch),
+            Self::Gridded2d => doppler != DopplerModel::PaperEq21,
         }
     }
 }
@@ -1001,8 +1006,9 @@ pub struct EchoCounts {
     pub two_roots: u64,
     /// Beyond the polyline's last segment; carried on along it.
     pub beyond_track: u64,
-    /// Faster than the engine is made for: heard with the greatest Doppler it knows.
-    pub too_fast: u64,
+    /// Beyond what the engine is made for. `gridded-1d`: faster, and heard with the greatest Doppler it knows. `gridded-2d`: all those of a
+    /// ping that was nearer or faster than its tolerance bears.
+    pub beyond_engine: u64,
 }
 
 impl std::ops::AddAssign for EchoCounts {
@@ -1014,7 +1020,7 @@ impl std::ops::AddAssign for EchoCounts {
         self.no_root += o.no_root;
         self.two_roots += o.two_roots;
         self.beyond_track += o.beyond_track;
-        self.too_fast += o.too_fast;
+        self.beyond_engine += o.beyond_engine;
     }
 }
 

@@ -769,8 +769,12 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
 fn with_model(lines: &str) -> RigSpec {
     let minimal =
         fs::read_to_string(repository().join("tests/data/config/minimal.toml")).expect("readable");
+    let filtered = minimal.replace(
+        "sample_rate_khz = 40.0",
+        "sample_rate_khz = 40.0\nrx_filter = \"fir\"",
+    );
     config::parse(
-        &format!("{minimal}\n[sonar.model]\n{lines}\n"),
+        &format!("{filtered}\n[sonar.model]\n{lines}\n"),
         &repository(),
     )
     .unwrap_or_else(|errors| panic!("{lines}: {errors}"))

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use echotank::config::spec::{
@@ -76,6 +76,13 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         fallback_heading_from_course: false,
         sources,
     }
+}
+
+/// An instrument's end and a port. One at a time: `ptsname`, behind it, shares its buffer among threads.
+fn pseudo_terminal() -> (TTYPort, TTYPort) {
+    static ONE: Mutex<()> = Mutex::new(());
+    let _held = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    TTYPort::pair().expect("a pseudo-terminal")
 }
 
 /// The log's sentences without the recorder's stamps, as an instrument sends them.
@@ -190,7 +197,7 @@ fn udp_gives_the_states_of_the_file() {
 
 #[test]
 fn a_serial_port_gives_the_states_of_the_file() {
-    let (mut instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
+    let (mut instrument, port) = pseudo_terminal();
     let spec = nav_spec(vec![source(
         "s330",
         NavInputSpec::Serial {
@@ -214,6 +221,12 @@ fn a_serial_port_gives_the_states_of_the_file() {
     });
     pull_all(&mut inputs, &mut history, "serial");
     let instrument = writer.join().expect("wrote all");
+    // The last ping was covered before the last sentence: what was written meanwhile is still on its way.
+    let begun = Instant::now();
+    while inputs.counters()[0].decoder.sentences < 720 && begun.elapsed() < PATIENCE {
+        inputs.pull(UtcNs(0), &mut history);
+        std::thread::sleep(Duration::from_millis(2));
+    }
     same(&states(&mut history), &from_file());
     let counters = inputs.counters()[0].clone();
     assert_eq!(
@@ -229,7 +242,7 @@ fn a_vanished_serial_port_is_looked_for_and_found_again() {
     let directory = tempfile::tempdir().expect("a directory");
     let path = directory.path().join("mru");
     let plug_in = || {
-        let (instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
+        let (instrument, port) = pseudo_terminal();
         let _ = std::fs::remove_file(&path);
         std::os::unix::fs::symlink(port.name().expect("a name"), &path).expect("a link");
         (instrument, port)

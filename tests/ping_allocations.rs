@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use echotank::config;
 use echotank::config::spec::{Density, NavMode};
+use echotank::flow::Synthesis;
 use echotank::io::nav::NavInputs;
 use echotank::nav::Coverage;
 use echotank::ping::Schedule;
@@ -25,7 +26,9 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
         .iter_mut()
         .for_each(|seabed| seabed.density = Density::PerM2(0.5));
     for sonar in &mut spec.sonars {
-        sonar.model.synthesis = echotank::flow::Synthesis::Direct;
+        if sonar.model.synthesis == Synthesis::Reference {
+            sonar.model.synthesis = Synthesis::Direct;
+        }
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {

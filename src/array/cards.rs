@@ -10,7 +10,9 @@ use super::filter::{occupied_hz, oversample};
 
 /// ns per echo and sample of the recurrence.
 const SAMPLE_NS: f64 = 0.4;
-/// ns per echo of the engines on a grid, Doppler columns and transforms included: `tools/bench echo` has the figures of each.
+/// ns per echo of `gridded-2d`: each is spread once for a whole stretch of elements.
+const LINE_NS: f64 = 1.0;
+/// ns per echo of `gridded-1d`, Doppler columns and transforms included: `tools/bench echo` has the figures of each.
 const GRIDDED_NS: f64 = 30.0;
 /// ns per echo and sample of the reference.
 const REFERENCE_NS: f64 = 900.0;
@@ -63,6 +65,11 @@ pub fn synthesis_card(synthesis: Synthesis, conditions: &Conditions) -> MethodCa
             conditions.tolerance,
             GRIDDED_NS,
             "made for the tolerance".to_owned(),
+        ),
+        Synthesis::Gridded2d => (
+            conditions.tolerance,
+            LINE_NS,
+            "made for the tolerance, stretches of elements at a time".to_owned(),
         ),
     };
     MethodCard {

@@ -8,7 +8,7 @@ use super::{Failure, load};
 use crate::config;
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::echo::culling::left_out_share;
-use crate::run::pipeline::engine_card;
+use crate::run::pipeline::engine_cards;
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
@@ -38,10 +38,14 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
             let refuse = |why| {
                 Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
             };
-            if let Some(card) = engine_card(sonar, &spec.medium).map_err(refuse)? {
+            for card in engine_cards(sonar, &spec.medium).map_err(refuse)? {
+                let cost = match card.cost_ms > 0.0 {
+                    true => format!(", {:.2} ms per element on one core", card.cost_ms),
+                    false => String::new(),
+                };
                 println!(
-                    "engine       {}: {} within {:.1e}, {:.2} ms per element on one core ({})",
-                    sonar.name, card.name, card.error, card.cost_ms, card.why
+                    "engine       {}: {} within {:.1e}{cost} ({})",
+                    sonar.name, card.name, card.error, card.why
                 );
             }
         }

@@ -573,6 +573,8 @@ pub struct SynthesisSpec {
     pub certificate: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
+    /// Nearest scatterer for which `gridded-2d` is made.
+    pub nearest_m: f64,
 }
 
 impl Default for SynthesisSpec {
@@ -581,6 +583,7 @@ impl Default for SynthesisSpec {
             tolerance: 1e-3,
             certificate: false,
             frequency_step_hz: None,
+            nearest_m: 5.0,
         }
     }
 }

@@ -39,7 +39,8 @@ const FIND_NS: f64 = 3.0;
 const SOLVE_NS: f64 = 500.0;
 const POINT_NS: f64 = 0.5;
 
-/// Good enough for a cost.
+/// Elements that `gridded-2d` takes at a time; good enough for a cost, as is the next.
+const NOMINAL_STRETCH: f64 = 32.0;
 const NOMINAL_SOUND_SPEED_M_PER_S: f64 = 1500.0;
 
 /// Keeps these draws apart from everything else that is seeded with the same number.
@@ -306,9 +307,14 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         tolerance: spec.synthesis.tolerance,
     };
     let model = &spec.model;
-    let sum_ms = synthesis_card(model.synthesis, &conditions).cost_ms
-        + path_card(model.path, &conditions).cost_ms
+    let walk_ms = path_card(model.path, &conditions).cost_ms
         + doppler_card(model.doppler, model.path, &conditions).cost_ms;
+    // A whole line is walked once for a stretch of it.
+    let shared_by = match model.synthesis {
+        Synthesis::Gridded2d => NOMINAL_STRETCH,
+        _ => 1.0,
+    };
+    let sum_ms = synthesis_card(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;
     sum_ms * 1e6
 }
 

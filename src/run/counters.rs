@@ -32,8 +32,8 @@ pub struct PingCounters {
     pub certified: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
     pub certificate_faults: AtomicU64,
-    /// Echoes faster than the engine is made for.
-    pub too_fast: AtomicU64,
+    /// Echoes nearer or faster than the engine is made for.
+    pub beyond_engine: AtomicU64,
     /// Scatterers of the seabed, sums over the pings.
     pub seabed_made: AtomicU64,
     pub seabed_culled: AtomicU64,
@@ -60,7 +60,7 @@ impl PingCounters {
         add(&self.made, 1);
         add(&self.arrivals, counts.used);
         add(&self.culled, counts.culled);
-        add(&self.too_fast, counts.too_fast);
+        add(&self.beyond_engine, counts.beyond_engine);
         add(&self.samples_saturated, saturated);
         add(&self.compute_us, compute_us);
         worst(&self.worst_compute_us, compute_us);
@@ -99,9 +99,9 @@ impl PingCounters {
                 per_ping(&self.seabed_made)
             );
         }
-        match read(&self.too_fast) {
+        match read(&self.beyond_engine) {
             0 => {}
-            n => text += &format!(", {n} echoes too fast for the engine"),
+            n => text += &format!(", {n} echoes beyond what the engine is made for"),
         }
         if read(&self.certified) > 0 {
             let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.certificate[k])));

@@ -19,7 +19,7 @@ use crate::flow::{
 use crate::ping;
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
-const LEVEL_RANGE_DB: f64 = 80.0;
+pub const LEVEL_RANGE_DB: f64 = 80.0;
 
 /// Echoes of one element for which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
 const NOMINAL_ARRIVALS: usize = 30_000;

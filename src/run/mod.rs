@@ -4,6 +4,7 @@ pub mod counters;
 pub mod daemon;
 pub mod engines;
 mod footprints;
+pub mod line_engines;
 pub mod outputs;
 pub mod pipeline;
 pub mod recorders;

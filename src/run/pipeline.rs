@@ -13,6 +13,7 @@ use thiserror::Error;
 use crate::array::direct::Direct;
 use crate::array::filter::{self, Decimator, FilterError};
 use crate::array::gridded::{DopplerSpan, GriddedError};
+use crate::array::gridded2d::Refusal;
 use crate::array::linear::Linear;
 use crate::array::nearest::Nearest;
 use crate::array::receiver::receive;
@@ -33,6 +34,7 @@ use crate::ping;
 use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
 use crate::run::footprints::footprints;
+use crate::run::line_engines::LineEngines;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -44,6 +46,8 @@ pub enum PipelineError {
     Filter(#[from] FilterError),
     #[error("sonar.model.tolerance = {tolerance:e}: {why}")]
     Engine { tolerance: f64, why: GriddedError },
+    #[error("sonar.model.synthesis = \"gridded-2d\": {0}")]
+    LineEngine(#[from] Refusal),
 }
 
 /// What one thread needs while it computes one element.
@@ -79,6 +83,8 @@ pub struct SonarPipeline {
     spectrum: Option<Spectrum>,
     /// For `gridded-1d`.
     engines: Option<Engines>,
+    /// For `gridded-2d`.
+    line_engines: Option<LineEngines>,
     /// This ping's engine is at hand.
     engine_ready: bool,
     /// One per receive array, for `gridded-1d`: the Dopplers of this ping.
@@ -108,6 +114,10 @@ impl SonarPipeline {
             _ => None,
         };
         let segments = ping::most_segments(spec, medium.sound_speed_m_per_s);
+        let line_engines = match spec.model.synthesis {
+            Synthesis::Gridded2d => Some(line_engines(spec, medium, decimator.as_ref())?),
+            _ => None,
+        };
         let dense = match (&decimator, spec.model.synthesis) {
             (Some(d), Synthesis::Reference | Synthesis::Direct) => d.dense_len(limits.samples),
             _ => 0,
@@ -166,6 +176,7 @@ impl SonarPipeline {
             ],
             engine_ready: false,
             engines,
+            line_engines,
             certifier: match spec.synthesis.certificate {
                 true => {
                     let doppler_hz = doppler_hz(spec, medium);
@@ -259,7 +270,10 @@ impl SonarPipeline {
         }
         let rate_hz = self.spec.receiver.sample_rate_hz;
         match plan.model.synthesis {
-            Synthesis::Reference | Synthesis::Direct | Synthesis::Gridded1d => {}
+            Synthesis::Reference
+            | Synthesis::Direct
+            | Synthesis::Gridded1d
+            | Synthesis::Gridded2d => {}
             Synthesis::Spectral => {
                 if let Some(spectrum) = &mut self.spectrum {
                     spectrum.prepare(plan);
@@ -323,6 +337,10 @@ impl SonarPipeline {
         frame
             .iq
             .resize(elements * plan.sample_count, Complex64::ZERO);
+        if let Some(engines) = &mut self.line_engines {
+            let lit = &self.lit[self.spec.receive[index].transmit];
+            *counts += engines.synthesise(plan, &self.spec, index, lit, &mut frame.iq);
+        }
         let mut results = std::mem::take(&mut self.results);
         let this = &*self;
         frame
@@ -400,9 +418,11 @@ impl SonarPipeline {
                     .unwrap_or_else(PoisonError::into_inner);
                 work.start(first_s, self.spans[index]);
                 let mut counts = arrivals(plan, array, element, lit, walk, &mut *work);
-                counts.too_fast = work.finish(iq).outside_span;
+                counts.beyond_engine = work.finish(iq).outside_span;
                 counts
             }
+            // The whole array has been made already.
+            (Synthesis::Gridded2d, _) => EchoCounts::default(),
             (Synthesis::Direct | Synthesis::Gridded1d, _) => {
                 self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                     out.fill(Complex64::ZERO);
@@ -450,27 +470,43 @@ fn engines(
     })
 }
 
-/// What the engine that a sonar asks for promises, and its milliseconds of one core per element; none where it asks for none.
-pub fn engine_card(
+fn line_engines(
     spec: &SonarSpec,
     medium: &MediumSpec,
-) -> Result<Option<MethodCard>, PipelineError> {
+    filter: Option<&Decimator>,
+) -> Result<LineEngines, PipelineError> {
+    let c = medium.sound_speed_m_per_s;
+    let segments = ping::most_segments(spec, c);
+    let fastest = FASTEST_PLATFORM_M_PER_S;
+    Ok(LineEngines::new(spec, c, fastest, filter, segments)?)
+}
+
+/// What the engines that a sonar asks for promise, one for all its elements or one for each receive array; none where it asks for none.
+/// Costs are milliseconds of one core per element, 0 where they are not known.
+pub fn engine_cards(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Vec<MethodCard>, PipelineError> {
     if !spec.model.synthesis.keeps_tolerance() {
-        return Ok(None);
+        return Ok(Vec::new());
     }
     let filter = match spec.receiver.filter {
         ReceiverFilter::None => None,
         ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
     };
+    if spec.model.synthesis == Synthesis::Gridded2d {
+        let engines = line_engines(spec, medium, filter.as_ref())?;
+        return Ok(engines.cards().cloned().collect());
+    }
     let engines = engines(spec, medium, filter.as_ref())?;
-    Ok(Some(engines.card().clone()))
+    Ok(vec![engines.card().clone()])
 }
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
 fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
     let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
-    if spec.model.synthesis == Synthesis::Gridded1d {
+    if spec.model.synthesis.keeps_tolerance() {
         return engine_filter(&shortest, rate_hz, doppler_hz(spec, medium));
     }
     Decimator::new(

@@ -83,6 +83,17 @@ pub fn sonar<'t>(
         .table("model")
         .and_then(|t| model(t, filter, problems));
     let synthesis = table.table("model").and_then(|t| synthesis(t, problems));
+    if model.is_some_and(|m| m.synthesis == Synthesis::Gridded2d) {
+        for t in receive_tables
+            .iter()
+            .filter(|t| t.count("elements") == Some(1))
+        {
+            problems.refuse(
+                t.entry("elements"),
+                "must be at least 2 with synthesis = \"gridded-2d\", which wants lines",
+            );
+        }
+    }
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
@@ -538,9 +549,10 @@ fn model(
             .map(|d| format!("\"{}\"", d.name()))
             .collect::<Vec<_>>()
             .join(" or ");
-        let why = match synthesis.shares_pulse() {
-            true => "which lays one pulse under every echo",
-            false => "which stretches every echo evenly",
+        let why = match synthesis {
+            Synthesis::Gridded1d => "which stretches every echo evenly",
+            Synthesis::Gridded2d => "which places every echo where it is",
+            _ => "which lays one pulse under every echo",
         };
         problems.refuse(
             table.entry("doppler"),
@@ -548,6 +560,12 @@ fn model(
                 "must be {known} with synthesis = \"{}\", {why}",
                 synthesis.name()
             ),
+        );
+    }
+    if (synthesis, filter) == (Some(Synthesis::Gridded2d), Some(ReceiverFilter::None)) {
+        problems.refuse(
+            table.entry("synthesis"),
+            "needs receiver.rx_filter = \"fir\": a band that ends",
         );
     }
     let path = table.text("path")?;
@@ -582,12 +600,22 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
     };
     let keys = ["frequency_step_hz"];
     only_with(table, &keys, spectral, "synthesis = \"spectral\"", problems);
+    let line = match table.given("synthesis") {
+        true => table.text("synthesis").map(|s| s == "gridded-2d"),
+        false => Some(false),
+    };
+    let keys = ["nearest_m"];
+    only_with(table, &keys, line, "synthesis = \"gridded-2d\"", problems);
     Some(SynthesisSpec {
         tolerance: table.number("tolerance")?,
         certificate: table.bool("certificate")?,
         frequency_step_hz: match table.given("frequency_step_hz") {
             true => Some(table.number("frequency_step_hz")?),
             false => None,
+        },
+        nearest_m: match table.given("nearest_m") {
+            true => table.number("nearest_m")?,
+            false => SynthesisSpec::default().nearest_m,
         },
     })
 }

@@ -1,0 +1,103 @@
+//! `gridded-2d` for a sonar: an engine for each receive array, a whole line of elements at a time.
+//!
+//! Made once, for the longest pulse and the fastest platform. A pulse of another length rebuilds an engine's tables inside the first ping that
+//! has it.
+
+use std::sync::Mutex;
+
+use num_complex::Complex64;
+
+use crate::array::filter::Decimator;
+use crate::array::gridded::Dialect;
+use crate::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
+use crate::config::spec::SonarSpec;
+use crate::echo::walk::{Illuminated, LineEchoes, LineWorkspace};
+use crate::flow::{EchoCounts, MethodCard, PingPlan, Pulse};
+use crate::run::engines::LEVEL_RANGE_DB;
+
+/// Platforms turn no faster, rad/s: a roll of 10 degrees in 5 s.
+const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
+
+/// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
+const NOMINAL_SCATTERERS: usize = 300_000;
+
+/// One engine per receive array.
+pub struct LineEngines {
+    engines: Vec<Gridded2d>,
+    /// One per thread of the pool: no lock ever waits.
+    work: Vec<Mutex<LineWorkspace>>,
+    tolerance: f64,
+}
+
+impl LineEngines {
+    /// To be made inside the pool that will run it. `segments`: of the longest polyline.
+    pub fn new(
+        spec: &SonarSpec,
+        sound_speed_m_per_s: f64,
+        fastest_m_per_s: f64,
+        filter: Option<&Decimator>,
+        segments: usize,
+    ) -> Result<Self, Refusal> {
+        let longest = Pulse {
+            duration_s: spec.limits.pulse_duration_s.1,
+            ..spec.pulse
+        };
+        let engine = |array| {
+            Gridded2d::new(&Spec {
+                array,
+                pulse: &longest,
+                sound_speed_m_per_s,
+                sample_rate_hz: spec.receiver.sample_rate_hz,
+                filter,
+                model: &spec.model,
+                bounds: Bounds {
+                    nearest_m: spec.synthesis.nearest_m,
+                    greatest_slope: 1.0,
+                    along_m_per_s: fastest_m_per_s,
+                    across_m_per_s: fastest_m_per_s,
+                    turning_rad_per_s: FASTEST_TURN_RAD_PER_S,
+                },
+                tolerance: spec.synthesis.tolerance,
+                level_range_db: LEVEL_RANGE_DB,
+                scatterers: NOMINAL_SCATTERERS,
+                dialect: Dialect::best(),
+            })
+        };
+        Ok(Self {
+            engines: spec.receive.iter().map(engine).collect::<Result<_, _>>()?,
+            work: (0..rayon::current_num_threads())
+                .map(|_| Mutex::new(LineWorkspace::with_room_for(segments)))
+                .collect(),
+            tolerance: spec.synthesis.tolerance,
+        })
+    }
+
+    /// One per receive array.
+    pub fn cards(&self) -> impl Iterator<Item = &MethodCard> {
+        self.engines.iter().map(Gridded2d::card)
+    }
+
+    /// The samples of receive array `index`, element-major. Where a ping was nearer or faster than the engine is made for, by more than the
+    /// tolerance bears, all its echoes are counted as beyond it.
+    pub fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        spec: &SonarSpec,
+        index: usize,
+        lit: &Illuminated,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let engine = &mut self.engines[index];
+        let echoes = LineEchoes {
+            plan,
+            array: &spec.receive[index],
+            lit,
+            work: &self.work,
+        };
+        let mut counts = engine.synthesise(plan, &echoes, iq);
+        if engine.left_out() > self.tolerance {
+            counts.beyond_engine = counts.used;
+        }
+        counts
+    }
+}
