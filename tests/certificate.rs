@@ -7,7 +7,7 @@ use echotank::config::spec::RigSpec;
 use echotank::flow::*;
 use echotank::frames::{Trajectory, rotation_from_angles};
 use echotank::ping::{self, PingOrder};
-use echotank::run::certificate::{KEPT, LEAST};
+use echotank::run::certificate::{FAULT, KEPT, LEAST};
 use echotank::run::pipeline::SonarPipeline;
 use echotank::time::UtcNs;
 use glam::DVec3;
@@ -74,7 +74,8 @@ fn plan(rig: &RigSpec, number: u32) -> PingPlan {
     let sonar = &rig.sonars[0];
     let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
     plan.trajectory = Trajectory::uniform(
-        DVec3::new(0.01 * f64::from(number), 0.0, 0.0),
+        // Back and forth over the scene.
+        DVec3::new(0.01 * f64::from(number % 400), 0.0, 0.0),
         DVec3::new(5.0, 1.0, 0.3),
         rotation_from_angles(0.02, 0.01, 0.3),
     );
@@ -130,8 +131,18 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
     // The reference takes its time: once for each receiver.
     let mut known: Option<(&str, Vec<Complex64>)> = None;
     for (model, receiver) in [
-        ("doppler = \"stretch\"", "rx_filter = \"fir\""),
-        ("doppler = \"none\"", "rx_filter = \"fir\""),
+        (
+            "doppler = \"stretch\"\nsynthesis = \"direct\"",
+            "rx_filter = \"fir\"",
+        ),
+        (
+            "doppler = \"none\"\nsynthesis = \"direct\"",
+            "rx_filter = \"fir\"",
+        ),
+        (
+            "doppler = \"stretch\"\nsynthesis = \"gridded-1d\"\ntolerance = 1e-1",
+            "rx_filter = \"fir\"",
+        ),
         (
             "doppler = \"none\"\nsynthesis = \"linear\"",
             "rx_filter = \"fir\"",
@@ -140,7 +151,8 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
     ] {
         let lines = format!("{receiver}\n{QUIET}");
         let certified = rig(&format!("{model}\ncertificate = true"), &lines);
-        let pings = 400;
+        // Of a method that costs little, little may be spent on watching it.
+        let pings = if model.contains("gridded") { 4000 } else { 400 };
         let (certificates, got) = run(&certified, &scatterers, pings);
         let none = certificates.iter().take_while(|c| c.is_none()).count();
         let last = certificates
@@ -189,6 +201,22 @@ fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
     assert!(nothing.iter().all(Option::is_none));
     let last = certificates.last().copied().flatten().expect("enough");
     assert!(last.low > 0.5, "{last:?}");
+}
+
+/// One certificate above 1.3 tolerances is chance, two running are a fault; a method that keeps its tolerance has none.
+#[test]
+fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
+    let scatterers = scene(150);
+    for (tolerance, faulty) in [(1e-1, false), (1e-5, true)] {
+        let model = format!("certificate = true\ntolerance = {tolerance}\nsegment_ms = 5.0");
+        let (certificates, _) = run(&rig(&model, QUIET), &scatterers, 400);
+        let known: Vec<Certificate> = certificates.into_iter().flatten().collect();
+        let (first, last) = (known[0], known[known.len() - 1]);
+        assert_eq!(last.tolerance, tolerance);
+        assert!(!first.fault, "one ping is not two");
+        assert_eq!(last.fault, faulty, "{last:?}");
+        assert_eq!(last.error > FAULT * tolerance, faulty, "{last:?}");
+    }
 }
 
 #[test]

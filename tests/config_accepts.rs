@@ -323,7 +323,11 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         (&Some(track.clone()), &Some(track.clone()))
     );
     let seabed = scene.seabed.as_ref().expect("a seabed");
-    assert!(!seabed.speckle && seabed.density_per_m2 == 0.5 && seabed.lambert_db == -15.0);
+    assert!(
+        !seabed.speckle
+            && seabed.density == Density::PerM2(0.5)
+            && seabed.bottom == BottomSpec::BistaticLambert { mu_db: -15.0 }
+    );
     assert!(matches!(
         &seabed.shape,
         SeabedShape::EsriAscii { path, positive_up: false, offset_north_m, offset_east_m }
@@ -772,7 +776,7 @@ fn every_path_doppler_and_synthesis_goes_by_its_name() {
     for path in PathModel::ALL {
         for doppler in DopplerModel::ALL {
             for synthesis in Synthesis::ALL {
-                if synthesis.shares_pulse() && !doppler.keeps_pulse() {
+                if !synthesis.takes(doppler) {
                     continue;
                 }
                 let rig = with_model(&format!(
@@ -795,12 +799,34 @@ fn every_path_doppler_and_synthesis_goes_by_its_name() {
     }
     let spec = with_model("").sonars[0].synthesis;
     assert_eq!((spec.certificate, spec.frequency_step_hz), (false, None));
+    assert_eq!(spec.tolerance, 1e-3);
     let spec = with_model(
-        "certificate = true\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
+        "certificate = true\ntolerance = 2e-5\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
     );
     let spec = spec.sonars[0].synthesis;
     assert_eq!(
         (spec.certificate, spec.frequency_step_hz),
         (true, Some(2.5))
     );
+    assert_eq!(spec.tolerance, 2e-5);
+}
+
+/// The engine where it surely reaches its tolerance, else the exact sum.
+#[test]
+fn a_synthesis_left_out_is_the_engine_behind_the_filter_and_the_direct_sum_elsewhere() {
+    let chosen = |filter: &str, doppler: &str| {
+        let text = minimal().replace(
+            "sample_rate_khz = 40.0",
+            &format!("sample_rate_khz = 40.0\nrx_filter = \"{filter}\""),
+        );
+        let text = format!("{text}\n[sonar.model]\ndoppler = \"{doppler}\"\n");
+        parse(&text).sonars[0].model.synthesis
+    };
+    for doppler in ["none", "stretch"] {
+        assert_eq!(chosen("fir", doppler), Synthesis::Gridded1d);
+        assert_eq!(chosen("none", doppler), Synthesis::Direct);
+    }
+    for doppler in ["stretch-quadratic", "paper-eq21"] {
+        assert_eq!(chosen("fir", doppler), Synthesis::Direct);
+    }
 }

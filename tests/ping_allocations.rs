@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank::config;
-use echotank::config::spec::NavMode;
+use echotank::config::spec::{Density, NavMode};
 use echotank::io::nav::NavInputs;
 use echotank::nav::Coverage;
 use echotank::ping::Schedule;
@@ -23,7 +23,7 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     spec.scene
         .seabed
         .iter_mut()
-        .for_each(|seabed| seabed.density_per_m2 = 0.5);
+        .for_each(|seabed| seabed.density = Density::PerM2(0.5));
     for sonar in &mut spec.sonars {
         sonar.model.synthesis = echotank::flow::Synthesis::Direct;
     }

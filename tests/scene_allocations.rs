@@ -2,7 +2,9 @@
 
 mod counting;
 
-use echotank::config::spec::{SceneSpec, SeabedShape, SeabedSpec};
+use echotank::config::spec::{
+    BottomSpec, Density, IncidenceSpec, SceneSpec, SeabedShape, SeabedSpec,
+};
 use echotank::flow::{Footprint, Scatterers};
 use echotank::scene::Scene;
 use echotank::scene::tiles::TILE_BYTES;
@@ -20,8 +22,10 @@ fn a_moving_platform_gathers_without_allocating_after_warm_up() {
                 slope_north: 0.0,
                 slope_east: 0.0,
             },
-            density_per_m2: 1.0,
-            lambert_db: -27.0,
+            density: Density::PerM2(1.0),
+            bottom: BottomSpec::BistaticLambert { mu_db: -27.0 },
+            incidence: IncidenceSpec::Normal,
+            mosaic: None,
             speckle: true,
         }),
         points: None,

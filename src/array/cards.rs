@@ -10,6 +10,8 @@ use super::filter::{occupied_hz, oversample};
 
 /// ns per echo and sample of the recurrence.
 const SAMPLE_NS: f64 = 0.4;
+/// ns per echo of the engines on a grid, Doppler columns and transforms included: `tools/bench echo` has the figures of each.
+const GRIDDED_NS: f64 = 30.0;
 /// ns per echo and sample of the reference.
 const REFERENCE_NS: f64 = 900.0;
 
@@ -63,6 +65,11 @@ pub fn synthesis_card(synthesis: Synthesis, conditions: &Conditions) -> MethodCa
             linear_error(occupied_hz(pulse) / rate_hz),
             sampled * 3.0 * SAMPLE_NS,
             "interpolation between samples".to_owned(),
+        ),
+        Synthesis::Gridded1d => (
+            conditions.tolerance,
+            GRIDDED_NS,
+            "made for the tolerance".to_owned(),
         ),
     };
     MethodCard {

@@ -117,6 +117,11 @@ impl Decimator {
         self.taps.len() / 2
     }
 
+    /// How far the filter reaches to either side, seconds.
+    pub fn half_s(&self) -> f64 {
+        self.half() as f64 / self.dense_rate_hz()
+    }
+
     /// Rate of the dense samples.
     pub fn dense_rate_hz(&self) -> f64 {
         self.sample_rate_hz * self.oversample as f64

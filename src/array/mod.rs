@@ -3,7 +3,7 @@
 //! In: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
 //! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do.
 //! For comparison [`spectral`] sums them as the paper does, and [`nearest`] and [`linear`] as simple simulators do. [`gridded`] sums them on a
-//! grid within a tolerance; no pipeline uses it yet.
+//! grid within a tolerance.
 //!
 //! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
 
@@ -11,6 +11,7 @@ pub mod cards;
 pub mod direct;
 pub mod filter;
 pub mod gridded;
+pub mod gridded2d;
 pub mod linear;
 pub mod nearest;
 mod phasor;

@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::{Failure, load};
 use crate::config;
+use crate::run::pipeline::engine_card;
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
@@ -31,6 +32,17 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
     } else if let Some(path) = &args.config {
         let spec = load(path, &args.set)?;
         print!("{}", config::summary(&spec));
+        for sonar in &spec.sonars {
+            let refuse = |why| {
+                Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
+            };
+            if let Some(card) = engine_card(sonar, &spec.medium).map_err(refuse)? {
+                println!(
+                    "engine       {}: {} within {:.1e}, {:.2} ms per element on one core ({})",
+                    sonar.name, card.name, card.error, card.cost_ms, card.why
+                );
+            }
+        }
         println!("{}: ok", path.display());
     }
     Ok(())

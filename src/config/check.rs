@@ -3,19 +3,18 @@
 //! Each function reads one table and gives its part of the specification, or none if something in it is on the list of problems already.
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
+mod scene;
 pub(super) mod sonar;
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::keys;
 use super::problem::{ConfigErrors, Problem};
 use super::raw::{self, Problems, RawEntry, RawTable, plain};
 use super::spec::*;
 
-/// Storage of one scatterer of the scene, bytes: three coordinates, a normal, a complex strength, a law, and its share of the tiles' edges.
-const BYTES_PER_SCATTERER: f64 = 64.0;
 const MIB: u64 = 1 << 20;
 
 /// Reads and checks a configuration file, and that the files it names can be read. Opens nothing else.
@@ -205,9 +204,15 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         .iter()
         .filter_map(sonar::longest_range_m)
         .fold(0.0, f64::max);
+    let heads: Vec<_> = sonars.iter().flatten().collect();
+    let rig = scene::Rig {
+        sonars: &heads,
+        sound_speed_m_per_s: medium.as_ref().map(|m| m.sound_speed_m_per_s),
+        longest_range_m,
+    };
     let scene = table
         .table("scene")
-        .and_then(|t| scene(t, longest_range_m, problems));
+        .and_then(|t| scene::scene(t, &rig, problems));
     refuse_port_clashes(&listeners, problems);
 
     Some(RigSpec {
@@ -566,105 +571,4 @@ fn nav_input<'t>(
             baud: u32::try_from(table.integer("baud")?).ok()?,
         }),
     }
-}
-
-// ---------------------------------------------------------------- the scene
-
-fn scene(table: &RawTable, longest_range_m: f64, problems: &mut Problems) -> Option<SceneSpec> {
-    let seabed_table = table.table("seabed");
-    let seabed = seabed_table.and_then(|t| seabed(t, problems));
-    let gridded = match seabed_table {
-        Some(t) => t.text("shape").map(|s| s == "esri-ascii"),
-        None => Some(table.given("seabed")),
-    };
-    if table.text("extend") == Some("mirror") {
-        let condition = "a seabed of shape \"esri-ascii\"";
-        only_with(table, &["extend"], gridded, condition, problems);
-    }
-    only_with(
-        table,
-        &["targets"],
-        Some(table.given("seabed")),
-        "a seabed, on which they lie",
-        problems,
-    );
-    let memory_limit_bytes = u64::try_from(table.integer("memory_mib")?).ok()? * MIB;
-    if let Some(density_per_m2) = seabed_table.and_then(|t| t.number("density_per_m2")) {
-        let scatterers = density_per_m2 * std::f64::consts::PI * longest_range_m.powi(2);
-        let needed_mib = (scatterers * BYTES_PER_SCATTERER / MIB as f64).ceil();
-        if needed_mib > (memory_limit_bytes / MIB) as f64 {
-            problems.refuse(
-                table.entry("memory_mib"),
-                format!(
-                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers within {longest_range_m} m of the sonar (density_per_m2 = {density_per_m2})"
-                ),
-            );
-        }
-    }
-    Some(SceneSpec {
-        seed: u64::try_from(table.integer("seed")?).ok()?,
-        anchor_first_fix: table.text("anchor")? == "first-fix",
-        mirror: table.text("extend")? == "mirror",
-        seabed: match table.given("seabed") {
-            true => Some(seabed?),
-            false => None,
-        },
-        points: optional_file(table, "points")?,
-        targets: optional_file(table, "targets")?,
-        memory_limit_bytes,
-    })
-}
-
-/// The file, or that none was given; none if the one given is no good.
-fn optional_file(table: &RawTable, key: &str) -> Option<Option<PathBuf>> {
-    match table.given(key) {
-        true => table.path(key).map(Some),
-        false => Some(None),
-    }
-}
-
-fn seabed(table: &RawTable, problems: &mut Problems) -> Option<SeabedSpec> {
-    let shape = table.text("shape");
-    let is = |wanted: &str| shape.map(|s| s == wanted);
-    only_with(
-        table,
-        &["depth_m", "slope_north", "slope_east"],
-        is("plane"),
-        "shape = \"plane\"",
-        problems,
-    );
-    needed_with(table, "depth_m", is("plane"), "shape = \"plane\"", problems);
-    only_with(
-        table,
-        &["path", "values", "offset_north_m", "offset_east_m"],
-        is("esri-ascii"),
-        "shape = \"esri-ascii\"",
-        problems,
-    );
-    needed_with(
-        table,
-        "path",
-        is("esri-ascii"),
-        "shape = \"esri-ascii\"",
-        problems,
-    );
-    let shape = match shape? {
-        "plane" => SeabedShape::Plane {
-            depth_m: table.number("depth_m")?,
-            slope_north: table.number("slope_north")?,
-            slope_east: table.number("slope_east")?,
-        },
-        _ => SeabedShape::EsriAscii {
-            path: table.path("path")?,
-            positive_up: table.text("values")? == "elevation",
-            offset_north_m: table.number("offset_north_m")?,
-            offset_east_m: table.number("offset_east_m")?,
-        },
-    };
-    Some(SeabedSpec {
-        shape,
-        density_per_m2: table.number("density_per_m2")?,
-        lambert_db: table.number("lambert_db")?,
-        speckle: table.bool("speckle")?,
-    })
 }

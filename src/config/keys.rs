@@ -383,17 +383,23 @@ static SCENE: Table = Table {
             "targets",
             Kind::File,
             Optional("\"data/targets.csv\""),
-            "CSV of named strong targets laid over the seabed.",
+            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes) anywhere in the water.",
         ),
         key(
             "memory_mib",
             Kind::Integer(1, 1_048_576),
             Default("512"),
-            "Memory for the scatterers around the sonar.",
+            "Memory for the tiles of seabed around the sonar.",
+        ),
+        key(
+            "incidence",
+            Kind::Choice(&["normal", "flat"], &[]),
+            Default("\"normal\""),
+            "What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).",
         ),
         key("seabed", Kind::Table(&SEABED), Shown(""), ""),
     ],
-    later: &["occlusion", "simplify", "incidence"],
+    later: &["occlusion", "simplify"],
 };
 
 static SEABED: Table = Table {
@@ -448,16 +454,100 @@ static SEABED: Table = Table {
             "Only with shape = \"esri-ascii\".",
         ),
         key(
+            "density",
+            Kind::Choice(&["auto"], &[]),
+            Optional("\"auto\""),
+            "Five scatterers or more in every resolution cell of the finest sonar, c/(2 B) times beam width times range: fewer the farther away.",
+        ),
+        key(
             "density_per_m2",
             Kind::Number(above(0.0, 1.0e6)),
             Default("1.0"),
-            "Scatterers per square metre of the horizontal. The mean level does not depend on it; five or more per resolution cell make good speckle.",
+            "The same number everywhere, per square metre of the horizontal; not with density = \"auto\". The mean level does not depend on it.",
+        ),
+        key(
+            "bottom",
+            Kind::Choice(
+                &[
+                    "bistatic-lambert",
+                    "lambert",
+                    "three-term",
+                    "mud",
+                    "silt",
+                    "sand",
+                    "gravel",
+                    "rock",
+                ],
+                &[],
+            ),
+            Default("\"bistatic-lambert\""),
+            "The law of scattering. \"three-term\": mirror facets, Lambert and a slope between them; the names of sediments are three-term with values of their own.",
         ),
         key(
             "lambert_db",
             Kind::Number(from(-100.0, 20.0)),
             Default("-27.0"),
-            "Lambert's mu: mud about -35, sand -27, rock -15.",
+            "Lambert's mu: mud about -35, sand -27, rock -15. Not with the name of a sediment.",
+        ),
+        key(
+            "lambert_exponent",
+            Kind::Number(from(0.0, 10.0)),
+            Default("2.0"),
+            "Of the cosine. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "specular_db",
+            Kind::Number(from(-100.0, 30.0)),
+            Default("-5.0"),
+            "What the facets mirror at normal incidence. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "specular_width_deg",
+            Kind::Number(from(2.0, 60.0)),
+            Default("6.0"),
+            "Standard deviation of that lobe. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "intermediate_db",
+            Kind::Number(from(-100.0, 30.0)),
+            Default("-23.0"),
+            "The slope between the lobe and Lambert's law, at normal incidence. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "intermediate_width_deg",
+            Kind::Number(from(2.0, 80.0)),
+            Default("18.0"),
+            "Standard deviation of that slope. Only with bottom = \"three-term\".",
+        ),
+        key(
+            "mosaic",
+            Kind::File,
+            Optional("\"data/backscatter.asc\""),
+            "ESRI ASCII grid of backscattering strengths in dB, its centre at the scene's zero; holes keep the bottom's own.",
+        ),
+        key(
+            "mosaic_values",
+            Kind::Choice(&["absolute", "relative"], &[]),
+            Default("\"absolute\""),
+            "\"absolute\": strengths at mosaic_incidence_deg, to which the law is raised or lowered; \"relative\": to be added to it. Only with a mosaic.",
+        ),
+        key(
+            "mosaic_incidence_deg",
+            Kind::Number(from(0.0, 85.0)),
+            Default("45.0"),
+            "Only with mosaic_values = \"absolute\".",
+        ),
+        key(
+            "mosaic_offset_north_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Moves the mosaic's centre. Only with a mosaic.",
+        ),
+        key(
+            "mosaic_offset_east_m",
+            Kind::Number(METRES),
+            Default("0.0"),
+            "Moves the mosaic's centre. Only with a mosaic.",
         ),
         key(
             "speckle",
@@ -698,7 +788,7 @@ static RECEIVER: Table = Table {
         key(
             "rx_filter",
             Kind::Choice(&["none", "fir"], &[]),
-            Default("\"none\""),
+            Set("\"none\"", "\"fir\""),
             "\"fir\": a linear-phase low-pass ahead of the sampling, its delay removed.",
         ),
         key(
@@ -832,11 +922,24 @@ static MODEL: Table = Table {
         key(
             "synthesis",
             Kind::Choice(
-                &["reference", "direct", "spectral", "nearest", "linear"],
-                &["gridded", "gridded-1d", "gridded-2d"],
+                &[
+                    "reference",
+                    "direct",
+                    "gridded-1d",
+                    "spectral",
+                    "nearest",
+                    "linear",
+                ],
+                &["gridded", "gridded-2d"],
             ),
-            Default("\"direct\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down).",
+            Shown("\"gridded-1d\""),
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with doppler \"none\" or \"stretch\". For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
+        ),
+        key(
+            "tolerance",
+            Kind::Number(from(1e-8, 1e-1)),
+            Default("1e-3"),
+            "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what \"gridded-1d\" is made for, and what a certificate is held to.",
         ),
         key(
             "frequency_step_hz",
@@ -848,7 +951,7 @@ static MODEL: Table = Table {
             "certificate",
             Kind::Bool,
             Default("false"),
-            "Whether random samples are recomputed through the reference and the error found is printed.",
+            "Whether random samples are recomputed through the reference and the error found is printed. Above 1.3 times tolerance on two pings running it is a fault.",
         ),
         key(
             "segment_ms",
@@ -863,7 +966,7 @@ static MODEL: Table = Table {
             "Scatterers whose two-way pattern lies below are left out. Left out: all are kept.",
         ),
     ],
-    later: &["tolerance", "tolerance_image", "simd", "incidence"],
+    later: &["tolerance_image", "simd", "incidence"],
 };
 
 static BEAMS: Table = Table {

@@ -177,7 +177,7 @@ pub struct SceneSpec {
     pub seabed: Option<SeabedSpec>,
     /// Explicit scatterers, CSV.
     pub points: Option<PathBuf>,
-    /// Strong named targets laid over the seabed, CSV.
+    /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,
@@ -186,12 +186,106 @@ pub struct SceneSpec {
 #[derive(Clone, Debug)]
 pub struct SeabedSpec {
     pub shape: SeabedShape,
-    /// Scatterers per square metre of the horizontal.
-    pub density_per_m2: f64,
-    /// Lambert's mu, dB (power).
-    pub lambert_db: f64,
+    pub density: Density,
+    pub bottom: BottomSpec,
+    pub incidence: IncidenceSpec,
+    pub mosaic: Option<MosaicSpec>,
     /// Circular Gaussian reflectivity per scatterer (true) or 1.
     pub speckle: bool,
+}
+
+/// How much a square metre of seabed scatters back; powers in dB.
+#[derive(Clone, Debug, PartialEq)]
+pub enum BottomSpec {
+    /// mu cos i cos s.
+    BistaticLambert {
+        mu_db: f64,
+    },
+    /// mu cos^2 i of the incoming ray.
+    Lambert {
+        mu_db: f64,
+    },
+    ThreeTerm(ThreeTerm),
+    /// Three terms of its own.
+    Sediment(Sediment),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sediment {
+    Mud,
+    Silt,
+    Sand,
+    Gravel,
+    Rock,
+}
+
+impl Sediment {
+    pub const ALL: [Self; 5] = [Self::Mud, Self::Silt, Self::Sand, Self::Gravel, Self::Rock];
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mud => "mud",
+            Self::Silt => "silt",
+            Self::Sand => "sand",
+            Self::Gravel => "gravel",
+            Self::Rock => "rock",
+        }
+    }
+}
+
+/// A exp(-i^2 / 2 B^2) + C cos^D i + E exp(-i^2 / 2 F^2).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThreeTerm {
+    /// A and B.
+    pub specular_db: f64,
+    pub specular_rad: f64,
+    /// C and D.
+    pub lambert_db: f64,
+    pub lambert_exponent: f64,
+    /// E and F.
+    pub intermediate_db: f64,
+    pub intermediate_rad: f64,
+}
+
+/// What the angle of incidence is measured from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum IncidenceSpec {
+    /// The surface's own normal.
+    Normal,
+    /// The vertical (Meng et al. 2023, Eq. 9): right on flat bottoms alone.
+    Flat,
+}
+
+/// Backscattering strengths from place to place, in dB, on a grid of the same kinds and coordinates as the seabed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MosaicSpec {
+    pub path: PathBuf,
+    pub values: MosaicValues,
+    pub offset_north_m: f64,
+    pub offset_east_m: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MosaicValues {
+    /// Backscattering strength at this incidence: the bottom's law is raised or lowered to meet it.
+    Absolute { incidence_rad: f64 },
+    /// To be added to the bottom's own.
+    Relative,
+}
+
+/// How densely scatterers lie on the seabed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Density {
+    /// Per square metre of the horizontal, everywhere.
+    PerM2(f64),
+    /// At slant range r at least `per_cell` in every r `beam_rad` x `range_m`, the finest resolution cell of any sonar: fewer per square metre the
+    /// farther away, out to `longest_range_m`.
+    Auto {
+        per_cell: f64,
+        range_m: f64,
+        beam_rad: f64,
+        longest_range_m: f64,
+    },
 }
 
 #[derive(Clone, Debug)]
@@ -253,12 +347,25 @@ pub struct SonarSpec {
 }
 
 /// How the chosen synthesis is run and watched.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
+    /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
+    /// certificate is held to.
+    pub tolerance: f64,
     /// Recompute random samples through the reference.
     pub certificate: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
+}
+
+impl Default for SynthesisSpec {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-3,
+            certificate: false,
+            frequency_step_hz: None,
+        }
+    }
 }
 
 /// The ranges settings may move in, inclusive; buffers are sized from the maxima.

@@ -95,10 +95,34 @@ fn scene(scene: &SceneSpec) -> String {
             SeabedShape::EsriAscii { path, .. } => path.display().to_string(),
         };
         let mirrored = if scene.mirror { " mirrored" } else { "" };
-        parts.push(format!(
-            "{shape}{mirrored}, {} scatterers/m^2, Lambert {} dB",
-            seabed.density_per_m2, seabed.lambert_db
-        ));
+        let density = match seabed.density {
+            Density::PerM2(n) => format!("{n} scatterers/m^2"),
+            Density::Auto {
+                per_cell,
+                range_m,
+                beam_rad,
+                longest_range_m: far_m,
+            } => format!(
+                "{per_cell} scatterers or more in {:.1} cm x {:.2} degrees ({:.3}/m^2 at {far_m} m)",
+                range_m * 1e2,
+                beam_rad.to_degrees(),
+                per_cell / (range_m * beam_rad * far_m)
+            ),
+        };
+        let bottom = match &seabed.bottom {
+            BottomSpec::BistaticLambert { mu_db } => format!("Lambert {mu_db} dB"),
+            BottomSpec::Lambert { mu_db } => format!("Lambert of the incoming ray {mu_db} dB"),
+            BottomSpec::Sediment(s) => s.name().to_owned(),
+            BottomSpec::ThreeTerm(t) => format!(
+                "three terms {:.1} dB over {:.1} degrees, Lambert {} dB, {} dB over {:.1} degrees",
+                t.specular_db,
+                t.specular_rad.to_degrees(),
+                t.lambert_db,
+                t.intermediate_db,
+                t.intermediate_rad.to_degrees()
+            ),
+        };
+        parts.push(format!("{shape}{mirrored}, {density}, {bottom}"));
     }
     for (what, path) in [("points", &scene.points), ("targets", &scene.targets)] {
         if let Some(path) = path {
@@ -335,9 +359,22 @@ fn model(sonar: &SonarSpec) -> String {
         Some(db) => format!("scatterers below {db} dB left out"),
         None => "no scatterer left out".to_owned(),
     };
+    let certificate = match sonar.synthesis.certificate {
+        true => format!(", certified against {:.0e}", sonar.synthesis.tolerance),
+        false => String::new(),
+    };
     match model.synthesis {
-        Synthesis::Reference => format!("reference, {cull}"),
-        other => format!("{}, {path}, {doppler}, {cull}", other.name()),
+        Synthesis::Reference => format!("reference, {cull}{certificate}"),
+        other => {
+            let within = match other.keeps_tolerance() {
+                true => format!(" within {:.0e}", sonar.synthesis.tolerance),
+                false => String::new(),
+            };
+            format!(
+                "{}{within}, {path}, {doppler}, {cull}{certificate}",
+                other.name()
+            )
+        }
     }
 }
 

@@ -15,9 +15,13 @@ pub mod levels;
 pub mod paths;
 pub mod probe;
 pub mod reference;
+pub mod span;
 pub mod stretch;
 pub mod walk;
 
 pub use absorption::absorption_db_per_m;
 pub use reference::reference;
-pub use walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+pub use span::doppler_span;
+pub use walk::{
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, line_arrivals,
+};

@@ -123,15 +123,15 @@ fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
 /// One element on one segment of the polyline.
 #[derive(Clone, Copy, Debug)]
 pub struct Leg {
-    start_s: f64,
+    pub start_s: f64,
     /// Infinite on the last.
-    end_s: f64,
+    pub end_s: f64,
     /// Element at `start_s`, relative to the transmit position.
-    origin_m: DVec3,
+    pub origin_m: DVec3,
     /// In the path: zero for stop-and-hop.
-    velocity_m_per_s: DVec3,
+    pub velocity_m_per_s: DVec3,
     /// In the Doppler term: at `start_s`, and how it changes from there.
-    doppler: Motion,
+    pub doppler: Motion,
     array_from_world: DMat3,
 }
 
@@ -173,7 +173,19 @@ impl ElementTrack {
         array: &ArrayGeometry,
         element: usize,
     ) {
-        self.element_m = array.element_body_m(element);
+        self.lay_at(plan, transmit, array, array.element_x_m(element));
+    }
+
+    /// As [`Self::lay`], for a point `along_m` from the array's centre.
+    pub fn lay_at(
+        &mut self,
+        plan: &PingPlan,
+        transmit: &Transmit,
+        array: &ArrayGeometry,
+        along_m: f64,
+    ) {
+        self.element_m = array.mounting.position_m
+            + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
         self.body_from_array = array.mounting.body_from_array;
         self.sag_m = 0.0;
         self.legs.clear();
@@ -254,6 +266,18 @@ impl ElementTrack {
         self.end_s
     }
 
+    /// The leg on which an echo arrives at `time_s`, and its number.
+    pub fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
+        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
+        let at = at.saturating_sub(1);
+        (at, &self.legs[at])
+    }
+
+    /// The leg of that number.
+    pub fn leg(&self, number: usize) -> &Leg {
+        &self.legs[number]
+    }
+
     /// The farthest this element gets from the transmit position up to `time_s`, metres.
     pub fn reach_m(&self, time_s: f64) -> f64 {
         let mut reach_m: f64 = 0.0;
@@ -265,14 +289,37 @@ impl ElementTrack {
         reach_m + self.sag_m
     }
 
+    /// Tells `visit` the velocities that Doppler can see on this way: some, and how far others lie beside them, m/s.
+    pub fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
+        let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
+        for leg in &self.legs {
+            let end_s = leg.end_s.min(last_s).max(leg.start_s);
+            let Motion {
+                velocity_m_per_s: first,
+                acceleration_m_per_s2,
+            } = leg.doppler;
+            let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
+            let beside = match plan.model.path {
+                PathModel::Continuous => {
+                    // Twice the middle's distance from the chord bounds any smooth arc's.
+                    let middle_s = 0.5 * (leg.start_s + end_s);
+                    let middle = self.motion_at(plan, middle_s).velocity_m_per_s;
+                    2.0 * (middle - 0.5 * (first + last)).length()
+                }
+                _ => 0.0,
+            };
+            visit(first, beside);
+            visit(last, beside);
+        }
+    }
+
     /// The element's motion when an echo arrives, as Doppler sees it.
     pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {
             let pose = plan.trajectory.pose_at(time_s);
             return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
         }
-        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
-        let leg = &self.legs[at.saturating_sub(1)];
+        let (_, leg) = self.leg_at(time_s);
         let Motion {
             velocity_m_per_s: velocity,
             acceleration_m_per_s2,

@@ -13,7 +13,7 @@ use crate::flow::{
 };
 use crate::frames::Pose;
 
-use super::reference::Sonar;
+use super::reference::{Sonar, facing};
 
 /// Pieces into which the transmitter's way during the pulse is cut; between their ends it is the cubic of both places and velocities. A track
 /// whose acceleration steps by 1 m/s^2 within one is followed to 1e-10 m.
@@ -265,8 +265,7 @@ impl<'a> Prober<'a> {
         let amplitude = self.sonar.amplitude_seen_from(
             (at_m - self.transmit_m, self.transmit_attitude),
             (at_m - receive_m, attitude),
-            scatterers.law[i],
-            scatterers.normal[i],
+            facing(scatterers, i),
         );
         Some(Echo {
             delay_s: leading_s,

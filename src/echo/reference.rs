@@ -9,8 +9,8 @@ use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 
 use crate::flow::{
-    ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, PingPlan, ScatterLaw, Scatterers, TransmitArray,
-    edge_corrections,
+    ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, LawCurve, PingPlan, ScatterLaw, Scatterers,
+    TransmitArray, edge_corrections,
 };
 use crate::frames::Trajectory;
 
@@ -114,8 +114,7 @@ pub fn reference_with(
                 at_m - transmit_m,
                 at_m - receive_m,
                 leading_s,
-                scatterers.law[i],
-                scatterers.normal[i],
+                facing(scatterers, i),
             );
         let weights = EdgeWeights::new(leading_s, trailing_s, first_sample_s, rate_hz);
         let mut guess_s = 0.0;
@@ -268,6 +267,17 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
     x
 }
 
+/// What a scatterer makes of directions: law, normal, and the curve that comes with it.
+pub(super) type Facing<'a> = (ScatterLaw, [f32; 3], Option<&'a LawCurve>);
+
+pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {
+    (
+        scatterers.law[i],
+        scatterers.normal[i],
+        scatterers.curve.as_deref(),
+    )
+}
+
 /// The sonar equation for one element.
 pub(super) struct Sonar<'a> {
     track: &'a Trajectory,
@@ -307,15 +317,13 @@ impl<'a> Sonar<'a> {
         transmit_ray_m: DVec3,
         receive_ray_m: DVec3,
         leading_s: f64,
-        law: ScatterLaw,
-        normal: [f32; 3],
+        facing: Facing,
     ) -> f64 {
         let attitude = |time_s: f64| self.track.pose_at(time_s).world_from_body;
         self.amplitude_seen_from(
             (transmit_ray_m, attitude(0.0)),
             (receive_ray_m, attitude(leading_s)),
-            law,
-            normal,
+            facing,
         )
     }
 
@@ -324,8 +332,7 @@ impl<'a> Sonar<'a> {
         &self,
         (transmit_ray_m, transmit_attitude): (DVec3, DQuat),
         (receive_ray_m, receive_attitude): (DVec3, DQuat),
-        law: ScatterLaw,
-        normal: [f32; 3],
+        (law, normal, curve): Facing,
     ) -> f64 {
         let towards = |pattern: &Directivity, ray_m: DVec3, world_from_body: DQuat, mounting| {
             let array_from_world = DMat3::from_quat(world_from_body * mounting).transpose();
@@ -344,13 +351,20 @@ impl<'a> Sonar<'a> {
             receive_attitude,
             self.array.mounting.body_from_array,
         );
-        let law = match law {
-            ScatterLaw::Point => 1.0,
-            ScatterLaw::Lambert => {
-                let normal = DVec3::new(normal[0].into(), normal[1].into(), normal[2].into());
-                let facing = |ray_m: DVec3| (-normal.dot(ray_m.normalize_or_zero())).max(0.0);
-                (facing(transmit_ray_m) * facing(receive_ray_m)).sqrt()
+        let normal = DVec3::new(normal[0].into(), normal[1].into(), normal[2].into());
+        let facing = |ray_m: DVec3| (-normal.dot(ray_m.normalize_or_zero())).max(0.0);
+        let law = match (law, curve) {
+            (ScatterLaw::Point, _) => 1.0,
+            (ScatterLaw::Lambert, _) => (facing(transmit_ray_m) * facing(receive_ray_m)).sqrt(),
+            (ScatterLaw::LambertOneWay, _) => facing(transmit_ray_m),
+            (ScatterLaw::Curve, Some(curve)) => {
+                let half = |ray_m| match facing(ray_m) {
+                    0.0 => 0.0,
+                    cosine => curve.half(cosine.sqrt()),
+                };
+                half(transmit_ray_m) * half(receive_ray_m)
             }
+            (ScatterLaw::Curve, None) => 0.0,
         };
         self.gain
             * transmit

@@ -7,17 +7,23 @@
 //! the floor, and what has no amplitude at all (behind a baffle, on the far side of its patch). `illuminate` already drops what the
 //! transmit pattern alone puts below the floor; no element pattern exceeds 1, so that drops nothing the pair test would keep.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::flow::{
-    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, EchoCounts, PathModel, PingPlan,
-    ScatterLaw, Scatterers, TransmitArray,
+    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, EchoCounts, LawCurve, PathModel,
+    PingPlan, ScatterLaw, Scatterers, TransmitArray,
 };
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
-use super::paths::{Batch, ElementTrack, Rays, Transmit, refine, solve};
+use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
+
+mod line;
+
+pub use line::{LineEchoes, LineWorkspace, line_arrivals};
 
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +46,7 @@ impl Window {
 #[derive(Debug, Default)]
 pub struct Illuminated {
     window: Option<Window>,
-    transmit: Transmit,
+    pub(super) transmit: Transmit,
     /// Relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
@@ -50,15 +56,20 @@ pub struct Illuminated {
     amplitude: Vec<Complex64>,
     /// |transmit pattern|.
     level: Vec<f64>,
-    /// The receive half of the law is sqrt(max(0, bias - normal.ray)): 0 and the normal for Lambert, 1 and zero for points.
+    /// The receive half of the law is sqrt(max(0, bias - normal.ray)): 0 and the normal for Lambert, 1 and zero for points; or, where `curved`, the
+    /// curve's value there.
     bias: Vec<f32>,
+    curved: Vec<bool>,
+    curve: Option<Arc<LawCurve>>,
     normal_x: Vec<f32>,
     normal_y: Vec<f32>,
     normal_z: Vec<f32>,
     /// Transmitter's speed towards the scatterer, m/s.
     closing_m_per_s: Vec<f64>,
     /// Least and greatest `range_m` of each batch of [`CHUNK`].
-    batch_range_m: Vec<(f64, f64)>,
+    pub(super) batch_range_m: Vec<(f64, f64)>,
+    /// ... and of `closing_m_per_s`.
+    pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
 }
 
 impl Illuminated {
@@ -82,18 +93,20 @@ impl Illuminated {
         self.amplitude.clear();
         self.level.clear();
         self.bias.clear();
+        self.curved.clear();
         self.normal_x.clear();
         self.normal_y.clear();
         self.normal_z.clear();
         self.closing_m_per_s.clear();
         self.batch_range_m.clear();
+        self.batch_closing_m_per_s.clear();
     }
 }
 
 /// Scratch of one thread of [`arrivals`].
 #[derive(Default)]
 pub struct Workspace {
-    track: ElementTrack,
+    pub(super) track: ElementTrack,
     rays: Rays,
     heard: Heard,
     chunk: ArrivalChunk,
@@ -167,6 +180,8 @@ pub fn illuminate(
     lit.clear();
     lit.window = Some(window);
     lit.transmit = transmit;
+    lit.curve.clone_from(&scatterers.curve);
+    let curve = scatterers.curve.as_deref();
     let mut counts = EchoCounts::default();
     for i in 0..scatterers.len() {
         let ray_m = transmit.relative_m(scatterers.position_m(i));
@@ -178,13 +193,13 @@ pub fn illuminate(
         let ray = ray_m / range_m.max(f64::MIN_POSITIVE);
         let in_array = transmit.array_from_world * ray;
         let response = pattern.towards(in_array.x, in_array.y, in_array.z);
+        let n = scatterers.normal[i];
+        let facing = || (-(DVec3::new(n[0].into(), n[1].into(), n[2].into()).dot(ray))).max(0.0);
         let (law, bias, normal) = match scatterers.law[i] {
             ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
-            ScatterLaw::Lambert => {
-                let n = scatterers.normal[i];
-                let facing = -(DVec3::new(n[0].into(), n[1].into(), n[2].into()).dot(ray));
-                (facing.max(0.0).sqrt(), 0.0, n)
-            }
+            ScatterLaw::Lambert => (facing().sqrt(), 0.0, n),
+            ScatterLaw::LambertOneWay => (facing(), 1.0, [0.0; 3]),
+            ScatterLaw::Curve => (half_of_curve(curve, facing().sqrt()), 0.0, n),
         };
         let amplitude =
             scatterers.strength[i] * (source * response * law * one_way.amplitude(range_m));
@@ -200,18 +215,36 @@ pub fn illuminate(
         lit.amplitude.push(amplitude);
         lit.level.push(response.abs());
         lit.bias.push(bias);
+        lit.curved.push(scatterers.law[i] == ScatterLaw::Curve);
         lit.normal_x.push(normal[0]);
         lit.normal_y.push(normal[1]);
         lit.normal_z.push(normal[2]);
         lit.closing_m_per_s
             .push(transmit.motion.velocity_m_per_s.dot(ray));
     }
-    for batch in lit.range_m.chunks(CHUNK) {
-        let least_m = batch.iter().copied().fold(f64::INFINITY, f64::min);
-        let greatest_m = batch.iter().copied().fold(0.0, f64::max);
-        lit.batch_range_m.push((least_m, greatest_m));
-    }
+    lit.batch_range_m
+        .extend(lit.range_m.chunks(CHUNK).map(ends));
+    lit.batch_closing_m_per_s
+        .extend(lit.closing_m_per_s.chunks(CHUNK).map(ends));
     counts
+}
+
+/// Least and greatest.
+fn ends(values: &[f64]) -> (f64, f64) {
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
+            (least.min(x), most.max(x))
+        })
+}
+
+/// One leg of a scatterer on a curve: nothing on the far side.
+#[inline(always)]
+fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
+    match curve {
+        Some(curve) if root > 0.0 => curve.half(root),
+        _ => 0.0,
+    }
 }
 
 /// Echoes of everything lit at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
@@ -337,29 +370,43 @@ fn weigh(
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
-        return unsafe { weigh_avx2(receive, lit, span, rays, heard) };
+    if lit.curved[span.clone()].contains(&true) {
+        return weigh_as::<true>(receive, lit, span, rays, heard);
     }
-    weigh_plain(receive, lit, span, rays, heard);
+    weigh_as::<false>(receive, lit, span, rays, heard);
 }
 
-/// The AVX2 build of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn weigh_avx2(
+/// `CURVED`: some of the batch lie on the curve.
+fn weigh_as<const CURVED: bool>(
     receive: &ReceiveLeg,
     lit: &Illuminated,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    weigh_plain(receive, lit, span, rays, heard);
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+        return unsafe { weigh_avx2::<CURVED>(receive, lit, span, rays, heard) };
+    }
+    weigh_plain::<CURVED>(receive, lit, span, rays, heard);
+}
+
+/// The AVX2 build of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn weigh_avx2<const CURVED: bool>(
+    receive: &ReceiveLeg,
+    lit: &Illuminated,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    weigh_plain::<CURVED>(receive, lit, span, rays, heard);
 }
 
 #[inline(always)]
-fn weigh_plain(
+fn weigh_plain<const CURVED: bool>(
     receive: &ReceiveLeg,
     lit: &Illuminated,
     span: std::ops::Range<usize>,
@@ -372,6 +419,8 @@ fn weigh_plain(
     let normal_x = &lit.normal_x[span.clone()][..n];
     let normal_y = &lit.normal_y[span.clone()][..n];
     let normal_z = &lit.normal_z[span.clone()][..n];
+    let curved = &lit.curved[span.clone()][..n];
+    let curve = lit.curve.as_deref();
     let closing_m_per_s = &lit.closing_m_per_s[span][..n];
     for i in 0..n {
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
@@ -385,7 +434,10 @@ fn weigh_plain(
         let normal_along_ray =
             (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
                 * per_m;
-        let law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
+        let mut law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
+        if CURVED && curved[i] {
+            law = half_of_curve(curve, law);
+        }
         heard.range_m[i] = range_m;
         heard.gain[i] = receive.sensitivity * response * law * receive.one_way.amplitude(range_m);
         heard.level[i] = level[i] * response.abs();
@@ -466,6 +518,8 @@ mod tests {
         let lit = Illuminated {
             level: a.clone(),
             bias: (0..CHUNK).map(|k| (k % 2) as f32).collect(),
+            curved: (0..CHUNK).map(|k| k % 4 < 2).collect(),
+            curve: Some(Arc::new(LawCurve::new(|cosine| 0.1 + cosine.powi(3)))),
             normal_x: narrow(&a),
             normal_y: narrow(&b),
             normal_z: narrow(&c),
@@ -492,17 +546,23 @@ mod tests {
             one_way: OneWay::new(0.00375, 0.096),
             sensitivity: 1e-9,
         };
-        let run = |wide: bool| {
+        fn run<const CURVED: bool>(
+            wide: bool,
+            (receive, lit, rays): (&ReceiveLeg, &Illuminated, &Rays),
+        ) -> [[u64; CHUNK]; 4] {
             let mut heard = Heard::default();
             if wide {
                 // SAFETY: asked above.
-                unsafe { weigh_avx2(&receive, &lit, 0..CHUNK, &rays, &mut heard) };
+                unsafe { weigh_avx2::<CURVED>(receive, lit, 0..CHUNK, rays, &mut heard) };
             } else {
-                weigh_plain(&receive, &lit, 0..CHUNK, &rays, &mut heard);
+                weigh_plain::<CURVED>(receive, lit, 0..CHUNK, rays, &mut heard);
             }
             [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
-        };
-        assert!(run(true) == run(false));
-        assert!(run(true)[1].iter().filter(|&&g| g != 0).count() > 50);
+        }
+        let all = (&receive, &lit, &rays);
+        let (plain, curved) = (run::<false>(false, all), run::<true>(false, all));
+        assert!(run::<false>(true, all) == plain && run::<true>(true, all) == curved);
+        assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
+        assert!(plain[1] != curved[1]);
     }
 }

@@ -27,6 +27,8 @@ pub const KEPT: usize = 128;
 pub const LEAST: usize = 64;
 /// Of a ping's predicted cost. Of the real one, as CPU time: 3.3 % (5 elements, 42,936 points, continuous) and 3.2 % (the quickstart).
 pub const SHARE: f64 = 0.03;
+/// A certified error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
+pub const FAULT: f64 = 1.3;
 /// Looked at in one ping, at most.
 pub const MOST_PER_PING: usize = 64;
 /// A window's rms is taken over a pulse, but over this many samples at least.
@@ -73,6 +75,10 @@ pub struct Certifier {
     /// Relative square errors, the newest `KEPT`.
     recent: [f64; KEPT],
     seen: usize,
+    tolerance: f64,
+    /// The newest certificate was above [`FAULT`] tolerances, and so was the one before it.
+    above: bool,
+    fault: bool,
 }
 
 impl Certifier {
@@ -97,6 +103,9 @@ impl Certifier {
             credit_ns: 0.0,
             recent: [0.0; KEPT],
             seen: 0,
+            tolerance: spec.synthesis.tolerance,
+            above: false,
+            fault: false,
         })
     }
 
@@ -222,7 +231,20 @@ impl Certifier {
             self.recent[self.seen % KEPT] = probe.error;
             self.seen += 1;
         }
-        certificate(&self.recent[..self.seen.min(KEPT)])
+        let (samples, error, low, high) = estimate(&self.recent[..self.seen.min(KEPT)])?;
+        if self.active > 0 {
+            let above = error > FAULT * self.tolerance;
+            self.fault = above && self.above;
+            self.above = above;
+        }
+        Some(Certificate {
+            samples,
+            error,
+            low,
+            high,
+            tolerance: self.tolerance,
+            fault: self.fault,
+        })
     }
 
     /// One sample as the reference has it, from the `k`th instant's candidates.
@@ -281,6 +303,7 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         segment_s: spec.model.segment_s,
         scatterers: 1,
         elements: 1,
+        tolerance: spec.synthesis.tolerance,
     };
     let model = &spec.model;
     let sum_ms = synthesis_card(model.synthesis, &conditions).cost_ms
@@ -302,8 +325,8 @@ fn mean_square(iq: &[Complex64]) -> f64 {
     iq.iter().map(|x| x.norm_sqr()).sum::<f64>() / iq.len().max(1) as f64
 }
 
-/// Root mean of relative square errors, and the interval that their own scatter gives it.
-fn certificate(squares: &[f64]) -> Option<Certificate> {
+/// How many, the root mean of relative square errors, and both ends of the interval that their own scatter gives it.
+fn estimate(squares: &[f64]) -> Option<(u32, f64, f64, f64)> {
     if squares.len() < LEAST {
         return None;
     }
@@ -311,10 +334,10 @@ fn certificate(squares: &[f64]) -> Option<Certificate> {
     let mean = squares.iter().sum::<f64>() / n;
     let variance = squares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0);
     let two_sided = 1.96 * (variance / n).sqrt();
-    Some(Certificate {
-        samples: squares.len() as u32,
-        error: mean.sqrt(),
-        low: (mean - two_sided).max(0.0).sqrt(),
-        high: (mean + two_sided).sqrt(),
-    })
+    Some((
+        squares.len() as u32,
+        mean.sqrt(),
+        (mean - two_sided).max(0.0).sqrt(),
+        (mean + two_sided).sqrt(),
+    ))
 }

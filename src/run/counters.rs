@@ -30,6 +30,10 @@ pub struct PingCounters {
     pub extrapolated: AtomicU64,
     /// Pings that carried a certificate.
     pub certified: AtomicU64,
+    /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
+    pub certificate_faults: AtomicU64,
+    /// Echoes faster than the engine is made for.
+    pub too_fast: AtomicU64,
     /// The newest certificate: error, low, high, as the bits of f64.
     pub certificate: [AtomicU64; 3],
 }
@@ -51,6 +55,7 @@ impl PingCounters {
         add(&self.made, 1);
         add(&self.arrivals, counts.used);
         add(&self.culled, counts.culled);
+        add(&self.too_fast, counts.too_fast);
         add(&self.samples_saturated, saturated);
         add(&self.compute_us, compute_us);
         worst(&self.worst_compute_us, compute_us);
@@ -62,21 +67,31 @@ impl PingCounters {
             return;
         };
         add(&self.certified, 1);
+        add(&self.certificate_faults, u64::from(c.fault));
         for (to, value) in self.certificate.iter().zip([c.error, c.low, c.high]) {
             to.store(value.to_bits(), Ordering::Relaxed);
         }
     }
 
-    /// For the status lines; empty where no ping was certified.
-    fn certificate_text(&self) -> String {
-        if read(&self.certified) == 0 {
-            return String::new();
+    /// For the status lines: what the engine and the certificate have to say, if anything.
+    fn model_text(&self) -> String {
+        let mut text = String::new();
+        match read(&self.too_fast) {
+            0 => {}
+            n => text += &format!(", {n} echoes too fast for the engine"),
         }
-        let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.certificate[k])));
-        format!(
-            ", {} certified: error {error:.1e} ({low:.1e} to {high:.1e})",
-            read(&self.certified)
-        )
+        if read(&self.certified) > 0 {
+            let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.certificate[k])));
+            text += &format!(
+                ", {} certified: error {error:.1e} ({low:.1e} to {high:.1e})",
+                read(&self.certified)
+            );
+        }
+        match read(&self.certificate_faults) {
+            0 => {}
+            n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
+        }
+        text
     }
 
     /// Where the navigation behind a ping came from in time.
@@ -94,7 +109,7 @@ impl PingCounters {
             read(&self.made),
             read(&self.skipped_nav),
             read(&self.samples_saturated),
-            self.certificate_text()
+            self.model_text()
         )
     }
 
@@ -130,7 +145,7 @@ impl fmt::Display for PingCounters {
             read(&self.nav_age_ms),
             read(&self.extrapolated),
             read(&self.samples_saturated),
-            self.certificate_text(),
+            self.model_text(),
         )
     }
 }

@@ -214,6 +214,7 @@ impl Daemon {
             .collect();
         let pacer = Pacer {
             schedules: Vec::new(),
+            foreseen: vec![0; settings.len()],
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
             inputs,
@@ -286,6 +287,8 @@ struct Pacer {
     rig: Rig,
     inputs: NavInputs,
     settings: Vec<Arc<SettingsStore>>,
+    /// Versions of the settings that the pipelines have been told of.
+    foreseen: Vec<u64>,
     counters: Vec<Arc<PingCounters>>,
     clock: Arc<dyn Clock>,
     stop: Arc<AtomicBool>,
@@ -321,6 +324,7 @@ impl Pacer {
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
             self.renew_nav_lines(now);
+            self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
             if !self.inputs.finished() {
                 self.order(utc, &timeline);
@@ -404,6 +408,17 @@ impl Pacer {
                 .nav_lines
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner) = self.inputs.lines();
+        }
+    }
+
+    /// Tells the pipelines of settings that a topside has changed: what they need is made before the first ping that obeys them.
+    fn foresee(&mut self) {
+        for (sonar, settings) in self.settings.iter().enumerate() {
+            if settings.version() != self.foreseen[sonar] {
+                let (settings, version) = settings.snapshot();
+                self.rig.sonars[sonar].pipeline.expect(&settings);
+                self.foreseen[sonar] = version;
+            }
         }
     }
 

@@ -2,6 +2,7 @@
 pub mod certificate;
 pub mod counters;
 pub mod daemon;
+pub mod engines;
 pub mod outputs;
 pub mod pipeline;
 pub mod recorders;

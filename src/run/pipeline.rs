@@ -10,9 +10,11 @@ use std::sync::{Mutex, PoisonError};
 use glam::DVec3;
 use num_complex::Complex64;
 use rayon::prelude::*;
+use thiserror::Error;
 
 use crate::array::direct::Direct;
 use crate::array::filter::{self, Decimator, FilterError};
+use crate::array::gridded::{DopplerSpan, GriddedError};
 use crate::array::linear::Linear;
 use crate::array::nearest::Nearest;
 use crate::array::receiver::receive;
@@ -23,16 +25,27 @@ use crate::beam::conventional::FanFormer;
 use crate::beam::sidescan::LineFormer;
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::echo::reference::reference_with;
+use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, Pattern, PingOutput, PingPlan,
-    Pulse, ReceiverFilter, Scatterers, Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, Pattern, PingOutput,
+    PingPlan, Pulse, ReceiverFilter, Scatterers, SonarSettings, Synthesis,
 };
 use crate::ping;
 use crate::run::certificate::Certifier;
+use crate::run::engines::{Engines, Made, engine_filter};
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
+
+/// A sonar that cannot be computed as it is configured.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    #[error("receiver filter: {0}")]
+    Filter(#[from] FilterError),
+    #[error("sonar.model.tolerance = {tolerance:e}: {why}")]
+    Engine { tolerance: f64, why: GriddedError },
+}
 
 /// What one thread needs while it computes one element.
 #[derive(Default)]
@@ -65,6 +78,12 @@ pub struct SonarPipeline {
     decimator: Option<Decimator>,
     /// The pulse's spectrum, for `spectral`.
     spectrum: Option<Spectrum>,
+    /// For `gridded-1d`.
+    engines: Option<Engines>,
+    /// This ping's engine is at hand.
+    engine_ready: bool,
+    /// One per receive array, for `gridded-1d`: the Dopplers of this ping.
+    spans: Vec<DopplerSpan>,
     /// The sampled pulse, for `nearest` and `linear`.
     replica: Replica,
     /// Where certificates are asked for.
@@ -75,7 +94,7 @@ pub struct SonarPipeline {
 
 impl SonarPipeline {
     /// Sizes every buffer for the largest ping within the sonar's limits. To be made inside the pool that will run it.
-    pub fn new(spec: &SonarSpec, medium: &MediumSpec) -> Result<Self, FilterError> {
+    pub fn new(spec: &SonarSpec, medium: &MediumSpec) -> Result<Self, PipelineError> {
         let limits = RowLimits {
             sample_rate_hz: spec.receiver.sample_rate_hz,
             samples: ping::most_samples(spec, medium.sound_speed_m_per_s),
@@ -85,10 +104,15 @@ impl SonarPipeline {
             ReceiverFilter::None => None,
             ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
         };
+        let engines = match spec.model.synthesis {
+            Synthesis::Gridded1d => Some(engines(spec, medium, decimator.as_ref())?),
+            _ => None,
+        };
         let segments = ping::most_segments(spec, medium.sound_speed_m_per_s);
-        let dense = decimator
-            .as_ref()
-            .map_or(0, |d| d.dense_len(limits.samples));
+        let dense = match (&decimator, spec.model.synthesis) {
+            (Some(d), Synthesis::Reference | Synthesis::Direct) => d.dense_len(limits.samples),
+            _ => 0,
+        };
         let scratch = || Scratch {
             walk: Workspace::with_room_for(segments),
             dense: Vec::with_capacity(dense),
@@ -134,6 +158,15 @@ impl SonarPipeline {
             footprints: Vec::with_capacity(spec.transmit.len()),
             decimator,
             spectrum,
+            spans: vec![
+                DopplerSpan {
+                    least: 0.0,
+                    greatest: 0.0
+                };
+                spec.receive.len()
+            ],
+            engine_ready: false,
+            engines,
             certifier: match spec.synthesis.certificate {
                 true => {
                     let doppler_hz = doppler_hz(spec, medium);
@@ -175,6 +208,13 @@ impl SonarPipeline {
                 .collect(),
             counts: EchoCounts::default(),
             certificate: None,
+        }
+    }
+
+    /// Pings with these settings are about to come: what they need is made beside the ping path. Returns at once.
+    pub fn expect(&mut self, settings: &SonarSettings) {
+        if let Some(engines) = &mut self.engines {
+            engines.expect(settings);
         }
     }
 
@@ -230,7 +270,7 @@ impl SonarPipeline {
         }
         let rate_hz = self.spec.receiver.sample_rate_hz;
         match plan.model.synthesis {
-            Synthesis::Reference | Synthesis::Direct => {}
+            Synthesis::Reference | Synthesis::Direct | Synthesis::Gridded1d => {}
             Synthesis::Spectral => {
                 if let Some(spectrum) = &mut self.spectrum {
                     spectrum.prepare(plan);
@@ -244,6 +284,21 @@ impl SonarPipeline {
         let window = Window::of_samples(first_s, rate_hz, len);
         for (transmit, lit) in self.spec.transmit.iter().zip(&mut self.lit) {
             *counts += illuminate(plan, transmit, window, scatterers, lit);
+        }
+        if let Some(engines) = &mut self.engines {
+            self.engine_ready = engines.ready(plan);
+            let widest = engines.span();
+            let mut scratch = self.scratch[0]
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
+            for (span, array) in self.spans.iter_mut().zip(&self.spec.receive) {
+                let lit = &self.lit[array.transmit];
+                let (least, greatest) = doppler_span(plan, array, lit, &mut scratch.walk);
+                *span = DopplerSpan {
+                    least: least.clamp(widest.least, widest.greatest),
+                    greatest: greatest.clamp(widest.least, widest.greatest),
+                };
+            }
         }
     }
 
@@ -299,6 +354,12 @@ impl SonarPipeline {
         self.results = results;
     }
 
+    /// This ping's engine, for `gridded-1d`.
+    fn engine(&self) -> Option<&Made> {
+        let engines = self.engines.as_ref()?;
+        self.engine_ready.then(|| engines.current())
+    }
+
     /// A sum over echoes through the receiver filter, if there is one: `sum` gets what happens at edges, rate, first instant and samples.
     fn filtered(
         &self,
@@ -335,8 +396,8 @@ impl SonarPipeline {
         let Scratch { walk, dense, bins } = &mut *scratch;
         let lit = &self.lit[array.transmit];
         let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
-        let counts = match plan.model.synthesis {
-            Synthesis::Reference => {
+        let counts = match (plan.model.synthesis, self.engine()) {
+            (Synthesis::Reference, _) => {
                 let transmit = &self.spec.transmit[array.transmit];
                 self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                     reference_with(
@@ -344,24 +405,35 @@ impl SonarPipeline {
                     )
                 })
             }
-            Synthesis::Direct => self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-                out.fill(Complex64::ZERO);
-                let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                arrivals(plan, array, element, lit, walk, &mut sink)
-            }),
-            Synthesis::Spectral => {
+            (Synthesis::Gridded1d, Some(made)) => {
+                let mut work = made.work[thread]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                work.start(first_s, self.spans[index]);
+                let mut counts = arrivals(plan, array, element, lit, walk, &mut *work);
+                counts.too_fast = work.finish(iq).outside_span;
+                counts
+            }
+            (Synthesis::Direct | Synthesis::Gridded1d, _) => {
+                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+                    out.fill(Complex64::ZERO);
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                    arrivals(plan, array, element, lit, walk, &mut sink)
+                })
+            }
+            (Synthesis::Spectral, _) => {
                 let spectrum = self.spectrum.as_ref().expect("made with the pipeline");
                 let mut sink = Spectral::new(plan, spectrum, first_s, bins);
                 let counts = arrivals(plan, array, element, lit, walk, &mut sink);
                 sink.finish(iq);
                 counts
             }
-            Synthesis::Nearest => {
+            (Synthesis::Nearest, _) => {
                 iq.fill(Complex64::ZERO);
                 let mut sink = Nearest::new(plan, &self.replica, rate_hz, first_s, iq);
                 arrivals(plan, array, element, lit, walk, &mut sink)
             }
-            Synthesis::Linear => {
+            (Synthesis::Linear, _) => {
                 iq.fill(Complex64::ZERO);
                 let mut sink = Linear::new(plan, &self.replica, rate_hz, first_s, iq);
                 arrivals(plan, array, element, lit, walk, &mut sink)
@@ -377,10 +449,41 @@ impl SonarPipeline {
     }
 }
 
+fn engines(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    filter: Option<&Decimator>,
+) -> Result<Engines, PipelineError> {
+    let c = medium.sound_speed_m_per_s;
+    Engines::new(spec, c, FASTEST_PLATFORM_M_PER_S, filter).map_err(|why| PipelineError::Engine {
+        tolerance: spec.synthesis.tolerance,
+        why,
+    })
+}
+
+/// What the engine that a sonar asks for promises, and its milliseconds of one core per element; none where it asks for none.
+pub fn engine_card(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Option<MethodCard>, PipelineError> {
+    if !spec.model.synthesis.keeps_tolerance() {
+        return Ok(None);
+    }
+    let filter = match spec.receiver.filter {
+        ReceiverFilter::None => None,
+        ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
+    };
+    let engines = engines(spec, medium, filter.as_ref())?;
+    Ok(Some(engines.card().clone()))
+}
+
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
 fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
     let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
+    if spec.model.synthesis == Synthesis::Gridded1d {
+        return engine_filter(&shortest, rate_hz, doppler_hz(spec, medium));
+    }
     Decimator::new(
         &shortest,
         rate_hz,

@@ -2,14 +2,13 @@
 
 use thiserror::Error;
 
-use crate::array::filter::FilterError;
 use crate::config::spec::{MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
 use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
-use crate::run::pipeline::SonarPipeline;
+use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::scene::{Scene, SceneCounts, SceneError};
 use crate::time::UtcNs;
 
@@ -19,8 +18,8 @@ pub enum RigError {
     Scene(#[from] SceneError),
     #[error("navigation: {0}")]
     Nav(#[from] NavOpenError),
-    #[error("receiver filter: {0}")]
-    Filter(#[from] FilterError),
+    #[error("sonar {name}: {why}")]
+    Sonar { name: String, why: PipelineError },
 }
 
 /// A ping and everything it made, in buffers that are used again.
@@ -65,8 +64,12 @@ impl Rig {
                 // The law undoes the medium's own absorption, which only now is a number.
                 *law = absorption_db_per_m;
             }
+            let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
+                let name = sonar.name.clone();
+                RigError::Sonar { name, why }
+            })?;
             sonars.push(SonarUnit {
-                pipeline: SonarPipeline::new(&sonar, &spec.medium)?,
+                pipeline,
                 spec: sonar,
                 absorption_db_per_m,
             });

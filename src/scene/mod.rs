@@ -3,13 +3,16 @@
 //! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
 //! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
 //! coordinates, so that the seabed does not depend on where the scene is put.
-//! Not modelled: occlusion (shadows), bottom laws other than Lambert's, simplification, volume and surface scattering.
+//! Not modelled: occlusion (shadows), simplification, volume and surface scattering.
 
-pub mod ascii_grid;
+pub mod bottoms;
+mod draws;
+mod gather;
 pub mod points;
+mod pool;
+pub mod read;
 pub mod seabed;
 pub mod targets;
-mod text;
 pub mod tiles;
 
 #[cfg(test)]
@@ -17,13 +20,17 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use crate::config::spec::SceneSpec;
-use crate::flow::{Footprint, ScatterLaw, Scatterers, Target};
+use crate::flow::{Footprint, Scatterers, Target};
+use gather::Gatherer;
+use pool::TilePool;
+use read::{ascii_grid, text};
 use seabed::Surface;
+use targets::Targets;
 pub use text::{MAX_FILE_BYTES, Misread};
-use tiles::{Recipe, TILE_BYTES, TilePool};
+use tiles::{Levels, Recipe, TILE_BYTES};
 
 /// Normal of things that have none.
 const UP: [f32; 3] = [0.0, 0.0, -1.0];
@@ -52,10 +59,14 @@ pub struct SceneCounts {
     /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
     pub tiles_used: u64,
     pub tiles_made: u64,
-    /// Tiles around the footprints that were out of reach or held no seabed.
+    /// Pieces of the seabed around the footprints, one tile or many, that were out of reach or held no seabed.
     pub culled_tiles: u64,
-    /// Scatterers of the seabed, explicit points and targets handed on.
+    /// Scatterers of the seabed: those in the tiles that had to be made.
+    pub made: u64,
+    /// Those in the tiles in reach, which every ping looks at, are culled (in no footprint) or handed on.
+    pub culled: u64,
     pub scatterers: u64,
+    /// Explicit points and targets handed on.
     pub points: u64,
     pub targets: u64,
 }
@@ -69,21 +80,23 @@ pub struct Scene {
     seabed: Option<(Recipe, TilePool)>,
     /// Own coordinates.
     points: Scatterers,
-    own_targets: Vec<Target>,
+    own_targets: Targets,
     /// World.
     targets: Vec<Target>,
     /// The footprints of the gathering under way that hear something.
     heard: Vec<Footprint>,
+    gatherer: Gatherer,
 }
 
 impl Scene {
     /// Reads the scene's files. Its zero lies at the world's origin until [`Scene::place`].
-    /// `memory_limit_bytes` bounds the tiles; a grid takes 8 bytes a cell and explicit points about 53 each besides.
+    /// `memory_limit_bytes` bounds the tiles; besides, a grid takes 8 bytes a cell, an explicit point about 53, and so does every scatterer
+    /// that a ping hears.
     pub fn open(spec: &SceneSpec) -> Result<Self, SceneError> {
         let seabed = match &spec.seabed {
             None => None,
             Some(seabed) => {
-                let block_m = tiles::side_m(seabed.density_per_m2);
+                let block_m = Levels::new(&seabed.density).typical_side_m();
                 let surface = Surface::open(&seabed.shape, spec.mirror, block_m)?;
                 let capacity = spec.memory_limit_bytes / TILE_BYTES;
                 if capacity == 0 {
@@ -92,7 +105,11 @@ impl Scene {
                     });
                 }
                 let capacity = usize::try_from(capacity).unwrap_or(usize::MAX);
-                let recipe = Recipe::new(surface, seabed, spec.seed);
+                let mut recipe = Recipe::new(surface, seabed, spec.seed);
+                if let Some(mosaic) = &seabed.mosaic {
+                    let surface = Surface::open_mosaic(mosaic, spec.mirror, block_m)?;
+                    recipe = recipe.with_mosaic(surface, mosaic.values);
+                }
                 Some((recipe, TilePool::new(capacity)))
             }
         };
@@ -101,9 +118,10 @@ impl Scene {
             Some(path) => read(path, points::parse)?,
         };
         let targets = match &spec.targets {
-            None => Vec::new(),
+            None => Targets::default(),
             Some(path) => read(path, |bytes| {
-                targets::parse(bytes, |north_m, east_m| {
+                let toml = path.extension().is_some_and(|e| e == "toml");
+                Targets::parse(bytes, toml, spec.seed, |north_m, east_m| {
                     let (recipe, _) = seabed.as_ref()?;
                     Some(recipe.surface().sample(north_m, east_m)?.down_m)
                 })
@@ -114,9 +132,10 @@ impl Scene {
             anchor_first_fix: spec.anchor_first_fix,
             seabed,
             points,
-            own_targets: targets.clone(),
-            targets,
+            targets: targets.named().to_vec(),
+            own_targets: targets,
             heard: Vec::new(),
+            gatherer: Gatherer::default(),
         })
     }
 
@@ -127,7 +146,7 @@ impl Scene {
             return;
         }
         self.anchor_m = DVec2::new(anchor_north_m, anchor_east_m);
-        for (target, own) in self.targets.iter_mut().zip(&self.own_targets) {
+        for (target, own) in self.targets.iter_mut().zip(self.own_targets.named()) {
             target.position_m = own.position_m + self.anchor_m.extend(0.0);
         }
     }
@@ -144,21 +163,30 @@ impl Scene {
         Some(recipe.surface().sample(own.x, own.y)?.down_m)
     }
 
-    /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: all explicit points
-    /// (whatever the footprints, so that an outside calculation meets the same ones), the targets within range of any footprint, then the
-    /// seabed's scatterers that any footprint contains, tile by tile northward and in each row eastward.
+    /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
+    /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
+    /// ones), then the targets within range of any footprint.
     ///
-    /// Allocates only where `out` has never been so full and where the pool has not reached its limit; making a tile anew does not.
-    /// Walks over all tiles of the rectangle around all footprints: for arrays far apart, gather one after the other.
+    /// Works on all threads of the pool it is called in. Allocates only where `out` has never been so full and where the pool of tiles has
+    /// not reached its limit; making a tile anew does not.
     pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
         self.heard.clear();
         self.heard
             .extend(footprints.iter().filter(|f| hears_something(f)));
-        out.clear();
         let mut counts = SceneCounts::default();
+        let seabed = match &mut self.seabed {
+            None => 0,
+            Some((recipe, pool)) => {
+                let anchor_m = self.anchor_m.extend(0.0);
+                let heard = &self.heard;
+                self.gatherer
+                    .gather(recipe, pool, anchor_m, heard, out, &mut counts)
+            }
+        };
+        // Not cleared before: what is overwritten anyway need not be written twice.
+        out.truncate(seabed);
         self.gather_points(out, &mut counts);
         self.gather_targets(out, &mut counts);
-        self.gather_seabed(out, &mut counts);
         counts
     }
 
@@ -176,45 +204,14 @@ impl Scene {
     }
 
     fn gather_targets(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
-        for target in &self.targets {
-            let in_range = |f: &Footprint| f.apex_m.distance(target.position_m) <= f.max_range_m;
-            if self.heard.iter().any(in_range) {
-                let strength = targets::strength(target);
-                out.push(target.position_m, UP, strength, ScatterLaw::Point);
-                counts.targets += 1;
-            }
-        }
-    }
-
-    fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) {
-        let Some((recipe, pool)) = &mut self.seabed else {
-            return;
-        };
         let anchor_m = self.anchor_m.extend(0.0);
-        let Some((low, high)) = reach(&self.heard, anchor_m) else {
-            return;
-        };
-        for row in recipe.index_at(low.x)..=recipe.index_at(high.x) {
-            for col in recipe.index_at(low.y)..=recipe.index_at(high.y) {
-                let in_reach = recipe.bounds((row, col)).is_some_and(|tile_box| {
-                    self.heard
-                        .iter()
-                        .any(|f| tile_box.may_meet(f, f.apex_m - anchor_m))
-                });
-                if !in_reach {
-                    counts.culled_tiles += 1;
-                    continue;
-                }
-                let (tile, made) = pool.tile(recipe, (row, col));
-                counts.tiles_used += 1;
-                counts.tiles_made += u64::from(made);
-                for i in 0..tile.len() {
-                    let position_m = tile.position_m(i) + anchor_m;
-                    if self.heard.iter().any(|f| f.contains(position_m)) {
-                        out.push(position_m, tile.normal[i], tile.strength[i], tile.law[i]);
-                        counts.scatterers += 1;
-                    }
-                }
+        for target in 0..self.own_targets.len() {
+            let (center_m, radius_m) = self.own_targets.ball_m(target);
+            let center_m = center_m + anchor_m;
+            let in_range = |f: &Footprint| f.apex_m.distance(center_m) <= f.max_range_m + radius_m;
+            if self.heard.iter().any(in_range) {
+                self.own_targets.gather(target, anchor_m, out);
+                counts.targets += 1;
             }
         }
     }
@@ -226,17 +223,6 @@ fn hears_something(f: &Footprint) -> bool {
         && f.max_axis_sine >= 0.0
         && f.max_range_m >= 0.0
         && f.max_range_m.is_finite()
-}
-
-/// The horizontal rectangle around all footprints in the scene's own coordinates; none without footprints.
-fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
-    footprints
-        .iter()
-        .map(|f| {
-            let apex = (f.apex_m - anchor_m).truncate();
-            (apex - f.max_range_m, apex + f.max_range_m)
-        })
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
 /// Reads a file and gives its faults the file's name.

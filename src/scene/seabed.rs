@@ -4,7 +4,7 @@
 
 use super::SceneError;
 use super::ascii_grid::Grid;
-use crate::config::spec::SeabedShape;
+use crate::config::spec::{MosaicSpec, SeabedShape};
 
 /// The surface at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,6 +101,17 @@ impl Surface {
                 ))
             }
         }
+    }
+
+    /// Opens a mosaic: decibels take the place of depths.
+    pub fn open_mosaic(
+        mosaic: &MosaicSpec,
+        mirror: bool,
+        block_m: f64,
+    ) -> Result<Self, SceneError> {
+        let grid = super::read(&mosaic.path, Grid::parse)?;
+        let (north_m, east_m) = (mosaic.offset_north_m, mosaic.offset_east_m);
+        Ok(Self::from_grid(grid, mirror, north_m, east_m, block_m))
     }
 
     /// A surface of a grid of depths (positive down), its centre at the offset.

@@ -7,11 +7,15 @@ use glam::DVec3;
 use num_complex::Complex64;
 use proptest::prelude::*;
 
-use super::ascii_grid::Grid;
+use super::pool::TilePool;
+use super::read::ascii_grid::Grid;
 use super::seabed::Surface;
-use super::tiles::{Recipe, SCATTERERS_PER_TILE, TILE_BYTES, TileId, TilePool};
+use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Scene, SceneCounts, SceneError};
-use crate::config::spec::{SceneSpec, SeabedShape, SeabedSpec};
+use crate::config::spec::{
+    BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, SceneSpec, SeabedShape,
+    SeabedSpec, Sediment,
+};
 use crate::flow::{Footprint, ScatterLaw, Scatterers};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
@@ -25,8 +29,10 @@ const MU: f64 = -27.0;
 fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec {
     SeabedSpec {
         shape,
-        density_per_m2,
-        lambert_db: MU,
+        density: Density::PerM2(density_per_m2),
+        bottom: BottomSpec::BistaticLambert { mu_db: MU },
+        incidence: IncidenceSpec::Normal,
+        mosaic: None,
         speckle,
     }
 }
@@ -53,10 +59,28 @@ fn plane_recipe(slope_north: f64, slope_east: f64, density_per_m2: f64, speckle:
     Recipe::new(surface, &seabed(shape, density_per_m2, speckle), 42)
 }
 
-fn make(recipe: &Recipe, id: TileId) -> Scatterers {
-    let mut tile = Scatterers::default();
+fn id((row, col): (i64, i64)) -> TileId {
+    TileId { level: 0, row, col }
+}
+
+fn make_id(recipe: &Recipe, id: TileId) -> Tile {
+    let mut tile = Tile::default();
     recipe.make(id, &mut tile);
     tile
+}
+
+fn make(recipe: &Recipe, at: (i64, i64)) -> Tile {
+    make_id(recipe, id(at))
+}
+
+fn side_m(density_per_m2: f64) -> f64 {
+    Levels::new(&Density::PerM2(density_per_m2)).tile_m(0).x
+}
+
+fn strengths(tile: &Tile) -> impl Iterator<Item = Complex64> {
+    tile.strength
+        .iter()
+        .map(|s| Complex64::new(s.re.into(), s.im.into()))
 }
 
 fn all_round(apex_m: DVec3, max_range_m: f64) -> Footprint {
@@ -70,18 +94,27 @@ fn all_round(apex_m: DVec3, max_range_m: f64) -> Footprint {
 
 type Bits = Vec<[u64; 5]>;
 
+fn bits_of(at_m: DVec3, strength: Complex64) -> [u64; 5] {
+    [at_m.x, at_m.y, at_m.z, strength.re, strength.im].map(f64::to_bits)
+}
+
 fn bits(s: &Scatterers) -> Bits {
     (0..s.len())
-        .map(|i| {
-            [
-                s.north_m[i].to_bits(),
-                s.east_m[i].to_bits(),
-                s.down_m[i].to_bits(),
-                s.strength[i].re.to_bits(),
-                s.strength[i].im.to_bits(),
-            ]
-        })
+        .map(|i| bits_of(s.position_m(i), s.strength[i]))
         .collect()
+}
+
+fn tile_bits(tile: &Tile) -> Bits {
+    strengths(tile)
+        .enumerate()
+        .map(|(i, strength)| bits_of(tile.position_m(i), strength))
+        .collect()
+}
+
+/// In an order of their own, for lists that were found on different ways.
+fn sorted(mut bits: Bits) -> Bits {
+    bits.sort();
+    bits
 }
 
 /// A grid of the given heights (northern row first) with 2 m cells.
@@ -103,41 +136,50 @@ fn rough(rows: usize, cols: usize) -> Vec<f64> {
 
 // ---------------------------------------------------------------- the generator
 
-/// The values come from a calculation of its own: ChaCha8 after RFC 8439's block function with 4 double rounds, a 64-bit counter and
-/// stream (Bernstein 2008), double-precision elementary functions of another library.
+/// The values come from a calculation of its own: Philox 4x32-10 after Salmon et al. 2011 and double precision throughout.
 #[test]
-fn a_tile_equals_an_independent_calculation_from_the_cipher_up() {
+fn a_tile_equals_an_independent_calculation_from_the_counter_up() {
     let tile = make(&plane_recipe(0.1, -0.2, 4.0, true), (-3, 5));
     for (i, north, east, down, re, im) in [
         (
             0,
-            -47.62083550034969,
-            80.08132315540439,
-            29.221651818884148,
-            -0.010663000378334118,
-            0.008660007182665692,
+            -47.54981681879144,
+            80.47614950372372,
+            29.14978841737611,
+            -0.024020358841567013,
+            -0.0002671544120588489,
         ),
         (
             1,
-            -47.99297933044434,
-            80.97655339980965,
-            29.005391386993633,
-            -0.013135094811045165,
-            0.005919629818837098,
+            -47.95539595268201,
+            80.72313598461915,
+            29.059833207807966,
+            0.0184666207225399,
+            -0.011515826882138631,
         ),
         (
             7,
-            -47.84702514092009,
-            83.79906342899042,
-            28.455484800109904,
-            0.0001740177521002559,
-            0.00883131928288808,
+            -47.90157032595016,
+            83.89568225946277,
+            28.430706515512426,
+            0.011677412509702025,
+            -0.006073603458321611,
+        ),
+        (
+            100,
+            -46.25174694729503,
+            82.4470168191474,
+            28.88542194144102,
+            0.03181422686989878,
+            -0.01377684166942741,
         ),
     ] {
         let moved = tile.position_m(i).distance(DVec3::new(north, east, down));
-        let changed = (tile.strength[i] - Complex64::new(re, im)).norm();
+        let strength = strengths(&tile).nth(i).unwrap();
+        let changed = (strength - Complex64::new(re, im)).norm();
+        // Places and strengths are kept in single precision: 1e-6 of 8 m and of 0.02.
         assert!(
-            moved < 1e-12 && changed < 1e-16,
+            moved < 2e-6 && changed < 2e-8,
             "scatterer {i}: {moved:e} m, {changed:e}"
         );
     }
@@ -146,8 +188,13 @@ fn a_tile_equals_an_independent_calculation_from_the_cipher_up() {
 #[test]
 fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
     let recipe = plane_recipe(0.05, 0.02, 4.0, true);
-    let ids: Vec<TileId> = (-2..2).flat_map(|r| (-3..1).map(move |c| (r, c))).collect();
-    let fresh: Vec<Bits> = ids.iter().map(|id| bits(&make(&recipe, *id))).collect();
+    let ids: Vec<TileId> = (-2..2)
+        .flat_map(|r| (-3..1).map(move |c| id((r, c))))
+        .collect();
+    let fresh: Vec<Bits> = ids
+        .iter()
+        .map(|id| tile_bits(&make_id(&recipe, *id)))
+        .collect();
     for (i, a) in fresh.iter().enumerate() {
         assert!(fresh[..i].iter().all(|b| a != b), "no two tiles are alike");
     }
@@ -159,13 +206,8 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
             .chain((0..16).rev())
             .chain((0..16).map(|i| i * 7 % 16));
         for i in order {
-            let (tile, new) = pool.tile(&recipe, ids[i]);
-            assert_eq!(
-                bits(tile),
-                fresh[i],
-                "tile {:?}, room for {capacity}",
-                ids[i]
-            );
+            let (tile, new) = asked(&mut pool, &recipe, &[ids[i]]).remove(0);
+            assert_eq!(tile, fresh[i], "tile {:?}, room for {capacity}", ids[i]);
             made += usize::from(new);
         }
         println!("room for {capacity}: {made} made for 48 questions");
@@ -173,16 +215,53 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
     }
 }
 
+/// Asks a pool for tiles: what each holds and whether it had to be made.
+fn asked(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, bool)> {
+    let mut places = Vec::new();
+    pool.places(ids, &mut places);
+    places
+        .iter()
+        .map(|place| {
+            (
+                pool.work(place, recipe, |tile| tile_bits(tile)),
+                place.stale,
+            )
+        })
+        .collect()
+}
+
 #[test]
 fn the_tile_not_used_for_longest_makes_room() {
     let recipe = plane_recipe(0.0, 0.0, 4.0, true);
     let mut pool = TilePool::new(2);
-    let mut made = |id| pool.tile(&recipe, id).1;
+    let mut made = |at| asked(&mut pool, &recipe, &[id(at)])[0].1;
     assert!(made((0, 0)) && made((0, 1)));
     assert!(!made((0, 0)), "still there");
     assert!(made((0, 2)), "takes the room of (0, 1)");
     assert!(!made((0, 0)), "used since (0, 1)");
     assert!(made((0, 1)));
+    // Of two asked for together, the one that is there does not make room for the other, whatever the order.
+    let both = asked(&mut pool, &recipe, &[id((5, 5)), id((0, 0))]);
+    assert_eq!((both[0].1, both[1].1), (true, false));
+}
+
+#[test]
+fn a_pool_full_of_strangers_hands_out_the_right_tiles() {
+    let recipe = plane_recipe(0.0, 0.0, 4.0, true);
+    let mut pool = TilePool::new(7);
+    // A walk over a torus of 11 x 5 tiles in groups of up to 7 that overlap.
+    for step in 0..200_i64 {
+        let group: Vec<TileId> = (0..=step % 7)
+            .map(|k| id(((step * 3 + k) % 11, (step + 2 * k) % 5)))
+            .collect();
+        for (id, (got, _)) in group.iter().zip(asked(&mut pool, &recipe, &group)) {
+            assert_eq!(
+                got,
+                tile_bits(&make_id(&recipe, *id)),
+                "step {step}, {id:?}"
+            );
+        }
+    }
 }
 
 #[test]
@@ -190,7 +269,7 @@ fn seeds_give_different_tiles() {
     let shape = FLAT;
     let with = |seed, id| {
         let surface = Surface::open(&shape, false, 1.0).unwrap();
-        bits(&make(
+        tile_bits(&make(
             &Recipe::new(surface, &seabed(shape.clone(), 4.0, true), seed),
             id,
         ))
@@ -209,8 +288,10 @@ fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
     for row in 0..10 {
         for col in 0..10 {
             let tile = make(&recipe, (row, col));
-            north.extend(tile.north_m);
-            east.extend(tile.east_m);
+            for i in 0..tile.len() {
+                north.push(tile.position_m(i).x);
+                east.push(tile.position_m(i).y);
+            }
         }
     }
     let jitter = |x: &[f64]| -> Vec<f64> {
@@ -258,9 +339,9 @@ fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
 fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_inside() {
     for density in [0.25, 3.0, 40.0] {
         let recipe = plane_recipe(0.1, 0.0, density, true);
-        for id in [(0, 0), (-1, 4), (1000, -1000)] {
-            let tile = make(&recipe, id);
-            let b = recipe.bounds(id).unwrap();
+        for at in [(0, 0), (-1, 4), (1000, -1000)] {
+            let tile = make(&recipe, at);
+            let b = recipe.bounds(id(at)).unwrap();
             let area_m2 = (b.high_m.x - b.low_m.x) * (b.high_m.y - b.low_m.y);
             let want = area_m2 * density;
             assert!(
@@ -271,7 +352,7 @@ fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_in
             for i in 0..tile.len() {
                 let p = tile.position_m(i);
                 assert!(
-                    p.cmpge(b.low_m - 1e-9).all() && p.cmple(b.high_m + 1e-9).all(),
+                    p.cmpge(b.low_m - 1e-4).all() && p.cmple(b.high_m + 1e-4).all(),
                     "{p} outside {b:?}"
                 );
             }
@@ -311,10 +392,10 @@ fn the_mean_intensity_does_not_depend_on_the_density() {
             for col in 0..tiles {
                 let tile = make(&recipe, (row, col));
                 count += tile.len();
-                sum += tile.strength.iter().map(Complex64::norm_sqr).sum::<f64>();
+                sum += strengths(&tile).map(|s| s.norm_sqr()).sum::<f64>();
             }
         }
-        let side_m = f64::from(tiles) * super::tiles::side_m(density);
+        let side_m = tiles as f64 * side_m(density);
         let want = mu * side_m * side_m / 20.0_f64.to_radians().cos();
         let (error, allowed) = (sum / want - 1.0, 4.0 / (count as f64).sqrt());
         println!(
@@ -331,8 +412,8 @@ fn the_mean_intensity_does_not_depend_on_the_density() {
 fn without_speckle_every_strength_is_the_root_of_mu_times_the_patch() {
     let tile = make(&plane_recipe(0.3, -0.4, 2.0, false), (7, 7));
     let want = (10.0_f64.powf(MU / 10.0) * 0.5 * 1.25_f64.sqrt()).sqrt();
-    for s in &tile.strength {
-        assert!((s - want).norm() < 1e-15, "{s} against {want}");
+    for s in strengths(&tile) {
+        assert!((s - want).norm() < 1e-7 * want, "{s} against {want}");
     }
     let noisy = make(&plane_recipe(0.3, -0.4, 2.0, true), (7, 7));
     assert_eq!(noisy.north_m, tile.north_m, "speckle moves nothing");
@@ -359,7 +440,7 @@ fn reflectivities_are_rayleigh_in_amplitude_and_uniform_in_phase() {
     let scale = (10.0_f64.powf(MU / 10.0) / 4.0).sqrt();
     let mut r = Vec::new();
     for col in 0..50 {
-        r.extend(make(&recipe, (0, col)).strength.iter().map(|s| s / scale));
+        r.extend(strengths(&make(&recipe, (0, col))).map(|s| s / scale));
     }
     let amplitude = smirnov(r.iter().map(|z| z.norm()).collect(), |a| {
         1.0 - (-a * a).exp()
@@ -395,7 +476,10 @@ fn normals_stand_on_the_plane_and_point_up() {
             assert!(n.dot(along).abs() < 1e-6, "{n} against {along}");
         }
     }
-    assert!(tile.law.iter().all(|l| *l == ScatterLaw::Lambert));
+    assert_eq!(
+        plane_recipe(0.0, 0.0, 1.0, true).bottom().law,
+        ScatterLaw::Lambert
+    );
 }
 
 // ---------------------------------------------------------------- surfaces
@@ -444,7 +528,8 @@ fn the_speckle_is_not_mirrored_with_the_surface() {
     let tile = make(&recipe, (0, 0));
     assert_eq!(tile.len(), SCATTERERS_PER_TILE);
     for i in 0..tile.len() {
-        let image = DVec3::new(8.0 - tile.north_m[i], tile.east_m[i], tile.down_m[i]);
+        let at = tile.position_m(i);
+        let image = DVec3::new(8.0 - at.x, at.y, at.z);
         let twin = (0..tile.len()).find(|j| tile.position_m(*j).distance(image) < 1e-3 && *j != i);
         assert_eq!(twin, None, "scatterer {i} has a mirror image");
     }
@@ -461,18 +546,18 @@ fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_give_nothing() 
     assert!(surface.sample(29.1, 0.0).is_none() && surface.sample(0.0, -39.1).is_none());
     assert!(surface.sample(0.0, -10.0).is_none(), "the hole");
     let recipe = Recipe::new(surface, &seabed(FLAT, 4.0, true), 42);
-    assert_eq!(recipe.bounds((5, 0)), None, "beyond the end");
+    assert_eq!(recipe.bounds(id((5, 0))), None, "beyond the end");
     let (mut count, mut inside) = (0, 0);
     for row in -3..3 {
         for col in -4..4 {
             let tile = make(&recipe, (row, col));
             count += tile.len();
             for i in 0..tile.len() {
-                let (n, e) = (tile.north_m[i], tile.east_m[i]);
-                inside += usize::from(n.abs() <= 29.0 && e.abs() <= 39.0);
+                let (n, e) = (tile.position_m(i).x, tile.position_m(i).y);
+                inside += usize::from(n.abs() <= 29.0 + 1e-5 && e.abs() <= 39.0 + 1e-5);
                 // Rows 10..20 and columns 5..25 of centres, and the squares about them, from north 29 and east -39.
                 let hole =
-                    n > 29.0 - 40.0 && n < 29.0 - 18.0 && e > -39.0 + 8.0 && e < -39.0 + 50.0;
+                    n > -11.0 + 1e-5 && n < 11.0 - 1e-5 && e > -31.0 + 1e-5 && e < 11.0 - 1e-5;
                 assert!(!hole, "a scatterer in the hole at {n} {e}");
             }
         }
@@ -486,7 +571,7 @@ proptest! {
     #[test]
     fn a_tiles_box_holds_its_scatterers_on_any_grid(
         rows in 2usize..12, cols in 2usize..12, density in 0.05..20.0_f64, mirror: bool,
-        holes in prop::collection::vec(0usize..144, 0..20), row in -6i32..6, col in -6i32..6,
+        holes in prop::collection::vec(0usize..144, 0..20), row in -6i64..6, col in -6i64..6,
         offset in -30.0..30.0_f64,
     ) {
         let mut heights = rough(rows, cols);
@@ -494,15 +579,15 @@ proptest! {
             let count = heights.len();
             heights[hole % count] = -9999.0;
         }
-        let block_m = super::tiles::side_m(density);
+        let block_m = side_m(density);
         let surface = Surface::from_grid(grid(rows, cols, &heights), mirror, offset, -offset, block_m);
         let recipe = Recipe::new(surface, &seabed(FLAT, density, true), 1);
         let tile = make(&recipe, (row, col));
-        match recipe.bounds((row, col)) {
+        match recipe.bounds(id((row, col))) {
             None => prop_assert!(tile.is_empty()),
             Some(b) => for i in 0..tile.len() {
                 let p = tile.position_m(i);
-                prop_assert!(p.cmpge(b.low_m - 1e-9).all() && p.cmple(b.high_m + 1e-9).all(), "{} outside {:?}", p, b);
+                prop_assert!(p.cmpge(b.low_m - 1e-4).all() && p.cmple(b.high_m + 1e-4).all(), "{} outside {:?}", p, b);
             },
         }
     }
@@ -579,14 +664,15 @@ proptest! {
                 want.push(p, all.normal[i], all.strength[i], all.law[i]);
             }
         }
-        prop_assert_eq!(bits(&got), bits(&want));
+        let want = sorted(bits(&want));
+        prop_assert_eq!(&sorted(bits(&got)), &want);
         prop_assert_eq!(counts.scatterers, got.len() as u64);
         // A pool with room for one tile gives the same.
         spec.memory_limit_bytes = TILE_BYTES;
         let mut poor = Scene::open(&spec).unwrap();
         poor.place(anchor[0], anchor[1]);
         poor.gather(&footprints, &mut got);
-        prop_assert_eq!(bits(&got), bits(&want));
+        prop_assert_eq!(&sorted(bits(&got)), &want);
     }
 }
 
@@ -598,7 +684,7 @@ fn written(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn points_come_always_and_first_targets_within_range_and_the_seabed_last() {
+fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
     let (_keep_points, points) = written(
         "points.csv",
         "north_m,east_m,down_m,amplitude,amplitude_imag\n1,2,3,0.5,-0.25\n9000,0,10,1,0\n",
@@ -630,17 +716,20 @@ fn points_come_always_and_first_targets_within_range_and_the_seabed_last() {
     assert_eq!((counts.points, counts.targets), (2, 1));
     assert_eq!(out.len() as u64, 3 + counts.scatterers);
     assert!(counts.scatterers > 1000 && counts.tiles_made == counts.tiles_used);
-    assert_eq!(out.position_m(0), DVec3::new(1001.0, -1998.0, 3.0));
-    assert_eq!(out.strength[0], Complex64::new(0.5, -0.25));
-    assert_eq!(out.position_m(1), DVec3::new(10_000.0, -2000.0, 10.0));
-    assert_eq!(out.position_m(2), DVec3::new(1010.0, -2000.0, 49.0));
-    assert_eq!(out.strength[2], Complex64::from(10.0));
-    assert_eq!(out.law[2], ScatterLaw::Point);
+    let n = counts.scatterers as usize;
+    assert!(out.law[..n].iter().all(|l| *l == ScatterLaw::Lambert));
+    assert_eq!(out.position_m(n), DVec3::new(1001.0, -1998.0, 3.0));
+    assert_eq!(out.strength[n], Complex64::new(0.5, -0.25));
+    assert_eq!(out.position_m(n + 1), DVec3::new(10_000.0, -2000.0, 10.0));
+    assert_eq!(out.position_m(n + 2), DVec3::new(1010.0, -2000.0, 49.0));
+    assert_eq!(out.strength[n + 2], Complex64::from(10.0));
+    assert_eq!(out.law[n + 2], ScatterLaw::Point);
     let again = scene.gather(&[footprint], &mut out);
     assert_eq!(
         again,
         SceneCounts {
             tiles_made: 0,
+            made: 0,
             ..counts
         },
         "nothing is made twice"
@@ -754,5 +843,299 @@ fn the_quickstart_targets_open_over_the_recorded_seabed() {
     assert!(scene.targets().len() >= 12);
     for t in scene.targets() {
         assert!((48.0..52.3).contains(&t.position_m.z), "{t:?}");
+    }
+}
+
+// ---------------------------------------------------------------- levels
+
+/// A cell of 5 cm x 1 degree: 5 in it at every range up to 200 m.
+const AUTO: Density = Density::Auto {
+    per_cell: 5.0,
+    range_m: 0.05,
+    beam_rad: 0.017_453_292_519_943_295,
+    longest_range_m: 200.0,
+};
+
+fn auto_recipe(slope_north: f64) -> Recipe {
+    let shape = SeabedShape::Plane {
+        depth_m: 10.0,
+        slope_north,
+        slope_east: 0.0,
+    };
+    let surface = Surface::open(&shape, false, 1.0).unwrap();
+    let spec = SeabedSpec {
+        density: AUTO,
+        ..seabed(shape, 1.0, true)
+    };
+    Recipe::new(surface, &spec, 42)
+}
+
+#[test]
+fn every_range_has_five_scatterers_per_cell_and_less_than_eleven() {
+    let levels = Levels::new(&AUTO);
+    for range_m in [2.0, 3.0, 3.99, 4.0, 10.0, 63.0, 64.1, 150.0, 200.0] {
+        let cell_m2 = 0.05 * range_m * 0.017_453_292_519_943_295;
+        let got = levels.density_per_m2(levels.at(range_m)) * cell_m2;
+        println!("{range_m} m: level {}, {got:.2}", levels.at(range_m));
+        // The coarsest level serves up to the longest range whatever is left of its octave.
+        assert!(
+            (5.0 - 1e-9..10.0 + 1e-9).contains(&got),
+            "{range_m} m: {got}"
+        );
+    }
+}
+
+#[test]
+fn two_halves_cover_a_tile_and_each_of_its_scatterers_is_one_of_theirs_or_of_their_halves() {
+    let recipe = auto_recipe(0.1);
+    for level in 1..6 {
+        for (row, col) in [(0, 0), (-1, 3), (-7, -2)] {
+            let whole = TileId { level, row, col };
+            let [a, b] = whole.halves();
+            let boxes = [whole, a, b].map(|id| recipe.bounds(id).unwrap());
+            let area =
+                |b: &super::tiles::TileBox| (b.high_m.x - b.low_m.x) * (b.high_m.y - b.low_m.y);
+            assert!((area(&boxes[0]) - area(&boxes[1]) - area(&boxes[2])).abs() < 1e-9);
+            for half in &boxes[1..] {
+                assert!(half.low_m.cmpge(boxes[0].low_m - 1e-9).all());
+                assert!(half.high_m.cmple(boxes[0].high_m + 1e-9).all());
+            }
+            let (tile, finer) = (
+                make_id(&recipe, whole),
+                [a, b].map(|id| make_id(&recipe, id)),
+            );
+            let places: Vec<(DVec3, Complex64)> = finer
+                .iter()
+                .flat_map(|t| strengths(t).enumerate().map(|(i, s)| (t.position_m(i), s)))
+                .collect();
+            assert_eq!((tile.len(), places.len()), (1024, 2048));
+            for (i, strength) in strengths(&tile).enumerate() {
+                let at = tile.position_m(i);
+                let twin = places.iter().find(|(p, _)| p.distance(at) < 1e-5);
+                let (_, finer) = twin.expect("a scatterer of the finer level");
+                let ratio = strength / finer;
+                assert!((ratio - 2.0_f64.sqrt()).norm() < 1e-6, "{ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_mean_intensity_is_the_same_at_every_level() {
+    let mu = 10.0_f64.powf(MU / 10.0);
+    let recipe = auto_recipe(0.0);
+    for level in 0..7 {
+        let (mut sum, mut count) = (0.0, 0);
+        for row in 0..4 {
+            for col in 0..4 {
+                let tile = make_id(&recipe, TileId { level, row, col });
+                count += tile.len();
+                sum += strengths(&tile).map(|s| s.norm_sqr()).sum::<f64>();
+            }
+        }
+        let tile_m = recipe.levels().tile_m(level);
+        let (want, allowed) = (16.0 * mu * tile_m.x * tile_m.y, 4.0 / (count as f64).sqrt());
+        let error = sum / want - 1.0;
+        println!("level {level}: {count} scatterers, off by {error:+.4}");
+        assert!(
+            error.abs() < allowed,
+            "level {level}: {error}, allowed {allowed}"
+        );
+    }
+}
+
+#[test]
+fn coarse_levels_have_no_bragg_lines_either() {
+    // As above: 10 dB by chance once in 22 000.
+    let recipe = auto_recipe(0.0);
+    for level in [1, 2, 5] {
+        let cell_m = recipe.levels().cell_m(level);
+        let places: Vec<DVec3> = (0..10)
+            .flat_map(|row| (0..10).map(move |col| TileId { level, row, col }))
+            .map(|id| make_id(&recipe, id))
+            .flat_map(|t| (0..t.len()).map(|i| t.position_m(i)).collect::<Vec<_>>())
+            .collect();
+        // Lines of the level's own cells, of the halves they were chosen from, and of the tiles.
+        for (p, q) in [
+            (1.0, 0.0),
+            (0.0, 1.0),
+            (2.0, 0.0),
+            (0.0, 2.0),
+            (1.0, 1.0),
+            (1.0 / 32.0, 0.0),
+        ] {
+            let sum: Complex64 = places
+                .iter()
+                .map(|at| Complex64::cis(TAU * (p * at.x / cell_m.x + q * at.y / cell_m.y)))
+                .sum();
+            let db = 10.0 * (sum.norm_sqr() / places.len() as f64).log10();
+            assert!(db < 10.0, "level {level}: {db:.1} dB at ({p}, {q})");
+        }
+    }
+}
+
+#[test]
+fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
+    let spec = SceneSpec {
+        seabed: Some(SeabedSpec {
+            density: AUTO,
+            ..seabed(FLAT, 1.0, true)
+        }),
+        ..spec(None, 4000)
+    };
+    let footprint = all_round(DVec3::new(3.0, -4.0, 0.0), 120.0);
+    let gathered = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            let mut scene = Scene::open(&spec).unwrap();
+            let mut out = Scatterers::default();
+            let counts = scene.gather(&[footprint], &mut out);
+            (bits(&out), counts, out)
+        })
+    };
+    let (one, counts, out) = gathered(1);
+    let (two, ..) = gathered(2);
+    assert_eq!(one, two, "threads");
+    println!("{counts:?}");
+    assert_eq!(counts.made, counts.culled + counts.scatterers);
+    // Per ring of 10 m: five or more per cell, and the intensity of the ring's area.
+    let mu = 10.0_f64.powf(MU / 10.0);
+    for ring in 5..12 {
+        let (near_m, far_m) = (10.0 * f64::from(ring), 10.0 * f64::from(ring) + 10.0);
+        let (mut count, mut sum) = (0.0, 0.0);
+        for i in 0..out.len() {
+            let range_m = out.position_m(i).distance(footprint.apex_m);
+            if (near_m..far_m).contains(&range_m) {
+                count += 1.0;
+                sum += out.strength[i].norm_sqr();
+            }
+        }
+        // Slant rings on a plane: pi (far^2 - near^2), whatever the depth.
+        let area_m2 = PI * (far_m * far_m - near_m * near_m);
+        let per_cell = count / area_m2 * 0.05 * near_m * 0.017_453_292_519_943_295;
+        let (error, allowed) = (sum / (mu * area_m2) - 1.0, 5.0 / f64::sqrt(count));
+        println!(
+            "{near_m} m: {count} scatterers, {per_cell:.1} per cell, intensity off by {error:+.4}"
+        );
+        assert!(
+            (4.4..10.5).contains(&per_cell),
+            "{near_m} m: {per_cell} per cell"
+        );
+        assert!(
+            error.abs() < allowed,
+            "{near_m} m: {error}, allowed {allowed}"
+        );
+    }
+}
+
+// ---------------------------------------------------------------- bottoms
+
+#[test]
+fn flat_incidence_turns_the_normals_up_and_leaves_all_else() {
+    let shape = SeabedShape::Plane {
+        depth_m: 50.0,
+        slope_north: 0.3,
+        slope_east: 0.2,
+    };
+    let made = |incidence| {
+        let spec = SeabedSpec {
+            incidence,
+            ..seabed(shape.clone(), 2.0, true)
+        };
+        let surface = Surface::open(&shape, false, 1.0).unwrap();
+        make(&Recipe::new(surface, &spec, 42), (0, 0))
+    };
+    let (own, flat) = (made(IncidenceSpec::Normal), made(IncidenceSpec::Flat));
+    assert_eq!(tile_bits(&own), tile_bits(&flat));
+    assert!(flat.normal.iter().all(|n| *n == [0.0, 0.0, -1.0]));
+    assert!(own.normal.iter().all(|n| n[0] > 0.2));
+}
+
+#[test]
+fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() {
+    // 4 x 4 cells of 2 m: -20 dB in the south, -40 dB in the north, a hole in the north-east.
+    let values = [
+        -40.0, -40.0, -40.0, -9999.0, -40.0, -40.0, -40.0, -40.0, -20.0, -20.0, -20.0, -20.0,
+        -20.0, -20.0, -20.0, -20.0,
+    ];
+    let text: Vec<String> = values.iter().map(|v: &f64| v.to_string()).collect();
+    let (_keep, path) = written(
+        "mosaic.asc",
+        &format!(
+            "ncols 4 nrows 4 xllcorner 0 yllcorner 0 cellsize 2 {}",
+            text.join(" ")
+        ),
+    );
+    let incidence_rad = 30.0_f64.to_radians();
+    for (values, bottom) in [
+        (
+            MosaicValues::Absolute { incidence_rad },
+            BottomSpec::Sediment(Sediment::Sand),
+        ),
+        (
+            MosaicValues::Absolute { incidence_rad },
+            BottomSpec::Lambert { mu_db: -27.0 },
+        ),
+        (
+            MosaicValues::Relative,
+            BottomSpec::Sediment(Sediment::Gravel),
+        ),
+    ] {
+        let mosaic = MosaicSpec {
+            path: path.clone(),
+            values,
+            offset_north_m: 0.0,
+            offset_east_m: 0.0,
+        };
+        let mut seabed = SeabedSpec {
+            bottom: bottom.clone(),
+            mosaic: Some(mosaic),
+            ..seabed(FLAT, 4.0, false)
+        };
+        let gathered = |seabed: &SeabedSpec| {
+            let spec = SceneSpec {
+                anchor_first_fix: false,
+                ..spec(Some(seabed.clone()), 100)
+            };
+            let mut scene = Scene::open(&spec).unwrap();
+            let mut out = Scatterers::default();
+            scene.gather(&[all_round(DVec3::ZERO, 51.0)], &mut out);
+            out
+        };
+        let with = gathered(&seabed);
+        seabed.mosaic = None;
+        let without = gathered(&seabed);
+        assert_eq!(with.law, without.law);
+        let own = super::bottoms::Bottom::new(&bottom);
+        let own_db = 10.0 * own.strength(incidence_rad).log10();
+        let (mut south, mut north, mut outside) = (0, 0, 0);
+        for i in 0..with.len() {
+            let at = with.position_m(i);
+            let got_db = 20.0 * (with.strength[i] / without.strength[i]).norm().log10();
+            let set_db = |db: f64| match values {
+                MosaicValues::Absolute { .. } => db - own_db,
+                MosaicValues::Relative => db,
+            };
+            let inside = at.x.abs() <= 3.0 && at.y.abs() <= 3.0;
+            let (want_db, count) = match inside {
+                true if at.x < -1.0 => (set_db(-20.0), &mut south),
+                true if at.x > 1.0 && at.y < 1.0 => (set_db(-40.0), &mut north),
+                true if at.x > 1.0 => (0.0, &mut outside),
+                true => continue,
+                false => (0.0, &mut outside),
+            };
+            *count += 1;
+            assert!(
+                (got_db - want_db).abs() < 1e-5,
+                "{at}: {got_db} dB against {want_db}"
+            );
+        }
+        assert!(
+            south > 30 && north > 20 && outside > 100,
+            "{south} {north} {outside}"
+        );
     }
 }

@@ -25,6 +25,7 @@ fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
         segment_s: plan.model.segment_s,
         scatterers: 1_000_000,
         elements: 1,
+        tolerance: 1e-3,
     }
 }
 

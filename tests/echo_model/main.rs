@@ -5,5 +5,6 @@ mod paths;
 mod probe;
 mod receiver;
 mod rig;
+mod span;
 mod synthesis;
 mod walk;

@@ -876,6 +876,7 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
         segment_s: 1.0,
         scatterers: 1,
         elements: 1,
+        tolerance: 1e-3,
     };
     for (synthesis, got) in [
         (Synthesis::Nearest, errors.0),

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -255,4 +257,57 @@ fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     let want = leg * leg * sinc(0.4 / WAVELENGTH_M * 0.006f64.sin());
     let got = sink.arrivals[0].amplitude.re;
     assert!((got / want - 1.0).abs() < 1e-9, "{got} {want}");
+}
+
+#[test]
+fn every_law_has_the_pressure_of_its_formula_in_the_walk_and_nothing_from_behind() {
+    // Transmitter and element 4 m apart, so that the two angles differ by several degrees.
+    let (tx_m, rx_m) = (DVec3::new(0.0, -2.0, 0.0), DVec3::new(0.0, 2.0, 0.0));
+    let strength = |cosine: f64| 0.3 * cosine.powi(4) + 0.01;
+    let curve = Arc::new(LawCurve::new(strength));
+    let normal = DVec3::new(0.1, 0.5, -0.8).normalize();
+    let mut plan = ahead(0.0);
+    plan.absorption_db_per_m = 0.0;
+    for at_m in [
+        DVec3::new(3.0, 5.0, 20.0),
+        DVec3::new(-4.0, -9.0, 15.0),
+        DVec3::new(0.0, 1.0, 30.0),
+        DVec3::new(0.0, -30.0, 1.0),
+        DVec3::new(0.0, 40.0, 1.0),
+    ] {
+        let cosine = |from_m: DVec3| (-normal.dot((at_m - from_m).normalize())).max(0.0);
+        let (cos_in, cos_out) = (cosine(tx_m), cosine(rx_m));
+        let legs = at_m.distance(tx_m) * at_m.distance(rx_m);
+        for (law, want) in [
+            (ScatterLaw::Point, 1.0),
+            (ScatterLaw::Lambert, (cos_in * cos_out).sqrt()),
+            (ScatterLaw::LambertOneWay, cos_in),
+            (
+                ScatterLaw::Curve,
+                match cos_in > 0.0 && cos_out > 0.0 {
+                    true => (strength(cos_in) * strength(cos_out)).powf(0.25),
+                    false => 0.0,
+                },
+            ),
+        ] {
+            let mut scatterers = Scatterers {
+                curve: Some(curve.clone()),
+                ..Scatterers::default()
+            };
+            scatterers.push(
+                at_m,
+                normal.to_array().map(|n| n as f32),
+                Complex64::ONE,
+                law,
+            );
+            let (tx, rx) = (transmitter(tx_m), element(rx_m));
+            let echoes = collect(&plan, &tx, &rx, 0, ALWAYS, &scatterers).0.arrivals;
+            let got = echoes.first().map_or(0.0, |e| e.amplitude.norm()) * legs;
+            // The curve is linear between its nodes.
+            assert!(
+                (got - want).abs() < 1e-5,
+                "{law:?} at {at_m}: {got}, {want}"
+            );
+        }
+    }
 }

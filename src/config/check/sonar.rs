@@ -78,6 +78,11 @@ pub fn sonar<'t>(
         sample_rate_hz: receiver.as_ref().map(|r| r.sample_rate_hz),
     };
     refuse_huge_ping(table, &arrays, &largest, problems);
+    let filter = receiver.as_ref().map(|r| r.filter);
+    let model = table
+        .table("model")
+        .and_then(|t| model(t, filter, problems));
+    let synthesis = table.table("model").and_then(|t| synthesis(t, problems));
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
@@ -96,8 +101,8 @@ pub fn sonar<'t>(
         receiver: receiver?,
         settings: settings?,
         limits: limits?,
-        model: table.table("model").and_then(|t| model(t, problems))?,
-        synthesis: table.table("model").and_then(|t| synthesis(t, problems))?,
+        model: model?,
+        synthesis: synthesis?,
         beams: beams?,
         outputs: outputs?,
     })
@@ -511,23 +516,36 @@ fn refuse_huge_ping(
 
 // ---------------------------------------------------------------- model, beams, outputs
 
-fn model(table: &RawTable, problems: &mut Problems) -> Option<ModelChoice> {
+fn model(
+    table: &RawTable,
+    filter: Option<ReceiverFilter>,
+    problems: &mut Problems,
+) -> Option<ModelChoice> {
     let doppler = table.text("doppler");
     let doppler = DopplerModel::ALL
         .into_iter()
         .find(|d| Some(d.name()) == doppler);
-    let synthesis = table.text("synthesis");
-    let synthesis = Synthesis::ALL
-        .into_iter()
-        .find(|s| Some(s.name()) == synthesis);
+    let synthesis = match table.given("synthesis") {
+        true => table.text("synthesis").and_then(synthesis_named),
+        false => doppler.zip(filter).map(|(d, f)| default_synthesis(d, f)),
+    };
     if let (Some(doppler), Some(synthesis)) = (doppler, synthesis)
-        && synthesis.shares_pulse()
-        && !doppler.keeps_pulse()
+        && !synthesis.takes(doppler)
     {
+        let known = DopplerModel::ALL
+            .into_iter()
+            .filter(|&d| synthesis.takes(d))
+            .map(|d| format!("\"{}\"", d.name()))
+            .collect::<Vec<_>>()
+            .join(" or ");
+        let why = match synthesis.shares_pulse() {
+            true => "which lays one pulse under every echo",
+            false => "which stretches every echo evenly",
+        };
         problems.refuse(
             table.entry("doppler"),
             format!(
-                "must be \"none\" or \"paper-eq21\" with synthesis = \"{}\", which lays one pulse under every echo",
+                "must be {known} with synthesis = \"{}\", {why}",
                 synthesis.name()
             ),
         );
@@ -545,11 +563,27 @@ fn model(table: &RawTable, problems: &mut Problems) -> Option<ModelChoice> {
     })
 }
 
+fn synthesis_named(name: &str) -> Option<Synthesis> {
+    Synthesis::ALL.into_iter().find(|s| s.name() == name)
+}
+
+/// The engine where it surely reaches its tolerance. Without the receiver filter that depends on how far the pulse's spectrum spreads.
+fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis {
+    match filter {
+        ReceiverFilter::Fir if Synthesis::Gridded1d.takes(doppler) => Synthesis::Gridded1d,
+        _ => Synthesis::Direct,
+    }
+}
+
 fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec> {
-    let spectral = table.text("synthesis").map(|s| s == "spectral");
+    let spectral = match table.given("synthesis") {
+        true => table.text("synthesis").map(|s| s == "spectral"),
+        false => Some(false),
+    };
     let keys = ["frequency_step_hz"];
     only_with(table, &keys, spectral, "synthesis = \"spectral\"", problems);
     Some(SynthesisSpec {
+        tolerance: table.number("tolerance")?,
         certificate: table.bool("certificate")?,
         frequency_step_hz: match table.given("frequency_step_hz") {
             true => Some(table.number("frequency_step_hz")?),

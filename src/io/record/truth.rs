@@ -8,6 +8,7 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of this ping |
 //! | `segments` | the polyline on which its echoes were computed |
+//! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
 //! | `targets` | every named target, see below |
 //!
 //! Of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
@@ -26,7 +27,7 @@ use serde_json::Value;
 
 use super::{RecordError, plan_text};
 use crate::config::spec::SonarSpec;
-use crate::flow::{PingPlan, Side, Target};
+use crate::flow::{Certificate, PingPlan, Side, Target};
 use crate::frames::{Pose, angles_from_rotation};
 
 #[derive(Serialize)]
@@ -40,7 +41,32 @@ struct PingTruth<'a> {
     velocity_m_per_s: [f64; 3],
     plan: Value,
     segments: Value,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    certificate: Option<CertificateTruth>,
     targets: Vec<TargetTruth<'a>>,
+}
+
+#[derive(Serialize)]
+struct CertificateTruth {
+    error: f64,
+    low: f64,
+    high: f64,
+    samples: u32,
+    tolerance: f64,
+    fault: bool,
+}
+
+impl From<Certificate> for CertificateTruth {
+    fn from(c: Certificate) -> Self {
+        Self {
+            error: c.error,
+            low: c.low,
+            high: c.high,
+            samples: c.samples,
+            tolerance: c.tolerance,
+            fault: c.fault,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -99,9 +125,13 @@ impl TruthRecorder {
         &mut self,
         sonar: &SonarSpec,
         plan: &PingPlan,
+        certificate: Option<Certificate>,
         targets: &[Target],
     ) -> Result<(), RecordError> {
-        let truth = ping_truth(sonar, plan, targets);
+        let truth = PingTruth {
+            certificate: certificate.map(Into::into),
+            ..ping_truth(sonar, plan, targets)
+        };
         self.line.clear();
         serde_json::to_writer(&mut self.line, &truth)
             .map_err(|e| RecordError::io(&self.path, "write")(e.into()))?;
@@ -139,6 +169,7 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
         velocity_m_per_s: pose.velocity_m_per_s.to_array(),
         plan: plan_text::plan_summary(plan),
         segments: plan_text::segments(&plan.segments),
+        certificate: None,
         targets: targets
             .iter()
             .map(|target| target_truth(sonar, plan, &pose, heading_rad, target))
@@ -250,7 +281,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("dir");
         let mut truth = TruthRecorder::create(dir.path()).expect("create");
         for plan in pings {
-            truth.push(&sonar(), plan, targets).expect("push");
+            truth.push(&sonar(), plan, None, targets).expect("push");
         }
         let text = std::fs::read_to_string(truth.path()).expect("read");
         assert!(text.ends_with('\n'));
@@ -350,7 +381,9 @@ mod tests {
             "{error}"
         );
         let mut full = TruthRecorder::at("/dev/full".into()).expect("opens");
-        let error = full.push(&sonar(), &plan(1), &[]).expect_err("full disk");
+        let error = full
+            .push(&sonar(), &plan(1), None, &[])
+            .expect_err("full disk");
         assert!(
             error.to_string().starts_with("/dev/full: cannot write"),
             "{error}"

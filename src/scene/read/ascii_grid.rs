@@ -4,6 +4,7 @@
 //! numbers, the northern row first, separated by any white space. Source: ESRI, ArcGIS documentation, "Esri ASCII raster format".
 //! Metres only: a grid in degrees must be projected first.
 
+use super::HeightField;
 use super::text::{self, MAX_VERTICAL_M, Misread};
 
 /// Cells at most: 512 MiB of f64.
@@ -275,6 +276,25 @@ impl<'a> Tokens<'a> {
             .unwrap_or(self.rest.len());
         self.rest = &self.rest[end..];
         Some(word)
+    }
+}
+
+impl From<Grid> for HeightField {
+    /// The field's zero is the grid's centre. The grid's values are taken for depths.
+    fn from(grid: Grid) -> Self {
+        let mut down_m = Vec::with_capacity(grid.heights_m.len());
+        for row in grid.heights_m.chunks_exact(grid.cols).rev() {
+            down_m.extend(row.iter().map(|h| *h as f32));
+        }
+        Self {
+            rows: grid.rows,
+            cols: grid.cols,
+            cell_north_m: grid.cell_m,
+            cell_east_m: grid.cell_m,
+            south_m: -grid.extent_north_m() / 2.0,
+            west_m: -grid.extent_east_m() / 2.0,
+            down_m,
+        }
     }
 }
 

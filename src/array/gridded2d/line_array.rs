@@ -1,0 +1,219 @@
+//! The engine as a pipeline uses it: made once for the limits, then one call per ping.
+
+use std::sync::{Mutex, PoisonError};
+
+use num_complex::{Complex, Complex64};
+use rayon::prelude::*;
+
+use crate::flow::{EchoCounts, LineSource, MethodCard, PingPlan};
+
+use super::engine::{Filter, LineEngine, Sample, TaskReport, Work};
+use super::plan::{Precision, Refusal, Spec, choose};
+
+/// `gridded-2d` for one line array: every element's samples from one call per ping.
+///
+/// To be made inside the pool of threads that will run it. Samples are the same bits for any number of threads. Nothing is allocated once
+/// the largest ping has been; a pulse of another length rebuilds its tables (some tens of milliseconds).
+///
+/// ```
+/// use echotank::array::Decimator;
+/// use echotank::array::gridded::dialect::Dialect;
+/// use echotank::array::gridded2d::{Bounds, Gridded2d, Spec};
+/// # use echotank::flow::*;
+/// # use glam::{DQuat, DVec3};
+/// # let array = ArrayGeometry {
+/// #     mounting: Mounting { position_m: DVec3::ZERO, body_from_array: DQuat::IDENTITY },
+/// #     elements: 64, spacing_m: 1.875e-3, element_pattern: Pattern::Omnidirectional, sensitivity_db: 0.0, transmit: 0,
+/// # };
+/// # let pulse = Pulse { kind: PulseKind::LfmUp, center_frequency_hz: 400e3, bandwidth_hz: 30e3, duration_s: 5e-3, taper: 0.1 };
+/// # let model = ModelChoice {
+/// #     path: PathModel::KSegment, doppler: DopplerModel::Stretch, synthesis: Synthesis::Direct, segment_s: 0.05, cull_db: None,
+/// # };
+/// let filter = Decimator::new(&pulse, 52e3, 2700.0, 8).expect("the band fits");
+/// let spec = Spec {
+///     array: &array,
+///     pulse: &pulse,
+///     sound_speed_m_per_s: 1500.0,
+///     sample_rate_hz: 52e3,
+///     filter: Some(&filter),
+///     model: &model,
+///     bounds: Bounds {
+///         nearest_m: 30.0,
+///         greatest_slope: 0.5,
+///         along_m_per_s: 5.0,
+///         across_m_per_s: 0.5,
+///         turning_rad_per_s: 0.1,
+///     },
+///     tolerance: 1e-3,
+///     level_range_db: 60.0,
+///     scatterers: 1_000_000,
+///     dialect: Dialect::best(),
+/// };
+/// let engine = Gridded2d::new(&spec).expect("within reach");
+/// assert!(engine.card().error <= 1e-3);
+/// // And then, ping by ping, after `echo::illuminate`:
+/// //     let echoes = LineEchoes { plan, array: &array, lit: &lit, work: &line_workspaces };
+/// //     counts += engine.synthesise(plan, &echoes, &mut frame.iq);
+/// ```
+pub struct Gridded2d {
+    card: MethodCard,
+    elements: usize,
+    member: Member,
+    /// Of the last ping.
+    left_out: f64,
+}
+
+/// The two precisions.
+enum Member {
+    Single(Tasks<f32>),
+    Double(Tasks<f64>),
+}
+
+impl Gridded2d {
+    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+        let choice = choose(spec)?;
+        let Some(decimator) = spec.filter else {
+            return Err(Refusal::NoFilter);
+        };
+        let filter = Filter {
+            gain: &|f_hz| decimator.gain(f_hz),
+            half_s: decimator.half_s(),
+        };
+        let fastest_m_per_s = spec.bounds.along_m_per_s.hypot(spec.bounds.across_m_per_s);
+        let member = match choice.precision {
+            Precision::Single => Member::Single(Tasks::new(
+                LineEngine::new(
+                    spec.array,
+                    spec.sample_rate_hz,
+                    filter,
+                    choice.fineness,
+                    spec.dialect,
+                )
+                .with_room_for(fastest_m_per_s),
+            )),
+            Precision::Double => Member::Double(Tasks::new(
+                LineEngine::new(
+                    spec.array,
+                    spec.sample_rate_hz,
+                    filter,
+                    choice.fineness,
+                    spec.dialect,
+                )
+                .with_room_for(fastest_m_per_s),
+            )),
+        };
+        Ok(Self {
+            card: choice.card,
+            elements: spec.array.elements,
+            member,
+            left_out: 0.0,
+        })
+    }
+
+    /// Predicted error by window, and core milliseconds per ping.
+    pub fn card(&self) -> &MethodCard {
+        &self.card
+    }
+
+    /// One ping: overwrites `iq`, element-major as [`crate::flow::ElementFrame`] has it.
+    ///
+    /// Of the counts, `outside_window` are the pairs that no stretch asked for.
+    pub fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        source: &impl LineSource,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        assert_eq!(
+            iq.len(),
+            self.elements * plan.sample_count,
+            "element-major samples"
+        );
+        let (mut counts, left_out) = match &mut self.member {
+            Member::Single(tasks) => tasks.run(plan, source, iq),
+            Member::Double(tasks) => tasks.run(plan, source, iq),
+        };
+        self.left_out = left_out;
+        let all = source.scatterers() * self.elements as u64;
+        counts.outside_window += all.saturating_sub(counts.used + counts.culled);
+        counts
+    }
+
+    /// Bound on what the last ping's own echoes left out of their series, relative to an echo: above the tolerance where the ping was
+    /// beyond the bounds that the engine was made for.
+    pub fn left_out(&self) -> f64 {
+        self.left_out
+    }
+}
+
+/// What one task leaves.
+#[derive(Clone, Default)]
+struct Output<T> {
+    values: Vec<Complex<T>>,
+    counts: EchoCounts,
+    report: TaskReport,
+}
+
+struct Tasks<T: Sample> {
+    engine: LineEngine<T>,
+    /// One per thread of the pool.
+    work: Vec<Mutex<Work<T>>>,
+    /// One per task.
+    outputs: Vec<Output<T>>,
+}
+
+impl<T: Sample> Tasks<T> {
+    fn new(engine: LineEngine<T>) -> Self {
+        Self {
+            work: (0..rayon::current_num_threads())
+                .map(|_| Mutex::new(engine.work()))
+                .collect(),
+            engine,
+            outputs: Vec::new(),
+        }
+    }
+
+    fn run(
+        &mut self,
+        plan: &PingPlan,
+        source: &impl LineSource,
+        iq: &mut [Complex64],
+    ) -> (EchoCounts, f64) {
+        self.engine.prepare(plan);
+        let tasks = self.engine.tasks();
+        if self.outputs.len() < tasks {
+            self.outputs.resize_with(tasks, Output::default);
+        }
+        let Self {
+            engine,
+            work,
+            outputs,
+        } = self;
+        let engine = &*engine;
+        outputs[..tasks]
+            .par_iter_mut()
+            .with_max_len(1)
+            .enumerate()
+            .for_each(|(task, output)| {
+                let thread = rayon::current_thread_index().unwrap_or(0);
+                // A panic in another ping leaves the buffers as good as any: every task overwrites them.
+                let mut work = work[thread].lock().unwrap_or_else(PoisonError::into_inner);
+                let mut gather = engine.gather(task, &mut work);
+                output.counts = source.walk(engine.wanted(task), &mut gather);
+                output.report = engine.synthesise(task, &mut work, &mut output.values);
+            });
+        let outputs = &outputs[..tasks];
+        iq.par_chunks_mut(plan.sample_count.max(1))
+            .enumerate()
+            .for_each(|(element, record)| {
+                engine.assemble(|task| &outputs[task].values, element, record);
+            });
+        let mut counts = EchoCounts::default();
+        let mut left_out: f64 = 0.0;
+        for output in outputs {
+            counts += output.counts;
+            left_out = left_out.max(output.report.left_out);
+        }
+        (counts, left_out)
+    }
+}

@@ -1,0 +1,33 @@
+//! Line arrays, whole stretches of elements at a time: a transform over delay and slope.
+//!
+//! An echo at y metres along a stretch of the line, of what left w seconds from mid-pulse, is late by
+//!
+//! ```text
+//! u(y, w) = u - s y/c + d w + (second and third order in y and w) / R
+//! ```
+//!
+//! with slope s, dilation d (its Doppler) and range R of its own. Echoes are spread on a grid over u and s. Of the dilation, the line
+//! d = d0 + d1 s is left to the grid: a column of one slope has one Doppler, and the aperture grows by c d1 T. What is left of d (motion
+//! across the array, the bottom's roughness) and R are short Chebyshev series, a channel of the grid for each term; each echo carries its
+//! own values, so any steady motion of the platform is met without a model of the bottom. What is smooth in the time of emission is taken
+//! at a few instants of it, so a ping's templates are values of functions that only the pulse decides ([`pulse`]), read where the motion
+//! puts them: they are made anew for every task. Then, column by column: FFT over time, templates, and the turn from the column to each
+//! element, as a polynomial in the element's place times one rotor per block of bins; element by element: inverse FFT. Slabs of delay are
+//! added up in order.
+//!
+//! In: [`LineChunk`](crate::flow::LineChunk)s of one slab at the middle of one stretch. Out: samples of its elements, receiver filter
+//! included. f64 geometry and templates; grids and transforms in f32 or f64. A task is one thread's: no sum crosses threads.
+//!
+//! Not modelled: how scattering law and element pattern across the line vary along a stretch (1e-4 for 0.1 m at 36 m); alias images of
+//! the filter's stop band (82 dB down).
+
+mod engine;
+mod line_array;
+pub mod plan;
+pub mod pulse;
+mod series;
+mod smooth;
+
+pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, Sample, TaskReport, Work};
+pub use line_array::Gridded2d;
+pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};

@@ -1,0 +1,247 @@
+//! Which fineness a tolerance asks for, and what is refused.
+//!
+//! The parts of the error, each relative to the echoes of a window: the two kernels (computed, not estimated: [`Kernel::error`]), the
+//! series (each task takes as many terms as its own echoes need, and reports what it left out), the delay's fourth order along a stretch,
+//! steps of the attitude between a polyline's segments, rounding.
+
+use std::f64::consts::TAU;
+
+use crate::array::filter::Decimator;
+use crate::array::gridded::dialect::Dialect;
+use crate::array::gridded::kernel::Kernel;
+use crate::flow::{ArrayGeometry, DopplerModel, MethodCard, ModelChoice, PathModel, Pulse};
+
+use super::engine::{Fineness, PulseMotion};
+
+/// Stretches tried, from long to short: long ones are cheap.
+const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
+/// Kernels of half a stretch's ends are worse than their mean over the band, and there are two of them.
+const KERNEL_FACTOR: f64 = 3.0;
+/// Of f32 grids and transforms: 1e-7 of the strongest echo of a slab, over the weakest window of it, some 30 dB below.
+const F32_ERROR: f64 = 1e-5;
+/// Per m/s along the array, 400 kHz, 5 ms, 36 m: third orders in slope and motion that are taken at a column's own slope (measured).
+const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6;
+/// Below this nothing is promised: the receiver filter's stop band is 82 dB down and its image is left out, and motion across the array
+/// leaves what the columns beside an echo do not know.
+pub const LEAST_TOLERANCE: f64 = 2e-5;
+
+/// What the scene and the platform may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    pub nearest_m: f64,
+    /// Sine of the greatest angle from broadside.
+    pub greatest_slope: f64,
+    /// Speed along and across the array, m/s.
+    pub along_m_per_s: f64,
+    pub across_m_per_s: f64,
+    /// Of the platform; counts where attitude steps from segment to segment.
+    pub turning_rad_per_s: f64,
+}
+
+/// What the engine is to be made for.
+#[derive(Clone, Copy)]
+pub struct Spec<'a> {
+    pub array: &'a ArrayGeometry,
+    pub pulse: &'a Pulse,
+    pub sound_speed_m_per_s: f64,
+    pub sample_rate_hz: f64,
+    /// Without one the method is refused: it needs a band that ends.
+    pub filter: Option<&'a Decimator>,
+    pub model: &'a ModelChoice,
+    pub bounds: Bounds,
+    /// Relative error in any window of a pulse's length.
+    pub tolerance: f64,
+    /// How much weaker than the strongest window the weakest may be, dB.
+    pub level_range_db: f64,
+    /// Roughly: decides only what is fastest.
+    pub scatterers: usize,
+    pub dialect: Dialect,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    Single,
+    Double,
+}
+
+/// What was chosen.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    pub fineness: Fineness,
+    pub precision: Precision,
+    pub card: MethodCard,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    #[error("tolerance {tolerance}: gridded-2d promises none below {LEAST_TOLERANCE}")]
+    TooFine { tolerance: f64 },
+    #[error(
+        "tolerance {tolerance}: with scatterers as near as {nearest_m} m no stretch of the line is short enough for gridded-2d"
+    )]
+    TooNear { tolerance: f64, nearest_m: f64 },
+    #[error("doppler model `{}`: gridded-2d knows `none`, `stretch` and `stretch-quadratic`", .0.name())]
+    Doppler(DopplerModel),
+    #[error("gridded-2d needs the receiver filter: without it the pulse has no end in frequency")]
+    NoFilter,
+    #[error("{what} = {value}: must be {rule}")]
+    Bounds {
+        what: &'static str,
+        value: f64,
+        rule: &'static str,
+    },
+    #[error("sample rate {rate_hz} Hz: a slab of {samples} samples is too short for the pulse")]
+    SlabTooShort { rate_hz: f64, samples: usize },
+}
+
+/// Longest slab that is tried, samples.
+const MOST_SLAB: usize = 1 << 16;
+
+/// The cheapest fineness that keeps the tolerance.
+pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
+    let Spec {
+        array,
+        pulse,
+        sound_speed_m_per_s,
+        sample_rate_hz: rate_hz,
+        bounds,
+        tolerance,
+        ..
+    } = *spec;
+    if tolerance.is_nan() || tolerance < LEAST_TOLERANCE {
+        return Err(Refusal::TooFine { tolerance });
+    }
+    for (what, value, rule, ok) in [
+        (
+            "nearest_m",
+            bounds.nearest_m,
+            "above 0",
+            bounds.nearest_m > 0.0,
+        ),
+        (
+            "greatest_slope",
+            bounds.greatest_slope,
+            "from 0 to 1",
+            (0.0..=1.0).contains(&bounds.greatest_slope),
+        ),
+        (
+            "elements",
+            array.elements as f64,
+            "at least 1",
+            array.elements >= 1,
+        ),
+        (
+            "spacing_m",
+            array.spacing_m,
+            "above 0",
+            array.spacing_m > 0.0,
+        ),
+    ] {
+        if !ok {
+            return Err(Refusal::Bounds { what, value, rule });
+        }
+    }
+    let motion = match spec.model.doppler {
+        DopplerModel::None | DopplerModel::Stretch => PulseMotion::Stretch,
+        DopplerModel::StretchQuadratic => PulseMotion::Quadratic,
+        other @ DopplerModel::PaperEq21 => return Err(Refusal::Doppler(other)),
+    };
+    let per_m = TAU * (pulse.center_frequency_hz + 0.5 * rate_hz) / sound_speed_m_per_s;
+    let beyond_series = |stretch: usize| {
+        let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
+        let quartic = per_m * half_m.powi(4) / (8.0 * bounds.nearest_m.powi(3));
+        quartic + UNDERWAY_ERROR_S_PER_M * bounds.along_m_per_s
+    };
+    // A polyline's attitude steps at its vertices: while the wave passes the stretch, part of it is on either side.
+    let steps = |stretch: usize| match spec.model.path {
+        PathModel::Polyline => {
+            let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
+            let step_rad = per_m * half_m * bounds.turning_rad_per_s * spec.model.segment_s;
+            let passes_s = 2.0 * half_m * bounds.greatest_slope / sound_speed_m_per_s;
+            let share = passes_s / spec.model.segment_s.min(pulse.duration_s);
+            step_rad * share.min(1.0).sqrt()
+        }
+        _ => 0.0,
+    };
+    // All parts but this one add up to four fifths of the tolerance at most, squared.
+    let share = if tolerance < 1e-4 { 0.9 } else { 0.3 } * tolerance;
+    let stretch = STRETCHES
+        .into_iter()
+        .find(|&stretch| beyond_series(stretch) <= share && steps(stretch) <= share)
+        .ok_or(Refusal::TooNear {
+            tolerance,
+            nearest_m: bounds.nearest_m,
+        })?;
+    let precision = if tolerance >= 4.0 * F32_ERROR {
+        Precision::Single
+    } else {
+        Precision::Double
+    };
+    let moments = match precision {
+        Precision::Single => 8,
+        Precision::Double => 12,
+    };
+    // Where the rest is not small either, the kernels leave it room.
+    let kernel_share = if tolerance < 1e-4 { 0.42 } else { 0.78 };
+    let (width, kernel_error) = (2..=12)
+        .map(|width| {
+            (
+                width,
+                Kernel::new(width, 2.0, moments).error * KERNEL_FACTOR,
+            )
+        })
+        .find(|(_, error)| *error <= kernel_share * tolerance)
+        .ok_or(Refusal::TooFine { tolerance })?;
+    // A third of a slab at most goes to echoes that begin near its end.
+    let mut slab_samples = 1024;
+    while (slab_samples as f64) < 3.0 * rate_hz * (pulse.duration_s + 2e-3) {
+        slab_samples *= 2;
+        if slab_samples > MOST_SLAB {
+            return Err(Refusal::SlabTooShort {
+                rate_hz,
+                samples: slab_samples,
+            });
+        }
+    }
+    let series = 0.2 * tolerance;
+    let rounding = match precision {
+        Precision::Single => F32_ERROR,
+        Precision::Double => 0.0,
+    };
+    let error = [
+        kernel_error,
+        series,
+        beyond_series(stretch),
+        steps(stretch),
+        rounding,
+    ]
+    .iter()
+    .map(|e| e * e)
+    .sum::<f64>()
+    .sqrt();
+    if error > tolerance {
+        return Err(Refusal::TooFine { tolerance });
+    }
+    Ok(Choice {
+        fineness: Fineness {
+            stretch,
+            slab_samples,
+            time_width: width,
+            slope_width: width,
+            moments,
+            series,
+            motion,
+        },
+        precision,
+        card: MethodCard {
+            name: "gridded-2d",
+            error,
+            // Not predicted yet; `examples/line_array.rs` measures it.
+            cost_ms: 0.0,
+            why: format!(
+                "stretches of {stretch} elements, kernels {width} wide ({kernel_error:.1e}), series to {series:.1e}, beyond them {:.1e}",
+                beyond_series(stretch)
+            ),
+        },
+    })
+}

@@ -1,0 +1,108 @@
+//! Short Chebyshev series: how many terms a smooth function needs, and its powers.
+
+use num_complex::Complex64;
+
+use super::pulse::{chebyshev, chebyshev_nodes};
+
+/// Points at which a function is tried beyond the most terms allowed.
+const EXTRA: usize = 4;
+
+/// Terms that are ever looked at.
+pub const MOST_SIZES: usize = 32;
+
+/// |coefficients| of the first `count` terms.
+pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MOST_SIZES] {
+    let mut sizes = [0.0; MOST_SIZES];
+    for (n, size) in sizes[..count].iter_mut().enumerate() {
+        let scale = if n == 0 { 1.0 } else { 2.0 } / count as f64;
+        let sum: Complex64 = chebyshev_nodes(count).map(|x| f(x) * chebyshev(n, x)).sum();
+        *size = sum.norm() * scale;
+    }
+    sizes
+}
+
+/// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.
+pub fn terms_needed(f: impl Fn(f64) -> Complex64, most: usize, tolerance: f64) -> (usize, f64) {
+    let count = most + EXTRA;
+    let sizes = sizes(f, count);
+    let mut rest = 0.0;
+    for n in (1..count).rev() {
+        if rest + sizes[n] > tolerance {
+            return if n < most {
+                (n + 1, rest)
+            } else {
+                (most, sizes[most..count].iter().sum())
+            };
+        }
+        rest += sizes[n];
+    }
+    (1, rest)
+}
+
+/// The matrix from values at Chebyshev's points to coefficients on powers, `[power * count + point]`.
+pub fn powers_from_nodes(count: usize) -> Vec<f64> {
+    let mut powers = vec![vec![1.0], vec![0.0, 1.0]];
+    for k in 2..count {
+        let mut next = vec![0.0; k + 1];
+        for (i, c) in powers[k - 1].iter().enumerate() {
+            next[i + 1] += 2.0 * c;
+        }
+        for (i, c) in powers[k - 2].iter().enumerate() {
+            next[i] -= c;
+        }
+        powers.push(next);
+    }
+    let mut matrix = vec![0.0; count * count];
+    for (point, x) in chebyshev_nodes(count).enumerate() {
+        for (n, row) in powers.iter().take(count).enumerate() {
+            let scale = if n == 0 { 1.0 } else { 2.0 } / count as f64;
+            for (power, c) in row.iter().enumerate() {
+                matrix[power * count + point] += scale * chebyshev(n, x) * c;
+            }
+        }
+    }
+    matrix
+}
+
+/// The matrix from values at Chebyshev's points to coefficients of T_n, `[n * count + point]`.
+pub fn series_from_nodes(count: usize) -> Vec<f64> {
+    let mut matrix = vec![0.0; count * count];
+    for (point, x) in chebyshev_nodes(count).enumerate() {
+        for n in 0..count {
+            let scale = if n == 0 { 1.0 } else { 2.0 } / count as f64;
+            matrix[n * count + point] = scale * chebyshev(n, x);
+        }
+    }
+    matrix
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_needed_are_those_of_the_bessel_functions() {
+        // exp(-j z x): 2 J_n(z). J_4(0.5) = 1.6e-4, J_5(0.5) = 8.1e-6.
+        let wave = |x: f64| Complex64::from_polar(1.0, -0.5 * x);
+        assert_eq!(terms_needed(wave, 12, 1e-3).0, 4);
+        assert_eq!(terms_needed(wave, 12, 1e-4).0, 5);
+        let (terms, tail) = terms_needed(|_| Complex64::ONE, 12, 1e-9);
+        assert!(terms == 1 && tail < 1e-9, "{terms} {tail}");
+        let (terms, tail) = terms_needed(|x| Complex64::from_polar(1.0, 30.0 * x), 8, 1e-3);
+        assert!(terms == 8 && tail > 0.1, "{terms} {tail}");
+    }
+
+    #[test]
+    fn powers_reproduce_a_polynomial() {
+        let matrix = powers_from_nodes(5);
+        let law = |x: f64| 1.0 - 3.0 * x + 0.5 * x.powi(4);
+        let values: Vec<f64> = chebyshev_nodes(5).map(law).collect();
+        let got: Vec<f64> = matrix
+            .chunks(5)
+            .map(|row| row.iter().zip(&values).map(|(a, b)| a * b).sum())
+            .collect();
+        for (got, want) in got.iter().zip([1.0, -3.0, 0.0, 0.0, 0.5]) {
+            assert!((got - want).abs() < 1e-14, "{got} {want}");
+        }
+    }
+}

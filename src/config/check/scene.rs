@@ -1,0 +1,321 @@
+//! The scene, and how densely the seabed must be sampled for the sonars that look at it.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+use super::{MIB, needed_with, only_with};
+use crate::flow::{Pattern, PulseKind};
+
+/// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
+const BYTES_PER_SCATTERER: f64 = 34.0;
+/// Tiles reach over the edges of what is heard by about this factor.
+const TILE_EDGES: f64 = 1.3;
+/// The density goes in powers of two, on average 1.4 times what is needed and never more than twice that.
+const LEVEL_STEPS: f64 = 2.0;
+/// Scatterers in the finest resolution cell where the density is automatic: enough for a Rayleigh envelope (model.md 11).
+const SCATTERERS_PER_CELL: f64 = 5.0;
+/// -3 dB width of a line of length L, in wavelengths over L (Meng et al. 2023, Eq. 1).
+const BEAM_WIDTH: f64 = 0.886;
+/// Two lines whose axes have this much in common narrow the same beam.
+const ALONG: f64 = 0.5;
+
+/// What the scene must know of the rest of the rig, as far as that is without fault.
+pub struct Rig<'a> {
+    pub sonars: &'a [&'a SonarSpec],
+    pub sound_speed_m_per_s: Option<f64>,
+    pub longest_range_m: f64,
+}
+
+pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
+    let seabed_table = table.table("seabed");
+    let incidence = match table.text("incidence")? {
+        "flat" => IncidenceSpec::Flat,
+        _ => IncidenceSpec::Normal,
+    };
+    let seabed = seabed_table.and_then(|t| seabed(t, rig, incidence, problems));
+    let gridded = match seabed_table {
+        Some(t) => t.text("shape").map(|s| s == "esri-ascii"),
+        None => Some(table.given("seabed")),
+    };
+    if table.text("extend") == Some("mirror") {
+        let condition = "a seabed of shape \"esri-ascii\"";
+        only_with(table, &["extend"], gridded, condition, problems);
+    }
+    // A table of shapes may give depths, and says itself where it needs a seabed.
+    let shapes = table
+        .path("targets")
+        .is_some_and(|path| path.extension().is_some_and(|e| e == "toml"));
+    only_with(
+        table,
+        &["targets"],
+        Some(table.given("seabed") || shapes),
+        "a seabed, on which they lie",
+        problems,
+    );
+    let memory_limit_bytes = u64::try_from(table.integer("memory_mib")?).ok()? * MIB;
+    if let Some(density) = seabed.as_ref().map(|s| s.density) {
+        let scatterers = rig.scatterers_in_beams(&density);
+        let needed_mib = (scatterers * BYTES_PER_SCATTERER / MIB as f64).ceil();
+        if needed_mib > (memory_limit_bytes / MIB) as f64 {
+            let density = match density {
+                Density::PerM2(n) => format!("density_per_m2 = {n}"),
+                Density::Auto { .. } => "density = \"auto\"".to_owned(),
+            };
+            problems.refuse(
+                table.entry("memory_mib"),
+                format!(
+                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the transmitters' beams within {} m ({density})",
+                    rig.longest_range_m
+                ),
+            );
+        }
+    }
+    Some(SceneSpec {
+        seed: u64::try_from(table.integer("seed")?).ok()?,
+        anchor_first_fix: table.text("anchor")? == "first-fix",
+        mirror: table.text("extend")? == "mirror",
+        seabed: match table.given("seabed") {
+            true => Some(seabed?),
+            false => None,
+        },
+        points: optional_file(table, "points")?,
+        targets: optional_file(table, "targets")?,
+        memory_limit_bytes,
+    })
+}
+
+/// The file, or that none was given; none if the one given is no good.
+fn optional_file(table: &RawTable, key: &str) -> Option<Option<PathBuf>> {
+    match table.given(key) {
+        true => table.path(key).map(Some),
+        false => Some(None),
+    }
+}
+
+fn seabed(
+    table: &RawTable,
+    rig: &Rig,
+    incidence: IncidenceSpec,
+    problems: &mut Problems,
+) -> Option<SeabedSpec> {
+    let shape = table.text("shape");
+    let is = |wanted: &str| shape.map(|s| s == wanted);
+    only_with(
+        table,
+        &["depth_m", "slope_north", "slope_east"],
+        is("plane"),
+        "shape = \"plane\"",
+        problems,
+    );
+    needed_with(table, "depth_m", is("plane"), "shape = \"plane\"", problems);
+    only_with(
+        table,
+        &["path", "values", "offset_north_m", "offset_east_m"],
+        is("esri-ascii"),
+        "shape = \"esri-ascii\"",
+        problems,
+    );
+    needed_with(
+        table,
+        "path",
+        is("esri-ascii"),
+        "shape = \"esri-ascii\"",
+        problems,
+    );
+    let bottom = bottom(table, problems);
+    let mosaic = mosaic(table, problems)?;
+    if table.given("density") {
+        refuse_beside_auto(table, problems);
+    }
+    let density = match table.given("density") {
+        true => rig.auto_density()?,
+        false => Density::PerM2(table.number("density_per_m2")?),
+    };
+    let shape = match shape? {
+        "plane" => SeabedShape::Plane {
+            depth_m: table.number("depth_m")?,
+            slope_north: table.number("slope_north")?,
+            slope_east: table.number("slope_east")?,
+        },
+        _ => SeabedShape::EsriAscii {
+            path: table.path("path")?,
+            positive_up: table.text("values")? == "elevation",
+            offset_north_m: table.number("offset_north_m")?,
+            offset_east_m: table.number("offset_east_m")?,
+        },
+    };
+    Some(SeabedSpec {
+        shape,
+        density,
+        bottom: bottom?,
+        incidence,
+        mosaic,
+        speckle: table.bool("speckle")?,
+    })
+}
+
+fn bottom(table: &RawTable, problems: &mut Problems) -> Option<BottomSpec> {
+    let name = table.text("bottom");
+    let sediment = Sediment::ALL.into_iter().find(|s| Some(s.name()) == name);
+    let condition = "bottom = \"lambert\", \"bistatic-lambert\" or \"three-term\"";
+    let free = name.map(|_| sediment.is_none());
+    only_with(table, &["lambert_db"], free, condition, problems);
+    let three = name.map(|n| n == "three-term");
+    let keys = [
+        "lambert_exponent",
+        "specular_db",
+        "specular_width_deg",
+        "intermediate_db",
+        "intermediate_width_deg",
+    ];
+    only_with(table, &keys, three, "bottom = \"three-term\"", problems);
+    if let Some(sediment) = sediment {
+        return Some(BottomSpec::Sediment(sediment));
+    }
+    let mu_db = table.number("lambert_db")?;
+    Some(match name? {
+        "three-term" => BottomSpec::ThreeTerm(ThreeTerm {
+            specular_db: table.number("specular_db")?,
+            specular_rad: table.number("specular_width_deg")?.to_radians(),
+            lambert_db: mu_db,
+            lambert_exponent: table.number("lambert_exponent")?,
+            intermediate_db: table.number("intermediate_db")?,
+            intermediate_rad: table.number("intermediate_width_deg")?.to_radians(),
+        }),
+        "lambert" => BottomSpec::Lambert { mu_db },
+        _ => BottomSpec::BistaticLambert { mu_db },
+    })
+}
+
+/// The mosaic, or that none was given; none if the one given is no good.
+fn mosaic(table: &RawTable, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
+    let keys = [
+        "mosaic_values",
+        "mosaic_incidence_deg",
+        "mosaic_offset_north_m",
+        "mosaic_offset_east_m",
+    ];
+    let given = table.given("mosaic");
+    only_with(table, &keys, Some(given), "a mosaic", problems);
+    if !given {
+        return Some(None);
+    }
+    let absolute = table.text("mosaic_values")? == "absolute";
+    let keys = ["mosaic_incidence_deg"];
+    let condition = "mosaic_values = \"absolute\"";
+    only_with(table, &keys, Some(absolute), condition, problems);
+    Some(Some(MosaicSpec {
+        path: table.path("mosaic")?,
+        values: match absolute {
+            true => MosaicValues::Absolute {
+                incidence_rad: table.number("mosaic_incidence_deg")?.to_radians(),
+            },
+            false => MosaicValues::Relative,
+        },
+        offset_north_m: table.number("mosaic_offset_north_m")?,
+        offset_east_m: table.number("mosaic_offset_east_m")?,
+    }))
+}
+
+fn refuse_beside_auto(table: &RawTable, problems: &mut Problems) {
+    only_with(
+        table,
+        &["density_per_m2"],
+        Some(false),
+        "no density = \"auto\"",
+        problems,
+    );
+}
+
+impl Rig<'_> {
+    /// Enough scatterers for the finest resolution cell of any sonar.
+    fn auto_density(&self) -> Option<Density> {
+        let c = self.sound_speed_m_per_s?;
+        let (range_m, beam_rad) = self
+            .sonars
+            .iter()
+            .flat_map(|sonar| {
+                let range_m = range_resolution_m(sonar, c);
+                beams_rad(sonar, c).map(move |beam_rad| (range_m, beam_rad))
+            })
+            .min_by(|a, b| (a.0 * a.1).total_cmp(&(b.0 * b.1)))?;
+        Some(Density::Auto {
+            per_cell: SCATTERERS_PER_CELL,
+            range_m,
+            beam_rad,
+            longest_range_m: self.longest_range_m,
+        })
+    }
+
+    /// About how many scatterers lie in the tiles that one ping needs, on a flat seabed.
+    fn scatterers_in_beams(&self, density: &Density) -> f64 {
+        let range_m = self.longest_range_m;
+        let full_circle = match *density {
+            Density::PerM2(density_per_m2) => {
+                density_per_m2 * std::f64::consts::PI * range_m * range_m
+            }
+            Density::Auto {
+                per_cell,
+                range_m: cell_m,
+                beam_rad,
+                ..
+            } => LEVEL_STEPS * per_cell / (cell_m * beam_rad) * std::f64::consts::TAU * range_m,
+        };
+        full_circle * self.widest_share() * TILE_EDGES
+    }
+
+    /// Of the full circle, what the widest of the transmitters lights above the floor for culling.
+    fn widest_share(&self) -> f64 {
+        let Some(c) = self.sound_speed_m_per_s else {
+            return 0.0;
+        };
+        let share = |sonar: &SonarSpec| {
+            let wavelength_m = c / sonar.pulse.center_frequency_hz;
+            sonar
+                .transmit
+                .iter()
+                .map(|t| match (&t.pattern, sonar.model.cull_db) {
+                    (Pattern::Rectangle { length_m, .. }, Some(db)) if *length_m > 0.0 => {
+                        let sine = wavelength_m / (std::f64::consts::PI * length_m)
+                            * 10f64.powf(-db / 20.0);
+                        sine.min(1.0).asin() * std::f64::consts::FRAC_2_PI
+                    }
+                    _ => 1.0,
+                })
+                .fold(0.0, f64::max)
+        };
+        self.sonars.iter().map(|s| share(s)).fold(0.0, f64::max)
+    }
+}
+
+/// c/(2B), with the shortest pulse allowed.
+fn range_resolution_m(sonar: &SonarSpec, c: f64) -> f64 {
+    let shortest_hz = 1.0 / sonar.limits.pulse_duration_s.0;
+    let bandwidth_hz = match sonar.pulse.kind {
+        PulseKind::Cw => shortest_hz,
+        PulseKind::LfmUp | PulseKind::LfmDown => sonar.pulse.bandwidth_hz.max(shortest_hz),
+    };
+    c / (2.0 * bandwidth_hz)
+}
+
+/// Of each receive array with its transmitter: the width of the beam along the line that both share, radians.
+fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
+    let wavelength_m = c / sonar.pulse.center_frequency_hz;
+    sonar.receive.iter().map(move |array| {
+        let transmit = &sonar.transmit[array.transmit];
+        let lit_m = match transmit.pattern {
+            Pattern::Omnidirectional => 0.0,
+            Pattern::Rectangle { length_m, .. } => length_m,
+        };
+        let axis = |mounting: &crate::flow::Mounting| mounting.body_from_array * DVec3::X;
+        let common = axis(&transmit.mounting).dot(axis(&array.mounting)).abs();
+        let heard_m = match common > ALONG || lit_m == 0.0 {
+            true => array.elements as f64 * array.spacing_m,
+            false => 0.0,
+        };
+        (BEAM_WIDTH * wavelength_m / lit_m.max(heard_m)).min(1.0)
+    })
+}

@@ -1,0 +1,279 @@
+//! The seabed of one ping: which tiles, at which level, and which of their scatterers.
+//!
+//! Work is split by tile, and the scatterers come in the order of the tiles: the same for any number of threads.
+//! Allocates only where a ping needs more than any before it.
+
+use glam::{DVec2, DVec3};
+use num_complex::Complex64;
+use rayon::prelude::*;
+
+use super::SceneCounts;
+use super::pool::{Place, TilePool};
+use super::tiles::{Recipe, Tile, TileId};
+use crate::flow::{Footprint, ScatterLaw, Scatterers};
+
+/// Farther from the scene's zero there is no seabed, metres.
+const EDGE_M: f64 = 1e9;
+
+/// Tiles that one thread copies at a time.
+const COPIED_TOGETHER: usize = 8;
+
+/// What a tile gave.
+#[derive(Clone, Copy, Debug, Default)]
+struct TileCount {
+    tile: u32,
+    kept: u32,
+    /// First of its scatterers in the ping's list.
+    first: usize,
+}
+
+/// Buffers of gathering.
+#[derive(Debug, Default)]
+pub struct Gatherer {
+    wanted: Vec<TileId>,
+    places: Vec<Place>,
+    counts: Vec<TileCount>,
+}
+
+impl Gatherer {
+    /// Puts the seabed's scatterers within any of the footprints at the beginning of `out`, in place of what was there, and returns how many.
+    /// What lies behind them in `out` is of no use. `anchor_m`: the scene's zero in the world.
+    pub fn gather(
+        &mut self,
+        recipe: &Recipe,
+        pool: &mut TilePool,
+        anchor_m: DVec3,
+        heard: &[Footprint],
+        out: &mut Scatterers,
+        counts: &mut SceneCounts,
+    ) -> usize {
+        self.find(recipe, anchor_m, heard, counts);
+        counts.tiles_used = self.wanted.len() as u64;
+        let mut filled = 0;
+        for batch in self.wanted.chunks(pool.capacity()) {
+            pool.places(batch, &mut self.places);
+            self.counts.resize(batch.len(), TileCount::default());
+            self.places
+                .par_iter()
+                .zip(&mut self.counts)
+                .for_each(|(place, count)| {
+                    pool.work(place, recipe, |tile| {
+                        keep(tile, anchor_m, heard);
+                        *count = TileCount {
+                            tile: tile.len() as u32,
+                            kept: tile.kept.len() as u32,
+                            first: 0,
+                        };
+                    });
+                });
+            let batch_first = filled;
+            for (place, count) in self.places.iter().zip(&mut self.counts) {
+                count.first = filled;
+                filled += count.kept as usize;
+                if place.stale {
+                    counts.tiles_made += 1;
+                    counts.made += u64::from(count.tile);
+                }
+                counts.culled += u64::from(count.tile - count.kept);
+            }
+            if out.len() < filled {
+                out.resize(filled);
+            }
+            let law = recipe.bottom().law;
+            copy(
+                pool,
+                &self.places,
+                &self.counts,
+                &|tile, rows| rows.fill(tile, anchor_m, law),
+                Rows::of(out, batch_first, filled),
+            );
+        }
+        counts.scatterers = filled as u64;
+        out.curve.clone_from(&recipe.bottom().curve);
+        filled
+    }
+
+    /// The tiles that any footprint may hear, each at the level that its nearest sonar needs.
+    fn find(
+        &mut self,
+        recipe: &Recipe,
+        anchor_m: DVec3,
+        heard: &[Footprint],
+        counts: &mut SceneCounts,
+    ) {
+        self.wanted.clear();
+        let Some((low, high)) = reach(heard, anchor_m) else {
+            return;
+        };
+        let levels = recipe.levels();
+        let widest_m = (high - low).max_element();
+        let level = levels.no_wider_than(widest_m).max(levels.at(widest_m));
+        let side_m = levels.tile_m(level);
+        let mut search = Search {
+            recipe,
+            anchor_m,
+            heard,
+            wanted: &mut self.wanted,
+            culled: 0,
+        };
+        for row in Recipe::index_at(low.x, side_m.x)..=Recipe::index_at(high.x, side_m.x) {
+            for col in Recipe::index_at(low.y, side_m.y)..=Recipe::index_at(high.y, side_m.y) {
+                search.descend(TileId { level, row, col });
+            }
+        }
+        counts.culled_tiles = search.culled;
+    }
+}
+
+struct Search<'a> {
+    recipe: &'a Recipe,
+    anchor_m: DVec3,
+    heard: &'a [Footprint],
+    wanted: &'a mut Vec<TileId>,
+    culled: u64,
+}
+
+impl Search<'_> {
+    fn descend(&mut self, id: TileId) {
+        let nearest_m = self.recipe.bounds(id).and_then(|tile_box| {
+            self.heard
+                .iter()
+                .map(|f| (f, f.apex_m - self.anchor_m))
+                .filter(|(f, apex_m)| tile_box.may_meet(f, *apex_m))
+                .map(|(_, apex_m)| tile_box.distance_m(apex_m))
+                .reduce(f64::min)
+        });
+        let Some(nearest_m) = nearest_m else {
+            self.culled += 1;
+            return;
+        };
+        if id.level > self.recipe.levels().at(nearest_m) {
+            for half in id.halves() {
+                self.descend(half);
+            }
+        } else {
+            self.wanted.push(id);
+        }
+    }
+}
+
+/// The horizontal rectangle around all footprints in the scene's own coordinates; none without footprints, and beyond the edge.
+fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
+    let (low, high) = footprints
+        .iter()
+        .map(|f| {
+            let apex = (f.apex_m - anchor_m).truncate();
+            (apex - f.max_range_m, apex + f.max_range_m)
+        })
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+    (low.min_element() >= -EDGE_M && high.max_element() <= EDGE_M).then_some((low, high))
+}
+
+/// Lists the tile's scatterers that any footprint contains.
+fn keep(tile: &mut Tile, anchor_m: DVec3, heard: &[Footprint]) {
+    let mut kept = std::mem::take(&mut tile.kept);
+    kept.clear();
+    for i in 0..tile.len() {
+        let position_m = tile.position_m(i) + anchor_m;
+        if heard.iter().any(|f| f.contains(position_m)) {
+            kept.push(i as u16);
+        }
+    }
+    tile.kept = kept;
+}
+
+/// A part of a ping's scatterers to be written.
+struct Rows<'a> {
+    /// Where in the whole list it begins.
+    first: usize,
+    north_m: &'a mut [f64],
+    east_m: &'a mut [f64],
+    down_m: &'a mut [f64],
+    normal: &'a mut [[f32; 3]],
+    strength: &'a mut [Complex64],
+    law: &'a mut [ScatterLaw],
+}
+
+impl<'a> Rows<'a> {
+    fn of(out: &'a mut Scatterers, from: usize, to: usize) -> Self {
+        Self {
+            first: from,
+            north_m: &mut out.north_m[from..to],
+            east_m: &mut out.east_m[from..to],
+            down_m: &mut out.down_m[from..to],
+            normal: &mut out.normal[from..to],
+            strength: &mut out.strength[from..to],
+            law: &mut out.law[from..to],
+        }
+    }
+
+    /// The rows before `row` of the whole list, and the rest.
+    fn split_at(self, row: usize) -> (Self, Self) {
+        let n = row - self.first;
+        let north_m = self.north_m.split_at_mut(n);
+        let east_m = self.east_m.split_at_mut(n);
+        let down_m = self.down_m.split_at_mut(n);
+        let normal = self.normal.split_at_mut(n);
+        let strength = self.strength.split_at_mut(n);
+        let law = self.law.split_at_mut(n);
+        (
+            Self {
+                first: self.first,
+                north_m: north_m.0,
+                east_m: east_m.0,
+                down_m: down_m.0,
+                normal: normal.0,
+                strength: strength.0,
+                law: law.0,
+            },
+            Self {
+                first: row,
+                north_m: north_m.1,
+                east_m: east_m.1,
+                down_m: down_m.1,
+                normal: normal.1,
+                strength: strength.1,
+                law: law.1,
+            },
+        )
+    }
+
+    /// Writes what the ping keeps of a tile, all rows.
+    fn fill(self, tile: &Tile, anchor_m: DVec3, law: ScatterLaw) {
+        let zero_m = tile.zero_m + anchor_m;
+        for (row, &i) in tile.kept.iter().enumerate() {
+            let i = usize::from(i);
+            self.north_m[row] = zero_m.x + f64::from(tile.north_m[i]);
+            self.east_m[row] = zero_m.y + f64::from(tile.east_m[i]);
+            self.down_m[row] = zero_m.z + f64::from(tile.down_m[i]);
+            self.normal[row] = tile.normal[i];
+            let strength = tile.strength[i];
+            self.strength[row] = Complex64::new(strength.re.into(), strength.im.into());
+        }
+        self.law.fill(law);
+    }
+}
+
+/// Lets `fill` write the rows of every tile, halving the work until a thread has a few tiles.
+fn copy(
+    pool: &TilePool,
+    places: &[Place],
+    counts: &[TileCount],
+    fill: &(impl Fn(&Tile, Rows) + Sync),
+    mut rows: Rows,
+) {
+    if places.len() > COPIED_TOGETHER {
+        let middle = places.len() / 2;
+        let (a, b) = rows.split_at(counts[middle].first);
+        rayon::join(
+            || copy(pool, &places[..middle], &counts[..middle], fill, a),
+            || copy(pool, &places[middle..], &counts[middle..], fill, b),
+        );
+        return;
+    }
+    for (place, count) in places.iter().zip(counts) {
+        let (of_tile, rest) = rows.split_at(count.first + count.kept as usize);
+        rows = rest;
+        pool.read(place, |tile| fill(tile, of_tile));
+    }
+}

@@ -1,0 +1,416 @@
+//! The TOML table of targets: shapes with a size, a place and a strength.
+//!
+//! ```toml
+//! [[target]]
+//! name = "pier A"
+//! shape = "cylinder"           # point, sphere, cylinder, box, rope
+//! north_m = 0.0
+//! east_m = 20.0
+//! height_above_seabed_m = 0.0  # of its lowest point over the seabed there; or: down_m = 7.5, the depth of its centre
+//! radius_m = 1.25
+//! length_m = 12.0
+//! lambert_db = -12.0           # of the surface; or: target_strength_db, the mean over all directions
+//! ```
+//! Further fields: README of the configurations. A sphere without a strength has a rigid sphere's, 20 log10(a/2) (Urick 1983, 9.2, ka >> 1).
+
+use std::f64::consts::PI;
+use std::ops::RangeInclusive;
+
+use glam::{DMat3, DVec2, DVec3};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::solid::Solid;
+use super::{
+    Body, MAX_TARGETS, Placed, STRENGTHS_DB, check_name, lambert_of_mean, mean_strength_db,
+};
+use crate::flow::Target;
+use crate::scene::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
+
+/// Radii and sides, metres: from a fishing line to an island.
+const SIZES_M: RangeInclusive<f64> = 1e-4..=1e4;
+const DENSITIES_PER_M2: RangeInclusive<f64> = 1e-3..=1e8;
+const DEFAULT_DENSITY_PER_M2: f64 = 100.0;
+/// Lambert's mu, dB.
+const LAMBERTS_DB: RangeInclusive<f64> = -100.0..=20.0;
+const MAX_ROPE_VERTICES: usize = 10_000;
+
+const COMMON: &[&str] = &[
+    "name",
+    "shape",
+    "north_m",
+    "east_m",
+    "height_above_seabed_m",
+];
+const SOLID: &[&str] = &[
+    "down_m",
+    "target_strength_db",
+    "lambert_db",
+    "density_per_m2",
+];
+/// Shapes and the fields that are theirs.
+const SHAPES: &[(&str, &[&str])] = &[
+    ("point", &[]),
+    ("sphere", &["radius_m"]),
+    (
+        "cylinder",
+        &["radius_m", "length_m", "heading_deg", "elevation_deg"],
+    ),
+    ("box", &["size_m", "heading_deg"]),
+    ("rope", &["radius_m", "path_m"]),
+];
+
+/// Depth of the seabed at (north, east), none where there is none.
+pub(super) type SeabedDown<'a> = &'a dyn Fn(f64, f64) -> Option<f64>;
+
+pub(super) fn parse(bytes: &[u8], seabed: SeabedDown) -> Result<Vec<Placed>, Misread> {
+    let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
+        let line = bytes[..e.valid_up_to()]
+            .iter()
+            .filter(|b| **b == b'\n')
+            .count()
+            + 1;
+        Misread::new(line, "", "must be UTF-8 text")
+    })?;
+    let root = DeTable::parse(text).map_err(|e| {
+        let at = e.span().map_or(0, |span| span.start);
+        Misread::new(line_of(text, at), "", e.message())
+    })?;
+    let mut placed: Vec<Placed> = Vec::new();
+    for (key, value) in root.get_ref() {
+        let line = line_of(text, key.span().start);
+        let entries = value.get_ref().as_array();
+        let (true, Some(entries)) = (key.get_ref().as_ref() == "target", entries) else {
+            let rule = "must be [[target]]; a table of targets holds nothing else";
+            return Err(Misread::new(line, key.get_ref(), rule));
+        };
+        for entry in entries {
+            let line = line_of(text, entry.span().start);
+            let Some(table) = entry.get_ref().as_table() else {
+                return Err(Misread::new(line, "target", "must be a table"));
+            };
+            let fields = Fields { text, table, line };
+            let one = target(&fields, seabed)?;
+            if placed.len() == MAX_TARGETS {
+                let rule = format!("at most {MAX_TARGETS} targets are read");
+                return Err(fields.misread("name", rule));
+            }
+            if placed.iter().any(|p| p.target.name == one.target.name) {
+                return Err(fields.misread("name", "must be the name of one target only"));
+            }
+            placed.push(one);
+        }
+    }
+    Ok(placed)
+}
+
+fn target(fields: &Fields, seabed: SeabedDown) -> Result<Placed, Misread> {
+    let name = fields.needed_text("name")?;
+    check_name(name).map_err(|rule| fields.misread("name", rule))?;
+    let shape = fields.text("shape")?.unwrap_or("point");
+    let Some((_, own)) = SHAPES.iter().find(|(known, _)| *known == shape) else {
+        let names: Vec<&str> = SHAPES.iter().map(|(known, _)| *known).collect();
+        return Err(fields.misread("shape", format!("must be one of {}", names.join(", "))));
+    };
+    fields.refuse_others(shape, own)?;
+    if shape == "point" {
+        return point(fields, name, seabed);
+    }
+    let solid = match shape {
+        "sphere" => Solid::Sphere {
+            center_m: DVec3::ZERO,
+            radius_m: fields.needed("radius_m", SIZES_M)?,
+        },
+        "cylinder" => cylinder(fields)?,
+        "box" => {
+            let [x, y, z] = fields.needed_triple("size_m", SIZES_M)?;
+            Solid::Box {
+                center_m: DVec3::ZERO,
+                axes: DMat3::from_rotation_z(fields.heading_rad()?),
+                half_m: DVec3::new(x, y, z) / 2.0,
+            }
+        }
+        _ => rope(fields, seabed)?,
+    };
+    let (solid, position_m) = match shape {
+        "rope" => {
+            let (low, high) = solid.bounds_m();
+            (solid, (low + high) / 2.0)
+        }
+        _ => {
+            let position_m = place(fields, seabed, solid.bounds_m().1.z)?;
+            (solid.moved(position_m), position_m)
+        }
+    };
+    let area_m2 = solid.area_m2();
+    let lambert = match (
+        fields.number("lambert_db", LAMBERTS_DB)?,
+        fields.number("target_strength_db", STRENGTHS_DB)?,
+        &solid,
+    ) {
+        (Some(_), Some(_), _) => {
+            let rule = "must not stand beside lambert_db: one follows from the other";
+            return Err(fields.misread("target_strength_db", rule));
+        }
+        (Some(db), None, _) => libm::pow(10.0, db / 10.0),
+        (None, Some(db), _) => lambert_of_mean(db, area_m2),
+        (None, None, Solid::Sphere { radius_m, .. }) => {
+            // pi a^2 / 4 pi: the rigid sphere's a^2/4.
+            lambert_of_mean(
+                20.0 * libm::log10(radius_m / 2.0),
+                4.0 * PI * radius_m * radius_m,
+            )
+        }
+        (None, None, _) => {
+            let rule = format!("a {shape} needs lambert_db or target_strength_db");
+            return Err(fields.misread("shape", rule));
+        }
+    };
+    let density = fields.number("density_per_m2", DENSITIES_PER_M2)?;
+    Ok(Placed {
+        target: Target {
+            name: name.to_owned(),
+            position_m,
+            target_strength_db: mean_strength_db(lambert, area_m2),
+        },
+        body: Body::Solid {
+            solid,
+            lambert,
+            density_per_m2: density.unwrap_or(DEFAULT_DENSITY_PER_M2),
+        },
+        line: fields.line,
+    })
+}
+
+fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<Placed, Misread> {
+    for key in ["lambert_db", "density_per_m2"] {
+        if fields.value(key).is_some() {
+            return Err(fields.misread(key, "is no field of a point"));
+        }
+    }
+    Ok(Placed {
+        target: Target {
+            name: name.to_owned(),
+            position_m: place(fields, seabed, 0.0)?,
+            target_strength_db: fields.needed("target_strength_db", STRENGTHS_DB)?,
+        },
+        body: Body::Point,
+        line: fields.line,
+    })
+}
+
+/// About its centre.
+fn cylinder(fields: &Fields) -> Result<Solid, Misread> {
+    let radius_m = fields.needed("radius_m", SIZES_M)?;
+    let length_m = fields.needed("length_m", SIZES_M)?;
+    let heading = fields.heading_rad()?;
+    let elevation_deg = fields
+        .number("elevation_deg", -90.0..=90.0)?
+        .unwrap_or(90.0);
+    let (rise, level) = libm::sincos(elevation_deg.to_radians());
+    let (sin, cos) = libm::sincos(heading);
+    let half_m = DVec3::new(level * cos, level * sin, -rise) * (length_m / 2.0);
+    Ok(Solid::Cylinder {
+        ends_m: [-half_m, half_m],
+        radius_m,
+    })
+}
+
+fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {
+    let radius_m = fields.needed("radius_m", SIZES_M)?;
+    for key in ["north_m", "east_m", "down_m"] {
+        if fields.value(key).is_some() {
+            return Err(fields.misread(key, "is no field of a rope: path_m says where it lies"));
+        }
+    }
+    let height_m = fields.number("height_above_seabed_m", 0.0..=MAX_VERTICAL_M)?;
+    let Some(rows) = fields.value("path_m") else {
+        return Err(fields.misread("path_m", "is missing"));
+    };
+    let rule =
+        "must be two or more [north, east] over the seabed, or [north, east, down], all alike";
+    let wrong = || fields.misread("path_m", rule);
+    let rows = rows.get_ref().as_array().ok_or_else(wrong)?;
+    if rows.len() > MAX_ROPE_VERTICES {
+        let rule = format!("may have {MAX_ROPE_VERTICES} places at most");
+        return Err(fields.misread("path_m", rule));
+    }
+    let mut vertices_m: Vec<DVec3> = Vec::with_capacity(rows.len());
+    let mut width = None;
+    for row in rows {
+        let row = row.get_ref().as_array().ok_or_else(wrong)?;
+        if *width.get_or_insert(row.len()) != row.len() || !(2..=3).contains(&row.len()) {
+            return Err(wrong());
+        }
+        let mut numbers = [0.0; 3];
+        for (k, (number, item)) in numbers.iter_mut().zip(row.iter()).enumerate() {
+            let limit = if k < 2 {
+                MAX_HORIZONTAL_M
+            } else {
+                MAX_VERTICAL_M
+            };
+            *number = fields.item("path_m", item.get_ref(), -limit..=limit)?;
+        }
+        if row.len() == 2 {
+            let Some(down_m) = seabed(numbers[0], numbers[1]) else {
+                return Err(fields.misread("path_m", needs_seabed(numbers[0], numbers[1])));
+            };
+            numbers[2] = down_m - height_m.unwrap_or(0.0) - radius_m;
+        }
+        vertices_m.push(DVec3::from_array(numbers));
+    }
+    if width == Some(3) && height_m.is_some() {
+        let rule = "is for a path over the seabed; this one has its own depths";
+        return Err(fields.misread("height_above_seabed_m", rule));
+    }
+    if vertices_m.len() < 2 {
+        return Err(wrong());
+    }
+    if vertices_m
+        .windows(2)
+        .any(|pair| pair[0].distance(pair[1]) < 1e-3)
+    {
+        return Err(fields.misread(
+            "path_m",
+            "must have a millimetre or more between neighbours",
+        ));
+    }
+    Ok(Solid::Rope {
+        vertices_m,
+        radius_m,
+    })
+}
+
+fn needs_seabed(north_m: f64, east_m: f64) -> String {
+    format!("needs a seabed below it; at north {north_m}, east {east_m} the scene has none")
+}
+
+/// Where the centre goes: at its depth, or with the lowest point (`lowest_m` below the centre) at its height over the seabed.
+fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, Misread> {
+    let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
+    let at = DVec2::new(
+        fields.needed("north_m", horizontal.clone())?,
+        fields.needed("east_m", horizontal)?,
+    );
+    let height_m = fields.number("height_above_seabed_m", -MAX_VERTICAL_M..=MAX_VERTICAL_M)?;
+    let down_m = fields.number("down_m", -MAX_VERTICAL_M..=MAX_VERTICAL_M)?;
+    match (down_m, height_m) {
+        (Some(_), Some(_)) => {
+            let rule = "must not stand beside height_above_seabed_m";
+            Err(fields.misread("down_m", rule))
+        }
+        (Some(down_m), None) => Ok(at.extend(down_m)),
+        (None, height_m) => match seabed(at.x, at.y) {
+            Some(seabed_m) => Ok(at.extend(seabed_m - height_m.unwrap_or(0.0) - lowest_m)),
+            None => Err(fields.misread("name", needs_seabed(at.x, at.y))),
+        },
+    }
+}
+
+/// One `[[target]]`, with faults that name its lines.
+struct Fields<'a> {
+    text: &'a str,
+    table: &'a DeTable<'a>,
+    line: usize,
+}
+
+impl<'a> Fields<'a> {
+    fn value(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {
+        self.table.get(key)
+    }
+
+    /// The fault of one field: at its own line if it is there, else at the target's.
+    fn misread(&self, key: &str, rule: impl Into<String>) -> Misread {
+        match self.value(key) {
+            None => Misread::new(self.line, "", rule),
+            Some(value) => {
+                let span = value.span();
+                let written = self.text.get(span.clone()).unwrap_or("");
+                Misread::new(line_of(self.text, span.start), written, rule)
+            }
+        }
+        .in_column(key)
+    }
+
+    fn refuse_others(&self, shape: &str, own: &[&str]) -> Result<(), Misread> {
+        for (key, _) in self.table {
+            let known = |list: &[&str]| list.contains(&key.get_ref().as_ref());
+            if !known(COMMON) && !known(SOLID) && !known(own) {
+                let line = line_of(self.text, key.span().start);
+                let all = [COMMON, SOLID, own].concat().join(", ");
+                let rule = format!("is no field of a {shape}; it has {all}");
+                return Err(Misread::new(line, key.get_ref(), rule));
+            }
+        }
+        Ok(())
+    }
+
+    fn text(&self, key: &str) -> Result<Option<&'a str>, Misread> {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        match value.get_ref().as_str() {
+            Some(text) => Ok(Some(text)),
+            None => Err(self.misread(key, "must be text")),
+        }
+    }
+
+    fn needed_text(&self, key: &str) -> Result<&'a str, Misread> {
+        self.text(key)?
+            .ok_or_else(|| self.misread(key, "is missing"))
+    }
+
+    fn item(
+        &self,
+        key: &str,
+        value: &DeValue,
+        allowed: RangeInclusive<f64>,
+    ) -> Result<f64, Misread> {
+        let digits = match value {
+            DeValue::Integer(number) if number.radix() == 10 => number.as_str(),
+            DeValue::Float(number) => number.as_str(),
+            _ => return Err(self.misread(key, "must be a number")),
+        };
+        text::number(&digits.replace('_', ""), allowed).map_err(|rule| self.misread(key, rule))
+    }
+
+    fn number(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<Option<f64>, Misread> {
+        self.value(key)
+            .map(|value| self.item(key, value.get_ref(), allowed))
+            .transpose()
+    }
+
+    fn needed(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<f64, Misread> {
+        self.number(key, allowed)?
+            .ok_or_else(|| self.misread(key, "is missing"))
+    }
+
+    fn needed_triple(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<[f64; 3], Misread> {
+        let Some(value) = self.value(key) else {
+            return Err(self.misread(key, "is missing"));
+        };
+        match value.get_ref().as_array() {
+            Some(items) if items.len() == 3 => {
+                let mut numbers = [0.0; 3];
+                for (number, item) in numbers.iter_mut().zip(items.iter()) {
+                    *number = self.item(key, item.get_ref(), allowed.clone())?;
+                }
+                Ok(numbers)
+            }
+            _ => Err(self.misread(key, "must be three numbers")),
+        }
+    }
+
+    fn heading_rad(&self) -> Result<f64, Misread> {
+        let deg = self.number("heading_deg", -360.0..=360.0)?;
+        Ok(deg.unwrap_or(0.0).to_radians())
+    }
+}
+
+fn line_of(text: &str, at: usize) -> usize {
+    text.as_bytes()[..at.min(text.len())]
+        .iter()
+        .filter(|byte| **byte == b'\n')
+        .count()
+        + 1
+}

@@ -1,0 +1,250 @@
+//! Triangle meshes as solids: ray tests through a tree of boxes, places spread evenly over the area.
+//!
+//! Triangles without area are dropped. Which side is out is as the mesh has it: anticlockwise seen from outside.
+
+use glam::DVec3;
+
+use super::solid::{SKIN_M, SurfacePoint};
+
+/// Triangles in a leaf of the tree.
+const LEAF: usize = 8;
+
+/// Why a mesh cannot be a target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MeshFault {
+    #[error("holds no triangle with an area")]
+    Empty,
+    #[error("triangle {triangle} names a vertex that is not there")]
+    NoSuchVertex { triangle: usize },
+    #[error("holds a coordinate that is not a finite number")]
+    NotFinite,
+    #[error("may have {} triangles at most", MAX_TRIANGLES)]
+    TooMany,
+}
+
+/// Triangles at most: 4 million take some 700 MiB.
+pub const MAX_TRIANGLES: usize = 1 << 22;
+
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    triangles: Vec<Triangle>,
+    /// Area up to and including each triangle.
+    area_up_to_m2: Vec<f64>,
+    nodes: Vec<Node>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Triangle {
+    a_m: DVec3,
+    ab_m: DVec3,
+    ac_m: DVec3,
+}
+
+/// A box around the triangles `first .. first + count` of the tree's order (a leaf), or around its children, the next node and `second`.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    low_m: DVec3,
+    high_m: DVec3,
+    first: u32,
+    count: u32,
+    second: u32,
+}
+
+impl Mesh {
+    pub fn new(vertices_m: &[DVec3], triangles: &[[u32; 3]]) -> Result<Self, MeshFault> {
+        if triangles.len() > MAX_TRIANGLES {
+            return Err(MeshFault::TooMany);
+        }
+        if !vertices_m.iter().all(|v| v.is_finite()) {
+            return Err(MeshFault::NotFinite);
+        }
+        let mut kept = Vec::with_capacity(triangles.len());
+        for (index, corners) in triangles.iter().enumerate() {
+            let corner = |k: usize| vertices_m.get(corners[k] as usize).copied();
+            let (Some(a_m), Some(b), Some(c)) = (corner(0), corner(1), corner(2)) else {
+                return Err(MeshFault::NoSuchVertex { triangle: index });
+            };
+            let triangle = Triangle {
+                a_m,
+                ab_m: b - a_m,
+                ac_m: c - a_m,
+            };
+            let area_m2 = triangle.area_m2();
+            if area_m2 > 0.0 && area_m2.is_finite() {
+                kept.push(triangle);
+            }
+        }
+        if kept.is_empty() {
+            return Err(MeshFault::Empty);
+        }
+        let mut nodes = Vec::with_capacity(2 * kept.len() / LEAF + 1);
+        build(&mut kept, 0, &mut nodes);
+        let mut sum = 0.0;
+        let area_up_to_m2 = kept
+            .iter()
+            .map(|t| {
+                sum += t.area_m2();
+                sum
+            })
+            .collect();
+        Ok(Self {
+            triangles: kept,
+            area_up_to_m2,
+            nodes,
+        })
+    }
+
+    pub(super) fn shift(&mut self, by_m: DVec3) {
+        for triangle in &mut self.triangles {
+            triangle.a_m += by_m;
+        }
+        for node in &mut self.nodes {
+            node.low_m += by_m;
+            node.high_m += by_m;
+        }
+    }
+
+    pub fn area_m2(&self) -> f64 {
+        self.area_up_to_m2.last().copied().unwrap_or(0.0)
+    }
+
+    pub fn bounds_m(&self) -> (DVec3, DVec3) {
+        (self.nodes[0].low_m, self.nodes[0].high_m)
+    }
+
+    pub fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
+        let mut nearest: Option<f64> = None;
+        let inverse = direction.recip();
+        let mut at = 0;
+        // Depth-first without a stack: a node that is missed, or a leaf, is followed by the node after all that is below it.
+        while let Some(node) = self.nodes.get(at) {
+            let limit_m = nearest.unwrap_or(f64::INFINITY);
+            let missed = !node.may_be_met(origin_m, inverse, limit_m);
+            if missed || node.count > 0 {
+                let span = node.first as usize..(node.first + node.count) as usize;
+                if !missed {
+                    for triangle in &self.triangles[span] {
+                        if let Some(met_m) = triangle.hit_m(origin_m, direction)
+                            && nearest.is_none_or(|best| met_m < best)
+                        {
+                            nearest = Some(met_m);
+                        }
+                    }
+                }
+                at = node.second as usize;
+            } else {
+                at += 1;
+            }
+        }
+        nearest
+    }
+
+    pub fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
+        let wanted_m2 = share * self.area_m2();
+        let index = self
+            .area_up_to_m2
+            .partition_point(|area| *area <= wanted_m2)
+            .min(self.triangles.len() - 1);
+        let triangle = &self.triangles[index];
+        let before_m2 = if index == 0 {
+            0.0
+        } else {
+            self.area_up_to_m2[index - 1]
+        };
+        let within = ((wanted_m2 - before_m2) / triangle.area_m2()).clamp(0.0, 1.0);
+        // Turk 1990 (Graphics Gems): the root spreads evenly between the corner and the far side.
+        let reach = within.sqrt();
+        SurfacePoint {
+            position_m: triangle.a_m
+                + (triangle.ab_m * (1.0 - across) + triangle.ac_m * across) * reach,
+            normal: triangle.ab_m.cross(triangle.ac_m).normalize_or_zero(),
+        }
+    }
+}
+
+impl Triangle {
+    fn area_m2(&self) -> f64 {
+        self.ab_m.cross(self.ac_m).length() / 2.0
+    }
+    fn bounds_m(&self) -> (DVec3, DVec3) {
+        let (b, c) = (self.a_m + self.ab_m, self.a_m + self.ac_m);
+        (self.a_m.min(b).min(c), self.a_m.max(b).max(c))
+    }
+    fn center_m(&self) -> DVec3 {
+        self.a_m + (self.ab_m + self.ac_m) / 3.0
+    }
+    /// Moller and Trumbore 1997, both sides.
+    fn hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
+        let p = direction.cross(self.ac_m);
+        let determinant = self.ab_m.dot(p);
+        if determinant == 0.0 {
+            return None;
+        }
+        let from = origin_m - self.a_m;
+        let u = from.dot(p) / determinant;
+        let q = from.cross(self.ab_m);
+        let v = direction.dot(q) / determinant;
+        if u < 0.0 || v < 0.0 || u + v > 1.0 {
+            return None;
+        }
+        let t = self.ac_m.dot(q) / determinant;
+        (t > SKIN_M).then_some(t)
+    }
+}
+
+impl Node {
+    fn may_be_met(&self, origin_m: DVec3, inverse: DVec3, limit_m: f64) -> bool {
+        let (mut enter, mut leave) = (0.0_f64, limit_m);
+        for axis in 0..3 {
+            if inverse[axis].is_infinite() {
+                // Along the slab: 0 times infinity below would be NaN.
+                if !(self.low_m[axis]..=self.high_m[axis]).contains(&origin_m[axis]) {
+                    return false;
+                }
+                continue;
+            }
+            let a = (self.low_m[axis] - origin_m[axis]) * inverse[axis];
+            let b = (self.high_m[axis] - origin_m[axis]) * inverse[axis];
+            enter = enter.max(a.min(b));
+            leave = leave.min(a.max(b));
+        }
+        enter <= leave
+    }
+}
+
+/// Lays the tree of `triangles` (which begin at `offset` of all) behind what `nodes` holds, in depth-first order.
+fn build(triangles: &mut [Triangle], offset: usize, nodes: &mut Vec<Node>) {
+    let everywhere = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let union = |ends: (DVec3, DVec3), low: DVec3, high: DVec3| (ends.0.min(low), ends.1.max(high));
+    let (low_m, high_m) = triangles.iter().fold(everywhere, |ends, t| {
+        let (low, high) = t.bounds_m();
+        union(ends, low, high)
+    });
+    let place = nodes.len();
+    nodes.push(Node {
+        low_m,
+        high_m,
+        first: offset as u32,
+        count: 0,
+        second: 0,
+    });
+    if triangles.len() <= LEAF {
+        nodes[place].count = triangles.len() as u32;
+    } else {
+        let (low, high) = triangles.iter().fold(everywhere, |ends, t| {
+            union(ends, t.center_m(), t.center_m())
+        });
+        let size = high - low;
+        let axis = (0..3)
+            .max_by(|a, b| size[*a].total_cmp(&size[*b]))
+            .unwrap_or(0);
+        let middle = triangles.len() / 2;
+        triangles.select_nth_unstable_by(middle, |a, b| {
+            a.center_m()[axis].total_cmp(&b.center_m()[axis])
+        });
+        let (left, right) = triangles.split_at_mut(middle);
+        build(left, offset, nodes);
+        build(right, offset + middle, nodes);
+    }
+    nodes[place].second = nodes.len() as u32;
+}

@@ -1,0 +1,291 @@
+//! Named targets: points over the seabed (CSV) and solid shapes anywhere in the water (TOML), as scatterers.
+//!
+//! CSV: columns `name,north_m,east_m,height_above_seabed_m,target_strength_db`, metres from the scene's zero; points with pressure
+//! 10^(TS/20) and phase 0 (TS is the ratio of intensities at 1 m: Urick 1983, Principles of Underwater Sound, 9.1). TOML: [`file`].
+//!
+//! A solid's surface scatters by Lambert's law: scatterers spread evenly over its area, each with a fixed circular Gaussian reflectivity. Its
+//! mean target strength over all directions is mu area / 6 for any convex shape (the mean of cos^2 over the facing half sphere, by
+//! Cauchy's argument), and that of a sphere is the same in every direction. The far side is silent by its normals; what stands in whose
+//! shadow is for the occlusion to find, through [`Targets::hits`].
+//! Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
+
+mod chance;
+mod file;
+pub mod mesh;
+pub mod solid;
+
+#[cfg(test)]
+mod tests;
+
+use std::ops::{Range, RangeInclusive};
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, required};
+use crate::flow::{ScatterLaw, Scatterers, Target};
+use chance::Chance;
+use solid::Solid;
+
+/// Rows at most; every ping's truth record carries them all.
+pub const MAX_TARGETS: usize = 10_000;
+/// Scatterers of all targets together: 4 million take some 300 MiB.
+pub const MAX_TARGET_SCATTERERS: usize = 1 << 22;
+/// However small a solid, so that its strength hardly depends on which side the few happen to lie.
+const MIN_SCATTERERS: usize = 64;
+
+const MAX_NAME_CHARACTERS: usize = 64;
+/// dB; a krill has -90, a submarine +30.
+const STRENGTHS_DB: RangeInclusive<f64> = -150.0..=100.0;
+
+const COLUMNS: [Column; 5] = [
+    required("name"),
+    required("north_m"),
+    required("east_m"),
+    required("height_above_seabed_m"),
+    required("target_strength_db"),
+];
+
+/// Keeps these draws apart from other uses of the scene's seed; a change of the recipe needs a new version here.
+const KEY_LABEL: &[u8; 24] = b"echotank targets    v001";
+
+/// A target as its file describes it, in the scene's own coordinates.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    pub target: Target,
+    pub body: Body,
+    /// Of the file.
+    line: usize,
+}
+
+#[derive(Clone, Debug)]
+pub enum Body {
+    Point,
+    Solid {
+        solid: Solid,
+        /// Lambert's mu of its surface.
+        lambert: f64,
+        density_per_m2: f64,
+    },
+}
+
+/// All targets of a scene, in its own coordinates, with every scatterer made.
+#[derive(Clone, Debug, Default)]
+pub struct Targets {
+    named: Vec<Target>,
+    /// Of each named target: its solid, if it has one.
+    solids: Vec<Option<Solid>>,
+    /// Middle and radius of a ball that holds each.
+    balls_m: Vec<(DVec3, f64)>,
+    scatterers: Scatterers,
+    /// Area that each scatterer stands for; 0 for a point.
+    area_m2: Vec<f64>,
+    /// First scatterer of each target, and one past the last.
+    spans: Vec<Range<usize>>,
+}
+
+impl Targets {
+    /// Reads a CSV table, or a TOML one where `toml` says so. `seabed_down_m` gives the seabed at (north, east), none where there is none.
+    pub fn parse(
+        bytes: &[u8],
+        toml: bool,
+        seed: u64,
+        seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
+    ) -> Result<Self, Misread> {
+        let placed = match toml {
+            true => file::parse(bytes, &seabed_down_m)?,
+            false => parse(bytes, seabed_down_m)?
+                .into_iter()
+                .map(|target| Placed {
+                    target,
+                    body: Body::Point,
+                    line: 0,
+                })
+                .collect(),
+        };
+        Self::new(placed, seed)
+    }
+
+    /// Makes the scatterers. Refuses more than [`MAX_TARGET_SCATTERERS`].
+    pub fn new(placed: Vec<Placed>, seed: u64) -> Result<Self, Misread> {
+        let mut all = Self::default();
+        for (index, Placed { target, body, line }) in placed.into_iter().enumerate() {
+            let first = all.scatterers.len();
+            match body {
+                Body::Point => {
+                    all.balls_m.push((target.position_m, 0.0));
+                    all.scatterers.push(
+                        target.position_m,
+                        super::UP,
+                        strength(&target),
+                        ScatterLaw::Point,
+                    );
+                    all.area_m2.push(0.0);
+                    all.solids.push(None);
+                }
+                Body::Solid {
+                    solid,
+                    lambert,
+                    density_per_m2,
+                } => {
+                    let area_m2 = solid.area_m2();
+                    let wanted = (area_m2 * density_per_m2).ceil().max(MIN_SCATTERERS as f64);
+                    if first as f64 + wanted > MAX_TARGET_SCATTERERS as f64 {
+                        let rule = format!(
+                            "has an area of {area_m2:.1} m2 and would take {wanted:.0} scatterers; all targets together may take {MAX_TARGET_SCATTERERS}: lower its density_per_m2"
+                        );
+                        return Err(Misread::new(line, &target.name, rule).in_column("name"));
+                    }
+                    let mut chance = Chance::new(seed, KEY_LABEL, index as u64);
+                    let share_m2 = area_m2 / wanted;
+                    let amplitude = (lambert * share_m2).sqrt();
+                    solid.sample(wanted as usize, &mut chance, |point, chance| {
+                        let reflectivity = amplitude * chance.circular_gaussian();
+                        let normal = point.normal.as_vec3().to_array();
+                        all.scatterers.push(
+                            point.position_m,
+                            normal,
+                            reflectivity,
+                            ScatterLaw::Lambert,
+                        );
+                        all.area_m2.push(share_m2);
+                    });
+                    let (low, high) = solid.bounds_m();
+                    all.balls_m
+                        .push(((low + high) / 2.0, low.distance(high) / 2.0));
+                    all.solids.push(Some(solid));
+                }
+            }
+            all.spans.push(first..all.scatterers.len());
+            all.named.push(target);
+        }
+        Ok(all)
+    }
+
+    pub fn len(&self) -> usize {
+        self.named.len()
+    }
+    pub fn is_empty(&self) -> bool {
+        self.named.is_empty()
+    }
+    pub fn named(&self) -> &[Target] {
+        &self.named
+    }
+    /// The shape of a target; none for a point.
+    pub fn solid(&self, target: usize) -> Option<&Solid> {
+        self.solids[target].as_ref()
+    }
+    /// Middle and radius of a ball that holds a target.
+    pub fn ball_m(&self, target: usize) -> (DVec3, f64) {
+        self.balls_m[target]
+    }
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+    /// Area that a scatterer stands for, square metres; 0 for a point.
+    pub fn area_m2(&self, scatterer: usize) -> f64 {
+        self.area_m2[scatterer]
+    }
+    /// The scatterers of a target.
+    pub fn span(&self, target: usize) -> Range<usize> {
+        self.spans[target].clone()
+    }
+    /// Which target a scatterer belongs to, for labels.
+    pub fn target_of(&self, scatterer: usize) -> usize {
+        self.spans.partition_point(|span| span.end <= scatterer)
+    }
+
+    /// Whether any solid lies on the ray from `origin_m` (the scene's own coordinates) along the unit `direction`, nearer than `max_m`.
+    /// From a solid's own surface outward it is not met.
+    pub fn hits(&self, origin_m: DVec3, direction: DVec3, max_m: f64) -> bool {
+        self.solids
+            .iter()
+            .zip(&self.balls_m)
+            .any(|(solid, &(center_m, radius_m))| {
+                let Some(solid) = solid else {
+                    return false;
+                };
+                let to_m = center_m - origin_m;
+                let along_m = to_m.dot(direction).clamp(0.0, max_m.max(0.0));
+                let nearest_m = (to_m - direction * along_m).length_squared();
+                nearest_m <= radius_m * radius_m && solid.hits(origin_m, direction, max_m)
+            })
+    }
+
+    /// Adds the scatterers of one target to `out`, moved by `anchor_m`.
+    pub fn gather(&self, target: usize, anchor_m: DVec3, out: &mut Scatterers) {
+        let span = self.span(target);
+        let own = &self.scatterers;
+        out.north_m
+            .extend(own.north_m[span.clone()].iter().map(|n| n + anchor_m.x));
+        out.east_m
+            .extend(own.east_m[span.clone()].iter().map(|e| e + anchor_m.y));
+        out.down_m
+            .extend(own.down_m[span.clone()].iter().map(|d| d + anchor_m.z));
+        out.normal.extend_from_slice(&own.normal[span.clone()]);
+        out.strength.extend_from_slice(&own.strength[span.clone()]);
+        out.law.extend_from_slice(&own.law[span]);
+    }
+}
+
+/// Lambert's mu of a convex surface whose target strength, mean over all directions, is `mean_db`.
+///
+/// A patch dA sends back mu cos^2 dA where it faces the sonar; over all directions the mean of cos^2 (half of them facing) is 1/6.
+pub fn lambert_of_mean(mean_db: f64, area_m2: f64) -> f64 {
+    6.0 * libm::pow(10.0, mean_db / 10.0) / area_m2
+}
+
+/// The reverse of [`lambert_of_mean`], dB.
+pub fn mean_strength_db(lambert: f64, area_m2: f64) -> f64 {
+    10.0 * libm::log10(lambert * area_m2 / 6.0)
+}
+
+/// The rule that a name breaks.
+fn check_name(name: &str) -> Result<(), String> {
+    if name.is_empty() || name.chars().count() > MAX_NAME_CHARACTERS {
+        return Err(format!("must have 1 to {MAX_NAME_CHARACTERS} characters"));
+    }
+    if name.chars().any(char::is_control) {
+        return Err("must hold no control characters".to_owned());
+    }
+    Ok(())
+}
+
+/// Points of a CSV table in the scene's own coordinates. `seabed_down_m` gives the seabed at (north, east), none where there is none.
+pub fn parse(
+    bytes: &[u8],
+    seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
+) -> Result<Vec<Target>, Misread> {
+    let mut targets: Vec<Target> = Vec::new();
+    text::read_table(bytes, &COLUMNS, |row| {
+        if targets.len() == MAX_TARGETS {
+            return Err(row.misread(0, format!("at most {MAX_TARGETS} targets are read")));
+        }
+        let name = row.text(0).unwrap_or("");
+        check_name(name).map_err(|rule| row.misread(0, rule))?;
+        if targets.iter().any(|t| t.name == name) {
+            return Err(row.misread(0, "must be the name of one target only"));
+        }
+        let north_m = row.number(1, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;
+        let east_m = row.number(2, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;
+        let height_m = row.number(3, 0.0..=MAX_VERTICAL_M, 0.0)?;
+        let Some(seabed_m) = seabed_down_m(north_m, east_m) else {
+            let rule = format!(
+                "needs a seabed below it; at north {north_m}, east {east_m} the scene has none"
+            );
+            return Err(row.misread(0, rule));
+        };
+        targets.push(Target {
+            name: name.to_owned(),
+            position_m: DVec3::new(north_m, east_m, seabed_m - height_m),
+            target_strength_db: row.number(4, STRENGTHS_DB, 0.0)?,
+        });
+        Ok(())
+    })?;
+    Ok(targets)
+}
+
+/// Echo pressure at 1 m for unit incident pressure.
+pub fn strength(target: &Target) -> Complex64 {
+    Complex64::from(libm::pow(10.0, target.target_strength_db / 20.0))
+}

@@ -1,0 +1,376 @@
+//! The engines in the pipeline: whole pings against the direct sum, and what happens when settings change.
+
+use std::path::Path;
+
+use echotank::config::parse;
+use echotank::config::spec::RigSpec;
+use echotank::flow::*;
+use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank::ping::{self, PingOrder};
+use echotank::run::pipeline::{PipelineError, SonarPipeline, engine_card};
+use echotank::time::UtcNs;
+use glam::DVec3;
+use num_complex::Complex64;
+
+/// `model`: lines of `[sonar.model]`; `receiver`: more of `[sonar.receiver]`; `taper` of the pulse.
+fn rig(model: &str, receiver: &str, taper: f64) -> RigSpec {
+    let text = format!(
+        r#"
+[[nav.source]]
+name = "gnss"
+kind = "udp"
+listen = "127.0.0.1:10110"
+[scene.seabed]
+shape = "plane"
+depth_m = 40.0
+[[sonar]]
+name = "main"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 100.0
+bandwidth_khz = 24.0
+duration_ms = 2.0
+taper = {taper}
+[[sonar.transmit]]
+name = "tx"
+position_m = [0.4, 0.1, 0.3]
+[[sonar.receive]]
+name = "along"
+elements = 3
+spacing_m = 0.05
+[[sonar.receive]]
+name = "across"
+elements = 2
+spacing_m = 0.002
+position_m = [-1.0, 0.3, 0.2]
+yaw_deg = 90.0
+[sonar.receiver]
+sample_rate_khz = 50.0
+{receiver}
+[sonar.ping]
+range_m = 30.0
+rate_hz = 5.0
+source_level_db = 200.0
+[sonar.limits]
+range_m = [5.0, 45.0]
+pulse_duration_ms = [1.0, 3.0]
+[sonar.model]
+{model}
+"#
+    );
+    parse(&text, Path::new(".")).unwrap_or_else(|problems| panic!("{model}: {problems}"))
+}
+
+const FILTER: &str = "rx_filter = \"fir\"";
+
+/// Points all around, 4 to 34 m away, and one target.
+fn scene(count: usize) -> Scatterers {
+    let mut scatterers = Scatterers::default();
+    for k in 0..count {
+        let part = |step: f64| (0.5 + k as f64 * step).fract();
+        let (r, a) = (
+            4.0 + 30.0 * part(0.754_877_666_246_693),
+            std::f64::consts::TAU * part(0.569_840_290_998_053),
+        );
+        scatterers.push(
+            DVec3::new(r * a.cos(), r * a.sin(), 3.0),
+            [0.0; 3],
+            Complex64::from_polar(1.0, std::f64::consts::TAU * part(0.618_033_988_749_895)),
+            ScatterLaw::Point,
+        );
+    }
+    let target = Complex64::new(20.0, 0.0);
+    scatterers.push(
+        DVec3::new(3.0, 15.0, 3.0),
+        [0.0; 3],
+        target,
+        ScatterLaw::Point,
+    );
+    scatterers
+}
+
+/// Surging, heaving, rolling; `speed` along the track.
+fn restless(speed: f64) -> Trajectory {
+    let knots = || (-2..8).map(|k| 0.1 * f64::from(k));
+    let swing = |t: f64| (1.3 * t).sin_cos();
+    Trajectory {
+        position: knots()
+            .map(|t| VectorKnot {
+                time_s: t,
+                value: DVec3::new(speed * t + 0.4 * t * t, 0.2 * swing(t).0, 0.0),
+                rate_per_s: DVec3::new(speed + 0.8 * t, 0.26 * swing(t).1, 0.0),
+            })
+            .collect(),
+        heave: knots()
+            .map(|t| VectorKnot {
+                time_s: t,
+                value: DVec3::Z * swing(t).1,
+                rate_per_s: DVec3::Z * (-1.3 * swing(t).0),
+            })
+            .collect(),
+        attitude: knots()
+            .map(|t| AttitudeKnot {
+                time_s: t,
+                world_from_body: rotation_from_angles(0.1 * swing(t).0, 0.0, 0.05 * t),
+                body_rate_rad_per_s: DVec3::new(0.13 * swing(t).1, 0.0, 0.05),
+            })
+            .collect(),
+        lever_arm_m: DVec3::ZERO,
+    }
+}
+
+fn plan(rig: &RigSpec, number: u32, change: impl Fn(&mut SonarSettings)) -> PingPlan {
+    plan_at(rig, number, 4.0, change)
+}
+
+fn plan_at(
+    rig: &RigSpec,
+    number: u32,
+    speed: f64,
+    change: impl Fn(&mut SonarSettings),
+) -> PingPlan {
+    let sonar = &rig.sonars[0];
+    let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
+    plan.trajectory = restless(speed);
+    let mut settings = sonar.settings;
+    change(&mut settings);
+    let order = PingOrder {
+        ping_number: number,
+        transmit_utc: UtcNs(0),
+        settings,
+        period_s: 0.2,
+    };
+    ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
+    plan
+}
+
+fn once(rig: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> PingOutput {
+    let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+    let mut output = pipeline.blank_output();
+    pipeline.compute_ping(plan, scatterers, &mut output);
+    output
+}
+
+/// Over all elements and windows of a pulse's length that begin every half of one: the worst relative error of those that hold an echo, and
+/// of those that hold none the loudest, over the median.
+///
+/// A band ends somewhere, and what it leaves out of an echo rings around it. So a window counts as loud as the loudest within a pulse of it,
+/// and where the sum is silent, an engine is only nearly so.
+fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f64) -> (f64, f64) {
+    let length = ((plan.pulse.duration_s * rate_hz) as usize).max(32);
+    let energy = |x: &[Complex64]| x.iter().map(|s| s.norm_sqr()).sum::<f64>();
+    let (mut worst, mut silent) = (0.0f64, 0.0f64);
+    assert_eq!(got.elements.len(), want.elements.len());
+    for (got, want) in got.elements.iter().zip(&want.elements) {
+        assert_eq!((got.elements, got.samples), (want.elements, want.samples));
+        for e in 0..got.elements {
+            let (got, want) = (got.element(e), want.element(e));
+            let starts = || (0..=got.len() - length).step_by(length / 2);
+            let all: Vec<f64> = starts().map(|k| energy(&want[k..k + length])).collect();
+            let mut sorted = all.clone();
+            sorted.sort_by(f64::total_cmp);
+            let median = sorted[all.len() / 2];
+            for (w, k) in starts().enumerate() {
+                let off: Vec<Complex64> = (k..k + length).map(|i| got[i] - want[i]).collect();
+                let around = w.saturating_sub(2)..(w + 3).min(all.len());
+                let level = all[around].iter().copied().fold(0.0, f64::max);
+                // 80 dB below the median there is no echo, but the filter's onset at most.
+                match all[w] > 1e-8 * median {
+                    true => worst = worst.max((energy(&off) / level).sqrt()),
+                    false => silent = silent.max((energy(&off) / median).sqrt()),
+                }
+            }
+        }
+    }
+    (worst, silent)
+}
+
+/// Every pair of models that an engine takes, behind the filter, against the direct sum of the same models.
+#[test]
+fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
+    let scatterers = scene(300);
+    for path in PathModel::ALL {
+        for doppler in [DopplerModel::None, DopplerModel::Stretch] {
+            let model = |synthesis: &str, tolerance: f64| {
+                let (path, doppler) = (path.name(), doppler.name());
+                rig(
+                    &format!(
+                        "path = \"{path}\"\ndoppler = \"{doppler}\"\nsegment_ms = 10.0\nsynthesis = \"{synthesis}\"\ntolerance = {tolerance}"
+                    ),
+                    FILTER,
+                    1.0,
+                )
+            };
+            let direct = model("direct", 1e-3);
+            let ping = plan(&direct, 1, |_| {});
+            let want = once(&direct, &ping, &scatterers);
+            // The direct sum's own density behind the filter leaves 2e-5 of a tapered pulse.
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
+                let engine = model("gridded-1d", tolerance);
+                let ping = plan(&engine, 1, |_| {});
+                let got = once(&engine, &ping, &scatterers);
+                let (error, silent) = worst_window(&got, &want, &ping, 50e3);
+                println!(
+                    "{} {} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}",
+                    path.name(),
+                    doppler.name()
+                );
+                assert!(
+                    error < tolerance && silent < tolerance,
+                    "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
+                );
+                assert!(got.counts.used > 1000 && got.counts.too_fast == 0);
+                // Its filter reaches a little farther: an echo more or less at the window's ends.
+                assert!(got.counts.used.abs_diff(want.counts.used) < 30);
+            }
+        }
+    }
+}
+
+/// Without the receiver filter a soft pulse is within reach, and what is not is refused with numbers.
+#[test]
+fn without_the_filter_the_pulse_decides() {
+    let scatterers = scene(300);
+    let soft = |synthesis: &str| rig(&format!("synthesis = \"{synthesis}\""), "", 1.0);
+    let ping = plan(&soft("direct"), 1, |_| {});
+    let want = once(&soft("direct"), &ping, &scatterers);
+    let engine = soft("gridded-1d");
+    let ping = plan(&engine, 1, |_| {});
+    let (error, silent) = worst_window(&once(&engine, &ping, &scatterers), &want, &ping, 50e3);
+    println!("no filter: {error:.1e}, silent {silent:.1e}");
+    assert!(error < 1e-3 && silent < 1e-3, "{error:e}, {silent:e}");
+
+    let sharp = rig("synthesis = \"gridded-1d\"\ntolerance = 1e-4", "", 0.0);
+    let refused = SonarPipeline::new(&sharp.sonars[0], &sharp.medium)
+        .err()
+        .expect("a sharp pulse is as wide as one likes");
+    assert!(matches!(refused, PipelineError::Engine { .. }));
+    let said = refused.to_string();
+    assert!(
+        said.starts_with("sonar.model.tolerance = 1e-4: gridded-1d cannot reach")
+            && said.contains("use the receiver filter"),
+        "{said}"
+    );
+    let again = engine_card(&sharp.sonars[0], &sharp.medium).expect_err("the same");
+    assert_eq!(again.to_string(), said);
+}
+
+#[test]
+fn the_card_says_what_it_is_made_for() {
+    for tolerance in [1e-1, 1e-3, 1e-6, 1e-8] {
+        let rig = rig(&format!("tolerance = {tolerance}"), FILTER, 0.1);
+        assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
+        let card = engine_card(&rig.sonars[0], &rig.medium)
+            .expect("within reach")
+            .expect("an engine");
+        assert_eq!(card.name, "gridded-1d");
+        assert!(card.error <= tolerance && card.cost_ms > 0.0, "{card:?}");
+    }
+    let direct = rig("synthesis = \"direct\"", FILTER, 0.1);
+    let card = engine_card(&direct.sonars[0], &direct.medium).expect("nothing to refuse");
+    assert_eq!(card, None);
+}
+
+/// Pulse and range change in mid-run, foreseen or not: each ping is the one that a sonar with these settings from the start makes.
+#[test]
+fn changed_settings_give_the_bits_of_a_sonar_that_had_them_always() {
+    let scatterers = scene(200);
+    let rig = rig("", FILTER, 0.1);
+    assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
+    let changes: [(f64, f64); 9] = [
+        (30.0, 2e-3),
+        (30.0, 1.37e-3),
+        (12.0, 1.37e-3),
+        (45.0, 3e-3),
+        (30.0, 2e-3),
+        (30.5, 1e-3),
+        (10.0, 1e-3),
+        (44.0, 1.5e-3),
+        (12.0, 1.37e-3),
+    ];
+    let of = |number: usize| {
+        let (range_m, pulse_s) = changes[number];
+        plan(&rig, 1 + number as u32, |settings| {
+            settings.range_m = range_m;
+            settings.pulse_duration_s = pulse_s;
+        })
+    };
+    let alone: Vec<PingOutput> = (0..changes.len())
+        .map(|number| once(&rig, &of(number), &scatterers))
+        .collect();
+    for foreseen in [0, 1, 3] {
+        let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+        let mut output = pipeline.blank_output();
+        for (number, want) in alone.iter().enumerate() {
+            for ahead in number + 1..(number + 1 + foreseen).min(changes.len()) {
+                pipeline.expect(&of(ahead).settings);
+            }
+            let ping = of(number);
+            pipeline.compute_ping(&ping, &scatterers, &mut output);
+            assert_eq!(output.elements, want.elements, "{:?}", changes[number]);
+            assert_eq!(output.elements[0].samples, ping.sample_count);
+        }
+    }
+    // ... and none of them is anything but the direct sum.
+    let direct = self::rig("synthesis = \"direct\"", FILTER, 0.1);
+    for (number, got) in alone.iter().enumerate() {
+        let ping = of(number);
+        let sum = PingPlan {
+            model: direct.sonars[0].model,
+            ..ping.clone()
+        };
+        let want = once(&direct, &sum, &scatterers);
+        let (error, silent) = worst_window(got, &want, &ping, 50e3);
+        assert!(
+            error < 1e-3 && silent < 1e-3,
+            "{:?}: {error:e}, {silent:e}",
+            changes[number]
+        );
+    }
+}
+
+#[test]
+fn the_bits_are_the_same_for_any_number_of_threads() {
+    let scatterers = scene(2000);
+    let rig = rig("path = \"k-segment\"", FILTER, 0.1);
+    let with = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool")
+            .install(|| once(&rig, &plan(&rig, 1, |_| {}), &scatterers))
+    };
+    let one = with(1);
+    for threads in [2, 3] {
+        let several = with(threads);
+        assert_eq!(one.elements, several.elements, "{threads} threads");
+        assert_eq!(one.counts, several.counts);
+    }
+}
+
+/// A platform faster than any sonar's: counted, heard at the fastest Doppler known, and nothing worse.
+#[test]
+fn echoes_too_fast_for_the_engine_are_counted() {
+    let scatterers = scene(300);
+    let rig = rig("", FILTER, 0.1);
+    let slow = once(&rig, &plan_at(&rig, 1, 9.0, |_| {}), &scatterers);
+    assert_eq!(slow.counts.too_fast, 0);
+    let fast = once(&rig, &plan_at(&rig, 1, 25.0, |_| {}), &scatterers);
+    assert!(
+        fast.counts.too_fast > 100 && fast.counts.too_fast < fast.counts.used,
+        "{:?}",
+        fast.counts
+    );
+    assert!(fast.elements[0].iq.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn a_scene_that_is_empty_or_out_of_reach_is_silent() {
+    let rig = rig("", FILTER, 0.1);
+    let mut far = Scatterers::default();
+    far.push(DVec3::X * 1e4, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    for scatterers in [Scatterers::default(), far] {
+        let output = once(&rig, &plan(&rig, 1, |_| {}), &scatterers);
+        assert!(output.elements[0].iq.iter().all(|x| x.norm() == 0.0));
+    }
+}

@@ -1,0 +1,10 @@
+//! The line-array engine held to the direct sum and to the slow reference.
+
+mod models;
+mod moving;
+#[path = "../echo_model/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests of the echo model")]
+mod rig;
+mod scene;
+mod still;
+mod tolerance;

@@ -1,0 +1,132 @@
+//! The tolerance asked for is the tolerance kept, in every window.
+
+use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded2d::{Bounds, Choice, Precision, Refusal, Spec, choose};
+use glam::DVec3;
+
+use crate::rig::C;
+use crate::scene::*;
+
+fn chosen(scene: &Scene, drawn: Draw, tolerance: f64) -> Result<Choice, Refusal> {
+    let bounds = Bounds {
+        nearest_m: drawn.near_m,
+        greatest_slope: drawn.sector_deg.to_radians().sin(),
+        along_m_per_s: drawn.velocity_m_per_s.x.abs(),
+        across_m_per_s: drawn.velocity_m_per_s.with_x(0.0).length(),
+        turning_rad_per_s: 0.0,
+    };
+    choose(&spec(scene, bounds, tolerance))
+}
+
+fn spec(scene: &Scene, bounds: Bounds, tolerance: f64) -> Spec<'_> {
+    Spec {
+        array: &scene.rx,
+        pulse: &scene.plan.pulse,
+        sound_speed_m_per_s: C,
+        sample_rate_hz: RATE_HZ,
+        filter: Some(&scene.decimator),
+        model: &scene.plan.model,
+        bounds,
+        tolerance,
+        level_range_db: 40.0,
+        scatterers: 1000,
+        dialect: Dialect::best(),
+    }
+}
+
+#[test]
+fn the_error_by_window_keeps_every_tolerance() {
+    let mut cells = 0;
+    for velocity_m_per_s in [
+        DVec3::ZERO,
+        DVec3::new(5.0, 0.0, 0.0),
+        DVec3::new(10.0, 0.0, 0.0),
+        DVec3::new(5.0, 0.3, 0.3),
+    ] {
+        for sector_deg in [15.0, 60.0] {
+            let drawn = Draw {
+                elements: 64,
+                scatterers: 200,
+                velocity_m_per_s,
+                sector_deg,
+                far_m: 60.0,
+                ..SIDE_SCAN
+            };
+            let scene = draw(drawn);
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 2e-5] {
+                let choice = match chosen(&scene, drawn, tolerance) {
+                    Ok(choice) => choice,
+                    Err(refusal) => {
+                        println!("{velocity_m_per_s} m/s, +-{sector_deg} deg: {refusal}");
+                        continue;
+                    }
+                };
+                cells += 1;
+                let (got, reports) = match choice.precision {
+                    Precision::Single => error::<f32>(&scene, choice.fineness, false),
+                    Precision::Double => error::<f64>(&scene, choice.fineness, false),
+                };
+                let left_out = reports.iter().map(|r| r.left_out).fold(0.0, f64::max);
+                let most = reports.iter().max_by_key(|r| r.channels).expect("tasks");
+                println!(
+                    "{velocity_m_per_s} m/s, +-{sector_deg} deg, {tolerance:e}: {got:.1e}, predicted {:.1e}, left out {left_out:.1e}; stretch {}, width {}, {} columns, {} channels, {:?}",
+                    choice.card.error,
+                    choice.fineness.stretch,
+                    choice.fineness.time_width,
+                    most.columns,
+                    most.channels,
+                    most.orders,
+                );
+                assert!(
+                    got <= tolerance && got <= 1.1 * choice.card.error.max(left_out),
+                    "{got:e} against {tolerance:e}: {}",
+                    choice.card.why
+                );
+            }
+        }
+    }
+    assert!(cells >= 36, "only {cells} cells were computed");
+}
+
+#[test]
+fn what_cannot_be_kept_is_refused_with_a_reason() {
+    let scene = draw(SIDE_SCAN);
+    let fine = chosen(&scene, SIDE_SCAN, 1e-7).expect_err("too fine");
+    assert!(matches!(fine, Refusal::TooFine { .. }), "{fine}");
+    assert!(fine.to_string().contains("gridded-2d"), "{fine}");
+    // One element of a stretch of one sees no curvature; beside a wall no longer stretch does.
+    let close = Draw {
+        near_m: 0.5,
+        ..SIDE_SCAN
+    };
+    match chosen(&scene, close, 1e-3) {
+        Ok(choice) => assert!(choice.fineness.stretch < 64, "{:?}", choice.fineness),
+        Err(refusal) => assert!(matches!(refusal, Refusal::TooNear { .. }), "{refusal}"),
+    }
+    assert!(chosen(&scene, SIDE_SCAN, f64::NAN).is_err());
+}
+
+#[test]
+fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bits() {
+    let drawn = Draw {
+        scatterers: 200,
+        velocity_m_per_s: DVec3::new(5.0, 0.3, 0.3),
+        far_m: 60.0,
+        ..SIDE_SCAN
+    };
+    let scene = draw(drawn);
+    let fineness = chosen(&scene, drawn, 1e-3).expect("easy").fineness;
+    let plain = engine_in::<f32>(&scene, fineness, Dialect::PORTABLE, false).0;
+    for dialect in Dialect::available() {
+        let forward = engine_in::<f32>(&scene, fineness, dialect, false).0;
+        let backward = engine_in::<f32>(&scene, fineness, dialect, true).0;
+        assert!(
+            forward == backward,
+            "{dialect:?}: the order of the tasks shows"
+        );
+        for (e, (got, want)) in forward.iter().zip(&plain).enumerate() {
+            let worst = worst_window(got, want, scene.plan.pulse.duration_s);
+            assert!(worst < 2e-6, "{dialect:?}, element {e}: {worst:e}");
+        }
+    }
+}

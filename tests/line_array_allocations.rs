@@ -1,0 +1,93 @@
+//! The line-array engine allocates nothing once its buffers have met the largest task.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
+use echotank::echo::{Illuminated, LineWorkspace, illuminate, line_arrivals};
+use glam::DVec3;
+use num_complex::Complex64;
+
+#[path = "echo_model/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests of the echo model")]
+mod rig;
+#[path = "line_array/scene.rs"]
+#[allow(dead_code, reason = "shared with the tests of the line array")]
+mod scene;
+
+use rig::ALWAYS;
+use scene::*;
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: hands every request to the system's allocator unchanged; the counter touches no memory of the requests.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
+        unsafe { System.realloc(pointer, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
+    let drawn = |speed: f64| Draw {
+        scatterers: 500,
+        velocity_m_per_s: DVec3::new(speed, 0.1 * speed, 0.1 * speed),
+        ..SIDE_SCAN
+    };
+    let scenes = [5.0, 4.0, 1.0].map(|speed| draw(drawn(speed)));
+    let fineness = Fineness {
+        stretch: 16,
+        slab_samples: 2048,
+        time_width: 4,
+        slope_width: 4,
+        moments: 8,
+        series: 2e-4,
+        motion: PulseMotion::Stretch,
+    };
+    let decimator = &scenes[0].decimator;
+    let filter = Filter {
+        gain: &|f| decimator.gain(f),
+        half_s: decimator.half_s(),
+    };
+    let rx = &scenes[0].rx;
+    let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, fineness, Dialect::best());
+    let mut lit = Illuminated::new();
+    let mut walk = LineWorkspace::default();
+    let mut work = engine.work();
+    let mut outputs = Vec::new();
+    let mut record = vec![Complex64::ZERO; scenes[0].plan.sample_count];
+    let mut counted = Vec::new();
+    for scene in scenes.iter().chain(&scenes) {
+        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        engine.prepare(&scene.plan);
+        illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        outputs.resize_with(engine.tasks(), Vec::new);
+        for (task, output) in outputs.iter_mut().enumerate() {
+            let stretch = engine.wanted(task);
+            let mut gather = engine.gather(task, &mut work);
+            line_arrivals(&scene.plan, rx, stretch, &lit, &mut walk, &mut gather);
+            engine.synthesise(task, &mut work, output);
+        }
+        engine.assemble(|task| &outputs[task], 3, &mut record);
+        counted.push(ALLOCATIONS.load(Ordering::Relaxed) - before);
+    }
+    println!("allocations by ping: {counted:?}");
+    assert!(counted[0] > 0 && counted[3..] == [0, 0, 0], "{counted:?}");
+}
