@@ -1,5 +1,6 @@
 //! One sonar over one scene in one motion, and the three families of them: the paper's ping, its variations, anything at all.
 
+use echotank::array::gridded2d::Bounds;
 use echotank::echo::cards;
 use echotank::flow::*;
 use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
@@ -233,8 +234,11 @@ fn build(
         segments,
     };
     let last = rx.elements - 1;
-    let mut looked_at = vec![0, last];
-    looked_at.dedup();
+    // Of a line both ends, of a handful one: they differ in nothing.
+    let mut looked_at = vec![last];
+    if last > 8 {
+        looked_at.push(0);
+    }
     let conditions = conditions(&plan, &tx, &rx, swath, hearing, scatterers.len());
     Case {
         scene: names.0,
@@ -302,6 +306,7 @@ fn conditions(
         segment_s: plan.model.segment_s,
         scatterers,
         elements: rx.elements,
+        tolerance: 0.0,
     }
 }
 
@@ -310,6 +315,45 @@ impl Case {
     pub fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
         cards::path_card(path, &self.conditions).error
             + cards::doppler_card(doppler, path, &self.conditions).error
+    }
+
+    /// What an engine for the whole line must be made for: angles and speeds as they occur.
+    pub fn bounds(&self) -> Bounds {
+        const INSTANTS: usize = 50;
+        let axis_body = self.rx.mounting.body_from_array * DVec3::X;
+        let mut bounds = Bounds {
+            nearest_m: self.conditions.range_m.0,
+            greatest_slope: 0.0,
+            along_m_per_s: 0.0,
+            across_m_per_s: 0.0,
+            turning_rad_per_s: 0.0,
+        };
+        let until_s = self.plan.window_s(self.rate_hz);
+        for k in 0..=INSTANTS {
+            let pose = self
+                .plan
+                .trajectory
+                .pose_at(until_s * k as f64 / INSTANTS as f64);
+            let axis = pose.world_from_body * axis_body;
+            let turning = pose.angular_velocity_rad_per_s.length();
+            bounds.turning_rad_per_s = bounds.turning_rad_per_s.max(turning);
+            for element in [0, self.rx.elements - 1] {
+                let body_m = self.rx.element_body_m(element);
+                let velocity = pose.point_velocity_m_per_s(body_m);
+                let along = velocity.dot(axis);
+                bounds.along_m_per_s = bounds.along_m_per_s.max(along.abs());
+                let across = (velocity - axis * along).length();
+                bounds.across_m_per_s = bounds.across_m_per_s.max(across);
+                let place_m = pose.point_m(body_m);
+                for i in 0..self.scatterers.len() {
+                    let ray = (self.scatterers.position_m(i) - place_m).normalize();
+                    bounds.greatest_slope = bounds.greatest_slope.max(ray.dot(axis).abs());
+                }
+            }
+        }
+        // Rounding leaves a hair beyond 1.
+        bounds.greatest_slope = bounds.greatest_slope.min(1.0);
+        bounds
     }
 
     pub fn with_models(&self, path: PathModel, doppler: DopplerModel) -> PingPlan {

@@ -1,16 +1,24 @@
 //! From a tolerance to models and a sum, by what their cards promise, or to a refusal.
 
+use std::sync::Mutex;
+
 use echotank::array::cards::synthesis_card;
 use echotank::array::filter::oversample;
 use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, one_dimensional};
+use echotank::array::gridded2d::{self, Gridded2d};
 use echotank::array::{Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
 use echotank::echo::cards::{doppler_card, path_card};
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate,
+};
 use echotank::flow::*;
 use num_complex::Complex64;
 
 use super::case::Case;
 use super::measure::{LEVEL_RANGE_DB, Truth};
+
+/// Elements from which an engine for lines is asked.
+const LEAST_LINE: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
@@ -19,6 +27,7 @@ pub enum Method {
     Nearest,
     Linear,
     Gridded1d,
+    Gridded2d,
 }
 
 /// Models and sum with which a method answers.
@@ -31,6 +40,13 @@ pub struct Chosen {
     /// What the cards add up to.
     pub predicted: f64,
     pub why: String,
+}
+
+/// An engine made for a case, where the method has one to make.
+pub enum Ready {
+    Sum,
+    Elements(Gridded),
+    Line(Gridded2d),
 }
 
 impl Chosen {
@@ -60,13 +76,22 @@ pub enum Reason {
 }
 
 impl Method {
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Direct,
         Self::Spectral,
         Self::Nearest,
         Self::Linear,
         Self::Gridded1d,
+        Self::Gridded2d,
     ];
+
+    /// Those that are of use for so many elements.
+    pub fn of(case: &Case) -> impl Iterator<Item = Self> {
+        let line = case.rx.elements >= LEAST_LINE;
+        Self::ALL
+            .into_iter()
+            .filter(move |&m| line || m != Self::Gridded2d)
+    }
 
     pub fn name(self) -> &'static str {
         match self {
@@ -75,46 +100,60 @@ impl Method {
             Self::Nearest => "nearest",
             Self::Linear => "linear",
             Self::Gridded1d => "gridded-1d",
+            Self::Gridded2d => "gridded-2d",
         }
     }
 
     /// Doppler models that go with it, from cheap to dear.
-    fn dopplers(self) -> &'static [DopplerModel] {
-        match self {
-            Self::Direct => &[
-                DopplerModel::None,
-                DopplerModel::Stretch,
-                DopplerModel::StretchQuadratic,
-            ],
-            Self::Spectral | Self::Nearest | Self::Linear => &[DopplerModel::None],
-            Self::Gridded1d => &[DopplerModel::None, DopplerModel::Stretch],
-        }
+    fn dopplers(self) -> Vec<DopplerModel> {
+        let takes = |doppler: DopplerModel| match self {
+            Self::Direct => Synthesis::Direct.takes(doppler),
+            Self::Spectral => Synthesis::Spectral.takes(doppler),
+            Self::Nearest => Synthesis::Nearest.takes(doppler),
+            Self::Linear => Synthesis::Linear.takes(doppler),
+            Self::Gridded1d => Synthesis::Gridded1d.takes(doppler),
+            Self::Gridded2d => true,
+        };
+        [
+            DopplerModel::None,
+            DopplerModel::Stretch,
+            DopplerModel::StretchQuadratic,
+        ]
+        .into_iter()
+        .filter(|&d| takes(d))
+        .collect()
     }
 
     /// The cheapest models with which the sum that is left over keeps `tolerance`.
-    pub fn within(self, tolerance: f64, case: &Case, truth: &Truth) -> Result<Chosen, Refused> {
+    pub fn within(
+        self,
+        tolerance: f64,
+        case: &Case,
+        truth: &Truth,
+    ) -> Result<(Chosen, Ready), Refused> {
         let mut refused = None;
         for path in [
             PathModel::Polyline,
             PathModel::KSegment,
             PathModel::Continuous,
         ] {
-            for &doppler in self.dopplers() {
+            for doppler in self.dopplers() {
                 let model_error = case.model_error(path, doppler);
                 let rest = tolerance - model_error;
                 if rest <= 0.0 {
                     refused = Some(model_refusal(tolerance, case, path, doppler));
                     continue;
                 }
-                match self.card(rest, case, truth, path, doppler) {
-                    Ok(card) => {
-                        return Ok(Chosen {
+                match self.ready(rest, case, truth, path, doppler) {
+                    Ok((card, ready)) => {
+                        let chosen = Chosen {
                             path,
                             doppler,
                             tolerance: if self.adapts() { rest } else { f64::INFINITY },
                             predicted: model_error + card.error,
                             why: card.why,
-                        });
+                        };
+                        return Ok((chosen, ready));
                     }
                     Err(message) => {
                         refused = Some(Refused {
@@ -128,63 +167,67 @@ impl Method {
         Err(refused.expect("every method has a model"))
     }
 
-    /// The best models that it takes, whatever comes of it; a sum that can be made to any tolerance to a thousandth.
-    pub fn as_it_is(self, case: &Case, truth: &Truth) -> Chosen {
+    /// The best models that it takes, whatever comes of it; a sum that can be made to any tolerance to a thousandth. None where the sum
+    /// refuses even that.
+    pub fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
         let path = PathModel::Continuous;
-        let doppler = *self.dopplers().last().expect("at least one");
+        let doppler = self.dopplers().last().copied()?;
         let tolerance = if self.adapts() { 1e-3 } else { f64::INFINITY };
-        let card = self.card(tolerance, case, truth, path, doppler);
-        Chosen {
+        let (card, ready) = self.ready(tolerance, case, truth, path, doppler).ok()?;
+        let chosen = Chosen {
             path,
             doppler,
             tolerance,
             predicted: f64::INFINITY,
-            why: card.map_or_else(|refusal| refusal, |card| card.why),
-        }
+            why: card.why,
+        };
+        Some((chosen, ready))
     }
 
     /// Whether its sum is made for a tolerance.
     fn adapts(self) -> bool {
-        self == Self::Gridded1d
+        matches!(self, Self::Gridded1d | Self::Gridded2d)
     }
 
-    /// The card of the sum, if it is within `tolerance`.
-    fn card(
+    /// The sum and its card, if that is within `tolerance`.
+    fn ready(
         self,
         tolerance: f64,
         case: &Case,
         truth: &Truth,
         path: PathModel,
         doppler: DopplerModel,
-    ) -> Result<MethodCard, String> {
-        let promised = |synthesis| {
-            let card = synthesis_card(synthesis, &case.conditions);
-            card.within(tolerance).map_err(|e| e.to_string())
-        };
-        match self {
-            Self::Direct => promised(Synthesis::Direct),
-            Self::Spectral => promised(Synthesis::Spectral),
-            Self::Nearest => promised(Synthesis::Nearest),
-            Self::Linear => promised(Synthesis::Linear),
+    ) -> Result<(MethodCard, Ready), String> {
+        let plan = case.with_models(path, doppler);
+        let synthesis = match self {
+            Self::Direct => Synthesis::Direct,
+            Self::Spectral => Synthesis::Spectral,
+            Self::Nearest => Synthesis::Nearest,
+            Self::Linear => Synthesis::Linear,
             Self::Gridded1d => {
-                let plan = case.with_models(path, doppler);
-                gridded_1d(tolerance, case, &plan, truth).map(|g| g.engine.card().clone())
+                let gridded = gridded_1d(tolerance, case, &plan, truth)?;
+                return Ok((gridded.engine.card().clone(), Ready::Elements(gridded)));
             }
-        }
+            Self::Gridded2d => {
+                let engine = gridded_2d(tolerance, case, &plan, truth)?;
+                return Ok((engine.card().clone(), Ready::Line(engine)));
+            }
+        };
+        let card = synthesis_card(synthesis, &case.conditions);
+        let card = card.within(tolerance).map_err(|e| e.to_string())?;
+        Ok((card, Ready::Sum))
     }
 
-    /// Samples of the elements looked at; silence where the sum refuses.
-    pub fn records(self, case: &Case, truth: &Truth, chosen: &Chosen) -> Vec<Vec<Complex64>> {
+    /// Samples of the elements looked at.
+    pub fn records(self, case: &Case, chosen: &Chosen, ready: Ready) -> Vec<Vec<Complex64>> {
         let plan = case.with_models(chosen.path, chosen.doppler);
-        match self {
-            Self::Direct => direct(case, &plan),
-            Self::Spectral => spectral(case, &plan),
-            Self::Nearest => replicas(case, &plan, false),
-            Self::Linear => replicas(case, &plan, true),
-            Self::Gridded1d => match gridded_1d(chosen.tolerance, case, &plan, truth) {
-                Ok(gridded) => gridded.records(case, &plan),
-                Err(_) => each(case, |_, _| {}),
-            },
+        match (self, ready) {
+            (_, Ready::Elements(gridded)) => gridded.records(case, &plan),
+            (_, Ready::Line(engine)) => line_records(engine, case, &plan),
+            (Self::Spectral, _) => spectral(case, &plan),
+            (Self::Nearest, _) => replicas(case, &plan, false),
+            (Self::Linear, _) => replicas(case, &plan, true),
+            (Self::Direct | Self::Gridded1d | Self::Gridded2d, Ready::Sum) => direct(case, &plan),
         }
     }
 }
@@ -328,7 +371,7 @@ impl ArrivalSink for Kept {
     }
 }
 
-struct Gridded {
+pub struct Gridded {
     engine: Gridded1d,
     heard: Vec<Vec<ArrivalChunk>>,
     span: DopplerSpan,
@@ -385,4 +428,48 @@ impl Gridded {
             assert_eq!(misfits.outside_span, 0, "{}", case.scene);
         })
     }
+}
+
+/// To be made and used inside the same pool.
+fn gridded_2d(
+    tolerance: f64,
+    case: &Case,
+    plan: &PingPlan,
+    truth: &Truth,
+) -> Result<Gridded2d, String> {
+    Gridded2d::new(&gridded2d::Spec {
+        array: &case.rx,
+        pulse: &plan.pulse,
+        sound_speed_m_per_s: plan.sound_speed_m_per_s,
+        sample_rate_hz: case.rate_hz,
+        filter: truth.filter.as_ref(),
+        model: &plan.model,
+        bounds: case.bounds(),
+        tolerance,
+        level_range_db: LEVEL_RANGE_DB,
+        scatterers: case.scatterers.len(),
+        dialect: Dialect::best(),
+    })
+    .map_err(|e| e.to_string())
+}
+
+fn line_records(mut engine: Gridded2d, case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
+    let mut lit = Illuminated::new();
+    let window = Window::of_samples(0.0, case.rate_hz, usize::MAX);
+    illuminate(plan, &case.tx, window, &case.scatterers, &mut lit);
+    let work: Vec<_> = (0..rayon::current_num_threads())
+        .map(|_| Mutex::new(LineWorkspace::default()))
+        .collect();
+    let echoes = LineEchoes {
+        plan,
+        array: &case.rx,
+        lit: &lit,
+        work: &work,
+    };
+    let mut iq = vec![Complex64::ZERO; case.rx.elements * plan.sample_count];
+    engine.synthesise(plan, &echoes, &mut iq);
+    case.looked_at
+        .iter()
+        .map(|&e| iq[e * plan.sample_count..][..plan.sample_count].to_vec())
+        .collect()
 }
