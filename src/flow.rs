@@ -662,6 +662,15 @@ impl Scatterers {
         self.strength.truncate(len);
         self.law.truncate(len);
     }
+    /// Puts scatterer `from` in the place of scatterer `to`.
+    pub fn copy_within(&mut self, from: usize, to: usize) {
+        self.north_m[to] = self.north_m[from];
+        self.east_m[to] = self.east_m[from];
+        self.down_m[to] = self.down_m[from];
+        self.normal[to] = self.normal[from];
+        self.strength[to] = self.strength[from];
+        self.law[to] = self.law[from];
+    }
     /// To be written over: what is added scatters nothing.
     pub fn resize(&mut self, len: usize) {
         self.north_m.resize(len, 0.0);
@@ -690,28 +699,155 @@ impl Scatterers {
     }
 }
 
-/// What one array can hear of the scene: a ball, less the two cones about the line's axis where its pattern is below what counts.
-/// A footprint with a value that is not finite hears nothing.
+/// What one pair of transmitter and receive array can hear of the scene: a ball, less the directions where the patterns of transmitter and
+/// element together surely lie below what counts, and what lies behind a baffle. A footprint with a value that is not finite hears nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
-    /// World, metres.
+    /// World, metres: the transmitter.
     pub apex_m: DVec3,
-    /// The line array's axis in the world, unit.
-    pub axis: DVec3,
-    /// Directions u with |u . axis| above this are left out; 1 keeps all.
-    pub max_axis_sine: f64,
+    /// World, metres: the middle of the receive array.
+    pub receiver_m: DVec3,
     pub max_range_m: f64,
+    pub sides: [PatternSide; Self::SIDES],
+    /// How many times below its greatest value the product of the sides may fall; infinite keeps all.
+    pub depth: f64,
+    pub faces: [BaffledFace; 2],
+}
+
+/// One side of a rectangular radiator. Its pattern stays below 1 / (u / knee), u the sine of the direction off the side's broadside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatternSide {
+    /// Along the side, in the world, unit.
+    pub axis: DVec3,
+    /// Sine from which that is less than 1: lambda / (pi L); infinite for a side without length.
+    pub knee: f64,
+    /// What the sine may be off by, because the platform turns ...
+    pub turn: f64,
+    /// ... and, over the range in metres, because the radiator sits or moves elsewhere than the apex.
+    pub shift_m: f64,
+}
+
+/// A face that radiates or hears nothing behind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaffledFace {
+    /// Out of the face, in the world, unit; zero for a face that is open.
+    pub normal: DVec3,
+    /// As in [`PatternSide`].
+    pub turn: f64,
+    pub shift_m: f64,
+}
+
+impl PatternSide {
+    pub const OPEN: Self = Self {
+        axis: DVec3::X,
+        knee: f64::INFINITY,
+        turn: 0.0,
+        shift_m: 0.0,
+    };
+
+    /// How many times below 1 the pattern surely lies where the direction's part along the axis is `along_m` of `range_m`.
+    #[inline(always)]
+    pub fn below(&self, along_m: f64, range_m: f64) -> f64 {
+        let sine = (along_m.abs() - self.shift_m) / range_m - self.turn;
+        (sine / self.knee).max(1.0)
+    }
+}
+
+impl BaffledFace {
+    pub const OPEN: Self = Self {
+        normal: DVec3::ZERO,
+        turn: 0.0,
+        shift_m: 0.0,
+    };
+
+    #[inline(always)]
+    pub fn may_face(&self, ahead_m: f64, range_m: f64) -> bool {
+        ahead_m >= -(self.turn * range_m + self.shift_m)
+    }
 }
 
 impl Footprint {
+    /// Length and width of transmitter and element.
+    pub const SIDES: usize = 4;
+
+    /// Everything within range.
+    pub fn all_round(apex_m: DVec3, max_range_m: f64) -> Self {
+        Self {
+            apex_m,
+            receiver_m: apex_m,
+            max_range_m,
+            sides: [PatternSide::OPEN; Self::SIDES],
+            depth: f64::INFINITY,
+            faces: [BaffledFace::OPEN; 2],
+        }
+    }
+
+    /// Everything within range whose direction u has |u . axis| no greater than `max_sine`.
+    pub fn fan(apex_m: DVec3, max_range_m: f64, axis: DVec3, max_sine: f64) -> Self {
+        let mut footprint = Self::all_round(apex_m, max_range_m);
+        footprint.sides[0] = PatternSide {
+            axis,
+            knee: max_sine,
+            ..PatternSide::OPEN
+        };
+        footprint.depth = 1.0;
+        footprint
+    }
+
     pub fn contains(&self, position_m: DVec3) -> bool {
         let d = position_m - self.apex_m;
         let range_squared = d.length_squared();
-        let along = d.dot(self.axis);
-        range_squared <= self.max_range_m * self.max_range_m
-            && (self.max_axis_sine >= 1.0
-                || along * along <= self.max_axis_sine * self.max_axis_sine * range_squared)
+        if range_squared > self.max_range_m * self.max_range_m {
+            return false;
+        }
+        let range_m = range_squared.sqrt();
+        self.faces
+            .iter()
+            .all(|face| face.may_face(d.dot(face.normal), range_m))
+            && (self.depth == f64::INFINITY
+                || self
+                    .sides
+                    .iter()
+                    .map(|side| side.below(d.dot(side.axis), range_m))
+                    .product::<f64>()
+                    <= self.depth)
     }
+
+    pub fn is_finite(&self) -> bool {
+        self.apex_m.is_finite()
+            && self.receiver_m.is_finite()
+            && self.max_range_m >= 0.0
+            && self.max_range_m.is_finite()
+            && self.depth >= 0.0
+            && self
+                .sides
+                .iter()
+                .all(|s| s.axis.is_finite() && s.knee >= 0.0 && s.turn >= 0.0 && s.shift_m >= 0.0)
+            && self
+                .faces
+                .iter()
+                .all(|f| f.normal.is_finite() && f.turn >= 0.0 && f.shift_m >= 0.0)
+    }
+}
+
+/// What one gathering met.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SceneCounts {
+    /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
+    pub tiles_used: u64,
+    pub tiles_made: u64,
+    /// Pieces of the seabed around the footprints, one tile or many, that were out of reach or held no seabed.
+    pub culled_tiles: u64,
+    /// Scatterers of the seabed: those in the tiles that had to be made.
+    pub made: u64,
+    /// Those in the tiles in reach, which every ping looks at, are culled (in no footprint), in shadow, or handed on.
+    pub culled: u64,
+    /// Explicit points and scatterers of targets are among these.
+    pub shadowed: u64,
+    pub scatterers: u64,
+    /// Explicit points and targets handed on.
+    pub points: u64,
+    pub targets: u64,
 }
 
 /// A named strong target, for the truth file.
@@ -952,6 +1088,7 @@ pub struct PingOutput {
     pub beams: Vec<BeamFrame>,
     pub lines: Vec<Line>,
     pub counts: EchoCounts,
+    pub scene: SceneCounts,
 }
 
 // ---------------------------------------------------------------- out

@@ -3,7 +3,7 @@
 mod counting;
 
 use echotank::config::spec::{
-    BottomSpec, Density, IncidenceSpec, SceneSpec, SeabedShape, SeabedSpec,
+    BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedShape, SeabedSpec,
 };
 use echotank::flow::{Footprint, Scatterers};
 use echotank::scene::Scene;
@@ -12,6 +12,15 @@ use glam::DVec3;
 
 #[test]
 fn a_moving_platform_gathers_without_allocating_after_warm_up() {
+    // In a pool, as every ping is: to hand work to one from outside takes memory.
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(2)
+        .build()
+        .unwrap();
+    pool.install(gather_on_the_move);
+}
+
+fn gather_on_the_move() {
     let spec = SceneSpec {
         seed: 1,
         anchor_first_fix: false,
@@ -30,16 +39,16 @@ fn a_moving_platform_gathers_without_allocating_after_warm_up() {
         }),
         points: None,
         targets: None,
+        occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: 40 * TILE_BYTES,
+        simplify: None,
     };
     let mut scene = Scene::open(&spec).unwrap();
     let mut out = Scatterers::default();
     let mut ping = |north_m: f64, out: &mut Scatterers| {
-        let side = |axis| Footprint {
-            apex_m: DVec3::new(north_m, 0.0, 0.0),
-            axis,
-            max_axis_sine: 1.0,
-            max_range_m: 80.0,
+        let side = |axis| {
+            let apex_m = DVec3::new(north_m, 0.0, 0.0);
+            Footprint::fan(apex_m, 80.0, axis, 1.0)
         };
         scene.gather(&[side(DVec3::X), side(DVec3::Y)], out)
     };

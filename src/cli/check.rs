@@ -6,6 +6,8 @@ use clap::Args;
 
 use super::{Failure, load};
 use crate::config;
+use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::echo::culling::left_out_share;
 use crate::run::pipeline::engine_card;
 
 #[derive(Args, Clone, Debug)]
@@ -43,7 +45,36 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
                 );
             }
         }
+        for sonar in &spec.sonars {
+            print!("{}", culling(sonar, &spec.medium));
+        }
         println!("{}: ok", path.display());
     }
     Ok(())
+}
+
+/// What `cull_db` leaves out of each array's reverberation; empty where nothing is culled.
+fn culling(sonar: &SonarSpec, medium: &MediumSpec) -> String {
+    let Some(cull_db) = sonar.model.cull_db else {
+        return String::new();
+    };
+    let wavelength_m = medium.sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
+    let mut text = String::new();
+    for (array, name) in sonar.receive.iter().zip(&sonar.receive_names) {
+        let transmit = &sonar.transmit[array.transmit];
+        let share = |incidence_deg: u32| {
+            let incidence_rad = f64::from(incidence_deg).to_radians();
+            left_out_share(transmit, array, wavelength_m, cull_db, incidence_rad)
+        };
+        let at = |deg: u32| format!("{:.1e} at {deg}", share(deg).sqrt());
+        text += &format!(
+            "culling      {} {name}: what lies below {cull_db} dB; error of a flat bottom's windows {}, {}, {}, {} degrees of incidence\n",
+            sonar.name,
+            at(20),
+            at(45),
+            at(70),
+            at(85)
+        );
+    }
+    text
 }

@@ -62,6 +62,7 @@ fn what_it_does(spec: &RigSpec) -> Vec<String> {
         Some(SeabedShape::Plane { depth_m, .. }) => {
             lines.push(format!("over a plane {depth_m} m deep"))
         }
+        Some(SeabedShape::Paper(shape)) => lines.push(format!("over {}", shape.name())),
         None => {}
     }
     for sonar in &spec.sonars {

@@ -397,9 +397,80 @@ static SCENE: Table = Table {
             Default("\"normal\""),
             "What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).",
         ),
+        key(
+            "occlusion",
+            Kind::Choice(&["none", "horizon", "paper"], &[]),
+            Default("\"horizon\""),
+            "Shadows: none; of seabed and solids, from transmitter and receiver; or over the seabed by the paper's rule (Eq. 27), which forgets obstacles.",
+        ),
         key("seabed", Kind::Table(&SEABED), Shown(""), ""),
+        key("simplify", Kind::Table(&SIMPLIFY), Default("{}"), ""),
     ],
-    later: &["occlusion", "simplify"],
+    later: &[],
+};
+
+static SIMPLIFY: Table = Table {
+    doc: "Leaves out scatterers of the seabed that a ping can do without; points and targets stay.",
+    keys: &[
+        key(
+            "method",
+            Kind::Choice(
+                &["none", "acoustic-unbiased", "acoustic", "paper"],
+                &["conventional"],
+            ),
+            Default("\"none\""),
+            "All are computed; by chance with the lost level made up for; the strongest energies (Meng et al. 2023, mended); the same as printed.",
+        ),
+        key(
+            "keep",
+            Kind::Integer(1, 100_000_000),
+            Optional("20000"),
+            "Scatterers of a ping, needed unless method is none; acoustic-unbiased keeps so many on average.",
+        ),
+        key(
+            "weight_curvature",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What Gaussian curvature counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_scattering",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the energy that is sent back counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_axis",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the two-way pattern counts; 1 unless acoustic-unbiased, then 0.",
+        ),
+        key(
+            "weight_echo",
+            Kind::Number(from(0.0, 1.0e6)),
+            Optional("1.0"),
+            "What the product of the last two counts; 0 unless acoustic-unbiased, then 1.",
+        ),
+        key(
+            "hold_m",
+            Kind::Number(from(0.0, 1.0e4)),
+            Default("0.5"),
+            "A choice is kept until the sonar has moved this far",
+        ),
+        key(
+            "hold_deg",
+            Kind::Number(from(0.0, 180.0)),
+            Default("0.5"),
+            "or turned this much.",
+        ),
+        key(
+            "shadows",
+            Kind::Bool,
+            Default("false"),
+            "Search for shadows among the scatterers itself, where occlusion is none, and choose what lies in them last (acoustic-unbiased: never).",
+        ),
+    ],
+    later: &[],
 };
 
 static SEABED: Table = Table {
@@ -407,9 +478,18 @@ static SEABED: Table = Table {
     keys: &[
         key(
             "shape",
-            Kind::Choice(&["plane", "esri-ascii"], &["geotiff", "bag", "xyz"]),
+            Kind::Choice(
+                &[
+                    "plane",
+                    "esri-ascii",
+                    "paper-curves",
+                    "paper-relief",
+                    "paper-lake",
+                ],
+                &["geotiff", "bag", "xyz"],
+            ),
             Required("\"plane\""),
-            "",
+            "The paper's bottoms (Figs. 6, 12, 17) lie some 30 m under the scene's zero, east of a track along north.",
         ),
         key(
             "depth_m",

@@ -179,8 +179,21 @@ pub struct SceneSpec {
     pub points: Option<PathBuf>,
     /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
+    pub occlusion: OcclusionSpec,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,
+    pub simplify: Option<SimplifySpec>,
+}
+
+/// What hides what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OcclusionSpec {
+    /// Nothing.
+    None,
+    /// Whatever stands between.
+    Horizon,
+    /// Over the seabed, Meng et al. 2023, Eq. 27 as printed.
+    Paper,
 }
 
 #[derive(Clone, Debug)]
@@ -303,6 +316,99 @@ pub enum SeabedShape {
         offset_north_m: f64,
         offset_east_m: f64,
     },
+    Paper(PaperShape),
+}
+
+/// The bottoms of Meng et al. 2023.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PaperShape {
+    /// Fig. 6.
+    Curves,
+    /// Fig. 12.
+    Relief,
+    /// Fig. 17, without its piers.
+    Lake,
+}
+
+impl PaperShape {
+    pub const ALL: [Self; 3] = [Self::Curves, Self::Relief, Self::Lake];
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Curves => "paper-curves",
+            Self::Relief => "paper-relief",
+            Self::Lake => "paper-lake",
+        }
+    }
+}
+
+/// Thinning of each ping's scatterers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimplifySpec {
+    pub method: SimplifyMethod,
+    /// Scatterers of the seabed to keep in a ping.
+    pub keep: usize,
+    pub weights: EnergyWeights,
+    /// A choice is kept until the sonar has moved this far,
+    pub hold_m: f64,
+    /// or turned this much.
+    pub hold_rad: f64,
+    /// Search for shadows while choosing.
+    pub shadows: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SimplifyMethod {
+    /// Eqs. 26-29 of Meng et al. 2023, mended.
+    Acoustic,
+    /// The same as printed.
+    Paper,
+    /// By chance, each with its probability made up for.
+    Unbiased,
+}
+
+impl SimplifyMethod {
+    pub const ALL: [Self; 3] = [Self::Acoustic, Self::Paper, Self::Unbiased];
+    /// As the configuration and the command line spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Acoustic => "acoustic",
+            Self::Paper => "paper",
+            Self::Unbiased => "acoustic-unbiased",
+        }
+    }
+}
+
+/// What the parts of a scatterer's energy count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergyWeights {
+    pub curvature: f64,
+    pub scattering: f64,
+    pub axis: f64,
+    /// Of the product of scattering and axis.
+    pub echo: f64,
+}
+
+impl EnergyWeights {
+    /// The paper names three weights and gives no values: all alike.
+    pub const PAPER: Self = Self {
+        curvature: 1.0,
+        scattering: 1.0,
+        axis: 1.0,
+        echo: 0.0,
+    };
+    pub const ECHO: Self = Self {
+        curvature: 0.0,
+        scattering: 0.0,
+        axis: 0.0,
+        echo: 1.0,
+    };
+    pub fn default_of(method: SimplifyMethod) -> Self {
+        match method {
+            SimplifyMethod::Acoustic | SimplifyMethod::Paper => Self::PAPER,
+            SimplifyMethod::Unbiased => Self::ECHO,
+        }
+    }
 }
 
 /// Pacing and threads.

@@ -93,6 +93,7 @@ fn scene(scene: &SceneSpec) -> String {
         let shape = match &seabed.shape {
             SeabedShape::Plane { depth_m, .. } => format!("plane {depth_m} m deep"),
             SeabedShape::EsriAscii { path, .. } => path.display().to_string(),
+            SeabedShape::Paper(shape) => shape.name().to_owned(),
         };
         let mirrored = if scene.mirror { " mirrored" } else { "" };
         let density = match seabed.density {
@@ -128,6 +129,13 @@ fn scene(scene: &SceneSpec) -> String {
         if let Some(path) = path {
             parts.push(format!("{what} {}", path.display()));
         }
+    }
+    if let Some(simplify) = &scene.simplify {
+        parts.push(format!(
+            "{} of them by {}",
+            simplify.keep,
+            simplify.method.name()
+        ));
     }
     match parts.is_empty() {
         true => "empty".to_owned(),

@@ -10,6 +10,7 @@
 
 pub mod absorption;
 pub mod cards;
+pub mod culling;
 mod elementary;
 pub mod levels;
 pub mod paths;

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::flow::{Certificate, EchoCounts, NavState};
+use crate::flow::{Certificate, EchoCounts, NavState, SceneCounts};
 
 /// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
 #[derive(Debug, Default)]
@@ -34,6 +34,11 @@ pub struct PingCounters {
     pub certificate_faults: AtomicU64,
     /// Echoes faster than the engine is made for.
     pub too_fast: AtomicU64,
+    /// Scatterers of the seabed, sums over the pings.
+    pub seabed_made: AtomicU64,
+    pub seabed_culled: AtomicU64,
+    pub seabed_shadowed: AtomicU64,
+    pub seabed_used: AtomicU64,
     /// The newest certificate: error, low, high, as the bits of f64.
     pub certificate: [AtomicU64; 3],
 }
@@ -61,6 +66,14 @@ impl PingCounters {
         worst(&self.worst_compute_us, compute_us);
     }
 
+    /// What a ping had of the seabed.
+    pub fn scene(&self, counts: &SceneCounts) {
+        add(&self.seabed_made, counts.made);
+        add(&self.seabed_culled, counts.culled);
+        add(&self.seabed_shadowed, counts.shadowed);
+        add(&self.seabed_used, counts.scatterers);
+    }
+
     /// What a ping's certificate says, if it has one.
     pub fn certificate(&self, certificate: Option<&Certificate>) {
         let Some(c) = certificate else {
@@ -73,9 +86,19 @@ impl PingCounters {
         }
     }
 
-    /// For the status lines: what the engine and the certificate have to say, if anything.
+    /// For the status lines: what the seabed, the engine and the certificate have to say, if anything.
     fn model_text(&self) -> String {
         let mut text = String::new();
+        let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
+        if read(&self.seabed_used) > 0 {
+            text += &format!(
+                ", seabed per ping: {} scatterers used, {} culled, {} in shadow, {} made",
+                per_ping(&self.seabed_used),
+                per_ping(&self.seabed_culled),
+                per_ping(&self.seabed_shadowed),
+                per_ping(&self.seabed_made)
+            );
+        }
         match read(&self.too_fast) {
             0 => {}
             n => text += &format!(", {n} echoes too fast for the engine"),

@@ -500,6 +500,7 @@ impl Pacer {
                     saturated,
                     (self.clock.mono().0 - now.0).max(0) as u64 / 1000,
                 );
+                counters.scene(&output.scene);
                 counters.certificate(output.certificate.as_ref());
                 counters.nav(&slot.plan.nav);
                 // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.

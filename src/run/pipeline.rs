@@ -4,10 +4,8 @@
 //! settings, no log: it counts. Work is split by element and by beam, and no floating-point sum crosses threads, so the samples are the
 //! same bits for any number of threads.
 
-use std::f64::consts::PI;
 use std::sync::{Mutex, PoisonError};
 
-use glam::DVec3;
 use num_complex::Complex64;
 use rayon::prelude::*;
 use thiserror::Error;
@@ -28,12 +26,13 @@ use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, Pattern, PingOutput,
-    PingPlan, Pulse, ReceiverFilter, Scatterers, SonarSettings, Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, PingOutput, PingPlan,
+    Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
 };
 use crate::ping;
 use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
+use crate::run::footprints::footprints;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -155,7 +154,7 @@ impl SonarPipeline {
                 .map(|_| Mutex::new(scratch()))
                 .collect(),
             results: vec![ElementResult::default(); elements],
-            footprints: Vec::with_capacity(spec.transmit.len()),
+            footprints: Vec::with_capacity(spec.receive.len()),
             decimator,
             spectrum,
             spans: vec![
@@ -207,6 +206,7 @@ impl SonarPipeline {
                 })
                 .collect(),
             counts: EchoCounts::default(),
+            scene: SceneCounts::default(),
             certificate: None,
         }
     }
@@ -218,20 +218,9 @@ impl SonarPipeline {
         }
     }
 
-    /// Where this ping's transmit arrays light the scene: what lies outside is not asked for.
+    /// What this ping's arrays can hear of the scene: what lies outside is not asked for.
     pub fn footprints(&mut self, plan: &PingPlan) -> &[Footprint] {
-        let max_range_m =
-            0.5 * plan.window_s(self.spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
-        let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
-        let pose = plan.trajectory.pose_at(0.0);
-        self.footprints.clear();
-        self.footprints
-            .extend(self.spec.transmit.iter().map(|transmit| Footprint {
-                apex_m: pose.point_m(transmit.mounting.position_m),
-                axis: pose.world_from_body * (transmit.mounting.body_from_array * DVec3::X),
-                max_axis_sine: axis_sine(&transmit.pattern, wavelength_m, plan.model.cull_db),
-                max_range_m,
-            }));
+        footprints(&self.spec, plan, &mut self.footprints);
         &self.footprints
     }
 
@@ -501,47 +490,4 @@ fn shortest_pulse(spec: &SonarSpec) -> Pulse {
 
 fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
     2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
-}
-
-/// Sine of the angle from broadside beyond which a line's pattern stays below `cull_db`: the envelope 1/(pi x) of sinc x, x = L s/lambda.
-fn axis_sine(pattern: &Pattern, wavelength_m: f64, cull_db: Option<f64>) -> f64 {
-    match (pattern, cull_db) {
-        (Pattern::Rectangle { length_m, .. }, Some(db)) if *length_m > 0.0 => {
-            (wavelength_m / (PI * length_m) * 10f64.powf(-db / 20.0)).min(1.0)
-        }
-        _ => 1.0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nothing_above_the_floor_lies_beyond_the_axis_sine() {
-        let pattern = Pattern::Rectangle {
-            length_m: 0.45,
-            width_m: 0.0,
-            baffled: false,
-        };
-        let sine = axis_sine(&pattern, 0.015, Some(-30.0));
-        assert!(sine < 0.34, "{sine}");
-        let level = |s: f64| {
-            let x = PI * 0.45 * s / 0.015;
-            (x.sin() / x).abs()
-        };
-        for k in 0..10_000 {
-            let s = sine + (1.0 - sine) * f64::from(k) / 9_999.0;
-            assert!(
-                level(s) <= 10f64.powf(-1.5) * (1.0 + 1e-12),
-                "at {s}: {}",
-                level(s)
-            );
-        }
-        assert_eq!(axis_sine(&pattern, 0.015, None), 1.0);
-        assert_eq!(
-            axis_sine(&Pattern::Omnidirectional, 0.015, Some(-30.0)),
-            1.0
-        );
-    }
 }

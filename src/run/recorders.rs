@@ -134,8 +134,7 @@ impl Recorders {
     pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
-        self.truth
-            .push(&files.spec, plan, output.certificate, targets)?;
+        self.truth.push(&files.spec, plan, output, targets)?;
         if let Some(s7k) = &mut files.s7k {
             s7k.records.clear();
             let recorder = match &mut s7k.recorder {

@@ -207,6 +207,7 @@ impl Replay {
                     .map(|frame| frame.saturated)
                     .sum();
                 counters.ping(&slot.output.counts, saturated, 0);
+                counters.scene(&slot.output.scene);
                 counters.certificate(slot.output.certificate.as_ref());
                 self.recorders.record(slot, self.rig.targets())?;
             }

@@ -9,7 +9,10 @@ use crate::io::nav::NavOpenError;
 use crate::nav::{NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
-use crate::scene::{Scene, SceneCounts, SceneError};
+use crate::run::view;
+use crate::scene::simplify::energy::View;
+use crate::scene::simplify::stage::{Stage, StageCounts};
+use crate::scene::{Scene, SceneError};
 use crate::time::UtcNs;
 
 #[derive(Debug, Error)]
@@ -33,6 +36,8 @@ pub struct PingSlot {
 pub struct SonarUnit {
     pub spec: SonarSpec,
     pub pipeline: SonarPipeline,
+    /// Leaves out what a ping can do without.
+    simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
 }
@@ -45,7 +50,7 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     placed: bool,
     scatterers: Scatterers,
-    pub scene_counts: SceneCounts,
+    pub simplify_counts: StageCounts,
 }
 
 impl Rig {
@@ -69,6 +74,15 @@ impl Rig {
                 RigError::Sonar { name, why }
             })?;
             sonars.push(SonarUnit {
+                simplify: spec.scene.simplify.as_ref().map(|simplify| {
+                    let view = View {
+                        slack_m: simplify.hold_m,
+                        slack_rad: simplify.hold_rad,
+                        shadows: simplify.shadows,
+                        ..View::default()
+                    };
+                    (Stage::of_spec(simplify, spec.scene.seed), view)
+                }),
                 pipeline,
                 spec: sonar,
                 absorption_db_per_m,
@@ -81,7 +95,7 @@ impl Rig {
             sonars,
             placed: false,
             scatterers: Scatterers::default(),
-            scene_counts: SceneCounts::default(),
+            simplify_counts: StageCounts::default(),
         })
     }
 
@@ -159,7 +173,13 @@ impl Rig {
         let unit = &mut self.sonars[sonar];
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
-        self.scene_counts = self.scene.gather(footprints, &mut self.scatterers);
+        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
+        if let Some((stage, view)) = &mut unit.simplify {
+            view::view(&unit.spec, &slot.plan, view);
+            // The seabed's come first; points and targets stay.
+            let seabed = slot.output.scene.scatterers as usize;
+            self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
+        }
         unit.pipeline
             .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())

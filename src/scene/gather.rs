@@ -7,10 +7,12 @@ use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-use super::SceneCounts;
+use super::occlusion::{Around, Occlusion};
 use super::pool::{Place, TilePool};
-use super::tiles::{Recipe, Tile, TileId};
-use crate::flow::{Footprint, ScatterLaw, Scatterers};
+use super::seabed::Surface;
+use super::targets::Targets;
+use super::tiles::{Recipe, Tile, TileBox, TileId};
+use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
 /// Farther from the scene's zero there is no seabed, metres.
 const EDGE_M: f64 = 1e9;
@@ -23,47 +25,54 @@ const COPIED_TOGETHER: usize = 8;
 struct TileCount {
     tile: u32,
     kept: u32,
+    shadowed: u32,
     /// First of its scatterers in the ping's list.
     first: usize,
+}
+
+/// Who listens to the seabed, and what may stand in the way.
+#[derive(Clone, Copy)]
+pub struct Listeners<'a> {
+    /// The scene's zero in the world.
+    pub anchor_m: DVec3,
+    pub heard: &'a [Footprint],
+    /// Started for these footprints, and its rays run.
+    pub occlusion: &'a Occlusion,
+    pub surface: &'a Surface,
+    pub targets: &'a Targets,
 }
 
 /// Buffers of gathering.
 #[derive(Debug, Default)]
 pub struct Gatherer {
-    wanted: Vec<TileId>,
+    wanted: Vec<(TileId, TileBox)>,
     places: Vec<Place>,
     counts: Vec<TileCount>,
 }
 
 impl Gatherer {
-    /// Puts the seabed's scatterers within any of the footprints at the beginning of `out`, in place of what was there, and returns how many.
-    /// What lies behind them in `out` is of no use. `anchor_m`: the scene's zero in the world.
-    pub fn gather(
+    /// Puts the scatterers that are heard and seen, of the tiles found before, at the beginning of `out`, in place of what was there, and returns
+    /// how many. What lies behind them in `out` is of no use.
+    pub fn collect(
         &mut self,
         recipe: &Recipe,
         pool: &mut TilePool,
-        anchor_m: DVec3,
-        heard: &[Footprint],
+        listeners: Listeners,
         out: &mut Scatterers,
         counts: &mut SceneCounts,
     ) -> usize {
-        self.find(recipe, anchor_m, heard, counts);
         counts.tiles_used = self.wanted.len() as u64;
         let mut filled = 0;
         for batch in self.wanted.chunks(pool.capacity()) {
-            pool.places(batch, &mut self.places);
+            pool.places(batch.iter().map(|(id, _)| *id), &mut self.places);
             self.counts.resize(batch.len(), TileCount::default());
             self.places
                 .par_iter()
+                .zip(batch)
                 .zip(&mut self.counts)
-                .for_each(|(place, count)| {
+                .for_each(|((place, (_, tile_box)), count)| {
                     pool.work(place, recipe, |tile| {
-                        keep(tile, anchor_m, heard);
-                        *count = TileCount {
-                            tile: tile.len() as u32,
-                            kept: tile.kept.len() as u32,
-                            first: 0,
-                        };
+                        *count = keep(tile, tile_box, listeners)
                     });
                 });
             let batch_first = filled;
@@ -74,7 +83,8 @@ impl Gatherer {
                     counts.tiles_made += 1;
                     counts.made += u64::from(count.tile);
                 }
-                counts.culled += u64::from(count.tile - count.kept);
+                counts.shadowed += u64::from(count.shadowed);
+                counts.culled += u64::from(count.tile - count.kept - count.shadowed);
             }
             if out.len() < filled {
                 out.resize(filled);
@@ -84,7 +94,7 @@ impl Gatherer {
                 pool,
                 &self.places,
                 &self.counts,
-                &|tile, rows| rows.fill(tile, anchor_m, law),
+                &|tile, rows| rows.fill(tile, listeners.anchor_m, law),
                 Rows::of(out, batch_first, filled),
             );
         }
@@ -93,8 +103,13 @@ impl Gatherer {
         filled
     }
 
+    /// The boxes of the tiles that were found.
+    pub fn boxes(&self) -> impl Iterator<Item = &TileBox> {
+        self.wanted.iter().map(|(_, tile_box)| tile_box)
+    }
+
     /// The tiles that any footprint may hear, each at the level that its nearest sonar needs.
-    fn find(
+    pub fn find(
         &mut self,
         recipe: &Recipe,
         anchor_m: DVec3,
@@ -129,21 +144,22 @@ struct Search<'a> {
     recipe: &'a Recipe,
     anchor_m: DVec3,
     heard: &'a [Footprint],
-    wanted: &'a mut Vec<TileId>,
+    wanted: &'a mut Vec<(TileId, TileBox)>,
     culled: u64,
 }
 
 impl Search<'_> {
     fn descend(&mut self, id: TileId) {
-        let nearest_m = self.recipe.bounds(id).and_then(|tile_box| {
+        let near = self.recipe.bounds(id).and_then(|tile_box| {
             self.heard
                 .iter()
                 .map(|f| (f, f.apex_m - self.anchor_m))
                 .filter(|(f, apex_m)| tile_box.may_meet(f, *apex_m))
                 .map(|(_, apex_m)| tile_box.distance_m(apex_m))
                 .reduce(f64::min)
+                .map(|nearest_m| (tile_box, nearest_m))
         });
-        let Some(nearest_m) = nearest_m else {
+        let Some((tile_box, nearest_m)) = near else {
             self.culled += 1;
             return;
         };
@@ -152,7 +168,7 @@ impl Search<'_> {
                 self.descend(half);
             }
         } else {
-            self.wanted.push(id);
+            self.wanted.push((id, tile_box));
         }
     }
 }
@@ -169,17 +185,48 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
     (low.min_element() >= -EDGE_M && high.max_element() <= EDGE_M).then_some((low, high))
 }
 
-/// Lists the tile's scatterers that any footprint contains.
-fn keep(tile: &mut Tile, anchor_m: DVec3, heard: &[Footprint]) {
+/// Lists the tile's scatterers that lie in a footprint whose transmitter and receiver see them.
+fn keep(tile: &mut Tile, tile_box: &TileBox, listeners: Listeners) -> TileCount {
+    let Listeners {
+        anchor_m,
+        heard,
+        occlusion,
+        surface,
+        targets,
+    } = listeners;
+    let around = Around {
+        ground: Some(surface),
+        roughness: tile.roughness,
+        solids: occlusion.solids_before(tile_box, targets),
+    };
     let mut kept = std::mem::take(&mut tile.kept);
     kept.clear();
+    let mut shadowed = 0;
     for i in 0..tile.len() {
-        let position_m = tile.position_m(i) + anchor_m;
-        if heard.iter().any(|f| f.contains(position_m)) {
+        let own_m = tile.position_m(i);
+        let position_m = own_m + anchor_m;
+        let (mut contained, mut seen) = (false, false);
+        for (index, footprint) in heard.iter().enumerate() {
+            if footprint.contains(position_m) {
+                contained = true;
+                seen = occlusion.sees(index, own_m, around);
+                if seen {
+                    break;
+                }
+            }
+        }
+        if seen {
             kept.push(i as u16);
         }
+        shadowed += u32::from(contained && !seen);
     }
     tile.kept = kept;
+    TileCount {
+        tile: tile.len() as u32,
+        kept: tile.kept.len() as u32,
+        shadowed,
+        first: 0,
+    }
 }
 
 /// A part of a ping's scatterers to be written.

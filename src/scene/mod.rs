@@ -3,18 +3,23 @@
 //! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
 //! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
 //! coordinates, so that the seabed does not depend on where the scene is put.
-//! Not modelled: occlusion (shadows), simplification, volume and surface scattering.
+//! Not modelled: volume and surface scattering.
 
 pub mod bottoms;
 mod draws;
 mod gather;
+mod occlusion;
+pub mod paper;
 pub mod points;
 mod pool;
 pub mod read;
 pub mod seabed;
+pub mod simplify;
 pub mod targets;
 pub mod tiles;
 
+#[cfg(test)]
+mod shadow_tests;
 #[cfg(test)]
 mod tests;
 
@@ -23,8 +28,9 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 
 use crate::config::spec::SceneSpec;
-use crate::flow::{Footprint, Scatterers, Target};
-use gather::Gatherer;
+use crate::flow::{Footprint, Scatterers, SceneCounts, Target};
+use gather::{Gatherer, Listeners};
+use occlusion::{Around, Occlusion};
 use pool::TilePool;
 use read::{ascii_grid, text};
 use seabed::Surface;
@@ -53,24 +59,6 @@ pub enum SceneError {
     NoRoomForATile { limit_bytes: u64 },
 }
 
-/// What one gathering met.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SceneCounts {
-    /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
-    pub tiles_used: u64,
-    pub tiles_made: u64,
-    /// Pieces of the seabed around the footprints, one tile or many, that were out of reach or held no seabed.
-    pub culled_tiles: u64,
-    /// Scatterers of the seabed: those in the tiles that had to be made.
-    pub made: u64,
-    /// Those in the tiles in reach, which every ping looks at, are culled (in no footprint) or handed on.
-    pub culled: u64,
-    pub scatterers: u64,
-    /// Explicit points and targets handed on.
-    pub points: u64,
-    pub targets: u64,
-}
-
 /// The virtual world around the platform.
 #[derive(Debug)]
 pub struct Scene {
@@ -86,6 +74,7 @@ pub struct Scene {
     /// The footprints of the gathering under way that hear something.
     heard: Vec<Footprint>,
     gatherer: Gatherer,
+    occlusion: Occlusion,
 }
 
 impl Scene {
@@ -136,6 +125,7 @@ impl Scene {
             own_targets: targets,
             heard: Vec::new(),
             gatherer: Gatherer::default(),
+            occlusion: Occlusion::new(spec.occlusion),
         })
     }
 
@@ -172,22 +162,71 @@ impl Scene {
     pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
         self.heard.clear();
         self.heard
-            .extend(footprints.iter().filter(|f| hears_something(f)));
+            .extend(footprints.iter().filter(|f| f.is_finite()));
         let mut counts = SceneCounts::default();
-        let seabed = match &mut self.seabed {
-            None => 0,
-            Some((recipe, pool)) => {
-                let anchor_m = self.anchor_m.extend(0.0);
-                let heard = &self.heard;
-                self.gatherer
-                    .gather(recipe, pool, anchor_m, heard, out, &mut counts)
-            }
-        };
+        let seabed = self.gather_seabed(out, &mut counts);
         // Not cleared before: what is overwritten anyway need not be written twice.
         out.truncate(seabed);
         self.gather_points(out, &mut counts);
         self.gather_targets(out, &mut counts);
+        self.drop_shadowed(seabed, out, &mut counts);
         counts
+    }
+
+    fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) -> usize {
+        let (anchor_m, heard) = (self.anchor_m.extend(0.0), &self.heard[..]);
+        let Some((recipe, pool)) = &mut self.seabed else {
+            self.occlusion.start(heard, anchor_m, None);
+            return 0;
+        };
+        self.gatherer.find(recipe, anchor_m, heard, counts);
+        let longest_m = heard.iter().map(|f| f.max_range_m).fold(0.0, f64::max);
+        let spacing_m = recipe.levels().spacing_m(longest_m);
+        let hilly = recipe.surface().is_hilly().then_some(spacing_m);
+        self.occlusion.start(heard, anchor_m, hilly);
+        for tile_box in self.gatherer.boxes() {
+            self.occlusion.mark(tile_box.low_m, tile_box.high_m);
+        }
+        for point in 0..self.points.len() {
+            let at_m = self.points.position_m(point);
+            self.occlusion.mark(at_m, at_m);
+        }
+        for target in 0..self.own_targets.len() {
+            let (center_m, radius_m) = self.own_targets.ball_m(target);
+            self.occlusion
+                .mark(center_m - radius_m, center_m + radius_m);
+        }
+        self.occlusion.scan(recipe.surface());
+        let listeners = Listeners {
+            anchor_m,
+            heard,
+            occlusion: &self.occlusion,
+            surface: recipe.surface(),
+            targets: &self.own_targets,
+        };
+        self.gatherer.collect(recipe, pool, listeners, out, counts)
+    }
+
+    /// Takes points and targets that no pair of arrays sees out of `out`, from `first` on.
+    fn drop_shadowed(&self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let anchor_m = self.anchor_m.extend(0.0);
+        let around = Around {
+            ground: self.seabed.as_ref().map(|(recipe, _)| recipe.surface()),
+            roughness: 1.0,
+            solids: Some(&self.own_targets),
+        };
+        let mut kept = first;
+        for i in first..out.len() {
+            let at_m = out.position_m(i) - anchor_m;
+            let seen = self.heard.is_empty()
+                || (0..self.heard.len()).any(|f| self.occlusion.sees(f, at_m, around));
+            if seen {
+                out.copy_within(i, kept);
+                kept += 1;
+            }
+        }
+        counts.shadowed += (out.len() - kept) as u64;
+        out.truncate(kept);
     }
 
     fn gather_points(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
@@ -215,14 +254,6 @@ impl Scene {
             }
         }
     }
-}
-
-fn hears_something(f: &Footprint) -> bool {
-    f.apex_m.is_finite()
-        && f.axis.is_finite()
-        && f.max_axis_sine >= 0.0
-        && f.max_range_m >= 0.0
-        && f.max_range_m.is_finite()
 }
 
 /// Reads a file and gives its faults the file's name.

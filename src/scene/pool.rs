@@ -53,11 +53,11 @@ impl TilePool {
     }
 
     /// Gives each of the tiles a place, at most as many as there is room for and none twice.
-    pub fn places(&mut self, ids: &[TileId], out: &mut Vec<Place>) {
+    pub fn places(&mut self, ids: impl ExactSizeIterator<Item = TileId>, out: &mut Vec<Place>) {
         assert!(ids.len() <= self.capacity, "more tiles than room");
         out.clear();
         // First those that are there, so that none of them makes room for another.
-        for &id in ids {
+        for id in ids {
             let index = self.place.get(&id).copied();
             if let Some(index) = index {
                 self.unlink(index);

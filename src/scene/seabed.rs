@@ -2,9 +2,13 @@
 //!
 //! Coordinates are the scene's own: metres north and east of its zero, down positive.
 
+use glam::DVec2;
+
 use super::SceneError;
 use super::ascii_grid::Grid;
-use crate::config::spec::{MosaicSpec, SeabedShape};
+use super::occlusion::Piece;
+use super::paper;
+use crate::config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
 /// The surface at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +41,7 @@ pub enum Surface {
         slope_east: f64,
     },
     Grid(GridSurface),
+    Paper(PaperShape),
 }
 
 /// A grid whose centre lies at the scene's zero, moved by an offset.
@@ -82,6 +87,7 @@ impl Surface {
                 slope_north: *slope_north,
                 slope_east: *slope_east,
             }),
+            SeabedShape::Paper(shape) => Ok(Self::Paper(*shape)),
             SeabedShape::EsriAscii {
                 path,
                 positive_up,
@@ -144,6 +150,7 @@ impl Surface {
                 slope_east: *slope_east,
             }),
             Self::Grid(surface) => surface.sample(north_m, east_m),
+            Self::Paper(shape) => paper::sample(*shape, north_m, east_m),
         }
     }
 
@@ -163,6 +170,76 @@ impl Surface {
                 ))
             }
             Self::Grid(surface) => surface.bounds_m(north_m, east_m),
+            Self::Paper(shape) => Some(paper::bounds_m(*shape, east_m)),
+        }
+    }
+}
+
+impl Surface {
+    /// Whether one part of it could hide another.
+    pub fn is_hilly(&self) -> bool {
+        matches!(self, Self::Grid(_) | Self::Paper(_))
+    }
+
+    /// The ground along a ray from `from_m` in the horizontal unit direction `along`, out to `reach_m`, piece by piece. Holes give none.
+    pub fn profile(&self, from_m: DVec2, along: DVec2, reach_m: f64, mut piece: impl FnMut(Piece)) {
+        let surface = match self {
+            Self::Plane { .. } => return,
+            Self::Paper(shape) => return paper::profile(*shape, from_m, along, reach_m, piece),
+            Self::Grid(surface) => surface,
+        };
+        let grid = &surface.grid;
+        let mut north = Crossings::new(from_m.x, along.x, surface.south_m, grid.cell_m);
+        let mut east = Crossings::new(from_m.y, along.y, surface.west_m, grid.cell_m);
+        let mut here_m = 0.0;
+        while here_m < reach_m {
+            let next_m = north.next_m.min(east.next_m).min(reach_m);
+            if next_m > here_m {
+                let at = Piece::AT.map(|share| {
+                    let place_m = from_m + along * (here_m + share * (next_m - here_m));
+                    let depth = surface.sample(place_m.x, place_m.y);
+                    depth.map_or(f64::NAN, |d| d.down_m)
+                });
+                if !at.iter().any(|down_m| down_m.is_nan()) {
+                    piece(Piece::through(here_m, next_m, at));
+                }
+                here_m = next_m;
+            }
+            north.pass(here_m);
+            east.pass(here_m);
+        }
+    }
+}
+
+/// Where a ray crosses the lines of a lattice along one coordinate.
+struct Crossings {
+    next_m: f64,
+    /// Between crossings.
+    step_m: f64,
+}
+
+impl Crossings {
+    fn new(from_m: f64, along: f64, origin_m: f64, cell_m: f64) -> Self {
+        if along == 0.0 {
+            return Self {
+                next_m: f64::INFINITY,
+                step_m: f64::INFINITY,
+            };
+        }
+        let cells = (from_m - origin_m) / cell_m;
+        let to_line = match along > 0.0 {
+            true => cells.floor() + 1.0 - cells,
+            false => cells - (cells.ceil() - 1.0),
+        };
+        Self {
+            next_m: to_line * cell_m / along.abs(),
+            step_m: cell_m / along.abs(),
+        }
+    }
+
+    fn pass(&mut self, here_m: f64) {
+        while self.next_m <= here_m {
+            self.next_m += self.step_m;
         }
     }
 }

@@ -11,12 +11,12 @@ use super::pool::TilePool;
 use super::read::ascii_grid::Grid;
 use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
-use super::{Scene, SceneCounts, SceneError};
+use super::{Scene, SceneError};
 use crate::config::spec::{
-    BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, SceneSpec, SeabedShape,
-    SeabedSpec, Sediment,
+    BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, OcclusionSpec, SceneSpec,
+    SeabedShape, SeabedSpec, Sediment,
 };
-use crate::flow::{Footprint, ScatterLaw, Scatterers};
+use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
     depth_m: 50.0,
@@ -45,7 +45,9 @@ fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
         seabed,
         points: None,
         targets: None,
+        occlusion: OcclusionSpec::Horizon,
         memory_limit_bytes: tiles * TILE_BYTES,
+        simplify: None,
     }
 }
 
@@ -84,12 +86,7 @@ fn strengths(tile: &Tile) -> impl Iterator<Item = Complex64> {
 }
 
 fn all_round(apex_m: DVec3, max_range_m: f64) -> Footprint {
-    Footprint {
-        apex_m,
-        axis: DVec3::X,
-        max_axis_sine: 1.0,
-        max_range_m,
-    }
+    Footprint::all_round(apex_m, max_range_m)
 }
 
 type Bits = Vec<[u64; 5]>;
@@ -218,7 +215,7 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
 /// Asks a pool for tiles: what each holds and whether it had to be made.
 fn asked(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, bool)> {
     let mut places = Vec::new();
-    pool.places(ids, &mut places);
+    pool.places(ids.iter().copied(), &mut places);
     places
         .iter()
         .map(|place| {
@@ -649,8 +646,8 @@ proptest! {
         scene.place(anchor[0], anchor[1]);
         let apex_m = DVec3::from(at) + DVec3::new(anchor[0], anchor[1], 0.0);
         let footprints = [
-            Footprint { apex_m, axis: DVec3::from(to).normalize(), max_axis_sine: sine, max_range_m: range_m },
-            Footprint { apex_m: apex_m + DVec3::new(5.0, 0.0, 2.0), axis: DVec3::Y, max_axis_sine: 0.2, max_range_m: second_range_m },
+            Footprint::fan(apex_m, range_m, DVec3::from(to).normalize(), sine),
+            Footprint::fan(apex_m + DVec3::new(5.0, 0.0, 2.0), second_range_m, DVec3::Y, 0.2),
         ];
         let mut got = Scatterers::default();
         let counts = scene.gather(&footprints, &mut got);
@@ -745,7 +742,7 @@ fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
             ..footprint
         },
         Footprint {
-            max_axis_sine: f64::NAN,
+            depth: f64::NAN,
             ..footprint
         },
     ] {

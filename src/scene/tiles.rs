@@ -122,6 +122,11 @@ impl Levels {
         1.0 / (cell_m.x * cell_m.y)
     }
 
+    /// Between neighbouring scatterers at a distance, on average.
+    pub fn spacing_m(&self, distance_m: f64) -> f64 {
+        1.0 / self.density_per_m2(self.at(distance_m)).sqrt()
+    }
+
     /// The coarsest level whose tiles are no wider than `side_m`, or 0; levels above [`Self::at`] serve only to find tiles.
     pub fn no_wider_than(&self, side_m: f64) -> u32 {
         let doublings = (side_m / (self.cell_m * CELLS_ON_SIDE as f64)).log2();
@@ -187,6 +192,8 @@ pub struct Tile {
     pub down_m: Vec<f32>,
     pub normal: Vec<[f32; 3]>,
     pub strength: Vec<Complex32>,
+    /// How much the ground's slope changes over the tile.
+    pub roughness: f64,
     /// Those that the ping under way keeps.
     pub(super) kept: Vec<u16>,
 }
@@ -201,6 +208,7 @@ impl Tile {
             down_m: Vec::with_capacity(SCATTERERS_PER_TILE),
             normal: Vec::with_capacity(SCATTERERS_PER_TILE),
             strength: Vec::with_capacity(SCATTERERS_PER_TILE),
+            roughness: 0.0,
             kept: Vec::with_capacity(SCATTERERS_PER_TILE),
         }
     }
@@ -288,6 +296,7 @@ impl Recipe {
         // Intensity goes with the area of the patch, not of its horizontal projection: a cosine to come.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
+        let (mut least, mut most) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for north in first(id.row)..first(id.row + 1) {
             for east in first(id.col)..first(id.col + 1) {
                 let (north, east) = self.speaker(id.level, north, east);
@@ -304,6 +313,8 @@ impl Recipe {
                 let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
                     continue;
                 };
+                let slope = DVec2::new(depth.slope_north, depth.slope_east);
+                (least, most) = (least.min(slope), most.max(slope));
                 let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
                 if let Some(mosaic) = &self.mosaic {
                     amplitude *= mosaic.factor(at_north_m, at_east_m);
@@ -319,6 +330,10 @@ impl Recipe {
                 tile.strength.push(amplitude as f32 * reflectivity);
             }
         }
+        tile.roughness = match tile.is_empty() {
+            true => 0.0,
+            false => (most - least).length(),
+        };
     }
 
     /// What the law measures angles from.
@@ -366,11 +381,22 @@ impl TileBox {
         if self.distance_m(apex_m) > footprint.max_range_m {
             return false;
         }
-        // |d . axis| is at least |centre . axis| less the box's half width along the axis, and |d| at most the farthest corner's.
         let center = (low + high) / 2.0 - apex_m;
         let half = (high - low) / 2.0;
-        let least_along_m = center.dot(footprint.axis).abs() - half.dot(footprint.axis.abs());
+        // |d| is at most the farthest corner's; |d . axis| at least |centre . axis| less the box's half width along the axis, and d . normal at
+        // most centre . normal and that much.
         let farthest_m = (center.abs() + half).length().min(footprint.max_range_m);
-        footprint.max_axis_sine >= 1.0 || least_along_m <= footprint.max_axis_sine * farthest_m
+        footprint.faces.iter().all(|face| {
+            let most_m = center.dot(face.normal) + half.dot(face.normal.abs());
+            face.may_face(most_m, farthest_m)
+        }) && footprint
+            .sides
+            .iter()
+            .map(|side| {
+                let least_m = center.dot(side.axis).abs() - half.dot(side.axis.abs());
+                side.below(least_m.max(0.0), farthest_m)
+            })
+            .product::<f64>()
+            <= footprint.depth
     }
 }

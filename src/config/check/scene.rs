@@ -83,8 +83,50 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
         },
         points: optional_file(table, "points")?,
         targets: optional_file(table, "targets")?,
+        occlusion: match table.text("occlusion")? {
+            "none" => OcclusionSpec::None,
+            "paper" => OcclusionSpec::Paper,
+            _ => OcclusionSpec::Horizon,
+        },
         memory_limit_bytes,
+        simplify: simplify(table.table("simplify")?, problems)?,
     })
+}
+
+/// What is asked for, or that nothing is; none if that is no good.
+fn simplify(table: &RawTable, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
+    let name = table.text("method")?;
+    let some = Some(name != "none");
+    let keys = [
+        "keep",
+        "weight_curvature",
+        "weight_scattering",
+        "weight_axis",
+        "weight_echo",
+    ];
+    only_with(table, &keys, some, "a method", problems);
+    needed_with(table, "keep", some, "a method", problems);
+    let Some(method) = SimplifyMethod::ALL.into_iter().find(|m| m.name() == name) else {
+        return Some(None);
+    };
+    let default = EnergyWeights::default_of(method);
+    let weight = |key: &str, default: f64| match table.given(key) {
+        true => table.number(key),
+        false => Some(default),
+    };
+    Some(Some(SimplifySpec {
+        method,
+        keep: usize::try_from(table.integer("keep")?).ok()?,
+        weights: EnergyWeights {
+            curvature: weight("weight_curvature", default.curvature)?,
+            scattering: weight("weight_scattering", default.scattering)?,
+            axis: weight("weight_axis", default.axis)?,
+            echo: weight("weight_echo", default.echo)?,
+        },
+        hold_m: table.number("hold_m")?,
+        hold_rad: table.number("hold_deg")?.to_radians(),
+        shadows: table.bool("shadows")?,
+    }))
 }
 
 /// The file, or that none was given; none if the one given is no good.
@@ -140,6 +182,9 @@ fn seabed(
             slope_north: table.number("slope_north")?,
             slope_east: table.number("slope_east")?,
         },
+        name if name.starts_with("paper-") => {
+            SeabedShape::Paper(PaperShape::ALL.into_iter().find(|s| s.name() == name)?)
+        }
         _ => SeabedShape::EsriAscii {
             path: table.path("path")?,
             positive_up: table.text("values")? == "elevation",

@@ -8,6 +8,7 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of this ping |
 //! | `segments` | the polyline on which its echoes were computed |
+//! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
 //! | `targets` | every named target, see below |
 //!
@@ -27,7 +28,7 @@ use serde_json::Value;
 
 use super::{RecordError, plan_text};
 use crate::config::spec::SonarSpec;
-use crate::flow::{Certificate, PingPlan, Side, Target};
+use crate::flow::{Certificate, PingOutput, PingPlan, SceneCounts, Side, Target};
 use crate::frames::{Pose, angles_from_rotation};
 
 #[derive(Serialize)]
@@ -41,9 +42,37 @@ struct PingTruth<'a> {
     velocity_m_per_s: [f64; 3],
     plan: Value,
     segments: Value,
+    scene: SceneTruth,
     #[serde(skip_serializing_if = "Option::is_none")]
     certificate: Option<CertificateTruth>,
     targets: Vec<TargetTruth<'a>>,
+}
+
+#[derive(Default, Serialize)]
+struct SceneTruth {
+    made: u64,
+    culled: u64,
+    shadowed: u64,
+    used: u64,
+    points: u64,
+    targets: u64,
+    tiles_used: u64,
+    tiles_made: u64,
+}
+
+impl From<SceneCounts> for SceneTruth {
+    fn from(c: SceneCounts) -> Self {
+        Self {
+            made: c.made,
+            culled: c.culled,
+            shadowed: c.shadowed,
+            used: c.scatterers,
+            points: c.points,
+            targets: c.targets,
+            tiles_used: c.tiles_used,
+            tiles_made: c.tiles_made,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -125,11 +154,12 @@ impl TruthRecorder {
         &mut self,
         sonar: &SonarSpec,
         plan: &PingPlan,
-        certificate: Option<Certificate>,
+        output: &PingOutput,
         targets: &[Target],
     ) -> Result<(), RecordError> {
         let truth = PingTruth {
-            certificate: certificate.map(Into::into),
+            scene: output.scene.into(),
+            certificate: output.certificate.map(Into::into),
             ..ping_truth(sonar, plan, targets)
         };
         self.line.clear();
@@ -169,6 +199,7 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
         velocity_m_per_s: pose.velocity_m_per_s.to_array(),
         plan: plan_text::plan_summary(plan),
         segments: plan_text::segments(&plan.segments),
+        scene: SceneTruth::default(),
         certificate: None,
         targets: targets
             .iter()
@@ -281,7 +312,9 @@ mod tests {
         let dir = tempfile::tempdir().expect("dir");
         let mut truth = TruthRecorder::create(dir.path()).expect("create");
         for plan in pings {
-            truth.push(&sonar(), plan, None, targets).expect("push");
+            truth
+                .push(&sonar(), plan, &PingOutput::default(), targets)
+                .expect("push");
         }
         let text = std::fs::read_to_string(truth.path()).expect("read");
         assert!(text.ends_with('\n'));
@@ -382,7 +415,7 @@ mod tests {
         );
         let mut full = TruthRecorder::at("/dev/full".into()).expect("opens");
         let error = full
-            .push(&sonar(), &plan(1), None, &[])
+            .push(&sonar(), &plan(1), &PingOutput::default(), &[])
             .expect_err("full disk");
         assert!(
             error.to_string().starts_with("/dev/full: cannot write"),

@@ -9,7 +9,7 @@
 //! shadow is for the occlusion to find, through [`Targets::hits`].
 //! Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
 
-mod chance;
+pub(in crate::scene) mod chance;
 mod file;
 pub mod mesh;
 pub mod solid;

@@ -1,0 +1,302 @@
+//! The energies that say what a scatterer is worth (Meng et al. 2023, Eqs. 26-29).
+//!
+//! Mended, E = visible * (w_curvature E_curvature + w_scattering E_scattering + w_axis E_axis + w_echo E_scattering E_axis), each part linear in 0..=1:
+//! - `curvature`: |Gaussian curvature| over its greatest, with a floor (flat bottoms, ridges and cylinders have none);
+//! - `scattering`: the energy it sends back, |strength|^2 and what its law says of the angle between the ray and the
+//!   surface normal (Lambert: cos^2);
+//! - `axis`: two-way pattern power towards the scatterer, the largest of all beams;
+//! - `echo`: the product of the last two, the expected energy in the receiver but for spreading. Not in the paper. It is `Unbiased`'s default, since an
+//!   estimate of a sum has the least variance when it samples each term in proportion to its expected size.
+//!
+//! As printed: decibels of signed curvature (with its denominator unsquared, Eq. 28) and of the incidence angle itself (Eq. 29; from the vertical,
+//! Eq. 9), the modulus of their weighted sum, times 0 for what Eq. 27 calls shadow. All decibels are <= 0, so that the modulus ranks
+//! the worthless first. Decibels of a negative number have the modulus of the complex logarithm; of zero they are infinite.
+
+use std::f64::consts::{LN_10, PI};
+
+use glam::DVec3;
+
+use super::curvature::Curvatures;
+use super::shadow::Horizon;
+use super::{Method, Settings, Weights};
+use crate::flow::{ScatterLaw, Scatterers};
+
+/// One beam: transmit and receive apertures with common axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beam {
+    /// World, unit: the line's axis, the other side of the face, and where it looks.
+    pub along: DVec3,
+    pub across: DVec3,
+    pub boresight: DVec3,
+    /// Sides of the transmit and of the receive aperture in wavelengths; 0 is omnidirectional.
+    pub lengths: [f64; 2],
+    pub widths: [f64; 2],
+    /// Nothing behind the face.
+    pub baffled: bool,
+}
+
+impl Beam {
+    /// Two-way pattern power towards the unit `ray`, or towards the best direction within `slack` of its sine along the array.
+    fn power(&self, ray: DVec3, slack: f64) -> f64 {
+        if self.baffled && ray.dot(self.boresight) < 0.0 {
+            return 0.0;
+        }
+        let along = (ray.dot(self.along).abs() - slack).max(0.0);
+        let across = ray.dot(self.across);
+        let mut amplitude = 1.0;
+        for (length, width) in self.lengths.into_iter().zip(self.widths) {
+            amplitude *= sinc(length * along) * sinc(width * across);
+        }
+        amplitude * amplitude
+    }
+}
+
+fn sinc(x: f64) -> f64 {
+    let y = PI * x;
+    if y.abs() < 1e-4 {
+        1.0 - y * y / 6.0
+    } else {
+        libm::sin(y) / y
+    }
+}
+
+/// Where the sonar is and where it looks.
+#[derive(Debug, Default, PartialEq)]
+pub struct View {
+    pub apex_m: DVec3,
+    /// None: hears all round.
+    pub beams: Vec<Beam>,
+    /// The choice is to serve the sonar as long as it has not moved farther than this, metres, nor turned more than that.
+    pub slack_m: f64,
+    pub slack_rad: f64,
+    /// Search for shadows; false where something else takes care of them.
+    pub shadows: bool,
+}
+
+impl Clone for View {
+    fn clone(&self) -> Self {
+        Self {
+            beams: self.beams.clone(),
+            ..*self
+        }
+    }
+    /// Without a new allocation where there is room.
+    fn clone_from(&mut self, other: &Self) {
+        self.beams.clone_from(&other.beams);
+        self.apex_m = other.apex_m;
+        (self.slack_m, self.slack_rad) = (other.slack_m, other.slack_rad);
+        self.shadows = other.shadows;
+    }
+}
+
+impl View {
+    fn axis_power(&self, ray: DVec3, range_m: f64) -> f64 {
+        if self.beams.is_empty() {
+            return 1.0;
+        }
+        let slack = if range_m > 0.0 {
+            self.slack_m / range_m + self.slack_rad
+        } else {
+            1.0
+        };
+        self.beams
+            .iter()
+            .map(|beam| beam.power(ray, slack))
+            .fold(0.0, f64::max)
+    }
+}
+
+/// Curvature, scattering, axis.
+pub const PARTS: usize = 3;
+
+/// Floor of the curvature energy over its greatest value: -30 dB, as far as the paper's figure reaches.
+const CURVATURE_FLOOR: f64 = 1e-3;
+
+/// What a set measured its members with; another set measured with it gives each scatterer the same energy.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Yardstick {
+    /// The greatest of each part.
+    pub parts: [f64; PARTS],
+    /// Of the search for shadows.
+    pub sector_rad: f64,
+}
+
+/// The energies of a set of scatterers; nothing is allocated once it has been as full.
+#[derive(Debug, Default)]
+pub struct Energies {
+    pub energy: Vec<f64>,
+    /// In shadow.
+    pub hidden: Vec<bool>,
+    /// What this set was measured with.
+    pub yardstick: Yardstick,
+    pub curvatures: Curvatures,
+    horizon: Horizon,
+    parts: Vec<[f64; PARTS]>,
+}
+
+impl Energies {
+    /// Evaluates all of them. Scatterers from `free` on are deterministic: they hide nothing, are never hidden, and set no scale. `held`:
+    /// the yardstick of an earlier set, so that its rule goes on to mean the same.
+    pub fn evaluate(
+        &mut self,
+        scatterers: &Scatterers,
+        free: usize,
+        view: &View,
+        settings: &Settings,
+        held: Option<Yardstick>,
+    ) {
+        if settings.weights.curvature > 0.0 {
+            self.curvatures.fit(scatterers, free);
+        }
+        self.evaluate_with_curvatures(scatterers, free, view, settings, held);
+    }
+
+    /// As [`Energies::evaluate`], with the curvatures fitted before: they do not depend on the view.
+    pub fn evaluate_with_curvatures(
+        &mut self,
+        scatterers: &Scatterers,
+        free: usize,
+        view: &View,
+        settings: &Settings,
+        held: Option<Yardstick>,
+    ) {
+        let count = scatterers.len();
+        self.hidden.clear();
+        self.hidden.resize(count, false);
+        if view.shadows {
+            let hide = match settings.method {
+                Method::Paper => Horizon::hide_by_incidence,
+                Method::Acoustic | Method::Unbiased => Horizon::hide,
+            };
+            hide(
+                &mut self.horizon,
+                scatterers,
+                free,
+                view.apex_m,
+                held.map(|h| h.sector_rad),
+                &mut self.hidden,
+            );
+        }
+        let weights = &settings.weights;
+        match settings.method {
+            Method::Paper => self.printed(scatterers, view, weights),
+            Method::Acoustic | Method::Unbiased => self.mended(scatterers, view, weights),
+        }
+        self.yardstick = held.unwrap_or_else(|| Yardstick {
+            parts: self.scale(free),
+            sector_rad: self.horizon.width_rad,
+        });
+        let scale = self.yardstick.parts;
+        match settings.method {
+            Method::Paper => self.weigh_as_printed(scale, weights),
+            Method::Acoustic | Method::Unbiased => self.weigh(scale, weights),
+        }
+    }
+
+    fn mended(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
+        self.parts.clear();
+        for i in 0..scatterers.len() {
+            let offset_m = scatterers.position_m(i) - view.apex_m;
+            let range_m = offset_m.length();
+            let ray = if range_m > 0.0 {
+                offset_m / range_m
+            } else {
+                DVec3::Z
+            };
+            let law = match scatterers.law[i] {
+                ScatterLaw::Point => 1.0,
+                law => {
+                    let normal = DVec3::from_array(scatterers.normal[i].map(f64::from));
+                    let cos = (-normal.dot(ray)).clamp(0.0, 1.0);
+                    match (law, &scatterers.curve) {
+                        (ScatterLaw::Curve, Some(curve)) => curve.half(cos.sqrt()).powi(4),
+                        (ScatterLaw::Curve, None) => 0.0,
+                        _ => cos * cos,
+                    }
+                }
+            };
+            let curvature = match weights.curvature > 0.0 {
+                true => self.curvatures.per_m2[i].abs(),
+                false => 0.0,
+            };
+            let scattering = scatterers.strength[i].norm_sqr() * law;
+            self.parts
+                .push([curvature, scattering, view.axis_power(ray, range_m)]);
+        }
+    }
+
+    /// The greatest of each part among the visible of the first `free`.
+    fn scale(&self, free: usize) -> [f64; PARTS] {
+        let mut greatest = [0.0_f64; PARTS];
+        for (part, hidden) in self.parts.iter().zip(&self.hidden).take(free) {
+            if !hidden {
+                for (most, value) in greatest.iter_mut().zip(part) {
+                    // NaN leaves it as it is.
+                    *most = most.max(*value);
+                }
+            }
+        }
+        greatest
+    }
+
+    fn weigh(&mut self, scale: [f64; PARTS], weights: &Weights) {
+        let share = |value: f64, most: f64| if most > 0.0 { value / most } else { 0.0 };
+        self.energy.clear();
+        self.energy.extend(self.parts.iter().map(|part| {
+            let curvature = share(part[0], scale[0]).max(CURVATURE_FLOOR);
+            let (scattering, axis) = (share(part[1], scale[1]), share(part[2], scale[2]));
+            let energy = weights.curvature * curvature
+                + weights.scattering * scattering
+                + weights.axis * axis
+                + weights.echo * scattering * axis;
+            if energy.is_nan() { 0.0 } else { energy }
+        }));
+    }
+
+    fn printed(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
+        self.parts.clear();
+        for i in 0..scatterers.len() {
+            let offset_m = scatterers.position_m(i) - view.apex_m;
+            let range_m = offset_m.length();
+            let curvature = match weights.curvature > 0.0 {
+                true => self.curvatures.as_printed_per_m2[i],
+                false => 1.0,
+            };
+            self.parts.push([
+                curvature,
+                incidence_from_vertical(scatterers, i, view.apex_m),
+                view.axis_power(offset_m / range_m, range_m),
+            ]);
+        }
+    }
+
+    fn weigh_as_printed(&mut self, scale: [f64; PARTS], weights: &Weights) {
+        self.energy.clear();
+        for (part, hidden) in self.parts.iter().zip(&self.hidden) {
+            // 10 log10 x of x < 0 is 10 log10 |x| + j 10 pi / ln 10: only curvature can be negative.
+            let ratio = part[0] / scale[0];
+            let real = weights.curvature * decibels(ratio.abs())
+                + weights.scattering * decibels(part[1] / scale[1])
+                + weights.axis * decibels(part[2]);
+            let imaginary = match ratio < 0.0 {
+                true => weights.curvature * 10.0 * PI / LN_10,
+                false => 0.0,
+            };
+            // 0 times infinity is no number either.
+            let seen = if *hidden { 0.0 } else { 1.0 };
+            self.energy.push(seen * real.hypot(imaginary));
+        }
+        // Shadow is a factor here, not a rank: a shadowed point ties with the best, whose decibels are 0 as well.
+        self.hidden.fill(false);
+    }
+}
+
+/// Eq. 9: angle of the ray from the vertical, radians.
+pub(super) fn incidence_from_vertical(scatterers: &Scatterers, i: usize, apex_m: DVec3) -> f64 {
+    let offset_m = scatterers.position_m(i) - apex_m;
+    libm::acos((offset_m.z / offset_m.length()).clamp(-1.0, 1.0))
+}
+
+fn decibels(ratio: f64) -> f64 {
+    10.0 * libm::log10(ratio)
+}

@@ -1,0 +1,125 @@
+//! Simplification as a stage of the ping.
+//!
+//! The choice is made from a held view: as long as the sonar stays within the slack of it, the same rule decides on every scatterer that comes,
+//! whether it was there when the rule was made or not, so that nothing flickers. When the sonar has moved or turned farther, a new rule is
+//! made from where it is.
+
+use super::energy::{Energies, View, Yardstick};
+use super::{Rule, Selection, Settings};
+use crate::config::spec::SimplifySpec;
+use crate::flow::Scatterers;
+
+/// What one call did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StageCounts {
+    /// Scatterers that came and that were kept.
+    pub offered: u64,
+    pub kept: u64,
+    /// Rules made anew.
+    pub chosen: u64,
+}
+
+/// Thins the scatterers of each ping; nothing is allocated once it has been as full.
+#[derive(Debug)]
+pub struct Stage {
+    settings: Settings,
+    held: Option<Held>,
+    energies: Energies,
+    selection: Selection,
+}
+
+impl Stage {
+    pub fn of_spec(spec: &SimplifySpec, seed: u64) -> Self {
+        let settings = Settings {
+            method: spec.method,
+            keep: spec.keep,
+            weights: spec.weights,
+            seed,
+        };
+        Self::new(settings)
+    }
+
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            held: None,
+            energies: Energies::default(),
+            selection: Selection::default(),
+        }
+    }
+
+    /// Leaves in `scatterers` only what is kept, with its gain, in the order it had. Those from `free` on are deterministic and stay.
+    pub fn thin(&mut self, scatterers: &mut Scatterers, free: usize, view: &View) -> StageCounts {
+        let free = free.min(scatterers.len());
+        let mut counts = StageCounts {
+            offered: scatterers.len() as u64,
+            ..StageCounts::default()
+        };
+        let serves = |held: &Held| still_serves(&held.view, view);
+        let chosen = !self.held.as_ref().is_some_and(serves);
+        let held = self.held.get_or_insert_default();
+        if chosen {
+            // In place, so that the beams' room is used again.
+            held.view.clone_from(view);
+            counts.chosen = 1;
+        }
+        let yardstick = (!chosen).then_some(held.yardstick);
+        self.energies
+            .evaluate(scatterers, free, &held.view, &self.settings, yardstick);
+        if chosen {
+            held.rule = self.selection.rule(&self.energies, free, &self.settings);
+            held.yardstick = self.energies.yardstick;
+        }
+        let rule = held.rule;
+        let seed = self.settings.seed;
+        self.selection
+            .apply(rule, scatterers, &self.energies, free, seed);
+        keep(scatterers, &self.selection);
+        counts.kept = scatterers.len() as u64;
+        counts
+    }
+}
+
+/// A choice and where it was made from.
+#[derive(Debug)]
+struct Held {
+    view: View,
+    yardstick: Yardstick,
+    rule: Rule,
+}
+
+impl Default for Held {
+    fn default() -> Self {
+        Self {
+            view: View::default(),
+            yardstick: Yardstick::default(),
+            rule: Rule::All,
+        }
+    }
+}
+
+fn still_serves(held: &View, now: &View) -> bool {
+    let turned = |a: glam::DVec3, b: glam::DVec3| a.angle_between(b) > now.slack_rad;
+    held.apex_m.distance(now.apex_m) <= now.slack_m
+        && (held.slack_m, held.slack_rad) == (now.slack_m, now.slack_rad)
+        && held.beams.len() == now.beams.len()
+        && held
+            .beams
+            .iter()
+            .zip(&now.beams)
+            .all(|(a, b)| !turned(a.along, b.along) && !turned(a.boresight, b.boresight))
+}
+
+/// Moves the kept to the front and drops the rest.
+fn keep(s: &mut Scatterers, selection: &Selection) {
+    for (to, (&from, gain)) in selection.kept.iter().zip(&selection.gain).enumerate() {
+        let from = from as usize;
+        s.north_m[to] = s.north_m[from];
+        s.east_m[to] = s.east_m[from];
+        s.down_m[to] = s.down_m[from];
+        s.normal[to] = s.normal[from];
+        s.strength[to] = s.strength[from] * *gain;
+        s.law[to] = s.law[from];
+    }
+    s.truncate(selection.kept.len());
+}

@@ -1,0 +1,215 @@
+//! A seabed far larger than any memory: 10 km x 1 km at 10 scatterers per 0.02 m^2, and pings 100 m apart along it.
+//!
+//! Prints, for every tenth ping, what it took: scatterers made, used and in shadow, milliseconds to gather them and to make samples of them,
+//! and the process's peak memory so far. Ends with exit code 1 where the peak is above 2 GiB.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+use echotank::config;
+use echotank::flow::{NavState, PingOutput, Scatterers};
+use echotank::frames::Trajectory;
+use echotank::ping::{self, PingOrder};
+use echotank::run::pipeline::SonarPipeline;
+use echotank::scene::Scene;
+use echotank::time::UtcNs;
+use glam::{DQuat, DVec3};
+
+const LENGTH_M: f64 = 10_000.0;
+const WIDTH_M: f64 = 1_000.0;
+/// Of the height field.
+const CELL_M: f64 = 4.0;
+const DENSITY_PER_M2: f64 = 10.0 / 0.02;
+const LIMIT_BYTES: u64 = 2 << 30;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let pings = match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [] => 100,
+        ["--quick"] => 10,
+        _ => {
+            eprintln!("only --quick is known");
+            std::process::exit(2);
+        }
+    };
+    let folder = std::env::temp_dir().join(format!("echotank-survey-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    let peak = survey(&folder, pings);
+    std::fs::remove_dir_all(&folder)?;
+    if peak?.is_some_and(|bytes| bytes > LIMIT_BYTES) {
+        eprintln!("above 2 GiB");
+        std::process::exit(1);
+    }
+    Ok(())
+}
+
+/// Peak memory in bytes, where the system tells.
+fn survey(folder: &Path, pings: usize) -> Result<Option<u64>, Box<dyn std::error::Error>> {
+    std::fs::write(folder.join("ground.asc"), ground())?;
+    let spec = config::parse(&configuration(), folder).map_err(|e| e.to_string())?;
+    let sonar = &spec.sonars[0];
+    let mut scene = Scene::open(&spec.scene)?;
+    let mut pipeline = SonarPipeline::new(sonar, &spec.medium)?;
+    let mut plan = ping::blank(0, sonar, &spec.medium, 0.096);
+    let (mut scatterers, mut output) = (Scatterers::default(), pipeline.blank_output());
+    println!(
+        "{LENGTH_M} m x {WIDTH_M} m, {:.1e} scatterers, {} threads, {:?}",
+        LENGTH_M * WIDTH_M * DENSITY_PER_M2,
+        rayon::current_num_threads(),
+        sonar.model.synthesis,
+    );
+    println!(" ping  north m      made      used  shadowed  gather ms  samples ms  peak MiB");
+    let mut times_ms = Vec::new();
+    for ping in 0..pings {
+        let north_m = LENGTH_M * ((ping as f64 + 0.5) / pings as f64 - 0.5);
+        let order = PingOrder {
+            ping_number: ping as u32 + 1,
+            transmit_utc: UtcNs(0),
+            settings: sonar.settings,
+            period_s: 1.0,
+        };
+        plan.trajectory = Trajectory::uniform(
+            DVec3::new(north_m, 0.0, 0.0),
+            DVec3::new(2.5, 0.0, 0.0),
+            DQuat::IDENTITY,
+        );
+        ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
+        let begun = Instant::now();
+        output.scene = scene.gather(pipeline.footprints(&plan), &mut scatterers);
+        let gathered = Instant::now();
+        pipeline.compute_ping(&plan, &scatterers, &mut output);
+        let gather_ms = (gathered - begun).as_secs_f64() * 1e3;
+        let samples_ms = gathered.elapsed().as_secs_f64() * 1e3;
+        times_ms.push(gather_ms + samples_ms);
+        if ping % (pings / 10).max(1) == 0 {
+            line(ping, north_m, &output, gather_ms, samples_ms);
+        }
+    }
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    // The first ping also makes the engine.
+    let steady = &times_ms[1..];
+    let third = steady.len() / 3;
+    println!(
+        "ms per ping: first third {:.0}, last third {:.0}, worst {:.0}",
+        mean(&steady[..third]),
+        mean(&steady[steady.len() - third..]),
+        steady.iter().copied().fold(0.0, f64::max)
+    );
+    Ok(peak_bytes())
+}
+
+fn line(ping: usize, north_m: f64, output: &PingOutput, gather_ms: f64, samples_ms: f64) {
+    let counts = &output.scene;
+    println!(
+        "{:5} {north_m:8.0} {:9} {:9} {:9} {gather_ms:10.1} {samples_ms:11.1} {:9}",
+        ping + 1,
+        counts.made,
+        counts.scatterers,
+        counts.shadowed,
+        peak_bytes().map_or("?".to_owned(), |b| (b >> 20).to_string()),
+    );
+}
+
+/// Hills of a metre over tens of metres, 20 m deep, as an ESRI ASCII grid.
+fn ground() -> String {
+    let (rows, cols) = ((LENGTH_M / CELL_M) as usize, (WIDTH_M / CELL_M) as usize);
+    let mut text = format!("ncols {cols} nrows {rows} xllcorner 0 yllcorner 0 cellsize {CELL_M}\n");
+    for row in 0..rows {
+        for col in 0..cols {
+            let (n, e) = (row as f64 * CELL_M, col as f64 * CELL_M);
+            let depth_m = 20.0
+                + 0.6 * (n / 31.0).sin() * (e / 23.0).cos()
+                + 0.4 * ((n + 2.0 * e) / 57.0).sin();
+            let _ = write!(text, "{depth_m:.3} ");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn configuration() -> String {
+    format!(
+        r#"
+[[nav.source]]
+name = "none"
+kind = "udp"
+listen = "127.0.0.1:10110"
+
+[scene]
+memory_mib = 256
+
+[scene.seabed]
+shape = "esri-ascii"
+path = "ground.asc"
+values = "depth"
+density_per_m2 = {DENSITY_PER_M2}
+bottom = "sand"
+
+[[sonar]]
+name = "side-scan"
+
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 400.0
+bandwidth_khz = 30.0
+duration_ms = 2.0
+taper = 0.1
+
+[[sonar.transmit]]
+name = "port"
+roll_deg = 60.0
+pattern = "rectangle"
+length_m = 0.24
+width_m = 0.004
+
+[[sonar.transmit]]
+name = "starboard"
+roll_deg = -60.0
+pattern = "rectangle"
+length_m = 0.24
+width_m = 0.004
+
+[[sonar.receive]]
+name = "port"
+transmit = "port"
+elements = 1
+spacing_m = 0.24
+roll_deg = 60.0
+element_pattern = "rectangle"
+element_length_m = 0.24
+element_width_m = 0.004
+
+[[sonar.receive]]
+name = "starboard"
+transmit = "starboard"
+elements = 1
+spacing_m = 0.24
+roll_deg = -60.0
+element_pattern = "rectangle"
+element_length_m = 0.24
+element_width_m = 0.004
+
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "fir"
+
+[sonar.ping]
+range_m = 150.0
+rate_hz = 1.0
+source_level_db = 210.0
+
+[sonar.model]
+cull_db = -40.0
+tolerance = 1e-3
+"#
+    )
+}
+
+/// The most memory the process ever held (Linux).
+fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib << 10)
+}
