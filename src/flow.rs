@@ -938,6 +938,14 @@ impl LineChunk {
             swing_m_per_s2: zero,
         }
     }
+
+    /// Copies slope, bend, twist and swing from one place to another.
+    pub fn move_derivatives(&mut self, from: usize, to: usize) {
+        self.slope[to] = self.slope[from];
+        self.bend_per_m[to] = self.bend_per_m[from];
+        self.twist_per_s[to] = self.twist_per_s[from];
+        self.swing_m_per_s2[to] = self.swing_m_per_s2[from];
+    }
 }
 
 impl Default for LineChunk {
@@ -967,6 +975,9 @@ pub struct LineStretch {
 pub trait LineSource: Sync {
     /// Scatterers that may be heard.
     fn scatterers(&self) -> u64;
+
+    /// Points that span what [`Self::walk`] would hand on (all but a few of the echoes lie between them), of amplitude 1.
+    fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);
 
     /// Echoes at the middle of a stretch, in chunks of at most [`CHUNK`], always in the same order. Counts are of scatterer-element pairs;
     /// an echo outside the delays asked for is not counted at all, since another stretch asks for it.

@@ -1,11 +1,12 @@
 //! The line-array engine allocates nothing once its buffers have met the largest task.
 
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
-use echotank::echo::{Illuminated, LineWorkspace, illuminate, line_arrivals};
+use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, illuminate};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -69,7 +70,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
     let rx = &scenes[0].rx;
     let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, fineness, Dialect::best());
     let mut lit = Illuminated::new();
-    let mut walk = LineWorkspace::default();
+    let walk = [Mutex::new(LineWorkspace::default())];
     let mut work = engine.work();
     let mut outputs = Vec::new();
     let mut record = vec![Complex64::ZERO; scenes[0].plan.sample_count];
@@ -78,12 +79,15 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         let before = ALLOCATIONS.load(Ordering::Relaxed);
         engine.prepare(&scene.plan);
         illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        let echoes = LineEchoes {
+            plan: &scene.plan,
+            array: rx,
+            lit: &lit,
+            work: &walk,
+        };
         outputs.resize_with(engine.tasks(), Vec::new);
         for (task, output) in outputs.iter_mut().enumerate() {
-            let stretch = engine.wanted(task);
-            let mut gather = engine.gather(task, &mut work);
-            line_arrivals(&scene.plan, rx, stretch, &lit, &mut walk, &mut gather);
-            engine.synthesise(task, &mut work, output);
+            engine.run(task, &echoes, &mut work, output);
         }
         engine.assemble(|task| &outputs[task], 3, &mut record);
         counted.push(ALLOCATIONS.load(Ordering::Relaxed) - before);

@@ -3,7 +3,7 @@
 //! In: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
 //! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do.
 //! For comparison [`spectral`] sums them as the paper does, and [`nearest`] and [`linear`] as simple simulators do. [`gridded`] sums them on a
-//! grid within a tolerance.
+//! grid within a tolerance, [`gridded2d`] all elements of a line array at once.
 //!
 //! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
 

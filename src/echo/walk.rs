@@ -70,6 +70,8 @@ pub struct Illuminated {
     pub(super) batch_range_m: Vec<(f64, f64)>,
     /// ... and of `closing_m_per_s`.
     pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
+    /// Lowest and highest corner of each batch.
+    batch_box_m: Vec<(DVec3, DVec3)>,
 }
 
 impl Illuminated {
@@ -100,6 +102,7 @@ impl Illuminated {
         self.closing_m_per_s.clear();
         self.batch_range_m.clear();
         self.batch_closing_m_per_s.clear();
+        self.batch_box_m.clear();
     }
 }
 
@@ -226,6 +229,12 @@ pub fn illuminate(
         .extend(lit.range_m.chunks(CHUNK).map(ends));
     lit.batch_closing_m_per_s
         .extend(lit.closing_m_per_s.chunks(CHUNK).map(ends));
+    let places = lit.x_m.chunks(CHUNK).zip(lit.y_m.chunks(CHUNK));
+    lit.batch_box_m
+        .extend(places.zip(lit.z_m.chunks(CHUNK)).map(|((x, y), z)| {
+            let (x, y, z) = (ends(x), ends(y), ends(z));
+            (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
+        }));
     counts
 }
 

@@ -32,6 +32,7 @@ fn spec(scene: &Scene) -> Spec<'_> {
         },
         tolerance: TOLERANCE,
         level_range_db: 40.0,
+        samples: scene.plan.sample_count,
         scatterers: 1000,
         dialect: Dialect::best(),
     }

@@ -1,10 +1,12 @@
 //! Scenes, the engine's driver and the measure of its error.
 
+use std::sync::Mutex;
+
 use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
 use echotank::array::{Decimator, Direct};
 use echotank::echo::{
-    Illuminated, LineWorkspace, Window, Workspace, arrivals, illuminate, line_arrivals, reference,
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, reference,
 };
 use echotank::flow::*;
 use glam::{DQuat, DVec3};
@@ -122,7 +124,13 @@ pub fn engine_in<T: Sample>(
     engine.prepare(plan);
     let mut lit = Illuminated::new();
     illuminate(plan, tx, ALWAYS, scatterers, &mut lit);
-    let mut walk = LineWorkspace::default();
+    let walk = [Mutex::new(LineWorkspace::default())];
+    let echoes = LineEchoes {
+        plan,
+        array: rx,
+        lit: &lit,
+        work: &walk,
+    };
     let mut work = engine.work();
     let mut outputs = vec![Vec::new(); engine.tasks()];
     let mut reports = Vec::new();
@@ -131,10 +139,7 @@ pub fn engine_in<T: Sample>(
         tasks.reverse();
     }
     for (task, output) in tasks {
-        let stretch = engine.wanted(task);
-        let mut gather = engine.gather(task, &mut work);
-        line_arrivals(plan, rx, stretch, &lit, &mut walk, &mut gather);
-        reports.push(engine.synthesise(task, &mut work, output));
+        reports.push(engine.run(task, &echoes, &mut work, output).1);
     }
     let records = (0..rx.elements)
         .map(|e| {

@@ -29,6 +29,7 @@ fn spec(scene: &Scene, bounds: Bounds, tolerance: f64) -> Spec<'_> {
         bounds,
         tolerance,
         level_range_db: 40.0,
+        samples: scene.plan.sample_count,
         scatterers: 1000,
         dialect: Dialect::best(),
     }

@@ -7,8 +7,9 @@ use rayon::prelude::*;
 
 use crate::flow::{EchoCounts, LineSource, MethodCard, PingPlan};
 
-use super::engine::{Filter, LineEngine, Sample, TaskReport, Work};
+use super::engine::{Filter, LineEngine, TaskReport, Work};
 use super::plan::{Precision, Refusal, Spec, choose};
+use super::sample::Sample;
 
 /// `gridded-2d` for one line array: every element's samples from one call per ping.
 ///
@@ -46,6 +47,7 @@ use super::plan::{Precision, Refusal, Spec, choose};
 ///     },
 ///     tolerance: 1e-3,
 ///     level_range_db: 60.0,
+///     samples: 10_000,
 ///     scatterers: 1_000_000,
 ///     dialect: Dialect::best(),
 /// };
@@ -198,9 +200,8 @@ impl<T: Sample> Tasks<T> {
                 let thread = rayon::current_thread_index().unwrap_or(0);
                 // A panic in another ping leaves the buffers as good as any: every task overwrites them.
                 let mut work = work[thread].lock().unwrap_or_else(PoisonError::into_inner);
-                let mut gather = engine.gather(task, &mut work);
-                output.counts = source.walk(engine.wanted(task), &mut gather);
-                output.report = engine.synthesise(task, &mut work, &mut output.values);
+                let (counts, report) = engine.run(task, source, &mut work, &mut output.values);
+                (output.counts, output.report) = (counts, report);
             });
         let outputs = &outputs[..tasks];
         iq.par_chunks_mut(plan.sample_count.max(1))

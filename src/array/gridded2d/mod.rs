@@ -21,13 +21,22 @@
 //! Not modelled: how scattering law and element pattern across the line vary along a stretch (1e-4 for 0.1 m at 36 m); alias images of
 //! the filter's stop band (82 dB down).
 
+mod columns;
+mod elements;
 mod engine;
+mod lanes;
 mod line_array;
+mod panel;
 pub mod plan;
 pub mod pulse;
+mod sample;
 mod series;
 mod smooth;
+mod spread;
+mod task;
+mod weights;
 
-pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, Sample, TaskReport, Work};
+pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, TaskReport, Work};
 pub use line_array::Gridded2d;
 pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};
+pub use sample::Sample;

@@ -11,7 +11,7 @@ use num_complex::Complex64;
 
 use crate::flow::Pulse;
 
-use super::engine::Sample;
+use super::sample::Sample;
 
 /// Nodes of one panel of the quadrature, for at most [`CYCLES_PER_PANEL`] of the fastest phase: exact to rounding.
 const PANEL: usize = 16;
@@ -169,6 +169,7 @@ impl<T: Sample> PulseSpectra<T> {
 
     /// Where `LANES` bins are read whose middle (between its lanes' centres) is to lie at `middle_hz` and that are `stretch` bins apart.
     /// None beyond the tables.
+    #[inline(always)]
     pub fn place<const LANES: usize>(
         &self,
         middle_hz: f64,

@@ -4,8 +4,6 @@
 /// Echoes of one task about mid-pulse, structure of arrays.
 #[derive(Clone, Debug, Default)]
 pub struct Echoes {
-    /// Middle of the echo, seconds from the slab's first sample.
-    pub middle_s: Vec<f64>,
     pub slope: Vec<f64>,
     /// du/dw: what the delay gains per second of emission.
     pub dilation: Vec<f64>,
@@ -13,22 +11,16 @@ pub struct Echoes {
     pub per_range_per_m: Vec<f64>,
     pub twist_per_s: Vec<f64>,
     pub swing_m_per_s2: Vec<f64>,
-    /// With the carrier's phase.
-    pub re: Vec<f64>,
-    pub im: Vec<f64>,
 }
 
 impl Echoes {
     pub fn clear(&mut self) {
         for column in [
-            &mut self.middle_s,
             &mut self.slope,
             &mut self.dilation,
             &mut self.per_range_per_m,
             &mut self.twist_per_s,
             &mut self.swing_m_per_s2,
-            &mut self.re,
-            &mut self.im,
         ] {
             column.clear();
         }
@@ -83,30 +75,33 @@ impl Span {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Curve {
     about: Span,
+    /// 1 / about.half; 0 where that is 0.
+    per_half: f64,
     coefficients: [f64; 5],
 }
 
 impl Curve {
+    #[inline(always)]
     pub fn at(&self, slope: f64) -> f64 {
         let x = self.x(slope);
-        self.coefficients
-            .iter()
-            .rev()
-            .fold(0.0, |sum, c| sum * x + c)
+        let [c0, c1, c2, c3, c4] = self.coefficients;
+        (((c4 * x + c3) * x + c2) * x + c1) * x + c0
     }
 
+    #[inline(always)]
     fn x(&self, slope: f64) -> f64 {
-        if self.about.half > 0.0 {
-            (slope - self.about.middle) / self.about.half
-        } else {
-            0.0
-        }
+        (slope - self.about.middle) * self.per_half
     }
 
     /// By least squares.
     fn fit(about: Span, points: impl Iterator<Item = (f64, f64)>) -> Self {
         let mut curve = Self {
             about,
+            per_half: if about.half > 0.0 {
+                1.0 / about.half
+            } else {
+                0.0
+            },
             coefficients: [0.0; 5],
         };
         curve.coefficients = least_squares(points.map(|(slope, value)| {
@@ -216,20 +211,24 @@ impl Smooth {
         smooth
     }
 
+    /// The same with wider spans: by a share of them, and a little for rounding.
+    pub fn widened(&self, share: f64) -> Self {
+        let mut wider = *self;
+        wider.slope.half = (1.0 + share) * self.slope.half + 1e-9;
+        wider.per_range_per_m.half = (1.0 + share) * self.per_range_per_m.half + 1e-9;
+        wider.dilation_rest = (1.0 + share) * self.dilation_rest + 1e-13;
+        wider.twist_rest = (1.0 + share) * self.twist_rest + 1e-9;
+        wider
+    }
+
     /// What the fits leave of an echo's dilation.
     #[inline]
     pub fn rest(&self, echoes: &Echoes, i: usize) -> f64 {
         echoes.dilation[i] - self.dilation(echoes.slope[i])
     }
 
-    /// What the curve leaves of an echo's twist.
-    #[inline]
-    pub fn twist_left(&self, echoes: &Echoes, i: usize) -> f64 {
-        echoes.twist_per_s[i] - echoes.per_range_per_m[i] * self.twist.at(echoes.slope[i])
-    }
-
     /// The dilation shared at a slope.
-    #[inline]
+    #[inline(always)]
     pub fn dilation(&self, slope: f64) -> f64 {
         self.dilation0 + self.dilation1 * slope
     }

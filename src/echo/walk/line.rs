@@ -11,20 +11,28 @@
 //! u_ww      = [(V_T.V_T - (V_T.e_T)^2) / r_T - A_T.e_T + (1 + u_w)^2 ((V.V - (V.e)^2) / R - A.e)] / (c + V.e)
 //! 1 + u_w   = 1 / (1 + doppler)
 //! ```
+//!
+//! Scatterers that follow one another usually lie close together, so that the corners of a batch's box span what its echoes can be:
+//! that is what [`LineSource::survey`] hands on.
 
 use std::sync::{Mutex, PoisonError};
+
+use glam::DVec3;
 
 use crate::flow::{
     ArrayGeometry, CHUNK, EchoCounts, LineChunk, LineSink, LineSource, LineStretch, PathModel,
     PingPlan,
 };
 
-use glam::DVec3;
-
 use super::{
     Batch, Complex64, Heard, Illuminated, Rays, ReceiveLeg, pattern_floor, refine, solve, weigh,
 };
 use super::{Directivity, ElementTrack, Motion, OneWay, amplitude_from_db, wavelength_m};
+
+/// Corners of a box.
+const CORNERS: usize = 8;
+/// A box wider than this much of its range is not small: its points are surveyed themselves.
+const SMALL_BOX: f64 = 0.25;
 
 /// Scratch of one thread of [`line_arrivals`].
 #[derive(Default)]
@@ -32,7 +40,9 @@ pub struct LineWorkspace {
     track: LineTrack,
     rays: Rays,
     heard: Heard,
-    chunk: LineChunk,
+    chunk: Box<LineChunk>,
+    /// Of a survey.
+    places: Box<Places>,
 }
 
 impl LineWorkspace {
@@ -44,6 +54,30 @@ impl LineWorkspace {
                 ahead: ElementTrack::with_room_for(segments),
             },
             ..Self::default()
+        }
+    }
+}
+
+/// Up to [`CHUNK`] points as [`Illuminated`] has them, less their strengths.
+struct Places {
+    len: usize,
+    x_m: [f64; CHUNK],
+    y_m: [f64; CHUNK],
+    z_m: [f64; CHUNK],
+    range_m: [f64; CHUNK],
+    closing_m_per_s: [f64; CHUNK],
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            len: 0,
+            x_m: zero,
+            y_m: zero,
+            z_m: zero,
+            range_m: zero,
+            closing_m_per_s: zero,
         }
     }
 }
@@ -96,22 +130,32 @@ pub struct LineEchoes<'a> {
     pub work: &'a [Mutex<LineWorkspace>],
 }
 
-impl LineSource for LineEchoes<'_> {
-    fn scatterers(&self) -> u64 {
-        self.lit.len() as u64
-    }
-
-    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts {
+impl LineEchoes<'_> {
+    fn with_work<R>(&self, f: impl FnOnce(&mut LineWorkspace) -> R) -> R {
         let thread = rayon::current_thread_index().unwrap_or(0);
         // A panic in another ping leaves the scratch as good as any: every use overwrites it.
         let mut work = self.work[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        line_arrivals(self.plan, self.array, stretch, self.lit, &mut work, sink)
+        f(&mut work)
     }
 }
 
-/// Echoes of everything lit at the middle of a stretch of the line, in chunks of at most [`CHUNK`], in the order of the scatterers.
+impl LineSource for LineEchoes<'_> {
+    fn scatterers(&self) -> u64 {
+        self.lit.len() as u64
+    }
+
+    fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink) {
+        self.with_work(|work| line_survey(self.plan, self.array, stretch, self.lit, work, sink));
+    }
+
+    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts {
+        self.with_work(|work| line_arrivals(self.plan, self.array, stretch, self.lit, work, sink))
+    }
+}
+
+/// Echoes of everything lit at the middle of a stretch of the line, in chunks of at most [`CHUNK`], always in the same order.
 ///
 /// What [`illuminate`](super::illuminate) was told of the window does not count here: `stretch` does. Counts are of scatterer-element
 /// pairs; an echo outside the delays asked for is not counted at all, since another call asks for it.
@@ -135,27 +179,15 @@ pub fn line_arrivals(
         sensitivity: amplitude_from_db(array.sensitivity_db),
     };
     let floor = pattern_floor(plan);
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, lit, &mut work.track);
     let LineWorkspace {
         track,
         rays,
         heard,
         chunk,
+        ..
     } = work;
-    track
-        .middle
-        .lay_at(plan, &lit.transmit, array, stretch.middle_m);
-    track
-        .ahead
-        .lay_at(plan, &lit.transmit, array, stretch.middle_m + 1.0);
-    // 2 r_T - reach <= c u <= 2 r_T + reach.
-    let reach_m = track.middle.reach_m(stretch.latest_s) * (1.0 + 1e-9);
-    let nearest_m = 0.5 * (c * stretch.earliest_s - reach_m) * (1.0 - 1e-12);
-    let farthest_m = 0.5 * (c * stretch.latest_s + reach_m) * (1.0 + 1e-12);
-    let transmit_v2 = lit.transmit.motion.velocity_m_per_s.length_squared();
-    let transmit_a = lit.transmit.motion.acceleration_m_per_s2;
-    let mut motion = track.motion_at(stretch.earliest_s);
-    let mut since_s = stretch.earliest_s;
-    chunk.len = 0;
+    let asked = stretch.earliest_s..stretch.latest_s;
 
     for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
         if least_range_m > farthest_m || greatest_range_m < nearest_m {
@@ -171,80 +203,344 @@ pub fn line_arrivals(
             greatest_range_m,
         };
         let odd = solve(&track.middle, c, batch, rays);
-        counts.no_root += odd.no_root * stretch.elements;
-        counts.two_roots += odd.two_roots * stretch.elements;
         if plan.model.path == PathModel::Continuous {
             refine(plan, &lit.transmit, &track.middle, batch, rays);
         }
+        let n = span.len();
+        let (first_s, last_s) = rays.delay_s[..n]
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &u| {
+                (a.min(u), b.max(u))
+            });
+        if first_s >= stretch.latest_s || last_s < stretch.earliest_s {
+            continue;
+        }
+        counts.no_root += odd.no_root * stretch.elements;
+        counts.two_roots += odd.two_roots * stretch.elements;
         weigh(&receive, lit, span.clone(), rays, heard);
 
-        for (i, m) in span.enumerate() {
+        let whole = asked.contains(&first_s) && asked.contains(&last_s);
+        let mut since_s = first_s;
+        while since_s <= last_s {
+            let motion = track.motion_at(since_s);
+            let derivation = Derivation {
+                c,
+                motion: &motion,
+                transmit: lit.transmit.motion,
+                batch,
+                closing_m_per_s: &lit.closing_m_per_s[span.clone()],
+                rays,
+            };
+            derivation.run(&heard.doppler, chunk);
+            let one_leg = since_s == first_s && last_s < motion.until_s;
+            let mut used = 0;
+            for i in 0..n {
+                let delay_s = rays.delay_s[i];
+                let here = one_leg || (since_s..motion.until_s).contains(&delay_s);
+                if !(whole || asked.contains(&delay_s)) || !here {
+                    continue;
+                }
+                let amplitude = lit.amplitude[span.start + i] * heard.gain[i];
+                if heard.level[i] < floor || amplitude == Complex64::ZERO {
+                    counts.culled += stretch.elements;
+                    continue;
+                }
+                if heard.range_m[i] < receive.one_way.wavelength_m {
+                    counts.too_close += stretch.elements;
+                }
+                if delay_s >= track.middle.end_s() {
+                    counts.beyond_track += stretch.elements;
+                }
+                chunk.delay_s[used] = delay_s;
+                chunk.doppler[used] = heard.doppler[i];
+                chunk.amplitude[used] = amplitude;
+                if used < i {
+                    chunk.move_derivatives(i, used);
+                }
+                used += 1;
+            }
+            counts.used += used as u64 * stretch.elements;
+            if used > 0 {
+                chunk.len = used;
+                sink.accept(chunk);
+            }
+            since_s = motion.until_s;
+        }
+    }
+    counts
+}
+
+/// Sets out the stretch's way. Returns the nearest and the farthest that a scatterer heard in time can be from the transmitter, metres:
+/// 2 r_T - reach <= c u <= 2 r_T + reach.
+fn lay(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    lit: &Illuminated,
+    track: &mut LineTrack,
+) -> (f64, f64) {
+    let c = plan.sound_speed_m_per_s;
+    let (middle_m, ahead_m) = (stretch.middle_m, stretch.middle_m + 1.0);
+    track.middle.lay_at(plan, &lit.transmit, array, middle_m);
+    track.ahead.lay_at(plan, &lit.transmit, array, ahead_m);
+    let reach_m = track.middle.reach_m(stretch.latest_s) * (1.0 + 1e-9);
+    (
+        0.5 * (c * stretch.earliest_s - reach_m) * (1.0 - 1e-12),
+        0.5 * (c * stretch.latest_s + reach_m) * (1.0 + 1e-12),
+    )
+}
+
+/// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 1: corners of small boxes, and every point of others.
+pub fn line_survey(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    lit: &Illuminated,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) {
+    if lit.window.is_none() {
+        return;
+    }
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, lit, &mut work.track);
+    work.places.len = 0;
+    for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
+        if least_range_m > farthest_m || greatest_range_m < nearest_m {
+            continue;
+        }
+        let (low_m, high_m) = lit.batch_box_m[b];
+        if work.places.len > CHUNK - CORNERS {
+            survey_places(plan, stretch, None, lit, work, sink);
+        }
+        if (high_m - low_m).length() < SMALL_BOX * least_range_m {
+            for corner in 0..CORNERS {
+                let pick = |bit: usize, low: f64, high: f64| {
+                    if corner >> bit & 1 == 0 { low } else { high }
+                };
+                let at_m = DVec3::new(
+                    pick(0, low_m.x, high_m.x),
+                    pick(1, low_m.y, high_m.y),
+                    pick(2, low_m.z, high_m.z),
+                );
+                let range_m = at_m.length();
+                let closing = lit.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
+                work.places.push(at_m, range_m, closing);
+            }
+            continue;
+        }
+        survey_places(plan, stretch, None, lit, work, sink);
+        for i in b * CHUNK..((b + 1) * CHUNK).min(lit.len()) {
+            let at_m = DVec3::new(lit.x_m[i], lit.y_m[i], lit.z_m[i]);
+            work.places
+                .push(at_m, lit.range_m[i], lit.closing_m_per_s[i]);
+        }
+        let asked = stretch.earliest_s..stretch.latest_s;
+        survey_places(plan, stretch, Some(asked), lit, work, sink);
+    }
+    survey_places(plan, stretch, None, lit, work, sink);
+}
+
+impl Places {
+    fn push(&mut self, at_m: DVec3, range_m: f64, closing_m_per_s: f64) {
+        let at = self.len;
+        (self.x_m[at], self.y_m[at], self.z_m[at]) = at_m.into();
+        self.range_m[at] = range_m;
+        self.closing_m_per_s[at] = closing_m_per_s;
+        self.len = at + 1;
+    }
+}
+
+/// Hands on the gathered places and forgets them; of exact ones only those `asked` for.
+fn survey_places(
+    plan: &PingPlan,
+    stretch: LineStretch,
+    asked: Option<std::ops::Range<f64>>,
+    lit: &Illuminated,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) {
+    let LineWorkspace {
+        track,
+        rays,
+        heard,
+        chunk,
+        places,
+    } = work;
+    let n = std::mem::take(&mut places.len);
+    if n == 0 {
+        return;
+    }
+    let c = plan.sound_speed_m_per_s;
+    let ranges = places.range_m[..n].iter().copied();
+    let batch = Batch {
+        x_m: &places.x_m[..n],
+        y_m: &places.y_m[..n],
+        z_m: &places.z_m[..n],
+        range_m: &places.range_m[..n],
+        least_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
+        greatest_range_m: ranges.fold(0.0, f64::max),
+    };
+    solve(&track.middle, c, batch, rays);
+    for i in 0..n {
+        let ray_m = DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]).length();
+        let closing = places.closing_m_per_s[i];
+        heard.doppler[i] =
+            (rays.closing_m2_per_s[i] / ray_m.max(f64::MIN_POSITIVE) + closing) / (c - closing);
+    }
+    let mut since_s = f64::NEG_INFINITY;
+    loop {
+        let motion = track.motion_at(since_s.max(stretch.earliest_s));
+        let derivation = Derivation {
+            c,
+            motion: &motion,
+            transmit: lit.transmit.motion,
+            batch,
+            closing_m_per_s: &places.closing_m_per_s[..n],
+            rays,
+        };
+        derivation.run(&heard.doppler, chunk);
+        // What corners lie beyond the delays asked for belongs to the legs at their ends.
+        let last = motion.until_s >= stretch.latest_s;
+        let until_s = if last { f64::INFINITY } else { motion.until_s };
+        let mut used = 0;
+        for i in 0..n {
             let delay_s = rays.delay_s[i];
-            if !(stretch.earliest_s..stretch.latest_s).contains(&delay_s) {
+            let wanted = asked.as_ref().is_none_or(|asked| asked.contains(&delay_s));
+            if !wanted || delay_s < since_s || delay_s >= until_s {
                 continue;
             }
-            let amplitude = lit.amplitude[m] * heard.gain[i];
-            if heard.level[i] < floor || amplitude == Complex64::ZERO {
-                counts.culled += stretch.elements;
-                continue;
+            chunk.delay_s[used] = delay_s;
+            chunk.doppler[used] = heard.doppler[i];
+            chunk.amplitude[used] = Complex64::ONE;
+            if used < i {
+                chunk.move_derivatives(i, used);
             }
-            counts.used += stretch.elements;
-            if heard.range_m[i] < receive.one_way.wavelength_m {
-                counts.too_close += stretch.elements;
-            }
-            if delay_s >= track.middle.end_s() {
-                counts.beyond_track += stretch.elements;
-            }
-            if delay_s < since_s || delay_s >= motion.until_s {
-                motion = track.motion_at(delay_s);
-                since_s = delay_s;
-            }
-            let doppler = heard.doppler[i];
-            let per_m = 1.0 / heard.range_m[i].max(f64::MIN_POSITIVE);
-            let ray = DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]) * per_m;
-            let stretched = 1.0 / (1.0 + doppler);
-            let since_start_s = delay_s - motion.start_s;
-            let v = motion.velocity_m_per_s;
-            let acceleration = motion.heard.acceleration_m_per_s2;
-            let w = motion.heard.velocity_m_per_s + acceleration * since_start_s;
-            let axis = motion.axis + motion.turning_per_s * since_start_s;
-            let per_s = 1.0 / (c + v.dot(ray));
-            let u_y = -axis.dot(ray) * per_s;
-            let q = axis + v * u_y;
-            let slope = -c * u_y;
-            let closing = w.dot(ray);
+            used += 1;
+        }
+        if used > 0 {
+            chunk.len = used;
+            sink.accept(chunk);
+        }
+        if last {
+            return;
+        }
+        since_s = until_s;
+    }
+}
+
+/// What the derivatives of a batch's echoes are made from.
+struct Derivation<'a> {
+    c: f64,
+    motion: &'a LineMotion,
+    transmit: Motion,
+    batch: Batch<'a>,
+    closing_m_per_s: &'a [f64],
+    rays: &'a Rays,
+}
+
+impl Derivation<'_> {
+    /// Slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
+    fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx512f") {
+            // SAFETY: the processor has AVX-512 F, asked on the line above; the function needs nothing else.
+            return unsafe { self.run_avx512(doppler, chunk) };
+        }
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+            return unsafe { self.run_avx2(doppler, chunk) };
+        }
+        self.run_plain(doppler, chunk);
+    }
+
+    /// The AVX-512 build of [`Self::run_plain`]: the same arithmetic in the same order, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f")]
+    fn run_avx512(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        self.run_plain(doppler, chunk);
+    }
+
+    /// As [`Self::run_avx512`].
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn run_avx2(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        self.run_plain(doppler, chunk);
+    }
+
+    #[inline(always)]
+    fn run_plain(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        let n = self.batch.range_m.len().min(CHUNK);
+        let (tx, ty, tz) = (
+            &self.batch.x_m[..n],
+            &self.batch.y_m[..n],
+            &self.batch.z_m[..n],
+        );
+        let transmit_m = &self.batch.range_m[..n];
+        let transmit_closing = &self.closing_m_per_s[..n];
+        let (rx, ry, rz) = (
+            &self.rays.x_m[..n],
+            &self.rays.y_m[..n],
+            &self.rays.z_m[..n],
+        );
+        let delay_s = &self.rays.delay_s[..n];
+        let doppler = &doppler[..n];
+        let (slope, bend) = (&mut chunk.slope[..n], &mut chunk.bend_per_m[..n]);
+        let (twist, swing) = (&mut chunk.twist_per_s[..n], &mut chunk.swing_m_per_s2[..n]);
+        let c = self.c;
+        let LineMotion {
+            start_s,
+            axis: a0,
+            turning_per_s: turning,
+            velocity_m_per_s: v,
+            heard:
+                Motion {
+                    velocity_m_per_s: w0,
+                    acceleration_m_per_s2: dw,
+                },
+            heard_along_per_s: along,
+            ..
+        } = *self.motion;
+        let transmit_v2 = self.transmit.velocity_m_per_s.length_squared();
+        let transmit_a = self.transmit.acceleration_m_per_s2;
+        for i in 0..n {
+            let (x, y, z) = (rx[i], ry[i], rz[i]);
+            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(f64::MIN_POSITIVE);
+            let (x, y, z) = (x * per_m, y * per_m, z * per_m);
+            let dot = |a: DVec3| a.x * x + a.y * y + a.z * z;
+            let after_s = delay_s[i] - start_s;
+            let (wx, wy, wz) = (
+                w0.x + dw.x * after_s,
+                w0.y + dw.y * after_s,
+                w0.z + dw.z * after_s,
+            );
+            let (ax, ay, az) = (
+                a0.x + turning.x * after_s,
+                a0.y + turning.y * after_s,
+                a0.z + turning.z * after_s,
+            );
+            let per_s = 1.0 / (c + dot(v));
+            let u_y = -(ax * x + ay * y + az * z) * per_s;
+            let (qx, qy, qz) = (ax + v.x * u_y, ay + v.y * u_y, az + v.z * u_y);
+            let s = -c * u_y;
+            let closing = wx * x + wy * y + wz * z;
             let per_w = c / (c + closing);
-            let turned = 2.0 * u_y * motion.turning_per_s.dot(ray);
-            let along = motion.heard_along_per_s.dot(ray);
-            let transmit_ray = DVec3::new(lit.x_m[m], lit.y_m[m], lit.z_m[m]);
-            let transmit_per_m = 1.0 / lit.range_m[m].max(f64::MIN_POSITIVE);
-            let at = chunk.len;
-            chunk.delay_s[at] = delay_s;
-            chunk.doppler[at] = doppler;
-            chunk.amplitude[at] = amplitude;
-            chunk.slope[at] = slope;
-            chunk.bend_per_m[at] =
-                ((q.length_squared() - slope * slope) * per_m - turned) * c * per_s;
-            chunk.twist_per_s[at] =
-                stretched * ((w.dot(q) - closing * slope) * per_m - along) * per_w;
-            chunk.swing_m_per_s2[at] = ((transmit_v2
-                - lit.closing_m_per_s[m].powi(2)
-                - transmit_a.dot(transmit_ray))
+            let stretched = 1.0 / (1.0 + doppler[i]);
+            slope[i] = s;
+            bend[i] = ((qx * qx + qy * qy + qz * qz - s * s) * per_m - 2.0 * u_y * dot(turning))
+                * c
+                * per_s;
+            twist[i] = stretched
+                * ((wx * qx + wy * qy + wz * qz - closing * s) * per_m - dot(along))
+                * per_w;
+            let transmit_per_m = 1.0 / transmit_m[i].max(f64::MIN_POSITIVE);
+            let pulled = transmit_a.x * tx[i] + transmit_a.y * ty[i] + transmit_a.z * tz[i];
+            swing[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
                 * transmit_per_m
                 + stretched
                     * stretched
-                    * ((w.length_squared() - closing * closing) * per_m - acceleration.dot(ray)))
+                    * ((wx * wx + wy * wy + wz * wz - closing * closing) * per_m - dot(dw)))
                 * per_w;
-            chunk.len = at + 1;
-            if chunk.len == CHUNK {
-                sink.accept(chunk);
-                chunk.len = 0;
-            }
         }
     }
-    if chunk.len > 0 {
-        sink.accept(chunk);
-        chunk.len = 0;
-    }
-    counts
 }

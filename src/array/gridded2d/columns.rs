@@ -1,0 +1,381 @@
+//! Columns of the grid to powers along the stretch: Fourier transforms, pulse and shape.
+
+use std::f64::consts::PI;
+
+use num_complex::Complex64;
+
+use super::engine::Work;
+use super::lanes::{BLOCK, Lanes, Split};
+use super::panel::{PANEL, Row};
+use super::pulse::{Instants, MOST_INSTANTS, chebyshev, chebyshev_nodes};
+use super::sample::Sample;
+use super::task::{MOST_ALONG, MOST_TURN, Ray, Task};
+
+impl<T: Sample> Task<'_, T> {
+    /// Bins that the filter leaves.
+    pub fn heard(&self) -> usize {
+        self.engine.blocks.len() * BLOCK
+    }
+
+    /// Instants, products of bend and twist, powers along the stretch: entries of a template per power of the frequency.
+    fn entries(&self) -> usize {
+        self.orders.instants * self.kept().len() * self.orders.along
+    }
+
+    /// Each column to frequency, and there into the powers along the stretch.
+    #[inline(always)]
+    pub fn to_moments<const FUSED: bool>(&self, work: &mut Work<T>) {
+        let instants = &self.engine.instants[self.orders.instants - 1];
+        self.spectra::<FUSED>(work);
+        self.dilation_series(work);
+        self.shapes(work, instants);
+        work.moments
+            .resize(self.heard() * self.columns * self.powers());
+        for column in 0..self.columns {
+            self.template(work, column);
+            for block in 0..self.engine.blocks.len() {
+                self.block::<FUSED>(work, column, block, instants);
+            }
+        }
+    }
+
+    /// All channels of all columns to frequency.
+    #[inline(always)]
+    fn spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
+        let (rows, bins, width) = (self.engine.rows, self.engine.bins(), self.width());
+        let heard = self.heard();
+        let all = self.columns * self.channels();
+        work.spectrum.resize(all * heard);
+        let [a, b] = &mut work.panel;
+        // The first bin that is heard lies below the centre: at the transform's end.
+        let first = (rows + self.engine.blocks.start * BLOCK - bins / 2) % rows;
+        for panel in 0..all.div_ceil(PANEL) {
+            for (row, values) in a.iter_mut().zip(work.grid.chunks_exact(width)) {
+                let values: &[T; 2 * PANEL] = values[2 * PANEL * panel..][..2 * PANEL]
+                    .try_into()
+                    .expect("a panel");
+                *row = Row {
+                    re: std::array::from_fn(|j| values[2 * j]),
+                    im: std::array::from_fn(|j| values[2 * j + 1]),
+                };
+            }
+            let from: &[Row<T>] = if self.engine.forward.run::<FUSED>(a, b) {
+                b
+            } else {
+                a
+            };
+            let lanes = PANEL.min(all - panel * PANEL);
+            let re = &mut work.spectrum.re[panel * PANEL * heard..][..lanes * heard];
+            let im = &mut work.spectrum.im[panel * PANEL * heard..][..lanes * heard];
+            // Squares of 16 by 16 stay in the cache.
+            for q in (0..heard).step_by(PANEL) {
+                let square: [&Row<T>; PANEL] =
+                    std::array::from_fn(|k| &from[(first + q + k) % rows]);
+                for lane in 0..lanes {
+                    let to = lane * heard + q;
+                    let to_re: &mut [T; PANEL] = (&mut re[to..][..PANEL]).try_into().expect("16");
+                    *to_re = std::array::from_fn(|k| square[k].re[lane]);
+                    let to_im: &mut [T; PANEL] = (&mut im[to..][..PANEL]).try_into().expect("16");
+                    *to_im = std::array::from_fn(|k| square[k].im[lane]);
+                }
+            }
+        }
+    }
+
+    /// exp(-j psi w d) at each instant w as a series of T_r(d): the r-th term's coefficient is (-j)^r times a real number, which goes in as
+    /// powers of the frequency.
+    fn dilation_series(&self, work: &mut Work<T>) {
+        let orders = self.orders;
+        let powers = &self.engine.powers[orders.band - 1];
+        let series = &self.engine.series[orders.dilation - 1];
+        let entries = orders.instants * orders.dilation;
+        work.dilation.clear();
+        work.dilation.resize(orders.band * entries, T::ZERO);
+        for (n, w) in chebyshev_nodes(orders.instants).enumerate() {
+            for r in 0..orders.dilation {
+                for power in 0..orders.band {
+                    let mut sum = Complex64::ZERO;
+                    for (b, f) in chebyshev_nodes(orders.band).enumerate() {
+                        let angle = self.rest_rad(f) * w;
+                        for (d, unit) in chebyshev_nodes(orders.dilation).enumerate() {
+                            let share =
+                                series[r * orders.dilation + d] * powers[power * orders.band + b];
+                            sum += Complex64::from_polar(share, -angle * unit);
+                        }
+                    }
+                    work.dilation[power * entries + n * orders.dilation + r] =
+                        T::narrow(if r % 2 == 0 { sum.re } else { sum.im });
+                }
+            }
+        }
+    }
+
+    /// The shape at a few slopes, as series of bend and twist, powers along the stretch and powers of the frequency.
+    fn shapes(&self, work: &mut Work<T>, instants: &Instants) {
+        let orders = self.orders;
+        let (along, band) = (orders.along, orders.band);
+        let slopes = self.slopes();
+        let entries = self.entries();
+        let engine = self.engine;
+        work.shapes.resize(self.nodes * band * entries);
+        let mut at = 0;
+        for node in chebyshev_nodes(self.nodes) {
+            let s = slopes.at(node);
+            let (values, next) = (&mut work.values, &mut work.values_next);
+            values.clear();
+            for &w in &instants.x {
+                for b in chebyshev_nodes(orders.bend) {
+                    for twist in chebyshev_nodes(orders.twist) {
+                        let ray = Ray {
+                            per_range_per_m: self.smooth.per_range_per_m.at(b),
+                            twist,
+                        };
+                        for x in chebyshev_nodes(along) {
+                            for f in chebyshev_nodes(band) {
+                                values.push(self.shape(s, ray, x, w, f));
+                            }
+                        }
+                    }
+                }
+            }
+            // One dimension after the other, from the outside in.
+            let inner = along * band;
+            along_dimension(
+                &engine.series[orders.bend - 1],
+                values,
+                next,
+                orders.twist * inner,
+            );
+            along_dimension(&engine.series[orders.twist - 1], next, values, inner);
+            along_dimension(&engine.powers[along - 1], values, next, band);
+            along_dimension(&engine.powers[band - 1], next, values, 1);
+            for power in 0..band {
+                for n in 0..orders.instants {
+                    for kept in self.kept() {
+                        let from = (n * orders.bend + kept.bend) * orders.twist + kept.twist;
+                        for q in 0..along {
+                            let value = values[(from * along + q) * band + power];
+                            work.shapes.re[at] = T::narrow(value.re);
+                            work.shapes.im[at] = T::narrow(value.im);
+                            at += 1;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A column's template, from those at the few slopes.
+    #[inline(always)]
+    fn template(&self, work: &mut Work<T>, column: usize) {
+        let len = self.orders.band * self.entries();
+        let x = self.slopes().unit(self.slope(column));
+        let series = &self.engine.series[self.nodes - 1];
+        work.template.clear_to(len);
+        for node in 0..self.nodes {
+            let share: f64 = (0..self.nodes)
+                .map(|n| series[n * self.nodes + node] * chebyshev(n, x))
+                .sum();
+            let share = T::narrow(share);
+            let at = node * len..(node + 1) * len;
+            add_scaled(&mut work.template.re, &work.shapes.re[at.clone()], share);
+            add_scaled(&mut work.template.im, &work.shapes.im[at], share);
+        }
+    }
+
+    /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of Lagrange's polynomials of the instants.
+    #[inline(always)]
+    fn pulses<const FUSED: bool>(
+        &self,
+        s: f64,
+        block: usize,
+        nodes: &Instants,
+    ) -> [Lanes<T>; MOST_INSTANTS] {
+        let mut pulses = [Lanes::ZERO; MOST_INSTANTS];
+        let f_hz = self.middle_hz(block);
+        let dilation = self.smooth.dilation(s);
+        let g_hz = f_hz + (self.engine.ping.carrier_hz + f_hz) * dilation;
+        let Some(place) = self.pulse.place::<BLOCK>(g_hz, 1.0 + dilation) else {
+            return pulses;
+        };
+        let count = nodes.len();
+        for j in 0..count {
+            let mut term = Lanes::<T>::ZERO;
+            self.pulse
+                .read::<BLOCK, FUSED>(j, &place, &mut term.re, &mut term.im);
+            for (n, pulse) in pulses[..count].iter_mut().enumerate() {
+                pulse.add_real::<FUSED>(&term, T::narrow(nodes.share[n * count + j]));
+            }
+        }
+        pulses
+    }
+
+    /// Middle of one of the blocks that are heard, Hz from the centre.
+    pub fn middle_hz(&self, block: usize) -> f64 {
+        let bins = self.engine.bins();
+        let first = (self.engine.blocks.start + block) * BLOCK;
+        let middle = first as f64 + 0.5 * (BLOCK - 1) as f64 - (bins / 2) as f64;
+        middle * self.engine.rate_hz / bins as f64
+    }
+
+    /// One block of one column: channels, pulse and shape into powers along the stretch.
+    #[inline(always)]
+    fn block<const FUSED: bool>(
+        &self,
+        work: &mut Work<T>,
+        column: usize,
+        block: usize,
+        nodes: &Instants,
+    ) {
+        let orders = self.orders;
+        let (along, powers, heard_bins) = (orders.along, self.powers(), self.heard());
+        let half_bins = 0.5 * self.engine.bins() as f64;
+        // Over a block everything smooth is a line.
+        let middle = self.middle_hz(block) / (0.5 * self.engine.rate_hz);
+        let mut x = [T::ZERO; BLOCK];
+        for (lane, x) in x.iter_mut().enumerate() {
+            *x = T::narrow((lane as f64 - 0.5 * (BLOCK - 1) as f64) / half_bins);
+        }
+        let [here, slope] = &mut work.here;
+        let entries = self.entries();
+        tangent::<T, FUSED>(&work.template, entries, orders.band, middle, here, slope);
+        let dilations = orders.instants * orders.dilation;
+        let first = column * self.channels() * heard_bins + block * BLOCK;
+
+        let s = self.slope(column);
+        let pulses = self.pulses::<FUSED>(s, block, nodes);
+        let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
+        for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
+            let mut at = first;
+            for (k, kept) in self.kept().iter().enumerate() {
+                let mut heard = Lanes::ZERO;
+                for r in 0..kept.dilation {
+                    let channel = Lanes::load(&work.spectrum, at);
+                    at += heard_bins;
+                    let entry = n * orders.dilation + r;
+                    let weights =
+                        line::<T, FUSED>(&work.dilation, entry, dilations, orders.band, middle, &x);
+                    heard.add_weighted::<FUSED>(&channel, &weights, r % 2 == 1);
+                }
+                let heard = heard.times::<FUSED>(pulse);
+                let entry = (n * self.kept().len() + k) * along;
+                for (q, sum) in sums[..along].iter_mut().enumerate() {
+                    let e = entry + q;
+                    let shape = Lanes::line::<FUSED>(
+                        [here.re[e], here.im[e]],
+                        [slope.re[e], slope.im[e]],
+                        &x,
+                    );
+                    sum.add_product::<FUSED>(&heard, &shape);
+                }
+            }
+        }
+        // exp(j theta x), theta the turn within the block, times the powers so far.
+        let mut theta = [T::ZERO; BLOCK];
+        for (lane, theta) in theta.iter_mut().enumerate() {
+            *theta = T::narrow(self.turn_rad(lane, s));
+        }
+        let mut total = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
+        for m in 0..orders.turn {
+            for q in 0..along {
+                total[q + m].add(&sums[q]);
+            }
+            for sum in &mut sums[..along] {
+                sum.turn(&theta, T::narrow(1.0 / (m + 1) as f64));
+            }
+        }
+        for (q, lanes) in total[..powers].iter().enumerate() {
+            let at = ((block * self.columns + column) * powers + q) * BLOCK;
+            work.moments.re[at..][..BLOCK].copy_from_slice(&lanes.re);
+            work.moments.im[at..][..BLOCK].copy_from_slice(&lanes.im);
+        }
+    }
+
+    /// Phase of what is left of the dilation at the pulse's ends, radians.
+    pub fn rest_rad(&self, band: f64) -> f64 {
+        PI * self.absolute_hz(band) * self.smooth.dilation_rest * self.engine.ping.duration_s
+    }
+}
+
+/// Polynomials `[power][entry]` at `x`: value and slope, each multiplied out from the highest power.
+#[inline(always)]
+fn tangent<T: Sample, const FUSED: bool>(
+    series: &Split<T>,
+    entries: usize,
+    powers: usize,
+    x: f64,
+    value: &mut Split<T>,
+    slope: &mut Split<T>,
+) {
+    let x = T::narrow(x);
+    tangent_of::<T, FUSED>(&series.re, entries, powers, x, &mut value.re, &mut slope.re);
+    tangent_of::<T, FUSED>(&series.im, entries, powers, x, &mut value.im, &mut slope.im);
+}
+
+#[inline(always)]
+fn tangent_of<T: Sample, const FUSED: bool>(
+    series: &[T],
+    entries: usize,
+    powers: usize,
+    x: T,
+    value: &mut Vec<T>,
+    slope: &mut Vec<T>,
+) {
+    value.clear();
+    value.resize(entries, T::ZERO);
+    slope.clear();
+    slope.resize(entries, T::ZERO);
+    for power in (0..powers).rev() {
+        let row = &series[power * entries..][..entries];
+        for ((value, slope), &c) in value.iter_mut().zip(slope.iter_mut()).zip(row) {
+            *slope = slope.times_plus::<FUSED>(x, *value);
+            *value = value.times_plus::<FUSED>(x, c);
+        }
+    }
+}
+
+#[inline(always)]
+fn add_scaled<T: Sample>(to: &mut [T], from: &[T], share: T) {
+    for (sum, value) in to.iter_mut().zip(from) {
+        *sum = *sum + share * *value;
+    }
+}
+
+/// One real polynomial `[power][entry]` about `middle`, as a line over `x`.
+#[inline(always)]
+fn line<T: Sample, const FUSED: bool>(
+    series: &[T],
+    entry: usize,
+    entries: usize,
+    powers: usize,
+    middle: f64,
+    x: &[T; BLOCK],
+) -> [T; BLOCK] {
+    let middle = T::narrow(middle);
+    let (mut value, mut slope) = (T::ZERO, T::ZERO);
+    for power in (0..powers).rev() {
+        slope = slope.times_plus::<FUSED>(middle, value);
+        value = value.times_plus::<FUSED>(middle, series[power * entries + entry]);
+    }
+    std::array::from_fn(|j| slope.times_plus::<FUSED>(x[j], value))
+}
+
+/// Applies a square matrix along one dimension of `from`: that with `inner` values between neighbours.
+fn along_dimension(matrix: &[f64], from: &[Complex64], to: &mut Vec<Complex64>, inner: usize) {
+    let count = matrix.len().isqrt();
+    to.clear();
+    to.resize(from.len(), Complex64::ZERO);
+    for (from, to) in from
+        .chunks_exact(count * inner)
+        .zip(to.chunks_exact_mut(count * inner))
+    {
+        for i in 0..count {
+            for j in 0..count {
+                let share = matrix[i * count + j];
+                for k in 0..inner {
+                    to[i * inner + k] += from[j * inner + k] * share;
+                }
+            }
+        }
+    }
+}

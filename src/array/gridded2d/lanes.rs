@@ -1,0 +1,138 @@
+//! A block of bins side by side.
+
+use super::sample::Sample;
+
+/// Bins worked on together: over so few the rotor from a column to an element hardly turns beyond its middle's.
+pub const BLOCK: usize = 32;
+
+/// Complex numbers in two pieces.
+#[derive(Default)]
+pub struct Split<T> {
+    pub re: Vec<T>,
+    pub im: Vec<T>,
+}
+
+impl<T: Sample> Split<T> {
+    /// Of that length, contents unspecified.
+    pub fn resize(&mut self, len: usize) {
+        self.re.resize(len, T::ZERO);
+        self.im.resize(len, T::ZERO);
+    }
+
+    /// Zeros of that length.
+    pub fn clear_to(&mut self, len: usize) {
+        self.re.clear();
+        self.re.resize(len, T::ZERO);
+        self.im.clear();
+        self.im.resize(len, T::ZERO);
+    }
+}
+
+/// A block of complex numbers, split.
+#[derive(Clone, Copy)]
+pub struct Lanes<T> {
+    pub re: [T; BLOCK],
+    pub im: [T; BLOCK],
+}
+
+impl<T: Sample> Lanes<T> {
+    pub const ZERO: Self = Self {
+        re: [T::ZERO; BLOCK],
+        im: [T::ZERO; BLOCK],
+    };
+
+    #[inline(always)]
+    pub fn load(from: &Split<T>, at: usize) -> Self {
+        let mut lanes = Self::ZERO;
+        lanes.re.copy_from_slice(&from.re[at..][..BLOCK]);
+        lanes.im.copy_from_slice(&from.im[at..][..BLOCK]);
+        lanes
+    }
+
+    /// at + x slope, a complex line over real `x`.
+    #[inline(always)]
+    pub fn line<const FUSED: bool>(at: [T; 2], slope: [T; 2], x: &[T; BLOCK]) -> Self {
+        let mut lanes = Self::ZERO;
+        for (j, &x) in x.iter().enumerate() {
+            lanes.re[j] = slope[0].times_plus::<FUSED>(x, at[0]);
+            lanes.im[j] = slope[1].times_plus::<FUSED>(x, at[1]);
+        }
+        lanes
+    }
+
+    /// Adds `a` times real numbers, or times those times j.
+    #[inline(always)]
+    pub fn add_weighted<const FUSED: bool>(&mut self, a: &Self, by: &[T; BLOCK], by_j: bool) {
+        if by_j {
+            for (j, &by) in by.iter().enumerate() {
+                self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
+                self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
+            }
+        } else {
+            for (j, &by) in by.iter().enumerate() {
+                self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
+                self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub fn add(&mut self, a: &Self) {
+        for j in 0..BLOCK {
+            self.re[j] = self.re[j] + a.re[j];
+            self.im[j] = self.im[j] + a.im[j];
+        }
+    }
+
+    #[inline(always)]
+    pub fn add_product<const FUSED: bool>(&mut self, a: &Self, b: &Self) {
+        for j in 0..BLOCK {
+            let re = a.re[j].times_plus::<FUSED>(b.re[j], self.re[j]);
+            let im = a.re[j].times_plus::<FUSED>(b.im[j], self.im[j]);
+            self.re[j] = (-a.im[j]).times_plus::<FUSED>(b.im[j], re);
+            self.im[j] = a.im[j].times_plus::<FUSED>(b.re[j], im);
+        }
+    }
+
+    #[inline(always)]
+    pub fn times<const FUSED: bool>(&self, b: &Self) -> Self {
+        let mut product = Self::ZERO;
+        product.add_product::<FUSED>(self, b);
+        product
+    }
+
+    /// Times j theta scale.
+    #[inline(always)]
+    pub fn turn(&mut self, theta: &[T; BLOCK], scale: T) {
+        for (j, &theta) in theta.iter().enumerate() {
+            let angle = theta * scale;
+            (self.re[j], self.im[j]) = (T::ZERO - self.im[j] * angle, self.re[j] * angle);
+        }
+    }
+
+    #[inline(always)]
+    pub fn horner<const FUSED: bool>(&mut self, x: T, next: &Self) {
+        for j in 0..BLOCK {
+            self.re[j] = self.re[j].times_plus::<FUSED>(x, next.re[j]);
+            self.im[j] = self.im[j].times_plus::<FUSED>(x, next.im[j]);
+        }
+    }
+
+    /// Adds `a` times a real number.
+    #[inline(always)]
+    pub fn add_real<const FUSED: bool>(&mut self, a: &Self, by: T) {
+        for j in 0..BLOCK {
+            self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
+            self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
+        }
+    }
+
+    /// Adds `a` times an imaginary number.
+    #[inline(always)]
+    pub fn add_imaginary<const FUSED: bool>(&mut self, a: &Self, by: T) {
+        for j in 0..BLOCK {
+            self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
+            self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
+        }
+    }
+}

@@ -1,0 +1,363 @@
+//! Echoes in: what a survey remembers, and the spreading of every echo onto the grid, each in all channels.
+
+use crate::array::gridded::dialect::Kind;
+use crate::array::gridded::kernel::MAX_WIDTH;
+use crate::array::phasor::cis;
+use crate::flow::{CHUNK, LineChunk, LineSink};
+
+use super::engine::{Ping, PulseMotion, Work};
+use super::sample::Sample;
+use super::smooth::{Echoes, Smooth};
+use super::task::{MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
+use super::weights::taps;
+
+/// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
+const LEAST_BROADSIDE: f64 = 1e-3;
+
+/// From here on a survey remembers only every second chunk, then every third, ...
+const SURVEYED: usize = 16_384;
+
+/// Adding it to a whole number (|n| < 2^31) leaves that number in the low bits.
+const WHOLE: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+
+/// Values of one vector of the grid.
+const VECTOR: usize = 16;
+/// Most values of one echo on one row of the grid, and a vector beyond.
+const MOST_LINE: usize = 2 * MAX_WIDTH * MOST_CHANNELS + VECTOR;
+
+/// From leading edges to mid-pulse, for one task.
+#[derive(Clone, Copy)]
+pub struct Centring {
+    half_s: f64,
+    /// 1/c where the change of the stretch is followed, else 0.
+    bent: f64,
+    carrier_hz: f64,
+    /// First sample of the slab.
+    first_s: f64,
+}
+
+/// One echo about mid-pulse, less its amplitude.
+struct Centred {
+    /// From the slab's first sample.
+    middle_s: f64,
+    slope: f64,
+    dilation: f64,
+    per_range_per_m: f64,
+    /// Of what the amplitude is turned by.
+    turns: f64,
+    stretched: f64,
+}
+
+impl Centring {
+    pub fn new(ping: &Ping, motion: PulseMotion, first_s: f64) -> Self {
+        Self {
+            half_s: 0.5 * ping.duration_s,
+            bent: match motion {
+                PulseMotion::Stretch => 0.0,
+                PulseMotion::Quadratic => 1.0 / ping.sound_speed_m_per_s,
+            },
+            carrier_hz: ping.carrier_hz,
+            first_s,
+        }
+    }
+
+    #[inline(always)]
+    fn echo(&self, chunk: &LineChunk, i: usize) -> Centred {
+        let half_s = self.half_s;
+        let stretched = 1.0 / (1.0 + chunk.doppler[i]);
+        let at_edge = -chunk.doppler[i] * stretched;
+        let rate = self.bent * chunk.swing_m_per_s2[i];
+        let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
+        let (slope, twist) = (chunk.slope[i], chunk.twist_per_s[i]);
+        let middle = slope - twist * half_s;
+        // The bend changes during the pulse too: third order, so plain 1/R will do.
+        let per_range = chunk.bend_per_m[i] / (1.0 - slope * slope).max(LEAST_BROADSIDE);
+        let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range * twist * half_s;
+        Centred {
+            middle_s: delay_s + half_s - self.first_s,
+            slope: middle,
+            dilation: at_edge + rate * half_s,
+            per_range_per_m: bend / (1.0 - middle * middle).max(LEAST_BROADSIDE),
+            turns: -self.carrier_hz * delay_s,
+            stretched,
+        }
+    }
+}
+
+/// Remembers what echoes are like.
+pub struct Survey<'a> {
+    pub echoes: &'a mut Echoes,
+    pub centring: Centring,
+    pub chunks: usize,
+}
+
+impl LineSink for Survey<'_> {
+    fn accept(&mut self, chunk: &LineChunk) {
+        self.chunks += 1;
+        let every = 1 + self.echoes.len() / SURVEYED;
+        if !self.chunks.is_multiple_of(every) {
+            return;
+        }
+        for i in 0..chunk.len {
+            let echo = self.centring.echo(chunk, i);
+            let e = &mut *self.echoes;
+            e.slope.push(echo.slope);
+            e.dilation.push(echo.dilation);
+            e.per_range_per_m.push(echo.per_range_per_m);
+            e.twist_per_s.push(chunk.twist_per_s[i]);
+            e.swing_m_per_s2.push(chunk.swing_m_per_s2[i]);
+        }
+    }
+}
+
+/// A chunk between its two loops, structure of arrays.
+pub struct Prepared<T> {
+    re: [T; CHUNK],
+    im: [T; CHUNK],
+    /// What is left of dilation, bend and twist, each over its span.
+    dilation: [T; CHUNK],
+    bend: [T; CHUNK],
+    twist: [T; CHUNK],
+    /// Greatest of the three.
+    farthest: [f64; CHUNK],
+    row: [i32; CHUNK],
+    column: [i32; CHUNK],
+    /// -1..1 across the cell.
+    in_row: [T; CHUNK],
+    in_column: [T; CHUNK],
+}
+
+impl<T: Sample> Default for Prepared<T> {
+    fn default() -> Self {
+        Self {
+            re: [T::ZERO; CHUNK],
+            im: [T::ZERO; CHUNK],
+            dilation: [T::ZERO; CHUNK],
+            bend: [T::ZERO; CHUNK],
+            twist: [T::ZERO; CHUNK],
+            farthest: [0.0; CHUNK],
+            row: [0; CHUNK],
+            column: [0; CHUNK],
+            in_row: [T::ZERO; CHUNK],
+            in_column: [T::ZERO; CHUNK],
+        }
+    }
+}
+
+/// What turns an echo into places on the grid.
+#[derive(Clone, Copy)]
+struct Scales {
+    smooth: Smooth,
+    per_dilation: f64,
+    per_bend: f64,
+    per_twist: f64,
+    /// Columns: per unit of slope, and where a cell is; and the first value's column.
+    per_step: f64,
+    slope_shift: f64,
+    first_column: f64,
+    /// Rows: per second, and so on.
+    rows_per_s: f64,
+    time_shift: f64,
+    first_row: f64,
+}
+
+impl Scales {
+    fn new<T: Sample>(task: &Task<T>) -> Self {
+        let smooth = task.smooth;
+        let over = |half: f64| if half > 0.0 { 1.0 / half } else { 0.0 };
+        let (time, slope) = (&task.engine.time_kernel, &task.engine.slope_kernel);
+        Self {
+            smooth,
+            per_dilation: over(smooth.dilation_rest),
+            per_bend: over(smooth.per_range_per_m.half),
+            per_twist: over(smooth.twist_rest),
+            per_step: 1.0 / task.step,
+            slope_shift: slope.shift(),
+            first_column: (slope.first() - task.first) as f64,
+            rows_per_s: task.engine.rows_per_s(),
+            time_shift: time.shift(),
+            first_row: time.first() as f64,
+        }
+    }
+}
+
+/// Everything about a chunk that goes side by side. The chunk and what is made of it are parameters of their own so that the compiler knows
+/// them apart.
+#[inline(always)]
+fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let (cos, sin) = cis(echo.turns);
+        let a = chunk.amplitude[i];
+        let (re, im) = (a.re * echo.stretched, a.im * echo.stretched);
+        p.re[i] = T::narrow(re * cos - im * sin);
+        p.im[i] = T::narrow(re * sin + im * cos);
+    }
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let s = echo.slope;
+        let dilation = (echo.dilation - k.smooth.dilation(s)) * k.per_dilation;
+        let bend = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_bend;
+        let shared = echo.per_range_per_m * k.smooth.twist.at(s);
+        let twist = (chunk.twist_per_s[i] - shared) * k.per_twist;
+        p.farthest[i] = dilation.abs().max(bend.abs()).max(twist.abs());
+        p.dilation[i] = T::narrow(dilation);
+        p.bend[i] = T::narrow(bend);
+        p.twist[i] = T::narrow(twist);
+    }
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let (cell, within) = cell(echo.slope * k.per_step + k.slope_shift);
+        p.in_column[i] = T::narrow(within);
+        p.column[i] = (cell + k.first_column + WHOLE).to_bits() as i32;
+        let (cell, within) = self::cell(echo.middle_s * k.rows_per_s + k.time_shift);
+        p.in_row[i] = T::narrow(within);
+        p.row[i] = (cell + k.first_row + WHOLE).to_bits() as i32;
+    }
+}
+
+/// The cell of a place, a whole number, and where in it: -1..1. By adding, where `floor` may be a call: the nearest whole number to
+/// what lies half a step below.
+#[inline(always)]
+fn cell(place: f64) -> (f64, f64) {
+    let cell = (place - 0.5 + WHOLE) - WHOLE;
+    (cell, 2.0 * (place - cell) - 1.0)
+}
+
+/// Spreads echoes onto the grid of a task.
+pub struct Spread<'a, T: Sample> {
+    task: &'a Task<'a, T>,
+    scales: Scales,
+    centring: Centring,
+    grid: &'a mut [T],
+    prepared: &'a mut Prepared<T>,
+    pub echoes: usize,
+    /// Echoes outside the spans that the task was made for: left out if they would lie outside the grid.
+    pub beyond: usize,
+}
+
+impl<'a, T: Sample> Spread<'a, T> {
+    pub fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
+        let values = task.engine.rows * task.width() + 2 * VECTOR;
+        work.grid.clear();
+        work.grid.resize(values, T::ZERO);
+        Self {
+            task,
+            scales: Scales::new(task),
+            centring,
+            grid: &mut work.grid,
+            prepared: &mut work.prepared,
+            echoes: 0,
+            beyond: 0,
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+    fn accept_avx512(&mut self, chunk: &LineChunk) {
+        self.accept_plain::<true>(chunk);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn accept_avx2(&mut self, chunk: &LineChunk) {
+        self.accept_plain::<true>(chunk);
+    }
+
+    #[inline(always)]
+    fn accept_plain<const FUSED: bool>(&mut self, chunk: &LineChunk) {
+        prepare(self.scales, self.centring, chunk, self.prepared);
+        self.add::<FUSED>(chunk.len);
+    }
+
+    /// Echo by echo onto the grid.
+    #[inline(always)]
+    fn add<const FUSED: bool>(&mut self, len: usize) {
+        let task = self.task;
+        let engine = task.engine;
+        let (time_width, slope_width) = (engine.time_kernel.width, engine.slope_kernel.width);
+        let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
+        let orders = task.orders;
+        let numbers = 2 * task.channels();
+        let width = task.width();
+        let mut each = [T::ZERO; 2 * MOST_CHANNELS];
+        let mut line = [T::ZERO; MOST_LINE];
+        let line_len = (slope_width * numbers).next_multiple_of(VECTOR);
+        let p = &*self.prepared;
+        self.echoes += len;
+        for i in 0..len.min(CHUNK) {
+            let (row, column) = (p.row[i] as usize, p.column[i] as usize);
+            self.beyond += usize::from(p.farthest[i] > 1.0);
+            if row > last_row || column > last_column {
+                self.beyond += 1;
+                continue;
+            }
+            if numbers == 2 {
+                (each[0], each[1]) = (p.re[i], p.im[i]);
+            } else {
+                let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
+                let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
+                let twist = chebyshev::<T, MOST_TWIST>(p.twist[i], orders.twist);
+                let mut at = 0;
+                for kept in task.kept() {
+                    let share = bend[kept.bend] * twist[kept.twist];
+                    let (re, im) = (p.re[i] * share, p.im[i] * share);
+                    for &r in &dilation[..kept.dilation] {
+                        each[at] = re * r;
+                        each[at + 1] = im * r;
+                        at += 2;
+                    }
+                }
+            }
+            // Whole vectors, each tap's over the zeros behind the one before it.
+            let weights = taps::<T, FUSED>(&engine.slope_taps, p.in_column[i]);
+            for (tap, &weight) in weights[..slope_width].iter().enumerate() {
+                for v in (0..numbers).step_by(VECTOR) {
+                    let from: &[T; VECTOR] = each[v..][..VECTOR].try_into().expect("a vector");
+                    let to: &mut [T; VECTOR] = (&mut line[tap * numbers + v..][..VECTOR])
+                        .try_into()
+                        .expect("a vector");
+                    *to = std::array::from_fn(|j| from[j] * weight);
+                }
+            }
+            let weights = taps::<T, FUSED>(&engine.time_taps, p.in_row[i]);
+            let at = row * width + column * numbers;
+            for (tap, &weight) in weights[..time_width].iter().enumerate() {
+                let row = &mut self.grid[at + tap * width..][..line_len];
+                let (sums, _) = row.as_chunks_mut::<VECTOR>();
+                let (values, _) = line[..line_len].as_chunks::<VECTOR>();
+                for (sum, value) in sums.iter_mut().zip(values) {
+                    let before = *sum;
+                    *sum = std::array::from_fn(|j| value[j].times_plus::<FUSED>(weight, before[j]));
+                }
+            }
+        }
+    }
+}
+
+impl<T: Sample> LineSink for Spread<'_, T> {
+    fn accept(&mut self, chunk: &LineChunk) {
+        #[cfg(target_arch = "x86_64")]
+        match self.task.engine.dialect.kind() {
+            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+            Kind::Avx512 => return unsafe { self.accept_avx512(chunk) },
+            // SAFETY: as above.
+            Kind::Avx2 => return unsafe { self.accept_avx2(chunk) },
+            Kind::Portable => {}
+        }
+        self.accept_plain::<false>(chunk);
+    }
+}
+
+/// T_0(x) ... of so many terms.
+#[inline(always)]
+fn chebyshev<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
+    let mut values = [T::one(); MOST];
+    let twice = x + x;
+    let (mut before, mut now) = (T::one(), x);
+    for value in &mut values[1..terms.max(1)] {
+        *value = now;
+        (before, now) = (now, twice * now - before);
+    }
+    values
+}

@@ -1,0 +1,349 @@
+//! The numbers of one task: how many terms each of its series needs, and what an echo becomes beyond the plane wave.
+
+use std::f64::consts::{PI, TAU};
+
+use num_complex::Complex64;
+
+use crate::array::phasor::cis;
+
+use super::engine::{LineEngine, Orders, PulseMotion, SLOPE_OVERSAMPLING, Stretch};
+use super::lanes::BLOCK;
+use super::panel::PANEL;
+use super::pulse::{MOST_INSTANTS, PulseSpectra};
+use super::sample::Sample;
+use super::series::{sizes, terms_needed};
+use super::smooth::{Smooth, Span};
+
+/// Most terms of each series; what does not converge with them is reported as error.
+pub const MOST_ALONG: usize = 16;
+const MOST_BAND: usize = 6;
+pub const MOST_DILATION: usize = MOST_INSTANTS;
+pub const MOST_BEND: usize = 8;
+pub const MOST_TURN: usize = 12;
+pub const MOST_TWIST: usize = 4;
+const MOST_NODES: usize = 16;
+/// Most channels of the grid.
+pub const MOST_CHANNELS: usize = 64;
+
+/// Square of the pattern's level that counts as a null: 1e-3 of a change of the pattern by some hundredths is lost.
+const NULL: f64 = 1e-3;
+
+/// Step of the differences that stand for the derivatives of 1/D, cycles per column: of fourth order in what they are for.
+const STEP_NU: f64 = 1e-3;
+
+/// What an echo has of its own beyond its slope: inverse range, and what is left of the twist over the most that is.
+#[derive(Clone, Copy)]
+pub struct Ray {
+    pub per_range_per_m: f64,
+    pub twist: f64,
+}
+
+/// Channels of one term of the bend times one of the twist.
+#[derive(Clone, Copy, Default)]
+pub struct Kept {
+    pub bend: usize,
+    pub twist: usize,
+    /// First terms of the dilation.
+    pub dilation: usize,
+}
+
+/// The numbers of one task.
+pub struct Task<'a, T: Sample> {
+    pub engine: &'a LineEngine<T>,
+    pub pulse: &'a PulseSpectra<T>,
+    pub stretch: &'a Stretch,
+    pub smooth: Smooth,
+    pub orders: Orders,
+    /// Slopes at which the shape is worked out; columns take it from there.
+    pub nodes: usize,
+    /// Which products of terms of bend and twist have channels, and for how many terms of the dilation.
+    kept: [Kept; MOST_BEND * MOST_TWIST],
+    kept_len: usize,
+    pub left_out: f64,
+    /// Slope per column, index of the first column, number.
+    pub step: f64,
+    pub first: isize,
+    pub columns: usize,
+}
+
+impl<'a, T: Sample> Task<'a, T> {
+    pub fn new(engine: &'a LineEngine<T>, stretch: &'a Stretch, smooth: Smooth) -> Self {
+        let ping = &engine.ping;
+        let c = ping.sound_speed_m_per_s;
+        // The aperture, and how much farther the motion along the line carries it while the pulse is emitted.
+        let drift_m = 0.5 * ping.duration_s * c * smooth.dilation1.abs();
+        let reach_m = (stretch.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
+        let step = c / (engine.top_hz() * 2.0 * SLOPE_OVERSAMPLING * reach_m);
+        let kernel = &engine.slope_kernel;
+        let cell = |slope: f64| (slope / step + kernel.shift()).floor() as isize;
+        let first = cell(smooth.slope.at(-1.0)) + kernel.first();
+        let last = cell(smooth.slope.at(1.0)) + kernel.first() + kernel.width as isize - 1;
+        let mut task = Self {
+            engine,
+            pulse: engine.pulse.as_ref().expect("prepared"),
+            stretch,
+            smooth,
+            orders: Orders::default(),
+            nodes: 1,
+            kept: [Kept::default(); MOST_BEND * MOST_TWIST],
+            kept_len: 0,
+            left_out: 0.0,
+            step,
+            first,
+            columns: (last - first + 1) as usize,
+        };
+        task.choose_orders();
+        task
+    }
+
+    pub fn half_m(&self) -> f64 {
+        // A single element has no length to scale by.
+        self.stretch.half_m.max(1e-6)
+    }
+
+    pub fn absolute_hz(&self, band: f64) -> f64 {
+        self.engine.ping.carrier_hz + 0.5 * self.engine.rate_hz * band
+    }
+
+    /// What an echo becomes beyond the plane wave, at `x` (of the half stretch), `w` (of the half pulse) and `band` (of the half band).
+    fn beyond_plane(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
+        let ping = &self.engine.ping;
+        let c = ping.sound_speed_m_per_s;
+        let (y, t) = (x * self.stretch.half_m, w * 0.5 * ping.duration_s);
+        let per_range = ray.per_range_per_m;
+        // Polynomials in the slope, so that columns beside the echoes' own slopes, beyond endfire even, go on smoothly.
+        let bend = per_range * (1.0 - s * s);
+        let (twist, swing) = (self.smooth.twist.at(s), self.smooth.swing.at(s));
+        let twist_rest = ray.twist * self.smooth.twist_rest;
+        let quadratic = match self.engine.fineness.motion {
+            PulseMotion::Stretch => 0.0,
+            PulseMotion::Quadratic => 1.0,
+        };
+        // Second order of the delay, and the third that follows from it: the range itself changes along the line.
+        let path_m = per_range * t * (twist * y + 0.5 * quadratic * swing * t)
+            + twist_rest * y * t
+            + bend * y * y * 0.5 * (1.0 + s * y * per_range)
+            + 1.5 * s * per_range * per_range * y * t * (twist * y + quadratic * swing * t);
+        let (cos, sin) = cis(-self.absolute_hz(band) / c * path_m);
+        let mut level = 1.0 + s * y * (per_range + ping.nepers_per_m);
+        if self.engine.element_m > 0.0 {
+            let lengths = self.engine.element_m * ping.carrier_hz / c;
+            let (here, there) = (sinc(lengths * s), sinc(lengths * (s - y * bend)));
+            // Near a null there is nothing to scale.
+            level *= 1.0 + (there - here) * here / (here * here + NULL);
+        }
+        Complex64::new(level * cos, level * sin)
+    }
+
+    /// The weight of the column at slope `s`, over the kernel's own spectrum at `x` at rest.
+    ///
+    /// A column stands for echoes beside it too. With Y the place along the aperture in cycles per unit of slope and D the kernel's
+    /// spectrum, exp(j 2pi Y s) has the weights exp(j 2pi Y s_k) / D(Y); differentiating by Y gives those of s exp(j 2pi Y s), so a factor
+    /// g(s) needs g/D + g' (1/D)'/(j 2pi) + g''/2 (1/D)''/(j 2pi)^2 + ...
+    pub fn shape(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
+        let ping = &self.engine.ping;
+        let c = ping.sound_speed_m_per_s;
+        let per_column = self.absolute_hz(band) / c * self.step;
+        let y = x * self.stretch.half_m;
+        let moved_m = y - c * self.smooth.dilation1 * w * 0.5 * ping.duration_s;
+        let nu = moved_m * per_column;
+        let inverse = |nu: f64| self.engine.slope_inverse.at(nu);
+        let at = inverse(nu);
+        let (before, after) = (inverse(nu - STEP_NU), inverse(nu + STEP_NU));
+        let first = (after - before) / (2.0 * STEP_NU);
+        let second = (after + before - 2.0 * at) / (STEP_NU * STEP_NU);
+
+        let g = |columns: f64| self.beyond_plane(s + columns * self.step, ray, x, w, band);
+        let (here, left, right) = (g(0.0), g(-0.5), g(0.5));
+        let slope = right - left;
+        let curve = (left + right - here * 2.0) * 4.0;
+        let turn = Complex64::new(0.0, -1.0 / TAU);
+        (here * at + slope * turn * first + curve * (turn * turn * (0.5 * second)))
+            * (1.0 / inverse(y * per_column))
+    }
+
+    fn choose_orders(&mut self) {
+        let ping = &self.engine.ping;
+        let half_m = self.stretch.half_m;
+        // What a series leaves out is as smooth over the slope as what it keeps: the kernel's own spectrum cancels from it too.
+        let tolerance = self.engine.fineness.series.max(1e-13);
+        let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
+        let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
+        let mut left_out: f64 = 0.0;
+        // f of the coordinate, slope, ray and the sign of the others.
+        let mut most = |f: &dyn Fn(f64, f64, Ray, f64) -> Complex64, limit: usize| {
+            let (mut terms, mut rest) = (1, 0.0f64);
+            for s in slopes {
+                for per_range_per_m in bends {
+                    for sign in [-1.0, 1.0] {
+                        let ray = Ray {
+                            per_range_per_m,
+                            twist: sign,
+                        };
+                        let got = terms_needed(|x| f(x, s, ray, sign), limit, tolerance);
+                        terms = terms.max(got.0);
+                        rest = rest.max(got.1);
+                    }
+                }
+            }
+            left_out += rest;
+            terms
+        };
+        let rest_rad = self.rest_rad(1.0);
+        let beyond = |angle: f64| Complex64::from_polar(1.0, -angle);
+        let bent = |ray: Ray, b: f64| Ray {
+            per_range_per_m: self.smooth.per_range_per_m.at(b),
+            ..ray
+        };
+        let twisted = |ray: Ray, twist: f64| Ray { twist, ..ray };
+        let instants = most(
+            &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
+            MOST_INSTANTS,
+        );
+        let along = most(&|x, s, ray, w| self.shape(s, ray, x, w, 1.0), MOST_ALONG);
+        let bend = most(
+            &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
+            MOST_BEND,
+        );
+        let twist = most(
+            &|z, s, ray, x| self.shape(s, twisted(ray, z), x, x, 1.0),
+            MOST_TWIST,
+        );
+        let dilation = most(&|d, _, _, _| beyond(rest_rad * d), MOST_DILATION);
+        let band = most(
+            &|b, s, ray, x| self.shape(s, ray, x, x, b) * beyond(self.rest_rad(b)),
+            MOST_BAND,
+        );
+        let all = self.slopes();
+        let nodes = most(
+            &|p, _, ray, x| self.shape(all.at(p), ray, x, x, 1.0),
+            MOST_NODES,
+        );
+        let turn_rad = self.turn_rad(0, slopes[0].abs().max(slopes[2].abs()) + self.step);
+        let turn = most(&|x, _, _, _| beyond(turn_rad * x), MOST_TURN);
+        self.orders = Orders {
+            instants,
+            along,
+            turn,
+            band,
+            dilation,
+            bend,
+            twist,
+        };
+        self.nodes = nodes;
+        left_out += self.choose_channels(slopes, tolerance);
+        // Swing that no curve over the slope describes.
+        let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
+        let half_s = 0.5 * ping.duration_s;
+        if self.engine.fineness.motion == PulseMotion::Quadratic {
+            left_out += 0.5 * per_m * self.smooth.swing_rest * half_s * half_s;
+        }
+        // Fourth order of the delay along the stretch.
+        left_out +=
+            per_m * half_m.powi(4) / 8.0 * self.smooth.per_range_per_m.at(1.0).max(0.0).powi(3);
+        self.left_out = left_out;
+    }
+
+    /// Channels whose terms together are too small to count are left out too. Returns their sum.
+    fn choose_channels(&mut self, slopes: [f64; 3], tolerance: f64) -> f64 {
+        let Orders {
+            dilation,
+            bend,
+            twist,
+            ..
+        } = self.orders;
+        let rest_rad = self.rest_rad(1.0);
+        let dilation_sizes = sizes(|d| Complex64::from_polar(1.0, -rest_rad * d), dilation + 4);
+        let (mut bend_sizes, mut twist_sizes) = ([0.0f64; MOST_BEND], [0.0f64; MOST_TWIST]);
+        let widen = |most: &mut [f64], found: &[f64]| {
+            for (most, size) in most.iter_mut().zip(found) {
+                *most = most.max(*size);
+            }
+        };
+        for s in slopes {
+            for x in [-1.0, 1.0] {
+                let at = |b: f64, twist: f64| {
+                    let per_range_per_m = self.smooth.per_range_per_m.at(b);
+                    self.shape(
+                        s,
+                        Ray {
+                            per_range_per_m,
+                            twist,
+                        },
+                        x,
+                        x,
+                        1.0,
+                    )
+                };
+                widen(&mut bend_sizes, &sizes(|b| at(b, 0.0), bend + 4));
+                widen(&mut twist_sizes, &sizes(|z| at(0.0, z), twist + 4));
+            }
+        }
+        let share = tolerance / (bend * twist) as f64;
+        let (mut left_out, mut channels, mut len) = (0.0, 0, 0);
+        for (p, z) in (0..bend).flat_map(|p| (0..twist).map(move |z| (p, z))) {
+            let size = bend_sizes[p] * twist_sizes[z];
+            let (mut rest, mut terms) = (0.0, dilation);
+            // The first of all carries the echo itself.
+            while p + z > 0 && terms > 0 && rest + dilation_sizes[terms - 1] * size <= share
+                || channels + terms > MOST_CHANNELS
+            {
+                rest += dilation_sizes[terms - 1] * size;
+                terms -= 1;
+            }
+            left_out += rest;
+            if terms > 0 {
+                self.kept[len] = Kept {
+                    bend: p,
+                    twist: z,
+                    dilation: terms,
+                };
+                len += 1;
+                channels += terms;
+            }
+        }
+        self.kept_len = len;
+        left_out
+    }
+
+    pub fn kept(&self) -> &[Kept] {
+        &self.kept[..self.kept_len]
+    }
+
+    /// How far the rotor of slope `s` to the stretch's end turns from the middle of a block to its lane, radians.
+    pub fn turn_rad(&self, lane: usize, s: f64) -> f64 {
+        let step_hz = self.engine.rate_hz / self.engine.bins() as f64;
+        let from_middle = lane as f64 - 0.5 * (BLOCK - 1) as f64;
+        TAU * from_middle * step_hz * s * self.stretch.half_m / self.engine.ping.sound_speed_m_per_s
+    }
+
+    pub fn channels(&self) -> usize {
+        self.kept().iter().map(|kept| kept.dilation).sum()
+    }
+
+    pub fn powers(&self) -> usize {
+        self.orders.along + self.orders.turn - 1
+    }
+
+    pub fn slope(&self, column: usize) -> f64 {
+        (self.first + column as isize) as f64 * self.step
+    }
+
+    /// Values of one row of the grid: whole panels.
+    pub fn width(&self) -> usize {
+        (2 * self.columns * self.channels()).next_multiple_of(2 * PANEL)
+    }
+
+    /// All slopes of columns.
+    pub fn slopes(&self) -> Span {
+        Span::of([self.slope(0), self.slope(self.columns - 1)].into_iter())
+    }
+}
+
+fn sinc(x: f64) -> f64 {
+    if x == 0.0 {
+        1.0
+    } else {
+        libm::sin(PI * x) / (PI * x)
+    }
+}
