@@ -209,7 +209,7 @@ impl Echo<'_> {
         // See `run`: count^3/32 times the cubic's coefficient.
         let cubic = self.pulse.sweep_hz_per_s() * self.curvature_per_s * self.step_s.powi(3);
         let count = (32.0 * CUBIC_TURNS / cubic.abs()).cbrt();
-        ((count as usize) / LANES * LANES).clamp(8 * LANES, RESTART)
+        ((count as usize) / LANES * LANES).clamp(LANES, RESTART)
     }
 
     /// The `count` samples from `since_s` after the leading edge on.

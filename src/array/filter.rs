@@ -11,13 +11,16 @@ use crate::flow::{Pulse, Synthesis};
 /// Rejection beyond the stop edge, and (as 1e-4) the ripple of the pass band, dB. Kaiser's formulas fall up to 1 dB short: 80 are kept.
 const STOP_BAND_DB: f64 = 82.0;
 
-/// Dense rate over max(B, 4/T), and what it leaves (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz; see the tests).
+/// Dense rate over the band, max(B, 4/T) and at least [`LEAST_BAND`] of the sample rate, and what it leaves (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz; see the tests).
 /// Sharp edges, weighted: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
 const REFERENCE_DENSITY: f64 = 32.0;
 /// Sharp edges, weighted: 3e-4 (sampled: 4.4e-3).
 const DIRECT_DENSITY: f64 = 8.0;
 /// A taper of 0.1: 5e-6.
 const DIRECT_DENSITY_TAPERED: f64 = 4.0;
+/// However narrow a pulse, the filter passes some of what its ends leave beside its band, and what is folded onto that must be as small:
+/// one point a sample put errors of 0.2 beside echoes of a rectangular CW pulse.
+const LEAST_BAND: f64 = 0.7;
 /// From this Tukey taper on a pulse counts as tapered.
 const TAPERED: f64 = 0.1;
 
@@ -41,7 +44,7 @@ pub fn occupied_hz(pulse: &Pulse) -> f64 {
 
 /// How many dense samples per output sample the receiver filter should be fed with.
 ///
-/// The reference takes 32 max(B, 4/T) at least; `direct` 8, or 4 where a taper leaves the pulse no sharp edges.
+/// The reference takes 32 times the band at least; `direct` 8, or 4 where a taper leaves the pulse no sharp edges.
 pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> usize {
     let density = match synthesis {
         Synthesis::Direct if pulse.taper >= TAPERED => DIRECT_DENSITY_TAPERED,
@@ -49,7 +52,7 @@ pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> u
         // The others make a replica or a spectrum once, as finely as they like.
         _ => REFERENCE_DENSITY,
     };
-    ((density * occupied_hz(pulse) / sample_rate_hz).ceil() as usize).max(1)
+    (density * (occupied_hz(pulse) / sample_rate_hz).max(LEAST_BAND)).ceil() as usize
 }
 
 /// The filter at one sample rate and density, made once per plan.
@@ -257,6 +260,8 @@ mod tests {
         assert_eq!(occupied_hz(&ping), 40e3);
         assert_eq!(occupied_hz(&PULSE), 30e3);
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Reference), 24);
-        assert_eq!(oversample(&PULSE, 1e9, Synthesis::Direct), 1);
+        // A narrow pulse in a wide receiver is seen as finely as a wide one.
+        assert_eq!(oversample(&PULSE, 40e3, Synthesis::Direct), 6);
+        assert_eq!(oversample(&ping, 1e6, Synthesis::Direct), 6);
     }
 }

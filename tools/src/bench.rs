@@ -2,34 +2,65 @@
 
 #[path = "bench/echo.rs"]
 mod echo;
+#[path = "bench/forward_looking.rs"]
+mod forward_looking;
 #[path = "bench/machine.rs"]
 mod machine;
+#[path = "bench/ping.rs"]
+mod ping;
+#[path = "bench/report.rs"]
+mod report;
 #[path = "bench/scene.rs"]
 mod scene;
 #[path = "bench/transform.rs"]
 mod transform;
+#[path = "bench/whole.rs"]
+mod whole;
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
+
+use report::Report;
 
 #[derive(Parser)]
-#[command(about = "Error and time of the echo engine's methods")]
+#[command(about = "Error and time of the emulator's parts, on one line")]
 struct Arguments {
     #[command(subcommand)]
     what: What,
 }
 
+#[derive(Args)]
+struct Common {
+    /// Fewer scenes and runs: under a minute on an idle machine.
+    #[arg(long)]
+    quick: bool,
+    /// Write the table as JSON too.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
 #[derive(Subcommand)]
 enum What {
-    /// Synthesis methods on the paper-like ping and on a dense one.
+    /// Synthesis methods: sums alone, whole pings, a forward-looking ping.
     Echo {
-        /// The small scene only, fewer runs.
+        #[command(flatten)]
+        common: Common,
+        /// Whole pings whose name, elements and scatterers contain this ("line 256 1000000"); without it all, and the other tables.
         #[arg(long)]
-        quick: bool,
-        /// Write the table as JSON too.
-        #[arg(long)]
-        json: Option<PathBuf>,
+        only: Option<String>,
+        /// best, portable, avx2, avx512.
+        #[arg(long, value_delimiter = ',', default_value = "best")]
+        dialects: Vec<String>,
+        #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
+        threads: Vec<usize>,
+    },
+    /// Pings of a configuration through the whole pipeline, beams and lines included.
+    Ping {
+        #[command(flatten)]
+        common: Common,
+        #[arg(long, default_value = "hil-configs/quickstart.toml")]
+        config: PathBuf,
     },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
@@ -41,9 +72,38 @@ enum What {
     TransformServe { directory: PathBuf },
 }
 
+fn echo(
+    common: &Common,
+    only: Option<&str>,
+    dialects: &[String],
+    threads: &[usize],
+) -> Result<(), String> {
+    let mut report = Report::new();
+    if only.is_none() {
+        echo::run(common.quick, &mut report);
+    }
+    if only.is_none() || only == Some("forward-looking") {
+        forward_looking::run(threads, &mut report)?;
+    }
+    let selection = whole::Selection {
+        only: only.unwrap_or(""),
+        dialects,
+        threads,
+        most_scatterers: if common.quick { 50_000 } else { usize::MAX },
+    };
+    whole::run(&selection, &mut report)?;
+    report.keep(common.json.as_deref())
+}
+
 fn main() -> std::process::ExitCode {
     let done = match Arguments::parse().what {
-        What::Echo { quick, json } => echo::run(quick, json.as_deref()),
+        What::Echo {
+            common,
+            only,
+            dialects,
+            threads,
+        } => echo(&common, only.as_deref(), &dialects, &threads),
+        What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,

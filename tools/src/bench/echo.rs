@@ -1,10 +1,9 @@
-//! Synthesis methods on one scene: error and milliseconds of each on one line.
+//! Synthesis methods on one scene's arrivals: error and milliseconds of each on one line; what a whole ping takes is `whole`'s.
 //!
 //! Timed: arrivals of all elements to samples through the receiver filter, one thread, best of some runs. Not timed: the walk that makes
 //! the arrivals, noise, gain, converter. Error: one element, the first 2000 scatterers, worst window of a pulse's length, against the
 //! direct sum 256 B dense.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -16,7 +15,7 @@ use echotank::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
 use num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
-use super::machine;
+use super::report::Report;
 use super::scene::{BANDWIDTH_HZ, DURATION_S, SAMPLE_RATE_HZ, SOUND_SPEED_M_PER_S, Scene, Shape};
 
 const ELEMENTS: usize = 5;
@@ -249,18 +248,15 @@ fn doppler_span(chunks: &[Vec<ArrivalChunk>]) -> DopplerSpan {
     DopplerSpan { least, greatest }
 }
 
-/// Prints the table; writes it as JSON to `json` too.
-pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
-    let machine = machine::describe();
-    println!("{machine}");
+/// Prints and keeps one line per scene and method.
+pub fn run(quick: bool, report: &mut Report) {
     println!(
-        "{ELEMENTS} elements, 400 kHz, 30 kHz, 5 ms, 36..150 m, one thread; without the walk over the scatterers and the receiver"
+        "sums alone: {ELEMENTS} elements, 400 kHz, 30 kHz, 5 ms, 36..150 m, one thread; without the walk over the scatterers and the receiver"
     );
     println!(
         "{:>9} {:>5}  {:<28} {:>9} {:>10} {:>9}",
         "M", "m/s", "method", "error", "ms/ping", "M/s"
     );
-    let mut rows = Vec::new();
     let sizes: &[usize] = if quick {
         &[42_936]
     } else {
@@ -268,18 +264,12 @@ pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     };
     for &scatterers in sizes {
         for speed_m_per_s in [0.0, FASTEST_M_PER_S] {
-            rows.extend(scene(scatterers, speed_m_per_s, quick));
+            scene(scatterers, speed_m_per_s, quick, report);
         }
     }
-    if let Some(path) = json {
-        let document = serde_json::json!({ "machine": machine, "rows": rows });
-        std::fs::write(path, format!("{document:#}\n"))
-            .map_err(|e| format!("{}: {e}", path.display()))?;
-    }
-    Ok(())
 }
 
-fn scene(scatterers: usize, speed_m_per_s: f64, quick: bool) -> Vec<serde_json::Value> {
+fn scene(scatterers: usize, speed_m_per_s: f64, quick: bool, report: &mut Report) {
     let shape = Shape {
         scatterers,
         speed_m_per_s,
@@ -310,7 +300,6 @@ fn scene(scatterers: usize, speed_m_per_s: f64, quick: bool) -> Vec<serde_json::
     for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8] {
         methods.push(gridded(tolerance, DopplerModel::Stretch));
     }
-    let mut rows = Vec::new();
     for method in &mut methods {
         let mut out = vec![Complex64::ZERO; plan.sample_count];
         method.element(&few[0], &mut out);
@@ -330,15 +319,15 @@ fn scene(scatterers: usize, speed_m_per_s: f64, quick: bool) -> Vec<serde_json::
             best_ms = best_ms.min(start.elapsed().as_secs_f64() * 1e3);
         }
         let per_s = (scatterers * ELEMENTS) as f64 / best_ms * 1e-3;
-        println!(
+        let line = format!(
             "{scatterers:>9} {speed_m_per_s:>5}  {:<28} {error:>9.1e} {best_ms:>10.2} {per_s:>9.1}  {}",
             method.name(),
             method.says()
         );
-        rows.push(serde_json::json!({
+        let kept = serde_json::json!({
             "scatterers": scatterers, "elements": ELEMENTS, "speed_m_per_s": speed_m_per_s, "method": method.name(),
-            "error": error, "ms_per_ping": best_ms, "load": machine::load(),
-        }));
+            "error": error, "ms_per_ping": best_ms,
+        });
+        report.row(&line, kept);
     }
-    rows
 }

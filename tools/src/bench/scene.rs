@@ -38,14 +38,17 @@ pub struct Scene {
 }
 
 /// Draws in 0..1.
-struct Chance(ChaCha8Rng);
+pub struct Chance(ChaCha8Rng);
 
 impl Chance {
-    fn uniform(&mut self) -> f64 {
+    pub fn seeded(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+    pub fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
     /// Box and Muller (1958).
-    fn normal(&mut self) -> f64 {
+    pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
@@ -54,7 +57,7 @@ impl Chance {
 impl Scene {
     /// Scatterers in no order at all.
     pub fn new(shape: Shape) -> Self {
-        let mut chance = Chance(ChaCha8Rng::seed_from_u64(1));
+        let mut chance = Chance::seeded(1);
         let mut scatterers = Scatterers::default();
         let (near, far) = (20f64.powi(2), 146f64.powi(2));
         for _ in 0..shape.scatterers {

@@ -1,0 +1,106 @@
+//! Pings of a configuration through the whole pipeline: percentiles of milliseconds, and what the certificate says.
+//!
+//! Timed: everything from the ping's order to its element samples, beams and lines (`run::rig::Rig::make`). Not timed: records and
+//! delivery. As fast as it goes, on the navigation's own virtual time.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use echotank::config;
+use echotank::config::spec::NavMode;
+use echotank::io::nav::NavInputs;
+use echotank::nav::Coverage;
+use echotank::ping::Schedule;
+use echotank::run::rig::{Rig, pool};
+use echotank::time::VirtualClock;
+
+use super::report::Report;
+
+/// Pings before the first that counts: buffers grow, tiles are made.
+const WARM_UP: usize = 5;
+
+/// Prints and keeps one line per number of threads.
+pub fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> {
+    let mut report = Report::new();
+    let mut spec = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
+    for sonar in &mut spec.sonars {
+        sonar.synthesis.certificate = true;
+    }
+    let pings = if quick { 20 } else { 100 };
+    for threads in [1, 2] {
+        let line = pool(threads)
+            .map_err(|e| e.to_string())?
+            .install(|| pinged(&spec, pings))?;
+        let Pinged {
+            mut ms,
+            error,
+            echoes,
+        } = line;
+        ms.sort_by(f64::total_cmp);
+        let at = |share: f64| ms[((ms.len() - 1) as f64 * share).round() as usize];
+        let synthesis = spec.sonars[0].model.synthesis.name();
+        let error_text = error.map_or("no certificate".into(), |e| format!("error {e:.1e}"));
+        let line = format!(
+            "{}, {synthesis}, {threads} threads, {} pings: {error_text}, ms median {:.1}, 95 % {:.1}, greatest {:.1}; {echoes} echoes in the last",
+            file.display(),
+            ms.len(),
+            at(0.5),
+            at(0.95),
+            at(1.0)
+        );
+        let kept = serde_json::json!({
+            "config": file.display().to_string(), "synthesis": synthesis, "threads": threads, "pings": ms.len(), "error": error,
+            "ms_median": at(0.5), "ms_95": at(0.95), "ms_greatest": at(1.0), "echoes": echoes,
+        });
+        report.row(&line, kept);
+    }
+    report.keep(json)
+}
+
+struct Pinged {
+    ms: Vec<f64>,
+    error: Option<f64>,
+    echoes: u64,
+}
+
+fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> {
+    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let clock = Arc::new(VirtualClock::default());
+    let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
+    let ended = || "the navigation log ends before the pings do".to_string();
+    while rig.history.first_usable_utc().is_none() {
+        if !inputs.pull_next(&mut rig.history) {
+            return Err(ended());
+        }
+    }
+    let first = rig.history.first_usable_utc().ok_or_else(ended)?;
+    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
+    let mut slot = rig.slot(0);
+    let settings = spec.sonars[0].settings;
+    let mut done = Pinged {
+        ms: Vec::new(),
+        error: None,
+        echoes: 0,
+    };
+    for ping in 0..pings + WARM_UP {
+        let order = schedule
+            .due(schedule.next_utc(), |_| settings)
+            .ok_or("the sonar does not ping")?;
+        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
+        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
+            if !inputs.pull_next(&mut rig.history) {
+                return Err(ended());
+            }
+        }
+        let start = Instant::now();
+        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
+            .map_err(|e| format!("{e:?}"))?;
+        if ping >= WARM_UP {
+            done.ms.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+        done.error = slot.output.certificate.map(|c| c.error).or(done.error);
+        done.echoes = slot.output.counts.used;
+    }
+    Ok(done)
+}

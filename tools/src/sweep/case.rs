@@ -1,0 +1,608 @@
+//! One sonar over one scene in one motion, and the three families of them: the paper's ping, its variations, anything at all.
+
+use echotank::array::gridded2d::Bounds;
+use echotank::echo::cards;
+use echotank::flow::*;
+use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank::ping;
+use echotank::time::UtcNs;
+use glam::{DQuat, DVec3};
+use num_complex::Complex64;
+
+use super::draw::Chance;
+
+pub const C: f64 = 1500.0;
+
+/// Everything that a method needs to know.
+pub struct Case {
+    pub scene: String,
+    pub motion: String,
+    /// Path and Doppler model are for the methods to set.
+    pub plan: PingPlan,
+    pub tx: TransmitArray,
+    pub rx: ArrayGeometry,
+    pub scatterers: Scatterers,
+    pub rate_hz: f64,
+    pub filter: ReceiverFilter,
+    /// Largest Doppler shift that the receiver filter lets pass.
+    pub doppler_hz: f64,
+    /// Elements that are compared.
+    pub looked_at: Vec<usize>,
+    pub conditions: Conditions,
+}
+
+/// A platform's way: what sets the contract's cells apart.
+#[derive(Clone, Copy)]
+pub struct Motion {
+    pub name: &'static str,
+    /// Forward, to starboard, down.
+    pub velocity_m_per_s: DVec3,
+    /// A swell: heave's amplitude in metres, roll's and pitch's in radians; yaw turns evenly, radians per second.
+    pub heave_m: f64,
+    pub roll_rad: f64,
+    pub pitch_rad: f64,
+    pub yaw_rad_per_s: f64,
+}
+
+const CALM: Motion = Motion {
+    name: "still",
+    velocity_m_per_s: DVec3::ZERO,
+    heave_m: 0.0,
+    roll_rad: 0.0,
+    pitch_rad: 0.0,
+    yaw_rad_per_s: 0.0,
+};
+
+pub const MOTIONS: [Motion; 5] = [
+    CALM,
+    Motion {
+        name: "5 m/s",
+        velocity_m_per_s: DVec3::new(5.0, 0.0, 0.0),
+        ..CALM
+    },
+    Motion {
+        name: "10 m/s",
+        velocity_m_per_s: DVec3::new(10.0, 0.0, 0.0),
+        ..CALM
+    },
+    Motion {
+        name: "5, sway 0.3, heave 0.3",
+        velocity_m_per_s: DVec3::new(5.0, 0.3, 0.3),
+        ..CALM
+    },
+    Motion {
+        name: "5 in a swell, rolling",
+        velocity_m_per_s: DVec3::new(5.0, 0.3, 0.0),
+        heave_m: 1.0,
+        roll_rad: 0.14,
+        pitch_rad: 0.05,
+        yaw_rad_per_s: 0.05,
+    },
+];
+
+/// Periods of heave, roll and pitch, seconds, and where in them a ping begins.
+const SWELL_S: [f64; 3] = [6.0, 8.0, 5.0];
+const SWELL_PHASE_RAD: [f64; 3] = [0.9, 2.0, 0.3];
+/// Knots of the trajectory, as a fast motion sensor gives them.
+const KNOT_S: f64 = 0.02;
+
+impl Motion {
+    fn trajectory(&self, until_s: f64) -> Trajectory {
+        let angles = |t_s: f64| {
+            let wave =
+                |k: usize| (std::f64::consts::TAU * t_s / SWELL_S[k] + SWELL_PHASE_RAD[k]).sin();
+            (
+                self.roll_rad * wave(1),
+                self.pitch_rad * wave(2),
+                self.yaw_rad_per_s * t_s,
+            )
+        };
+        let attitude = |t_s: f64| {
+            let (roll, pitch, yaw) = angles(t_s);
+            rotation_from_angles(roll, pitch, yaw)
+        };
+        let turning = self.roll_rad != 0.0 || self.pitch_rad != 0.0 || self.yaw_rad_per_s != 0.0;
+        if self.heave_m == 0.0 && !turning {
+            return Trajectory::uniform(DVec3::ZERO, self.velocity_m_per_s, DQuat::IDENTITY);
+        }
+        let mut trajectory =
+            Trajectory::uniform(DVec3::ZERO, self.velocity_m_per_s, DQuat::IDENTITY);
+        trajectory.attitude.clear();
+        let knots = (until_s / KNOT_S).ceil() as i64 + 2;
+        for k in -2..=knots {
+            let time_s = k as f64 * KNOT_S;
+            let omega = std::f64::consts::TAU / SWELL_S[0];
+            let phase = omega * time_s + SWELL_PHASE_RAD[0];
+            trajectory.heave.push(VectorKnot {
+                time_s,
+                value: DVec3::Z * (self.heave_m * (phase.sin() - SWELL_PHASE_RAD[0].sin())),
+                rate_per_s: DVec3::Z * (self.heave_m * omega * phase.cos()),
+            });
+            let step_s = 1e-4;
+            let (before, after) = (attitude(time_s - step_s), attitude(time_s + step_s));
+            trajectory.attitude.push(AttitudeKnot {
+                time_s,
+                world_from_body: attitude(time_s),
+                body_rate_rad_per_s: (before.inverse() * after).to_scaled_axis() / (2.0 * step_s),
+            });
+        }
+        trajectory
+    }
+
+    fn uniform(&self) -> bool {
+        self.heave_m == 0.0
+            && self.roll_rad == 0.0
+            && self.pitch_rad == 0.0
+            && self.yaw_rad_per_s == 0.0
+    }
+}
+
+/// How the swath lies: slant ranges, sector about broadside, depth below the sonar.
+#[derive(Clone, Copy)]
+struct Swath {
+    near_m: f64,
+    far_m: f64,
+    sector_rad: f64,
+    depth_m: f64,
+    rough_m: f64,
+}
+
+impl Swath {
+    fn scatter(&self, count: usize, law: ScatterLaw, chance: &mut Chance) -> Scatterers {
+        let mut scatterers = Scatterers::default();
+        for _ in 0..count {
+            let range_m = chance.between(self.near_m, self.far_m);
+            let down_m =
+                self.depth_m.min(0.9 * self.near_m) + chance.between(-1.0, 1.0) * self.rough_m;
+            let ground_m = (range_m * range_m - down_m * down_m).max(0.0).sqrt();
+            let azimuth = chance.between(-1.0, 1.0) * self.sector_rad;
+            let strength = Complex64::from_polar(
+                chance.between(0.5, 1.5),
+                chance.between(0.0, std::f64::consts::TAU),
+            );
+            let position_m = DVec3::new(ground_m * azimuth.sin(), ground_m * azimuth.cos(), down_m);
+            scatterers.push(position_m, [0.0, 0.0, -1.0], strength, law);
+        }
+        scatterers
+    }
+}
+
+/// What is transmitted and how it is heard.
+#[derive(Clone, Copy)]
+struct Hearing {
+    pulse: Pulse,
+    rate_hz: f64,
+    filter: ReceiverFilter,
+    doppler_hz: f64,
+    segment_s: f64,
+}
+
+fn build(
+    names: (String, String),
+    motion: &Motion,
+    swath: Swath,
+    hearing: Hearing,
+    arrays: (TransmitArray, ArrayGeometry),
+    scatterers: Scatterers,
+) -> Case {
+    let Hearing { pulse, .. } = hearing;
+    let (tx, rx) = arrays;
+    let settings = SonarSettings {
+        pinging: true,
+        range_m: swath.far_m,
+        max_ping_rate_hz: 1.0,
+        source_level_db: 0.0,
+        gain_db: 0.0,
+        pulse_duration_s: pulse.duration_s,
+    };
+    // From well before the first echo to well past the last, so that no window is cut.
+    let first_sample_s = 2.0 * swath.near_m / C - 3.1e-3;
+    let span_s = 2.0 * (swath.far_m - swath.near_m) / C + pulse.duration_s + 6.2e-3;
+    let sample_count = (span_s * hearing.rate_hz) as usize;
+    let until_s = first_sample_s + span_s;
+    let trajectory = motion.trajectory(until_s);
+    let mut segments = Vec::new();
+    // Of a uniform motion one segment is the truth.
+    let segment_s = if motion.uniform() {
+        10.0
+    } else {
+        hearing.segment_s
+    };
+    ping::polyline(&trajectory, until_s, segment_s, &mut segments);
+    let plan = PingPlan {
+        sonar: 0,
+        ping_number: 1,
+        transmit_utc: UtcNs(0),
+        stamp_utc: UtcNs(0),
+        ping_period_s: 1.0,
+        settings,
+        ping_rate_hz: 1.0,
+        pulse,
+        sound_speed_m_per_s: C,
+        absorption_db_per_m: 0.096,
+        sample_count,
+        first_sample_s,
+        model: ModelChoice {
+            path: PathModel::Continuous,
+            doppler: DopplerModel::Stretch,
+            synthesis: Synthesis::Direct,
+            segment_s,
+            cull_db: None,
+        },
+        nav: NavState::default(),
+        trajectory,
+        segments,
+    };
+    let last = rx.elements - 1;
+    // Of a line both ends, of a handful one: they differ in nothing.
+    let mut looked_at = vec![last];
+    if last > 8 {
+        looked_at.push(0);
+    }
+    let conditions = conditions(&plan, &tx, &rx, swath, hearing, scatterers.len());
+    Case {
+        scene: names.0,
+        motion: names.1,
+        plan,
+        tx,
+        rx,
+        scatterers,
+        rate_hz: hearing.rate_hz,
+        filter: hearing.filter,
+        doppler_hz: hearing.doppler_hz,
+        looked_at,
+        conditions,
+    }
+}
+
+/// What the cards want to know, measured on the trajectory.
+fn conditions(
+    plan: &PingPlan,
+    tx: &TransmitArray,
+    rx: &ArrayGeometry,
+    swath: Swath,
+    hearing: Hearing,
+    scatterers: usize,
+) -> Conditions {
+    const STEPS: usize = 200;
+    let until_s = plan.window_s(hearing.rate_hz);
+    let step_s = until_s / STEPS as f64;
+    let points = [
+        tx.mounting.position_m,
+        rx.element_body_m(0),
+        rx.element_body_m(rx.elements - 1),
+    ];
+    let (mut speed, mut acceleration, mut turning): (f64, f64, f64) = (0.0, 0.0, 0.0);
+    let mut farthest_m: f64 = 0.0;
+    for body_m in points {
+        let velocity = |k: usize| {
+            let pose = plan.trajectory.pose_at(k as f64 * step_s);
+            (
+                pose.point_velocity_m_per_s(body_m),
+                pose.velocity_m_per_s,
+                pose.point_m(body_m),
+            )
+        };
+        for k in 0..STEPS {
+            let (here, platform, place_m) = velocity(k);
+            let change = (velocity(k + 1).0 - here).length() / step_s;
+            speed = speed.max(here.length());
+            // Finite differences of what does not change leave rounding.
+            acceleration = acceleration.max(if change < 1e-9 { 0.0 } else { change });
+            turning = turning.max((here - platform).length());
+            farthest_m = farthest_m.max(place_m.length());
+        }
+    }
+    let turning = if turning < 1e-12 { 0.0 } else { turning };
+    Conditions {
+        pulse: plan.pulse,
+        sound_speed_m_per_s: C,
+        sample_rate_hz: hearing.rate_hz,
+        filter: hearing.filter,
+        speed_m_per_s: speed,
+        acceleration_m_per_s2: acceleration,
+        turning_m_per_s: turning,
+        range_m: ((swath.near_m - farthest_m).max(1e-3), swath.far_m),
+        segment_s: plan.model.segment_s,
+        scatterers,
+        elements: rx.elements,
+        tolerance: 0.0,
+    }
+}
+
+impl Case {
+    /// Error that path and Doppler model make together, as their cards have it.
+    pub fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
+        cards::path_card(path, &self.conditions).error
+            + cards::doppler_card(doppler, path, &self.conditions).error
+    }
+
+    /// What an engine for the whole line must be made for: angles and speeds as they occur.
+    pub fn bounds(&self) -> Bounds {
+        const INSTANTS: usize = 50;
+        let axis_body = self.rx.mounting.body_from_array * DVec3::X;
+        let mut bounds = Bounds {
+            nearest_m: self.conditions.range_m.0,
+            greatest_slope: 0.0,
+            along_m_per_s: 0.0,
+            across_m_per_s: 0.0,
+            turning_rad_per_s: 0.0,
+        };
+        let until_s = self.plan.window_s(self.rate_hz);
+        for k in 0..=INSTANTS {
+            let pose = self
+                .plan
+                .trajectory
+                .pose_at(until_s * k as f64 / INSTANTS as f64);
+            let axis = pose.world_from_body * axis_body;
+            let turning = pose.angular_velocity_rad_per_s.length();
+            bounds.turning_rad_per_s = bounds.turning_rad_per_s.max(turning);
+            for element in [0, self.rx.elements - 1] {
+                let body_m = self.rx.element_body_m(element);
+                let velocity = pose.point_velocity_m_per_s(body_m);
+                let along = velocity.dot(axis);
+                bounds.along_m_per_s = bounds.along_m_per_s.max(along.abs());
+                let across = (velocity - axis * along).length();
+                bounds.across_m_per_s = bounds.across_m_per_s.max(across);
+                let place_m = pose.point_m(body_m);
+                for i in 0..self.scatterers.len() {
+                    let ray = (self.scatterers.position_m(i) - place_m).normalize();
+                    bounds.greatest_slope = bounds.greatest_slope.max(ray.dot(axis).abs());
+                }
+            }
+        }
+        // Rounding leaves a hair beyond 1.
+        bounds.greatest_slope = bounds.greatest_slope.min(1.0);
+        bounds
+    }
+
+    pub fn with_models(&self, path: PathModel, doppler: DopplerModel) -> PingPlan {
+        let mut plan = self.plan.clone();
+        plan.model.path = path;
+        plan.model.doppler = doppler;
+        plan
+    }
+}
+
+fn mounting(position_m: DVec3, body_from_array: DQuat) -> Mounting {
+    Mounting {
+        position_m,
+        body_from_array,
+    }
+}
+
+/// The paper's pulse: 400 kHz, 30 kHz, 5 ms.
+fn paper_pulse(kind: PulseKind, taper: f64) -> Pulse {
+    Pulse {
+        kind,
+        center_frequency_hz: 400e3,
+        bandwidth_hz: if kind == PulseKind::Cw { 0.0 } else { 30e3 },
+        duration_s: 5e-3,
+        taper,
+    }
+}
+
+/// Scenes of the contract's table.
+#[derive(Clone, Copy)]
+pub struct Scene {
+    pub name: &'static str,
+    kind: PulseKind,
+    taper: f64,
+    sector_deg: f64,
+    elements: usize,
+    far_m: f64,
+}
+
+pub const SCENES: [Scene; 5] = [
+    Scene {
+        name: "paper +-15",
+        kind: PulseKind::LfmUp,
+        taper: 0.0,
+        sector_deg: 15.0,
+        elements: 5,
+        far_m: 150.0,
+    },
+    Scene {
+        name: "tapered +-15",
+        kind: PulseKind::LfmUp,
+        taper: 0.5,
+        sector_deg: 15.0,
+        elements: 5,
+        far_m: 150.0,
+    },
+    Scene {
+        name: "tapered down +-60",
+        kind: PulseKind::LfmDown,
+        taper: 0.5,
+        sector_deg: 60.0,
+        elements: 5,
+        far_m: 150.0,
+    },
+    Scene {
+        name: "CW +-15",
+        kind: PulseKind::Cw,
+        taper: 0.5,
+        sector_deg: 15.0,
+        elements: 5,
+        far_m: 75.0,
+    },
+    Scene {
+        name: "line of 64 +-60",
+        kind: PulseKind::LfmUp,
+        taper: 0.5,
+        sector_deg: 60.0,
+        elements: 64,
+        far_m: 60.0,
+    },
+];
+
+impl Scene {
+    /// Every window holds a few of `scatterers`.
+    pub fn case(&self, motion: &Motion, scatterers: usize) -> Case {
+        let swath = Swath {
+            near_m: 36.0,
+            far_m: self.far_m,
+            sector_rad: self.sector_deg.to_radians(),
+            depth_m: 30.0,
+            rough_m: 0.3,
+        };
+        let pulse = paper_pulse(self.kind, self.taper);
+        let hearing = Hearing {
+            pulse,
+            rate_hz: 48e3,
+            filter: ReceiverFilter::Fir,
+            doppler_hz: 2.0 * 10.0 / C * pulse.center_frequency_hz,
+            segment_s: 5e-3,
+        };
+        let rx = ArrayGeometry {
+            mounting: mounting(DVec3::new(0.5, 0.3, 0.4), DQuat::IDENTITY),
+            elements: self.elements,
+            spacing_m: 0.5 * C / pulse.center_frequency_hz,
+            element_pattern: Pattern::Omnidirectional,
+            sensitivity_db: 0.0,
+            transmit: 0,
+        };
+        let tx = TransmitArray {
+            mounting: mounting(DVec3::new(0.5, 0.3, 0.45), DQuat::IDENTITY),
+            pattern: Pattern::Omnidirectional,
+            level_offset_db: 0.0,
+        };
+        let scatterers = swath.scatter(scatterers, ScatterLaw::Lambert, &mut Chance::new(7));
+        let names = (self.name.to_string(), motion.name.to_string());
+        build(names, motion, swath, hearing, (tx, rx), scatterers)
+    }
+}
+
+/// Anything at all, from a seed: pulse, filter, arrays, ranges, motion.
+pub fn random(seed: u64) -> Case {
+    let mut chance = Chance::new(1_000_003 + seed);
+    let kind = chance.one_of(&[PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw]);
+    let bandwidth_hz = if kind == PulseKind::Cw {
+        0.0
+    } else {
+        chance.between(5e3, 40e3)
+    };
+    let pulse = Pulse {
+        kind,
+        center_frequency_hz: chance.between(60e3, 600e3),
+        bandwidth_hz,
+        duration_s: 10f64.powf(chance.between(-3.5, -2.2)),
+        taper: chance.one_of(&[0.0, 0.1, 0.5, 1.0]),
+    };
+    let speed = chance.one_of(&[0.0, 0.5, 2.0, 5.0, 10.0]);
+    let restless = chance.uniform() < 0.4;
+    let mut some = |most: f64| {
+        if restless {
+            chance.between(-most, most)
+        } else {
+            0.0
+        }
+    };
+    let motion = Motion {
+        name: "",
+        velocity_m_per_s: DVec3::ZERO,
+        heave_m: some(1.0),
+        roll_rad: some(0.15),
+        pitch_rad: some(0.05),
+        yaw_rad_per_s: some(0.1),
+    };
+    let course = chance.between(-0.2, 0.2);
+    let motion = Motion {
+        velocity_m_per_s: DVec3::new(course.cos(), course.sin(), chance.between(-0.05, 0.05))
+            * speed,
+        ..motion
+    };
+    let near_m = 10f64.powf(chance.between(0.7, 1.8));
+    // So many pulse lengths of swath, and so many echoes in each.
+    let windows = chance.between(5.0, 20.0);
+    let swath = Swath {
+        near_m,
+        far_m: near_m + windows * 0.5 * C * pulse.duration_s,
+        sector_rad: chance.between(5.0, 85.0).to_radians(),
+        depth_m: near_m * chance.between(0.3, 0.9),
+        rough_m: 0.3,
+    };
+    let doppler_hz = 2.0 * 11.0 / C * pulse.center_frequency_hz;
+    let occupied_hz = bandwidth_hz.max(4.0 / pulse.duration_s);
+    let hearing = Hearing {
+        pulse,
+        rate_hz: chance.between(1.25, 2.0) * (occupied_hz + 2.0 * doppler_hz),
+        filter: chance.one_of(&[
+            ReceiverFilter::Fir,
+            ReceiverFilter::Fir,
+            ReceiverFilter::Fir,
+            ReceiverFilter::None,
+        ]),
+        doppler_hz,
+        segment_s: chance.one_of(&[2e-3, 1e-2, 5e-2]),
+    };
+    let place = |chance: &mut Chance| {
+        let mut side = || chance.between(-1.0, 1.0);
+        DVec3::new(side(), side(), side())
+    };
+    let attitude = |chance: &mut Chance| {
+        rotation_from_angles(
+            chance.between(-1.2, 0.2),
+            chance.between(-0.1, 0.1),
+            chance.one_of(&[0.0, 0.0, std::f64::consts::FRAC_PI_2]),
+        )
+    };
+    let wavelength_m = C / pulse.center_frequency_hz;
+    let pattern = |chance: &mut Chance| {
+        if chance.uniform() < 0.5 {
+            return Pattern::Omnidirectional;
+        }
+        Pattern::Rectangle {
+            length_m: chance.between(0.2, 3.0) * wavelength_m,
+            width_m: chance.between(0.2, 1.0) * wavelength_m,
+            baffled: false,
+        }
+    };
+    let tx = TransmitArray {
+        mounting: mounting(place(&mut chance), attitude(&mut chance)),
+        pattern: pattern(&mut chance),
+        level_offset_db: 0.0,
+    };
+    let rx = ArrayGeometry {
+        mounting: mounting(place(&mut chance), attitude(&mut chance)),
+        elements: 1 + (chance.uniform() * 24.0) as usize,
+        spacing_m: chance.between(0.3, 1.5) * wavelength_m,
+        element_pattern: pattern(&mut chance),
+        sensitivity_db: 0.0,
+        transmit: 0,
+    };
+    let law = chance.one_of(&[ScatterLaw::Point, ScatterLaw::Lambert]);
+    let count = (windows * chance.between(4.0, 10.0)) as usize;
+    let scatterers = swath.scatter(count, law, &mut chance);
+    let names = (format!("random {seed}"), format!("{speed} m/s"));
+    let element = ((chance.uniform() * rx.elements as f64) as usize).min(rx.elements - 1);
+    let case = build(names, &motion, swath, hearing, (tx, rx), scatterers);
+    Case {
+        looked_at: vec![element],
+        ..case
+    }
+}
+
+/// One line about a random scene, for whoever must find out why.
+pub fn describe(case: &Case) -> String {
+    let p = &case.plan.pulse;
+    let c = &case.conditions;
+    format!(
+        "{}: {:?} {:.0} kHz, {:.1} kHz, {:.2} ms, taper {}; {:?} at {:.1} kHz; {} elements, {:.1}..{:.1} m, {} scatterers; {:.2} m/s, {:.2} m/s2, turning {:.2} m/s",
+        case.scene,
+        p.kind,
+        p.center_frequency_hz * 1e-3,
+        p.bandwidth_hz * 1e-3,
+        p.duration_s * 1e3,
+        p.taper,
+        case.filter,
+        case.rate_hz * 1e-3,
+        case.rx.elements,
+        c.range_m.0,
+        c.range_m.1,
+        case.scatterers.len(),
+        c.speed_m_per_s,
+        c.acceleration_m_per_s2,
+        c.turning_m_per_s,
+    )
+}

@@ -1,0 +1,475 @@
+//! From a tolerance to models and a sum, by what their cards promise, or to a refusal.
+
+use std::sync::Mutex;
+
+use echotank::array::cards::synthesis_card;
+use echotank::array::filter::oversample;
+use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, one_dimensional};
+use echotank::array::gridded2d::{self, Gridded2d};
+use echotank::array::{Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
+use echotank::echo::cards::{doppler_card, path_card};
+use echotank::echo::{
+    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate,
+};
+use echotank::flow::*;
+use num_complex::Complex64;
+
+use super::case::Case;
+use super::measure::{LEVEL_RANGE_DB, Truth};
+
+/// Elements from which an engine for lines is asked.
+const LEAST_LINE: usize = 8;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    Direct,
+    Spectral,
+    Nearest,
+    Linear,
+    Gridded1d,
+    Gridded2d,
+}
+
+/// Models and sum with which a method answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chosen {
+    pub path: PathModel,
+    pub doppler: DopplerModel,
+    /// Of the sum alone; infinite where it has none to keep.
+    pub tolerance: f64,
+    /// What the cards add up to.
+    pub predicted: f64,
+    pub why: String,
+}
+
+/// An engine made for a case, where the method has one to make.
+pub enum Ready {
+    Sum,
+    Elements(Gridded),
+    Line(Gridded2d),
+}
+
+impl Chosen {
+    pub fn text(&self) -> String {
+        format!(
+            "{}, {}; {}",
+            self.path.name(),
+            self.doppler.name(),
+            self.why
+        )
+    }
+}
+
+/// What kept a method from a tolerance, and its own words.
+#[derive(Clone, Debug)]
+pub struct Refused {
+    pub by: Reason,
+    pub message: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// No path and Doppler model that it takes is close enough.
+    Model,
+    /// The sum is not.
+    Sum,
+}
+
+impl Method {
+    pub const ALL: [Self; 6] = [
+        Self::Direct,
+        Self::Spectral,
+        Self::Nearest,
+        Self::Linear,
+        Self::Gridded1d,
+        Self::Gridded2d,
+    ];
+
+    /// Those that are of use for so many elements.
+    pub fn of(case: &Case) -> impl Iterator<Item = Self> {
+        let line = case.rx.elements >= LEAST_LINE;
+        Self::ALL
+            .into_iter()
+            .filter(move |&m| line || m != Self::Gridded2d)
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Direct => "direct",
+            Self::Spectral => "spectral",
+            Self::Nearest => "nearest",
+            Self::Linear => "linear",
+            Self::Gridded1d => "gridded-1d",
+            Self::Gridded2d => "gridded-2d",
+        }
+    }
+
+    /// Doppler models that go with it, from cheap to dear.
+    fn dopplers(self) -> Vec<DopplerModel> {
+        let takes = |doppler: DopplerModel| match self {
+            Self::Direct => Synthesis::Direct.takes(doppler),
+            Self::Spectral => Synthesis::Spectral.takes(doppler),
+            Self::Nearest => Synthesis::Nearest.takes(doppler),
+            Self::Linear => Synthesis::Linear.takes(doppler),
+            Self::Gridded1d => Synthesis::Gridded1d.takes(doppler),
+            Self::Gridded2d => true,
+        };
+        [
+            DopplerModel::None,
+            DopplerModel::Stretch,
+            DopplerModel::StretchQuadratic,
+        ]
+        .into_iter()
+        .filter(|&d| takes(d))
+        .collect()
+    }
+
+    /// The cheapest models with which the sum that is left over keeps `tolerance`.
+    pub fn within(
+        self,
+        tolerance: f64,
+        case: &Case,
+        truth: &Truth,
+    ) -> Result<(Chosen, Ready), Refused> {
+        let mut refused = None;
+        for path in [
+            PathModel::Polyline,
+            PathModel::KSegment,
+            PathModel::Continuous,
+        ] {
+            for doppler in self.dopplers() {
+                let model_error = case.model_error(path, doppler);
+                let rest = tolerance - model_error;
+                if rest <= 0.0 {
+                    refused = Some(model_refusal(tolerance, case, path, doppler));
+                    continue;
+                }
+                match self.ready(rest, case, truth, path, doppler) {
+                    Ok((card, ready)) => {
+                        let chosen = Chosen {
+                            path,
+                            doppler,
+                            tolerance: if self.adapts() { rest } else { f64::INFINITY },
+                            predicted: model_error + card.error,
+                            why: card.why,
+                        };
+                        return Ok((chosen, ready));
+                    }
+                    Err(message) => {
+                        refused = Some(Refused {
+                            by: Reason::Sum,
+                            message,
+                        });
+                    }
+                }
+            }
+        }
+        Err(refused.expect("every method has a model"))
+    }
+
+    /// The best models that it takes, whatever comes of it; a sum that can be made to any tolerance to a thousandth. None where the sum
+    /// refuses even that.
+    pub fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
+        let path = PathModel::Continuous;
+        let doppler = self.dopplers().last().copied()?;
+        let tolerance = if self.adapts() { 1e-3 } else { f64::INFINITY };
+        let (card, ready) = self.ready(tolerance, case, truth, path, doppler).ok()?;
+        let chosen = Chosen {
+            path,
+            doppler,
+            tolerance,
+            predicted: f64::INFINITY,
+            why: card.why,
+        };
+        Some((chosen, ready))
+    }
+
+    /// Whether its sum is made for a tolerance.
+    fn adapts(self) -> bool {
+        matches!(self, Self::Gridded1d | Self::Gridded2d)
+    }
+
+    /// The sum and its card, if that is within `tolerance`.
+    fn ready(
+        self,
+        tolerance: f64,
+        case: &Case,
+        truth: &Truth,
+        path: PathModel,
+        doppler: DopplerModel,
+    ) -> Result<(MethodCard, Ready), String> {
+        let plan = case.with_models(path, doppler);
+        let synthesis = match self {
+            Self::Direct => Synthesis::Direct,
+            Self::Spectral => Synthesis::Spectral,
+            Self::Nearest => Synthesis::Nearest,
+            Self::Linear => Synthesis::Linear,
+            Self::Gridded1d => {
+                let gridded = gridded_1d(tolerance, case, &plan, truth)?;
+                return Ok((gridded.engine.card().clone(), Ready::Elements(gridded)));
+            }
+            Self::Gridded2d => {
+                let engine = gridded_2d(tolerance, case, &plan, truth)?;
+                return Ok((engine.card().clone(), Ready::Line(engine)));
+            }
+        };
+        let card = synthesis_card(synthesis, &case.conditions);
+        let card = card.within(tolerance).map_err(|e| e.to_string())?;
+        Ok((card, Ready::Sum))
+    }
+
+    /// Samples of the elements looked at.
+    pub fn records(self, case: &Case, chosen: &Chosen, ready: Ready) -> Vec<Vec<Complex64>> {
+        let plan = case.with_models(chosen.path, chosen.doppler);
+        match (self, ready) {
+            (_, Ready::Elements(gridded)) => gridded.records(case, &plan),
+            (_, Ready::Line(engine)) => line_records(engine, case, &plan),
+            (Self::Spectral, _) => spectral(case, &plan),
+            (Self::Nearest, _) => replicas(case, &plan, false),
+            (Self::Linear, _) => replicas(case, &plan, true),
+            (Self::Direct | Self::Gridded1d | Self::Gridded2d, Ready::Sum) => direct(case, &plan),
+        }
+    }
+}
+
+fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerModel) -> Refused {
+    let path_card = path_card(path, &case.conditions);
+    let doppler_card = doppler_card(doppler, path, &case.conditions);
+    let worse = if path_card.error > doppler_card.error {
+        path_card
+    } else {
+        doppler_card
+    };
+    // Half of it each where neither alone is too much.
+    let refusal = worse.clone().within(tolerance).err();
+    let refusal = refusal.or_else(|| worse.within(0.5 * tolerance).err());
+    Refused {
+        by: Reason::Model,
+        message: refusal.map_or_else(String::new, |r| r.to_string()),
+    }
+}
+
+/// Where a sum through `filter` is evaluated: rate, first instant, samples.
+fn grid(case: &Case, filter: Option<&Decimator>) -> (f64, f64, usize) {
+    let plan = &case.plan;
+    match filter {
+        None => (case.rate_hz, plan.first_sample_s, plan.sample_count),
+        Some(filter) => (
+            filter.dense_rate_hz(),
+            filter.dense_first_s(plan.first_sample_s),
+            filter.dense_len(plan.sample_count),
+        ),
+    }
+}
+
+/// Hands the arrivals of one element in the window of `grid` to `sink`.
+fn walk(
+    case: &Case,
+    plan: &PingPlan,
+    element: usize,
+    (rate_hz, first_s, count): (f64, f64, usize),
+    sink: &mut impl ArrivalSink,
+) {
+    let window = Window::of_samples(first_s, rate_hz, count);
+    let mut lit = Illuminated::new();
+    illuminate(plan, &case.tx, window, &case.scatterers, &mut lit);
+    arrivals(plan, &case.rx, element, &lit, &mut Workspace::new(), sink);
+}
+
+/// The receiver filter as the pipeline gives it to this synthesis.
+fn own_filter(case: &Case, synthesis: Synthesis) -> Option<Decimator> {
+    let pulse = &case.plan.pulse;
+    let factor = oversample(pulse, case.rate_hz, synthesis);
+    match case.filter {
+        ReceiverFilter::None => None,
+        ReceiverFilter::Fir => Some(
+            Decimator::new(pulse, case.rate_hz, case.doppler_hz, factor)
+                .expect("the case's sample rate holds its pulse"),
+        ),
+    }
+}
+
+fn each(case: &Case, mut record: impl FnMut(usize, &mut [Complex64])) -> Vec<Vec<Complex64>> {
+    let all = case.looked_at.iter().map(|&element| {
+        let mut out = vec![Complex64::ZERO; case.plan.sample_count];
+        record(element, &mut out);
+        out
+    });
+    all.collect()
+}
+
+fn direct(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
+    direct_with(case, plan, own_filter(case, Synthesis::Direct).as_ref())
+}
+
+pub fn direct_with(
+    case: &Case,
+    plan: &PingPlan,
+    filter: Option<&Decimator>,
+) -> Vec<Vec<Complex64>> {
+    let (rate_hz, first_s, count) = grid(case, filter);
+    each(case, |element, out| match filter {
+        None => {
+            let mut sink = Direct::new(plan, rate_hz, first_s, out);
+            walk(case, plan, element, (rate_hz, first_s, count), &mut sink);
+        }
+        Some(filter) => {
+            let mut dense = vec![Complex64::ZERO; count];
+            let mut sink =
+                Direct::new(plan, rate_hz, first_s, &mut dense).with_edges(Edges::Weighted);
+            walk(case, plan, element, (rate_hz, first_s, count), &mut sink);
+            filter.apply(&dense, out);
+        }
+    })
+}
+
+fn spectral(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
+    let filter = own_filter(case, Synthesis::Spectral);
+    let tails_s = filter.as_ref().map_or(0.0, |f| -2.0 * f.dense_first_s(0.0));
+    let record_s = plan.sample_count as f64 / case.rate_hz + plan.pulse.duration_s + tails_s;
+    let mut spectrum = Spectrum::new(case.rate_hz, record_s, None, filter.as_ref());
+    spectrum.prepare(plan);
+    let mut bins = Bins::default();
+    each(case, |element, out| {
+        let mut sink = Spectral::new(plan, &spectrum, plan.first_sample_s, &mut bins);
+        walk(case, plan, element, grid(case, filter.as_ref()), &mut sink);
+        sink.finish(out);
+    })
+}
+
+fn replicas(case: &Case, plan: &PingPlan, linear: bool) -> Vec<Vec<Complex64>> {
+    let filter = own_filter(case, Synthesis::Nearest);
+    let mut replica = Replica::default();
+    replica.prepare(plan, case.rate_hz, filter.as_ref());
+    let (rate_hz, first_s) = (case.rate_hz, plan.first_sample_s);
+    each(case, |element, out| {
+        let grid = grid(case, filter.as_ref());
+        if linear {
+            let mut sink = Linear::new(plan, &replica, rate_hz, first_s, out);
+            walk(case, plan, element, grid, &mut sink);
+        } else {
+            let mut sink = Nearest::new(plan, &replica, rate_hz, first_s, out);
+            walk(case, plan, element, grid, &mut sink);
+        }
+    })
+}
+
+/// Keeps all arrivals.
+#[derive(Default)]
+struct Kept(Vec<ArrivalChunk>);
+
+impl ArrivalSink for Kept {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        self.0.push(ArrivalChunk {
+            len: chunk.len,
+            element: chunk.element,
+            delay_s: chunk.delay_s,
+            doppler: chunk.doppler,
+            curvature_per_s: chunk.curvature_per_s,
+            amplitude: chunk.amplitude,
+        });
+    }
+}
+
+pub struct Gridded {
+    engine: Gridded1d,
+    heard: Vec<Vec<ArrivalChunk>>,
+    span: DopplerSpan,
+}
+
+fn gridded_1d(
+    tolerance: f64,
+    case: &Case,
+    plan: &PingPlan,
+    truth: &Truth,
+) -> Result<Gridded, String> {
+    let filter = truth.filter.as_ref();
+    let heard: Vec<Vec<ArrivalChunk>> = case
+        .looked_at
+        .iter()
+        .map(|&element| {
+            let mut kept = Kept::default();
+            walk(case, plan, element, grid(case, filter), &mut kept);
+            kept.0
+        })
+        .collect();
+    let all = heard.iter().flatten().flat_map(|c| &c.doppler[..c.len]);
+    let (least, greatest) = all.fold((0.0f64, 0.0f64), |(a, b), &d| (a.min(d), b.max(d)));
+    let span = DopplerSpan { least, greatest };
+    let engine = Gridded1d::new(&one_dimensional::Spec {
+        pulse: &plan.pulse,
+        sample_rate_hz: case.rate_hz,
+        samples: plan.sample_count,
+        filter,
+        doppler: plan.model.doppler,
+        span,
+        tolerance,
+        level_range_db: LEVEL_RANGE_DB,
+        arrivals: case.scatterers.len(),
+        dialect: Dialect::best(),
+    })
+    .map_err(|e| e.to_string())?;
+    Ok(Gridded {
+        engine,
+        heard,
+        span,
+    })
+}
+
+impl Gridded {
+    fn records(&self, case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
+        let mut work = self.engine.work();
+        let mut heard = self.heard.iter();
+        each(case, |_, out| {
+            let chunks = heard.next().expect("one per element looked at");
+            work.start(plan.first_sample_s, self.span);
+            chunks.iter().for_each(|chunk| work.accept(chunk));
+            let misfits = work.finish(out);
+            assert_eq!(misfits.outside_span, 0, "{}", case.scene);
+        })
+    }
+}
+
+/// To be made and used inside the same pool.
+fn gridded_2d(
+    tolerance: f64,
+    case: &Case,
+    plan: &PingPlan,
+    truth: &Truth,
+) -> Result<Gridded2d, String> {
+    Gridded2d::new(&gridded2d::Spec {
+        array: &case.rx,
+        pulse: &plan.pulse,
+        sound_speed_m_per_s: plan.sound_speed_m_per_s,
+        sample_rate_hz: case.rate_hz,
+        filter: truth.filter.as_ref(),
+        model: &plan.model,
+        bounds: case.bounds(),
+        tolerance,
+        level_range_db: LEVEL_RANGE_DB,
+        scatterers: case.scatterers.len(),
+        dialect: Dialect::best(),
+    })
+    .map_err(|e| e.to_string())
+}
+
+fn line_records(mut engine: Gridded2d, case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
+    let mut lit = Illuminated::new();
+    let window = Window::of_samples(0.0, case.rate_hz, usize::MAX);
+    illuminate(plan, &case.tx, window, &case.scatterers, &mut lit);
+    let work: Vec<_> = (0..rayon::current_num_threads())
+        .map(|_| Mutex::new(LineWorkspace::default()))
+        .collect();
+    let echoes = LineEchoes {
+        plan,
+        array: &case.rx,
+        lit: &lit,
+        work: &work,
+    };
+    let mut iq = vec![Complex64::ZERO; case.rx.elements * plan.sample_count];
+    engine.synthesise(plan, &echoes, &mut iq);
+    case.looked_at
+        .iter()
+        .map(|&e| iq[e * plan.sample_count..][..plan.sample_count].to_vec())
+        .collect()
+}
