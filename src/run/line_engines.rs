@@ -13,6 +13,7 @@ use crate::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
 use crate::config::spec::SonarSpec;
 use crate::echo::walk::{Illuminated, LineEchoes, LineWorkspace};
 use crate::flow::{EchoCounts, MethodCard, PingPlan, Pulse};
+use crate::ping;
 use crate::run::engines::LEVEL_RANGE_DB;
 
 /// Platforms turn no faster, rad/s: a roll of 10 degrees in 5 s.
@@ -59,6 +60,11 @@ impl LineEngines {
                 },
                 tolerance: spec.synthesis.tolerance,
                 level_range_db: LEVEL_RANGE_DB,
+                samples: ping::sample_count(
+                    &spec.settings,
+                    sound_speed_m_per_s,
+                    spec.receiver.sample_rate_hz,
+                ),
                 scatterers: NOMINAL_SCATTERERS,
                 dialect: Dialect::best(),
             })
