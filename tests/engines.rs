@@ -520,7 +520,7 @@ fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
         .join("hil-configs")
         .join(file);
     let mut spec = load(&path).expect("a good configuration");
-    for seabed in &mut spec.scene.seabed {
+    if let Some(seabed) = &mut spec.scene.seabed {
         seabed.density = Density::PerM2(1.0);
     }
     for sonar in &mut spec.sonars {
