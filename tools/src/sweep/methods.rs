@@ -46,7 +46,7 @@ pub struct Chosen {
 pub enum Ready {
     Sum,
     Elements(Gridded),
-    Line(Gridded2d),
+    Line(Box<Gridded2d>),
 }
 
 impl Chosen {
@@ -210,7 +210,7 @@ impl Method {
             }
             Self::Gridded2d => {
                 let engine = gridded_2d(tolerance, case, &plan, truth)?;
-                return Ok((engine.card().clone(), Ready::Line(engine)));
+                return Ok((engine.card().clone(), Ready::Line(Box::new(engine))));
             }
         };
         let card = synthesis_card(synthesis, &case.conditions);
@@ -223,7 +223,7 @@ impl Method {
         let plan = case.with_models(chosen.path, chosen.doppler);
         match (self, ready) {
             (_, Ready::Elements(gridded)) => gridded.records(case, &plan),
-            (_, Ready::Line(engine)) => line_records(engine, case, &plan),
+            (_, Ready::Line(engine)) => line_records(*engine, case, &plan),
             (Self::Spectral, _) => spectral(case, &plan),
             (Self::Nearest, _) => replicas(case, &plan, false),
             (Self::Linear, _) => replicas(case, &plan, true),
