@@ -137,7 +137,7 @@ kind = "udp"
 listen = "127.0.0.1:10110"
 
 [scene]
-memory_mib = 256
+memory_mib = 512
 
 [scene.seabed]
 shape = "esri-ascii"
