@@ -552,7 +552,7 @@ fn scene_info_says_it_in_words_in_json_and_as_a_picture() {
         "size      75 rows x 75 columns, cells 3.9967432 north x 3.9967432 east",
         "first row north  [stated: by the format]",
         "holes     0.00 %",
-        "depth 51.938763 m (row 30 from the south, column 2)",
+        "depth 51.938763 m (row 35 from the south, column 2)",
         "picture   ",
     ] {
         assert!(out.contains(part), "{part} is not in\n{out}");
