@@ -21,16 +21,20 @@ fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
         println!("{}", row.text(&case));
         answers += row.cells.iter().filter(|c| c.outcome.is_ok()).count();
         // So few echoes leave windows that hold nothing but the end of one.
-        broken.extend(row.broken().filter(|cell| !cell.holds_beside()).map(|cell| {
-            format!(
-                "{}, {}, {}: {:?} asked for {:e}",
-                case.scene,
-                case.motion,
-                method.name(),
-                cell.outcome,
-                cell.tolerance
-            )
-        }));
+        broken.extend(
+            row.broken()
+                .filter(|cell| !cell.holds_beside())
+                .map(|cell| {
+                    format!(
+                        "{}, {}, {}: {:?} asked for {:e}",
+                        case.scene,
+                        case.motion,
+                        method.name(),
+                        cell.outcome,
+                        cell.tolerance
+                    )
+                }),
+        );
     }
     (answers, broken)
 }

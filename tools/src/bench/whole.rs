@@ -369,6 +369,7 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect) -> Result<(f64, String), Stri
         },
         tolerance: ready.ping.tolerance,
         level_range_db: 60.0,
+        samples: plan.sample_count,
         scatterers: ready.ping.scatterers,
         dialect,
     })

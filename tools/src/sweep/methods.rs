@@ -447,6 +447,7 @@ fn gridded_2d(
         bounds: case.bounds(),
         tolerance,
         level_range_db: LEVEL_RANGE_DB,
+        samples: plan.sample_count,
         scatterers: case.scatterers.len(),
         dialect: Dialect::best(),
     })
