@@ -85,6 +85,14 @@ fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
     }
 }
 
+/// The certificate rests on samples of the pings before as well, so it alone knows where a replay began.
+fn without_certificate(line: &str) -> String {
+    let mut ping: serde_json::Value = serde_json::from_str(line).expect("JSON");
+    let fields = ping.as_object_mut().expect("an object");
+    assert!(fields.remove("certificate").is_some());
+    ping.to_string()
+}
+
 #[test]
 fn a_part_of_a_replay_is_the_same_as_in_the_whole() {
     let whole = replay(&["--formats", "s7k", "--pings", "1..3"], "quickstart.toml");
@@ -93,7 +101,7 @@ fn a_part_of_a_replay_is_the_same_as_in_the_whole() {
         fs::read_to_string(folder.path().join("truth.jsonl"))
             .expect("truth")
             .lines()
-            .map(str::to_owned)
+            .map(without_certificate)
             .collect()
     };
     assert_eq!(lines(&whole)[1..], lines(&part)[..]);

@@ -109,7 +109,7 @@ fn out_of_band_share(conditions: &Conditions) -> f64 {
 }
 
 /// A window may hold a few echoes only, none of them on a sample: measured over 100 random scenes, by window over the mean.
-const FEW_ECHOES: f64 = 1.4;
+pub const FEW_ECHOES: f64 = 1.4;
 
 /// Steps per variable at which the two means below are taken.
 const MEAN_STEPS: usize = 32;

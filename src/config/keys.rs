@@ -520,7 +520,7 @@ static SEABED: Table = Table {
             "values",
             Kind::Choice(&["auto", "elevation", "depth"], &[]),
             Default("\"auto\""),
-            "What the file holds: heights (up positive) or depths; auto: as it says, or as most of its signs are. Only with shape = \"file\" or \"esri-ascii\".",
+            "Heights (up positive) or depths; auto: as the file says, or as most of its signs are. Only with shape = \"file\" or \"esri-ascii\".",
         ),
         key(
             "offset_north_m",
