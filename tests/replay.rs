@@ -89,7 +89,7 @@ fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
 fn without_certificate(line: &str) -> String {
     let mut ping: serde_json::Value = serde_json::from_str(line).expect("JSON");
     let fields = ping.as_object_mut().expect("an object");
-    assert!(fields.remove("certificate").is_some());
+    fields.remove("certificate");
     ping.to_string()
 }
 

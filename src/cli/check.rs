@@ -8,6 +8,7 @@ use super::{Failure, load};
 use crate::config;
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::echo::culling::left_out_share;
+use crate::flow::Synthesis;
 use crate::run::pipeline::engine_cards;
 
 #[derive(Args, Clone, Debug)]
@@ -40,7 +41,7 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
             };
             for card in engine_cards(sonar, &spec.medium).map_err(refuse)? {
                 let cost = match card.cost_ms > 0.0 {
-                    true => format!(", {:.2} ms per element on one core", card.cost_ms),
+                    true => format!(", {:.2} ms on one core per {}", card.cost_ms, whole(sonar)),
                     false => String::new(),
                 };
                 println!(
@@ -55,6 +56,14 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
         println!("{}: ok", path.display());
     }
     Ok(())
+}
+
+/// What a card's cost is for.
+fn whole(sonar: &SonarSpec) -> &'static str {
+    match sonar.model.synthesis {
+        Synthesis::Gridded2d => "array and ping",
+        _ => "element and ping",
+    }
 }
 
 /// What `cull_db` leaves out of each array's reverberation; empty where nothing is culled.

@@ -22,6 +22,10 @@ const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
 /// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
 const NOMINAL_SCATTERERS: usize = 300_000;
 
+/// What the engine's bound on its series may be, in tolerances: eight of them that each leave less than half of it, all at their peaks at
+/// once. A ping above that was beyond what the engine is made for.
+const SERIES: f64 = 4.0;
+
 /// One engine per receive array.
 pub struct LineEngines {
     engines: Vec<Gridded2d>,
@@ -101,7 +105,7 @@ impl LineEngines {
             work: &self.work,
         };
         let mut counts = engine.synthesise(plan, &echoes, iq);
-        if engine.left_out() > self.tolerance {
+        if engine.left_out() > SERIES * self.tolerance {
             counts.beyond_engine = counts.used;
         }
         counts

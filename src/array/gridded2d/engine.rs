@@ -84,7 +84,7 @@ pub struct TaskReport {
     pub columns: usize,
     pub channels: usize,
     pub orders: Orders,
-    /// What the series leave out, rms over the echoes' places, relative to an echo; at least 1 where echoes were left out.
+    /// Bound on what the series leave out, relative to an echo.
     pub left_out: f64,
 }
 

@@ -141,8 +141,8 @@ impl Gridded2d {
         counts
     }
 
-    /// What the series of the last ping's own echoes left out, rms in the worst task, relative to an echo: above the tolerance where the
-    /// ping was beyond the bounds that the engine was made for.
+    /// Bound on what the last ping's own echoes left out of their series, relative to an echo: above the tolerance where the ping was
+    /// beyond the bounds that the engine was made for.
     pub fn left_out(&self) -> f64 {
         self.left_out
     }

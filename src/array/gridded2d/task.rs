@@ -169,7 +169,6 @@ impl<'a, T: Sample> Task<'a, T> {
         let tolerance = self.engine.fineness.series.max(1e-13);
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
         let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
-        // Sum of squares.
         let mut left_out: f64 = 0.0;
         // f of the coordinate, slope, ray and the sign of the others.
         let mut most = |f: &dyn Fn(f64, f64, Ray, f64) -> Complex64, limit: usize| {
@@ -187,7 +186,7 @@ impl<'a, T: Sample> Task<'a, T> {
                     }
                 }
             }
-            left_out += rest * rest;
+            left_out += rest;
             terms
         };
         let rest_rad = self.rest_rad(1.0);
@@ -232,19 +231,17 @@ impl<'a, T: Sample> Task<'a, T> {
             twist,
         };
         self.nodes = nodes;
-        left_out += self.choose_channels(slopes, tolerance).powi(2);
+        left_out += self.choose_channels(slopes, tolerance);
         // Swing that no curve over the slope describes.
         let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
         let half_s = 0.5 * ping.duration_s;
         if self.engine.fineness.motion == PulseMotion::Quadratic {
-            left_out += (0.5 * per_m * self.smooth.swing_rest * half_s * half_s).powi(2);
+            left_out += 0.5 * per_m * self.smooth.swing_rest * half_s * half_s;
         }
         // Fourth order of the delay along the stretch.
-        let fourth =
+        left_out +=
             per_m * half_m.powi(4) / 8.0 * self.smooth.per_range_per_m.at(1.0).max(0.0).powi(3);
-        left_out += fourth * fourth;
-        // Each is a term of another variable, the sum of squares that of uncorrelated ones, of peaks: a term's mean square is half its peak's.
-        self.left_out = (0.5 * left_out).sqrt();
+        self.left_out = left_out;
     }
 
     /// Channels whose terms together are too small to count are left out too. Returns their sum.
