@@ -569,6 +569,12 @@ fn model(
         );
     }
     let path = table.text("path")?;
+    if (synthesis, path) == (Some(Synthesis::Gridded2d), "polyline") {
+        problems.refuse(
+            table.entry("path"),
+            "must be another with synthesis = \"gridded-2d\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none",
+        );
+    }
     Some(ModelChoice {
         path: PathModel::ALL.into_iter().find(|p| p.name() == path)?,
         doppler: doppler?,
