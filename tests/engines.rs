@@ -555,7 +555,7 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 /// Both configurations with an engine, on a real ship's log over a real seabed: the direct sum of the same path and Doppler by window.
 #[test]
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
-    for (file, tolerance) in [("quickstart.toml", 1e-3), ("multibeam.toml", 2e-2)] {
+    for (file, tolerance) in [("certified.toml", 1e-3), ("multibeam.toml", 2e-2)] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {
                 sonar.synthesis.certificate = false;
@@ -589,7 +589,7 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
 /// As configured, culling included, against the reference: what the certificate of every ping says.
 #[test]
 fn the_quickstart_is_certified_within_its_tolerance() {
-    let spec = thinned("quickstart.toml", |_| {});
+    let spec = thinned("certified.toml", |_| {});
     let mut last = None;
     along_the_log(&spec, 40, |_, output| last = output.certificate.or(last));
     let last = last.expect("enough samples");
