@@ -11,8 +11,8 @@
 
 use std::sync::Arc;
 
+use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 
 use crate::flow::{ArrivalChunk, ArrivalSink, EDGE_POINTS, PingPlan, Pulse, edge_corrections};
 
@@ -65,7 +65,7 @@ impl Spectrum {
             pulse: None,
             gain,
             shaped: vec![Complex64::ZERO; bins],
-            inverse: FftPlanner::new().plan_fft_inverse(bins),
+            inverse: f64::plan_inverse(bins),
         }
     }
 

@@ -12,8 +12,8 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 
 use super::RowLimits;
 use crate::config::spec::Shading;
@@ -67,9 +67,8 @@ impl Correlator {
         );
         let longest_pulse = pulse_samples(limits.pulse_s, limits.sample_rate_hz);
         let length = fft_length(limits.samples + longest_pulse + guard);
-        let mut planner = FftPlanner::new();
-        let forward = planner.plan_fft_forward(length);
-        let inverse = planner.plan_fft_inverse(length);
+        let forward = f64::plan_forward(length);
+        let inverse = f64::plan_inverse(length);
         let scratch_length = forward
             .get_inplace_scratch_len()
             .max(inverse.get_inplace_scratch_len());

@@ -9,8 +9,8 @@
 //! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
 
+use echotank_fft::Planned;
 use num_complex::{Complex, Complex32, Complex64};
-use rustfft::FftNum;
 
 use super::dialect::{Dialect, Kind};
 use super::kernel::{Kernel, MAX_WIDTH};
@@ -56,7 +56,7 @@ pub struct Located<T> {
 }
 
 /// The real numbers that moments are made of.
-pub trait Real: FftNum + Default {
+pub trait Real: Planned + Default {
     type Row: Copy + Send + Sync + std::fmt::Debug;
     /// Complex moments per row.
     const MOMENTS: usize;

@@ -13,8 +13,8 @@
 
 use std::sync::Arc;
 
+use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
-use rustfft::{Fft, FftPlanner};
 
 use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
@@ -310,8 +310,8 @@ impl<M: Real, G: Real> Plan<M, G> {
                 grid: doppler,
             },
             templates,
-            forward: FftPlanner::new().plan_fft_forward(grid),
-            inverse: FftPlanner::new().plan_fft_inverse(period),
+            forward: G::plan_forward(grid),
+            inverse: G::plan_inverse(period),
             error,
         })
     }

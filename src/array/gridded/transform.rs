@@ -8,8 +8,8 @@
 
 use std::sync::Arc;
 
+use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
-use rustfft::{Fft, FftPlanner};
 
 use super::dialect::Dialect;
 use super::kernel::Kernel;
@@ -80,7 +80,7 @@ impl<T: Real> Transform1d<T> {
             kernel,
             dialect,
             factors,
-            fft: FftPlanner::new().plan_fft_forward(grid),
+            fft: T::plan_forward(grid),
         }
     }
 

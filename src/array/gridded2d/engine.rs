@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
-use rustfft::{Fft, FftPlanner};
 
 use crate::array::gridded::dialect::Dialect;
 use crate::array::gridded::kernel::Kernel;
@@ -227,7 +227,6 @@ impl<T: Sample> LineEngine<T> {
             Pattern::Omnidirectional => 0.0,
             Pattern::Rectangle { length_m, .. } => length_m,
         };
-        let mut planner = FftPlanner::new();
         let most = MOST_INSTANTS.max(MOST_ALONG);
         Self {
             fineness,
@@ -245,7 +244,7 @@ impl<T: Sample> LineEngine<T> {
             rows,
             forward: PanelFft::new(rows),
             blocks,
-            inverse: planner.plan_fft_inverse(bins),
+            inverse: T::plan_inverse(bins),
             band,
             instants: (1..=MOST_INSTANTS).map(Instants::new).collect(),
             powers: (1..=most).map(powers_from_nodes).collect(),

@@ -1,11 +1,11 @@
 //! The two kinds of numbers that grids and transforms are made of.
 
-use rustfft::FftNum;
+use echotank_fft::Planned;
 
 use super::pulse::Reading;
 
 /// The real numbers that grids and transforms are made of.
-pub trait Sample: FftNum + Default + Reading {
+pub trait Sample: Planned + Default + Reading {
     const ZERO: Self;
     fn narrow(value: f64) -> Self;
     fn widen(self) -> f64;

@@ -12,8 +12,8 @@ use echotank::array::gridded::transform::grid_size;
 use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, Gridded1dWork, one_dimensional};
 use echotank::array::{Decimator, Direct};
 use echotank::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
+use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 
 use super::report::Report;
 use super::scene::{BANDWIDTH_HZ, DURATION_S, SAMPLE_RATE_HZ, SOUND_SPEED_M_PER_S, Scene, Shape};
@@ -172,8 +172,7 @@ impl Samples {
                 spectrum.at(f_hz) * filter.gain(f_hz) * (SAMPLE_RATE_HZ / len as f64)
             })
             .collect();
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(len), planner.plan_fft_inverse(len));
+        let (forward, inverse) = (f64::plan_forward(len), f64::plan_inverse(len));
         let scratch = forward
             .get_inplace_scratch_len()
             .max(inverse.get_inplace_scratch_len());

@@ -10,9 +10,9 @@ use std::time::Instant;
 
 use echotank::array::gridded::Dialect;
 use echotank::array::gridded::transform::{Transform1d, Workspace};
+use echotank_fft::Planned;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
-use rustfft::FftPlanner;
 
 use super::report::Report;
 use super::scene::Chance;
@@ -93,8 +93,7 @@ fn plain(rays: &Rays) -> Vec<Complex64> {
 /// Some beams by plain sums in f64.
 fn want(rays: &[Rays], beams: &[usize]) -> Vec<Vec<Complex64>> {
     let all: Vec<Vec<Complex64>> = rays.par_iter().map(plain).collect();
-    let mut inverse = FftPlanner::new();
-    let inverse = inverse.plan_fft_inverse(BINS);
+    let inverse = f64::plan_inverse(BINS);
     beams
         .iter()
         .map(|&beam| {
@@ -149,12 +148,8 @@ pub fn run(threads: &[usize], report: &mut Report) -> Result<(), String> {
 /// Best of some pings, and the last one's beams.
 fn measure(rays: &[Rays], width: usize) -> (f64, Vec<Complex32>) {
     let plan = Transform1d::<f32>::new(BINS, PERIOD_S, width, 2.0, Dialect::best());
-    let mut planner = FftPlanner::new();
-    let (forward, backward) = (
-        planner.plan_fft_forward(PADDED),
-        planner.plan_fft_inverse(PADDED),
-    );
-    let inverse = planner.plan_fft_inverse(BINS);
+    let (forward, backward) = (f32::plan_forward(PADDED), f32::plan_inverse(PADDED));
+    let inverse = f32::plan_inverse(BINS);
     // The mixing's own spectrum, even in beams.
     let mut mixing: Vec<Complex32> = (0..PADDED)
         .map(|k| {
