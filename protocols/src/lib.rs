@@ -9,6 +9,8 @@
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
+//! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
+//! - [`xtf`]: Triton XTF files.
 
 #![forbid(unsafe_code)]
 
@@ -17,5 +19,8 @@ pub mod framing;
 pub mod jsf;
 mod layout;
 pub mod sevenk;
+
+pub mod vita49;
+pub mod xtf;
 
 pub use layout::WireError;

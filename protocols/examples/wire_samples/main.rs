@@ -4,6 +4,8 @@
 //! one attitude.
 
 mod jsf;
+mod vita49;
+mod xtf;
 
 use std::path::Path;
 
@@ -28,5 +30,7 @@ fn main() -> std::io::Result<()> {
         .expect("usage: wire_samples FOLDER");
     let folder = Path::new(&folder);
     std::fs::create_dir_all(folder)?;
-    jsf::write(folder)
+    jsf::write(folder)?;
+    xtf::write(folder)?;
+    vita49::write(folder)
 }
