@@ -173,6 +173,43 @@ class Vita49(unittest.TestCase):
             self.assertEqual(before, 3 * 500)
 
 
+@needs_310
+class SigMf(unittest.TestCase):
+    """The reference implementation: its schema, and its reading of the samples."""
+
+    def test_words_are_valid_and_samples_exact(self):
+        import sigmf
+        recording = sigmf.sigmffile.fromfile(sample("sample.sigmf-meta"), autoscale=False)
+        recording.validate()
+        self.assertEqual(recording.get_global_field("core:num_channels"), 4)
+        for ping in range(3):
+            capture = recording.get_captures()[ping]
+            self.assertEqual((capture["core:sample_start"], capture["core:frequency"]), (500 * ping, 430e3))
+            self.assertEqual(capture["core:datetime"], "2025-06-15T15:06:40.%d23456789Z" % (1 + ping))
+            got = recording.read_samples(start_index=500 * ping, count=500)
+            self.assertEqual(got.shape, (500, 4))
+            for element in range(4):
+                numbers = count(ping, element, 1000)
+                np.testing.assert_array_equal(got[:, element], numbers[::2] + 1j * numbers[1::2])
+
+
+class Wav(unittest.TestCase):
+    """libsndfile, by soundfile."""
+
+    def test_eight_channels_are_exact_in_riff_and_rf64(self):
+        import soundfile
+        for name, kind, container, dtype, scale in (
+            ("sample_i16.wav", "PCM_16", "WAVEX", "int16", 1),
+            ("sample_i32_rf64.wav", "PCM_32", "RF64", "int32", 65536),
+            ("sample_f32.wav", "FLOAT", "WAVEX", "float32", 1 / 32768.0),
+        ):
+            about = soundfile.info(sample(name))
+            self.assertEqual((about.subtype, about.format, about.samplerate, about.channels, about.frames), (kind, container, 192000, 8, 500))
+            data, _ = soundfile.read(sample(name), dtype=dtype)
+            for channel in range(8):
+                np.testing.assert_array_equal(data[:, channel], count(0, channel, 500) * scale)
+
+
 if __name__ == "__main__":
     warnings.simplefilter("error")
     unittest.main()

@@ -4,6 +4,7 @@
 //! one attitude.
 
 mod jsf;
+mod recordings;
 mod vita49;
 mod xtf;
 
@@ -32,5 +33,6 @@ fn main() -> std::io::Result<()> {
     std::fs::create_dir_all(folder)?;
     jsf::write(folder)?;
     xtf::write(folder)?;
-    vita49::write(folder)
+    vita49::write(folder)?;
+    recordings::write(folder)
 }
