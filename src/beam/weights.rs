@@ -17,6 +17,10 @@ const LEAST_NBAR: usize = 4;
 
 /// A weighting as a function of place.
 #[derive(Clone, Copy, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "lives for one loop on the stack, and the ping path must not allocate"
+)]
 pub(super) enum Taper {
     Uniform,
     /// a + (1 - a) cos(2 pi x).
