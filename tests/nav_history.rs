@@ -26,6 +26,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
         time: TimePolicy::Message,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        dialect: Default::default(),
         provides: provides.to_vec(),
     }
 }

@@ -38,6 +38,7 @@ fn source(name: &str, input: NavInputSpec) -> NavSourceSpec {
         time: TimePolicy::Burst,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::new(2.0, 1.0, -15.0),
+        dialect: Default::default(),
         provides: vec![
             NavChannel::Position,
             NavChannel::CourseSpeed,

@@ -486,7 +486,16 @@ fn nav_source<'t>(
     needed_with(table, "baud", is("serial"), "kind = \"serial\"", problems);
     only_with(
         table,
-        &["time", "latency_ms", "checksum"],
+        &[
+            "time",
+            "latency_ms",
+            "checksum",
+            "ignore_checksum_for",
+            "format",
+            "variants",
+            "reverse",
+            "magnetic_variation_deg",
+        ],
         is("csv").map(|csv| !csv),
         "sentences, which a CSV track has not",
         problems,
@@ -516,11 +525,41 @@ fn nav_source<'t>(
             _ => ChecksumPolicy::Require,
         },
         lever_arm_m: table.vector("lever_arm_m")?,
+        dialect: dialect(table)?,
         provides: table
             .texts("provides")?
             .iter()
             .map(|c| channel(c))
             .collect(),
+    })
+}
+
+fn dialect(table: &RawTable) -> Option<NavDialect> {
+    let says = |key: &str, word: &str| {
+        let words = table.texts(key);
+        words.is_some_and(|words| words.iter().any(|w| w == word))
+    };
+    let formats = [
+        NavFormat::Nmea,
+        NavFormat::Tss1,
+        NavFormat::Em3000,
+        NavFormat::Seapath26,
+        NavFormat::Kmb,
+    ];
+    let format = table.text("format")?;
+    Some(NavDialect {
+        format: formats.into_iter().find(|f| f.name() == format)?,
+        ignore_checksum_for: table
+            .texts("ignore_checksum_for")
+            .unwrap_or_default()
+            .to_vec(),
+        pashr_heave_up: says("variants", "pashr-heave-up"),
+        reversed: Reversed {
+            roll: says("reverse", "roll"),
+            pitch: says("reverse", "pitch"),
+            heave: says("reverse", "heave"),
+        },
+        magnetic_variation_rad: table.angle_rad("magnetic_variation_deg"),
     })
 }
 

@@ -337,6 +337,39 @@ static NAV_SOURCE: Table = Table {
             "",
         ),
         key(
+            "ignore_checksum_for",
+            Kind::Names,
+            Optional("[\"PTNTHPR\"]"),
+            "Sentences whose checksum is not looked at: whole addresses, or their last three letters.",
+        ),
+        key(
+            "format",
+            Kind::Choice(
+                &["nmea", "tss1", "em3000", "seapath26", "kmb"],
+                &["pd0", "pd6", "stdbin", "sbg"],
+            ),
+            Default("\"nmea\""),
+            "What the bytes are: sentences, or records of one maker; em3000 is em1000 too.",
+        ),
+        key(
+            "variants",
+            Kind::Choices(&["pashr-heave-up"]),
+            Optional("[\"pashr-heave-up\"]"),
+            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere.",
+        ),
+        key(
+            "reverse",
+            Kind::Choices(&["roll", "pitch", "heave"]),
+            Optional("[\"pitch\"]"),
+            "Quantities that this instrument sends with the opposite sign of its format's documentation.",
+        ),
+        key(
+            "magnetic_variation_deg",
+            Kind::Number(from(-180.0, 180.0)),
+            Optional("1.3"),
+            "East positive. Makes HDG and HDM true headings where the sentence carries no variation; without it they are not taken.",
+        ),
+        key(
             "lever_arm_m",
             Kind::Numbers(3, ARM_M),
             Default("[0.0, 0.0, 0.0]"),

@@ -115,8 +115,55 @@ pub struct NavSourceSpec {
     pub checksum: ChecksumPolicy,
     /// Antenna in the body, metres; used with this source's positions.
     pub lever_arm_m: DVec3,
+    pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+/// What is particular about the messages of one source; by default nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NavDialect {
+    pub format: NavFormat,
+    /// Sentences, by address or its last three letters, whose checksum is not looked at.
+    pub ignore_checksum_for: Vec<String>,
+    /// PASHR carries heave + up, against the documented + down.
+    pub pashr_heave_up: bool,
+    pub reversed: Reversed,
+    /// East positive; makes magnetic headings true where the sentence does not say it.
+    pub magnetic_variation_rad: Option<f64>,
+}
+
+/// Quantities that the source sends with the opposite sign of its documentation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reversed {
+    pub roll: bool,
+    pub pitch: bool,
+    pub heave: bool,
+}
+
+/// What a source's bytes are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NavFormat {
+    #[default]
+    Nmea,
+    Tss1,
+    /// EM1000 too.
+    Em3000,
+    Seapath26,
+    Kmb,
+}
+
+impl NavFormat {
+    /// As the configuration has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            NavFormat::Nmea => "nmea",
+            NavFormat::Tss1 => "tss1",
+            NavFormat::Em3000 => "em3000",
+            NavFormat::Seapath26 => "seapath26",
+            NavFormat::Kmb => "kmb",
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]

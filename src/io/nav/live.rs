@@ -20,6 +20,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::{LiveCounters, NavOpenError, SourceCounters};
 use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use crate::flow::NavSample;
+use crate::nav::decoder::unwatched;
 use crate::nav::{NavDecoder, NavHistory};
 use crate::time::{Clock, MonoNs, NS_PER_S, Timeline};
 
@@ -302,14 +303,7 @@ fn decode(
         return;
     }
     // Each sentence has the arrival of its own first byte.
-    let mut start = 0;
-    for at in 1..=chunk.bytes.len() {
-        if at == chunk.bytes.len() || matches!(chunk.bytes[at], b'$' | b'!') {
-            let first = arrival.plus_ns(start as i64 * byte_ns);
-            decoder.push(&chunk.bytes[start..at], first, out);
-            start = at;
-        }
-    }
+    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut unwatched);
 }
 
 /// A thread's end of the queue.
