@@ -934,6 +934,27 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
     );
 }
 
+/// Attitude at 8 Hz between fixes at 1 Hz, no pause: it is not of the fix's time, which grows a second old.
+#[test]
+fn a_sentence_that_comes_twice_in_a_burst_is_taken_at_its_arrival() {
+    let mut decoder = NavDecoder::new(0, &source(NavDialect::default(), TimePolicy::Burst));
+    let mut samples = Vec::new();
+    for i in 0..80 {
+        let t = f64::from(i) / 8.0;
+        let at = UtcNs(DAY_S * NS_PER_S).plus_s(t);
+        if i % 8 == 0 {
+            decoder.push(&gga(&motion(t)), at, &mut samples);
+        }
+        decoder.push(&ptnthpr(&motion(t)), at.plus_s(0.01), &mut samples);
+    }
+    let attitude = samples
+        .iter()
+        .filter(|s| channel_of(&s.quantity) == NavChannel::RollPitch);
+    let borrowed = attitude.filter(|s| s.valid_utc != s.arrival_utc).count();
+    assert_eq!(borrowed, 1, "only the very first, before it was known");
+    assert_eq!(decoder.counters().undated, 79);
+}
+
 #[test]
 fn paced_bytes_give_every_sentence_the_arrival_of_its_own_first_byte() {
     // 4800 Bd: 10 bits per byte.

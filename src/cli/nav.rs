@@ -302,7 +302,9 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     );
     for s in &r.sentences {
         let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
-        let latency = s.latency_s.map_or("-".to_owned(), |l| {
+        // Without stamps the arrivals are made of the messages.
+        let stamped = s.latency_s.filter(|_| log.stamped > 0);
+        let latency = stamped.map_or("-".to_owned(), |l| {
             let ms = |v: f64| format!("{:.0}", v * 1e3);
             format!("{}/{}/{}", ms(l.least), ms(l.median), ms(l.most))
         });
@@ -381,7 +383,7 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
                 "missing_checksum": s.missing_checksum,
                 "outcomes": Value::Object(outcomes.collect()),
                 "interval_s": spread_json(s.interval_s),
-                "latency_s": spread_json(s.latency_s),
+                "latency_s": spread_json(s.latency_s.filter(|_| r.log.stamped > 0)),
                 "gave": by_channel(&s.gave),
                 "left_to_another": by_channel(&s.outspoken),
                 "what_comes_of_it": fate(s, r),

@@ -245,9 +245,51 @@ static NAV: Table = Table {
             Default("false"),
             "Where no source gives a heading, take the course over ground.",
         ),
+        key(
+            "failover_s",
+            Kind::Number(above(0.0, 3600.0)),
+            Optional("2.0"),
+            "Where several sources provide a quantity: the next one in the file speaks when the better one has been silent this long. Without it the first owns the quantity.",
+        ),
+        key(
+            "hold_off_s",
+            Kind::Number(from(0.0, 3600.0)),
+            Default("5.0"),
+            "How long the better source must have come again before it has the word back. Only with failover_s.",
+        ),
+        key(
+            "jump_gate",
+            Kind::Bool,
+            Default("false"),
+            "Set samples aside that lie farther from the one before than the platform can have moved, until five in a row agree.",
+        ),
+        key(
+            "max_speed_m_per_s",
+            Kind::Number(above(0.0, 150.0)),
+            Default("50.0"),
+            "Only with jump_gate.",
+        ),
+        key(
+            "max_turn_rate_deg_per_s",
+            Kind::Number(above(0.0, 1.0e4)),
+            Default("60.0"),
+            "Of heading, roll and pitch. Only with jump_gate.",
+        ),
+        key(
+            "stale_s",
+            Kind::Number(above(0.0, 3600.0)),
+            Default("2.0"),
+            "A source is stale, in the status, when nothing came for so long; on hold when it misses three of its own intervals.",
+        ),
+        key(
+            "lost_s",
+            Kind::Number(above(0.0, 86_400.0)),
+            Default("10.0"),
+            "A source is lost when nothing came for so long; not below stale_s.",
+        ),
         key("source", Kind::Tables(&NAV_SOURCE), Required(""), ""),
     ],
-    later: &["jump_gate", "on_lost"],
+    later: &["on_lost"],
 };
 
 static GEODETIC_ORIGIN: Table = Table {
@@ -275,12 +317,9 @@ static NAV_SOURCE: Table = Table {
         key("name", Kind::Name, Required("\"gnss\""), ""),
         key(
             "kind",
-            Kind::Choice(
-                &["log", "csv", "udp", "serial"],
-                &["tcp", "pcap", "mavlink"],
-            ),
+            Kind::Choice(&["log", "csv", "udp", "serial", "tcp"], &[]),
             Required("\"udp\""),
-            "\"log\" a recorded log (path), \"csv\" a track (path) with the columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; \"udp\" (listen), \"serial\" (port, baud).",
+            "\"log\" a recorded log (path): text, pcap, pcapng or a MAVLink tlog, told from its first bytes; \"csv\" a track (path) with the columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; \"udp\" (listen), \"serial\" (port, baud), \"tcp\" (connect to a server, or listen for a client).",
         ),
         key(
             "path",
@@ -298,7 +337,13 @@ static NAV_SOURCE: Table = Table {
             "listen",
             Kind::Text,
             Shown("\"127.0.0.1:10110\""),
-            "Address and port. Only with kind = \"udp\".",
+            "Address and port. Only with kind = \"udp\" or \"tcp\".",
+        ),
+        key(
+            "connect",
+            Kind::Text,
+            Optional("\"192.168.1.20:10110\""),
+            "Host and port of a server. Only with kind = \"tcp\".",
         ),
         key(
             "multicast",

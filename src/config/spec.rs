@@ -68,8 +68,31 @@ pub struct NavSpec {
     pub history_s: f64,
     /// Used where no source gives it.
     pub fallback_heading_from_course: bool,
+    /// None: the first source that provides a quantity owns it.
+    pub failover: Option<FailoverSpec>,
+    pub jump_gate: Option<JumpGateSpec>,
+    /// A source without a sample for so long is stale, or lost; seconds.
+    pub stale_s: f64,
+    pub lost_s: f64,
     /// At least one.
     pub sources: Vec<NavSourceSpec>,
+}
+
+/// When another source takes a quantity over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FailoverSpec {
+    /// Silence after which the next source speaks, seconds.
+    pub after_s: f64,
+    /// How long the better one must have come again before it has the word back, seconds.
+    pub hold_off_s: f64,
+}
+
+/// What counts as a jump.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JumpGateSpec {
+    pub max_speed_m_per_s: f64,
+    /// Of heading, roll and pitch.
+    pub max_rate_rad_per_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -185,6 +208,14 @@ pub enum NavInputSpec {
     Serial {
         port: String,
         baud: u32,
+    },
+    /// A client of somebody's server, named as the configuration has it.
+    TcpConnect {
+        address: String,
+    },
+    /// A server; its newest client speaks.
+    TcpListen {
+        listen: SocketAddr,
     },
 }
 

@@ -12,6 +12,9 @@ use crate::time::{NS_PER_S, UtcNs};
 /// A lesser sentence speaks for a quantity only after the better one has been silent this long.
 const SILENCE_NS: i64 = 5 * NS_PER_S;
 
+/// Kinds of sentences of one source that may borrow a burst's time; there are some fifteen that have none.
+const MAX_FOLLOWERS: usize = 32;
+
 /// What a source sent. Every sentence is counted in exactly one of `used`, `refused_checksum`, `malformed`, `unsupported`,
 /// `empty_fields`, `not_taken` and `time_jumps`; `bad_checksum` and `missing_checksum` count what was seen, refused or not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -35,7 +38,7 @@ pub struct NavCounters {
     pub bad_checksum: u64,
     pub missing_checksum: u64,
     pub resync_bytes: u64,
-    /// Sentences without a time that found none in their burst and took their arrival.
+    /// Sentences without a time that found none in their burst, or run on their own, and took their arrival.
     pub undated: u64,
     pub samples: u64,
 }
@@ -80,6 +83,15 @@ struct Speaker {
     arrival: UtcNs,
 }
 
+/// A sentence without a time, and the burst that it last borrowed one of.
+#[derive(Clone, Copy, Debug)]
+struct Follower {
+    name: u64,
+    burst: UtcNs,
+    /// It came twice in one burst.
+    free: bool,
+}
+
 enum Finder {
     Sentences(Framing),
     Records(Records),
@@ -99,6 +111,7 @@ struct Reader {
     provides: Vec<NavChannel>,
     clock: MessageClock,
     speakers: [Option<Speaker>; 5],
+    followers: Vec<Follower>,
     /// By the last PSXN,20.
     invalid: Invalid,
     scratch: String,
@@ -125,6 +138,7 @@ impl NavDecoder {
                 provides: spec.provides.clone(),
                 clock: MessageClock::default(),
                 speakers: [None; 5],
+                followers: Vec::with_capacity(MAX_FOLLOWERS),
                 invalid: Invalid::default(),
                 scratch: String::new(),
                 counters: NavCounters::default(),
@@ -439,7 +453,7 @@ impl Reader {
                 continue;
             }
             heard.taken |= 1 << i;
-            let valid_utc = *valid.get_or_insert_with(|| self.validity(stamp, arrival));
+            let valid_utc = *valid.get_or_insert_with(|| self.validity(stamp, who, arrival));
             out.push(NavSample {
                 source: self.source,
                 valid_utc,
@@ -449,18 +463,37 @@ impl Reader {
         }
     }
 
-    fn validity(&mut self, stamp: Stamp, arrival: UtcNs) -> UtcNs {
+    fn validity(&mut self, stamp: Stamp, name: u64, arrival: UtcNs) -> UtcNs {
         match (self.time, stamp) {
-            (TimePolicy::Arrival { latency_s }, _) => arrival.plus_s(-latency_s),
-            (_, Stamp::At(message)) => message,
-            (TimePolicy::Burst, _) if self.clock.burst().is_some() => {
-                self.clock.burst().unwrap_or(arrival)
+            (TimePolicy::Arrival { latency_s }, _) => return arrival.plus_s(-latency_s),
+            (_, Stamp::At(message)) => return message,
+            (TimePolicy::Burst, _) => {
+                if let Some(burst) = self.clock.burst().filter(|b| self.belongs(name, *b)) {
+                    return burst;
+                }
             }
-            (TimePolicy::Burst | TimePolicy::Message, _) => {
-                self.counters.undated += 1;
-                arrival
-            }
+            (TimePolicy::Message, _) => {}
         }
+        self.counters.undated += 1;
+        arrival
+    }
+
+    /// A sentence belongs to a burst that it comes in once. One that comes twice in the same runs on its own: no burst is its time, then or later.
+    fn belongs(&mut self, name: u64, burst: UtcNs) -> bool {
+        if let Some(follower) = self.followers.iter_mut().find(|f| f.name == name) {
+            follower.free |= follower.burst == burst;
+            follower.burst = burst;
+            return !follower.free;
+        }
+        let room = self.followers.len() < MAX_FOLLOWERS;
+        if room {
+            self.followers.push(Follower {
+                name,
+                burst,
+                free: false,
+            });
+        }
+        room
     }
 
     /// Two sentences of one source that say the same thing may hold at different times; mixing them would shake the track, so the

@@ -5,11 +5,12 @@
 //! ```
 //! Records of fixed length (`records`) and MAVLink (`mavlink`) become the same readings as sentences. `log` and `track` read recorded files
 //! (already in memory); `capture` finds the datagrams in a packet capture.
-//! Not modelled: depth sensors, Doppler logs, fail-over between sources.
+//! Not modelled: depth sensors, Doppler logs.
 pub mod capture;
 pub mod decoder;
 mod fields;
 pub mod framing;
+pub mod health;
 pub mod history;
 pub mod log;
 pub mod mavlink;

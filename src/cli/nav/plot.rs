@@ -263,7 +263,9 @@ impl Picture {
         for e in ticks(mid_e - reach_e, mid_e + reach_e, 5) {
             let bottom = (area.top + area.height) as f64;
             self.line((x(e), area.top as f64), (x(e), bottom), GRID);
-            self.text(x(e) as usize, area.top + area.height + 6, &label(e));
+            let text = label(e);
+            let left = x(e) as usize - text.len() * 2 * SCALE;
+            self.text(left, area.top + area.height + 6, &text);
         }
         self.frame(area);
         for w in points.windows(2) {
