@@ -69,10 +69,10 @@ fn insert(history: &mut NavHistory, source: u16, t: f64, quantity: NavQuantity) 
     });
 }
 
-/// So many metres north of the origin, nearly.
+/// So many metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
 fn position(north_m: f64) -> NavQuantity {
     NavQuantity::Position {
-        latitude_rad: 0.9 + north_m / 6_378_000.0,
+        latitude_rad: 0.9 + north_m / 6_374_674.0,
         longitude_rad: 0.1,
         height_m: Some(0.0),
         fix: FixQuality::Autonomous,

@@ -148,7 +148,7 @@ impl<'a> Packets<'a> {
             return None;
         }
         let body = block.get(8..len - 4)?;
-        self.rest = &block[len..];
+        self.rest = block.get(len..)?;
         match order.u32(block, 0)? {
             1 => self.interfaces.push(Interface {
                 link: u32::from(order.u16(body, 0)?),
