@@ -9,6 +9,7 @@
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
+//! - [`ping_protocol`]: Blue Robotics and Cerulean Ping protocol (Omniscan 450, Surveyor 240).
 //! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
@@ -19,6 +20,7 @@ pub mod calendar;
 pub mod framing;
 pub mod jsf;
 mod layout;
+pub mod ping_protocol;
 pub mod sevenk;
 
 pub mod sigmf;

@@ -4,6 +4,7 @@
 //! one attitude.
 
 mod jsf;
+mod ping_protocol;
 mod recordings;
 mod vita49;
 mod xtf;
@@ -34,5 +35,6 @@ fn main() -> std::io::Result<()> {
     jsf::write(folder)?;
     xtf::write(folder)?;
     vita49::write(folder)?;
-    recordings::write(folder)
+    recordings::write(folder)?;
+    ping_protocol::write(folder)
 }
