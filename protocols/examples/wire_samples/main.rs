@@ -7,6 +7,7 @@ mod jsf;
 mod ping_protocol;
 mod recordings;
 mod vita49;
+mod wbms;
 mod xtf;
 
 use std::path::Path;
@@ -36,5 +37,6 @@ fn main() -> std::io::Result<()> {
     xtf::write(folder)?;
     vita49::write(folder)?;
     recordings::write(folder)?;
-    ping_protocol::write(folder)
+    ping_protocol::write(folder)?;
+    wbms::write(folder)
 }
