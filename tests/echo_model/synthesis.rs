@@ -884,7 +884,10 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
         (Synthesis::Nearest, errors.0, 0.393, 3f64.sqrt()),
         (Synthesis::Linear, errors.1, 0.198, (30.0f64 / 16.0).sqrt()),
     ] {
-        assert!((got / mean - 1.0).abs() < 0.05, "{synthesis:?}: {got}, {mean}");
+        assert!(
+            (got / mean - 1.0).abs() < 0.05,
+            "{synthesis:?}: {got}, {mean}"
+        );
         let card = synthesis_card(synthesis, &conditions).error;
         assert!(
             (card / (mean * worst) - 1.0).abs() < 0.1,

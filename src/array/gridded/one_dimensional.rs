@@ -373,11 +373,17 @@ impl<M: Real, G: Real> Plan<M, G> {
         }
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
         let series = term_rad * bend_rad / (count + 1) as f64;
-        let error = [kernel.error, fit_error2.sqrt(), kept.outside, rounding, series]
-            .iter()
-            .map(|e| e * e)
-            .sum::<f64>()
-            .sqrt();
+        let error = [
+            kernel.error,
+            fit_error2.sqrt(),
+            kept.outside,
+            rounding,
+            series,
+        ]
+        .iter()
+        .map(|e| e * e)
+        .sum::<f64>()
+        .sqrt();
         Ok(Self {
             dialect: spec.dialect,
             samples: spec.samples,
