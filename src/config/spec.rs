@@ -283,6 +283,8 @@ pub enum IncidenceSpec {
 #[derive(Clone, Debug, PartialEq)]
 pub struct MosaicSpec {
     pub path: PathBuf,
+    /// What its coordinates are, where the file does not say or says so wrongly.
+    pub crs: Option<CrsSpec>,
     pub values: MosaicValues,
     pub offset_north_m: f64,
     pub offset_east_m: f64,
@@ -622,10 +624,37 @@ pub struct FanSpec {
     pub shading: Shading,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shading {
+    #[default]
     Uniform,
     Hann,
+    Hamming,
+    Taylor {
+        side_lobe_db: f64,
+    },
+    /// Along a pulse: Taylor's of the same side lobes.
+    Chebyshev {
+        side_lobe_db: f64,
+    },
+    Kaiser {
+        beta: f64,
+    },
+}
+
+impl Shading {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Hann => "hann",
+            Self::Hamming => "hamming",
+            Self::Taylor { .. } => "taylor",
+            Self::Chebyshev { .. } => "chebyshev",
+            Self::Kaiser { .. } => "kaiser",
+        }
+    }
 }
 
 #[derive(Clone, Debug)]

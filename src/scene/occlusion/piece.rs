@@ -91,8 +91,7 @@ impl Piece {
             true => -0.5 * (b + root) / c,
             false => a / (-0.5 * (b - root)),
         };
-        (x > from_m - self.middle_m && x <= self.to_m - self.middle_m)
-            .then_some(x + self.middle_m)
+        (x > from_m - self.middle_m && x <= self.to_m - self.middle_m).then_some(x + self.middle_m)
     }
 }
 
