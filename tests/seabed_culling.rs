@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use echotank::config;
 use echotank::config::spec::NavMode;
+use echotank::echo::culling::left_out_share;
 use echotank::echo::levels::Directivity;
 use echotank::flow::Mounting;
 use echotank::frames::Pose;
@@ -94,4 +95,37 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
             "{asked} of {tried} asked for: hardly anything is culled"
         );
     });
+}
+
+#[test]
+fn a_floor_that_nobody_gave_costs_half_the_tolerance_and_a_decibel_more_would_cost_more() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
+    let text = std::fs::read_to_string(folder.join("seabed.toml")).expect("readable");
+    assert!(!text.contains("\ncull_db"), "the operator gives none");
+    for tolerance in [1e-2, 1e-3] {
+        let asked = text.replace("tolerance = 1e-3", &format!("tolerance = {tolerance:e}"));
+        let spec = config::parse(&asked, &folder).unwrap_or_else(|e| panic!("{e}"));
+        let sonar = &spec.sonars[0];
+        let cull_db = sonar.model.cull_db.expect("something is left out");
+        let wavelength_m = spec.medium.sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
+        let error_of = |db: f64| {
+            let mut worst = 0.0_f64;
+            for array in &sonar.receive {
+                let transmit = &sonar.transmit[array.transmit];
+                for incidence_deg in [20.0_f64, 45.0, 70.0, 85.0] {
+                    let incidence_rad = incidence_deg.to_radians();
+                    let share = left_out_share(transmit, array, wavelength_m, db, incidence_rad);
+                    worst = worst.max(share.sqrt());
+                }
+            }
+            worst
+        };
+        let (kept, over) = (error_of(cull_db), error_of(cull_db + 1.0));
+        println!("{tolerance:e}: {cull_db} dB, {kept:.2e}; a decibel more {over:.2e}");
+        assert!(kept <= 0.5 * tolerance, "{kept}");
+        assert!(over > 0.5 * tolerance, "{over}");
+    }
+    let own = text.replace("[sonar.model]", "[sonar.model]\ncull_db = -30.0");
+    let spec = config::parse(&own, &folder).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(spec.sonars[0].model.cull_db, Some(-30.0));
 }

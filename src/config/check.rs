@@ -3,6 +3,7 @@
 //! Each function reads one table and gives its part of the specification, or none if something in it is on the list of problems already.
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
+mod culling;
 mod scene;
 pub(super) mod sonar;
 
@@ -196,7 +197,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
 
     let tables = table.tables("sonar");
     unique_names(tables, problems);
-    let sonars: Vec<_> = tables
+    let mut sonars: Vec<_> = tables
         .iter()
         .map(|t| sonar::sonar(t, medium.as_ref(), &mut listeners, problems))
         .collect();
@@ -204,6 +205,16 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         .iter()
         .filter_map(sonar::longest_range_m)
         .fold(0.0, f64::max);
+    let ground_alone = table
+        .table("scene")
+        .is_some_and(|t| t.given("seabed") && !t.given("points"));
+    if let (Some(medium), true) = (&medium, ground_alone) {
+        for sonar in sonars.iter_mut().flatten() {
+            if sonar.model.cull_db.is_none() && sonar.model.synthesis.keeps_tolerance() {
+                sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
+            }
+        }
+    }
     let heads: Vec<_> = sonars.iter().flatten().collect();
     let rig = scene::Rig {
         sonars: &heads,

@@ -685,7 +685,7 @@ static SEABED: Table = Table {
             "lambert_db",
             Kind::Number(from(-100.0, 20.0)),
             Default("-27.0"),
-            "Lambert's mu: mud about -35, sand -27, rock -15. Not with the name of a sediment.",
+            "Lambert's mu: mud about -35, sand -27, rock -15 (round numbers; the names of sediments are from APL-UW TR 9407, 1994). Not with the name of a sediment.",
         ),
         key(
             "lambert_exponent",
@@ -721,7 +721,13 @@ static SEABED: Table = Table {
             "mosaic",
             Kind::File,
             Optional("\"data/backscatter.asc\""),
-            "ESRI ASCII grid of backscattering strengths in dB, its centre at the scene's zero; holes keep the bottom's own.",
+            "Backscattering strengths in dB, a file of any of the formats of `path` (GeoTIFF, ESRI ASCII grid and so on); holes and what lies beyond keep the bottom's own. Over a seabed from a file it lies where its coordinates put it, and must count them in the same system; otherwise its centre lies at the scene's zero.",
+        ),
+        key(
+            "mosaic_crs",
+            Kind::Text,
+            Optional("\"utm-31n\""),
+            "As crs, of the mosaic's file. Only with a mosaic.",
         ),
         key(
             "mosaic_values",
@@ -739,13 +745,13 @@ static SEABED: Table = Table {
             "mosaic_offset_north_m",
             Kind::Number(METRES),
             Default("0.0"),
-            "Moves the mosaic's centre. Only with a mosaic.",
+            "Moves the mosaic. Only with a mosaic.",
         ),
         key(
             "mosaic_offset_east_m",
             Kind::Number(METRES),
             Default("0.0"),
-            "Moves the mosaic's centre. Only with a mosaic.",
+            "Moves the mosaic. Only with a mosaic.",
         ),
         key(
             "speckle",
@@ -1168,7 +1174,7 @@ static MODEL: Table = Table {
             "cull_db",
             Kind::Number(from(-300.0, -1.0)),
             Optional("-60.0"),
-            "Scatterers whose two-way pattern lies below are left out. Left out: all are kept.",
+            "Scatterers whose two-way pattern lies below are left out, targets among them. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
         ),
     ],
     later: &["tolerance_image", "simd", "incidence"],

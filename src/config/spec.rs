@@ -361,6 +361,8 @@ pub enum IncidenceSpec {
 #[derive(Clone, Debug, PartialEq)]
 pub struct MosaicSpec {
     pub path: PathBuf,
+    /// What its coordinates are, where the file does not say or says so wrongly.
+    pub crs: Option<CrsSpec>,
     pub values: MosaicValues,
     pub offset_north_m: f64,
     pub offset_east_m: f64,

@@ -98,10 +98,16 @@ impl Scene {
                     });
                 }
                 let capacity = usize::try_from(capacity).unwrap_or(usize::MAX);
+                let mosaic = match &seabed.mosaic {
+                    None => None,
+                    Some(mosaic) => {
+                        let laid = surface.open_mosaic(mosaic, spec.mirror, block_m)?;
+                        Some((laid, mosaic.values))
+                    }
+                };
                 let mut recipe = Recipe::new(surface, seabed, spec.seed);
-                if let Some(mosaic) = &seabed.mosaic {
-                    let surface = Surface::open_mosaic(mosaic, spec.mirror, block_m)?;
-                    recipe = recipe.with_mosaic(surface, mosaic.values);
+                if let Some((laid, values)) = mosaic {
+                    recipe = recipe.with_mosaic(laid, values);
                 }
                 Some((recipe, TilePool::new(capacity)))
             }

@@ -1,7 +1,7 @@
 //! What the scene as a whole promises. Readers are tested in their own files.
 
 use std::f64::consts::{PI, TAU};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -13,8 +13,8 @@ use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Scene, SceneError};
 use crate::config::spec::{
-    AnchorSpec, BottomSpec, Density, IncidenceSpec, MosaicSpec, MosaicValues, OcclusionSpec,
-    SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
+    AnchorSpec, BottomSpec, CrsSpec, Density, HeightSign, IncidenceSpec, MosaicSpec, MosaicValues,
+    OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
 };
 use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
@@ -1087,6 +1087,7 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
     ] {
         let mosaic = MosaicSpec {
             path: path.clone(),
+            crs: None,
             values,
             offset_north_m: 0.0,
             offset_east_m: 0.0,
@@ -1139,4 +1140,104 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
             "{south} {north} {outside}"
         );
     }
+}
+
+/// A survey in UTM coordinates, laid over itself: everywhere the strength must be the number that the file has at that place, in the mirror
+/// images too; and whatever is moved moves the strengths.
+#[test]
+fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bathy");
+    let file = SeabedFileSpec::of(folder.join("laparguera_hitw_bathy.tif"));
+    let survey = crate::scene::read::Survey::open(&file).unwrap();
+    let extent_m = (survey.field.extent_north_m(), survey.field.extent_east_m());
+    let (shift_north_m, shift_east_m) = (0.2 * extent_m.0, -0.1 * extent_m.1);
+    let opened = |mosaic: Option<MosaicSpec>| {
+        let shape = SeabedShape::File {
+            file: file.clone(),
+            offset_north_m: 30.0,
+            offset_east_m: -40.0,
+        };
+        let seabed = SeabedSpec {
+            mosaic,
+            ..seabed(shape, 400.0 / (extent_m.0 * extent_m.1), false)
+        };
+        Scene::open(&SceneSpec {
+            anchor: AnchorSpec::Origin,
+            mirror: true,
+            ..spec(Some(seabed), 1000)
+        })
+    };
+    let mosaic = |path: &Path, crs| MosaicSpec {
+        path: path.to_owned(),
+        crs,
+        values: MosaicValues::Relative,
+        offset_north_m: shift_north_m,
+        offset_east_m: shift_east_m,
+    };
+    let reach_m = 1.5 * extent_m.0.max(extent_m.1);
+    let gathered = |mosaic| {
+        let mut scene = opened(mosaic).unwrap();
+        let mut out = Scatterers::default();
+        scene.gather(&[all_round(DVec3::ZERO, reach_m)], &mut out);
+        out
+    };
+    let without = gathered(None);
+    let with = gathered(Some(mosaic(&file.path, None)));
+    assert_eq!(with.len(), without.len());
+    let fold = |x: f64, extent: f64| {
+        let there = x.rem_euclid(2.0 * extent);
+        there.min(2.0 * extent - there)
+    };
+    let (mut inside, mut outside) = (0, 0);
+    for i in 0..with.len() {
+        let at = with.position_m(i);
+        // Into the file, whose middle lies at the offset; then to where the moved mosaic has it.
+        let v = fold(at.x - 30.0 + extent_m.0 / 2.0, extent_m.0) - extent_m.0 / 2.0;
+        let u = fold(at.y + 40.0 + extent_m.1 / 2.0, extent_m.1) - extent_m.1 / 2.0;
+        let there = survey.field.sample(v - shift_north_m, u - shift_east_m);
+        // A layer's numbers are taken as they are, heights for depths are not.
+        let sign = match survey.sign {
+            HeightSign::Elevation => -1.0,
+            HeightSign::Depth => 1.0,
+        };
+        let want_db = there.map_or(0.0, |d| sign * d.down_m);
+        let got_db = 20.0 * (with.strength[i] / without.strength[i]).norm().log10();
+        assert!((got_db - want_db).abs() < 1e-4, "{at}: {got_db}, {want_db}");
+        match there {
+            Some(_) => inside += 1,
+            None => outside += 1,
+        }
+    }
+    println!("{inside} under the mosaic, {outside} beside it");
+    assert!(inside > 200 && outside > 50, "{inside} {outside}");
+    // Another system, and the same with what the file should say; and one that lies elsewhere.
+    let grid = "ncols 2 nrows 2 xllcorner {x} yllcorner {y} cellsize {c} -20 -20 -20 -20";
+    let written_at = |x: f64, y: f64| {
+        let cell = extent_m.0.to_string();
+        let (x, y) = (x.to_string(), y.to_string());
+        written(
+            "mosaic.asc",
+            &grid
+                .replace("{x}", &x)
+                .replace("{y}", &y)
+                .replace("{c}", &cell),
+        )
+    };
+    let said = |path: &Path, crs| match opened(Some(mosaic(path, crs))) {
+        Ok(_) => panic!("was taken"),
+        Err(error) => error.to_string(),
+    };
+    let projected = CrsSpec::Projected;
+    let [x, y] = survey.zero;
+    let (_keep, path) = written_at(x - extent_m.0, y - extent_m.0);
+    let error = said(&path, None);
+    assert!(
+        error.contains("local metres")
+            && error.contains("seabed's file, projected metres (EPSG:32161)"),
+        "{error}"
+    );
+    assert!(opened(Some(mosaic(&path, Some(projected)))).is_ok());
+    let (_keep, path) = written_at(x + 9.0 * extent_m.0, y);
+    let error = said(&path, Some(projected));
+    assert!(error.contains("over none of it"), "{error}");
 }

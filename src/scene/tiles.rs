@@ -311,7 +311,8 @@ impl Recipe {
                 };
                 let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
                 if let Some(mosaic) = &self.mosaic {
-                    amplitude *= mosaic.factor(at_north_m, at_east_m);
+                    let (north_m, east_m) = self.surface.own_place(at_north_m, at_east_m);
+                    amplitude *= mosaic.factor(north_m, east_m);
                 }
                 let reflectivity = match self.speckle {
                     true => draws::circular_gaussian(c, d),

@@ -215,16 +215,7 @@ fn is_survey(shape: &str) -> bool {
 }
 
 fn file(table: &RawTable, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
-    let crs = match table.text("crs") {
-        None => None,
-        Some(text) => match text.parse() {
-            Ok(crs) => Some(crs),
-            Err(rule) => {
-                problems.refuse(table.entry("crs"), rule);
-                return None;
-            }
-        },
-    };
+    let crs = crs(table, "crs", problems)?;
     let format = match shape {
         "esri-ascii" => "esri-ascii",
         _ => table.text("format")?,
@@ -255,6 +246,18 @@ fn file(table: &RawTable, shape: &str, problems: &mut Problems) -> Option<Seabed
         cell_m: table.number("cell_m"),
         max_edge_m: table.number("max_edge_m"),
     })
+}
+
+/// The system that a key names, or that none was given; none if it is no good.
+fn crs(table: &RawTable, key: &str, problems: &mut Problems) -> Option<Option<CrsSpec>> {
+    match table.text(key).map(str::parse) {
+        None => Some(None),
+        Some(Ok(crs)) => Some(Some(crs)),
+        Some(Err(rule)) => {
+            problems.refuse(table.entry(key), rule);
+            None
+        }
+    }
 }
 
 fn bottom(table: &RawTable, problems: &mut Problems) -> Option<BottomSpec> {
@@ -293,6 +296,7 @@ fn bottom(table: &RawTable, problems: &mut Problems) -> Option<BottomSpec> {
 /// The mosaic, or that none was given; none if the one given is no good.
 fn mosaic(table: &RawTable, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
     let keys = [
+        "mosaic_crs",
         "mosaic_values",
         "mosaic_incidence_deg",
         "mosaic_offset_north_m",
@@ -309,6 +313,7 @@ fn mosaic(table: &RawTable, problems: &mut Problems) -> Option<Option<MosaicSpec
     only_with(table, &keys, Some(absolute), condition, problems);
     Some(Some(MosaicSpec {
         path: table.path("mosaic")?,
+        crs: crs(table, "mosaic_crs", problems)?,
         values: match absolute {
             true => MosaicValues::Absolute {
                 incidence_rad: table.number("mosaic_incidence_deg")?.to_radians(),

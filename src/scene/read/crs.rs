@@ -9,6 +9,9 @@ use std::fmt;
 use super::{Fault, utm};
 use crate::config::spec::CrsSpec;
 
+/// Name of a system that the operator laid down.
+const CONFIGURED: &str = "as configured";
+
 #[derive(Clone, Debug, PartialEq)]
 pub enum Crs {
     /// Metres about a zero that is nowhere on the earth.
@@ -39,18 +42,38 @@ impl From<CrsSpec> for Crs {
     fn from(spec: CrsSpec) -> Self {
         match spec {
             CrsSpec::Local => Self::Local,
-            CrsSpec::Geographic => Self::Geographic("as configured".to_owned()),
-            CrsSpec::Projected => Self::Projected("as configured".to_owned()),
+            CrsSpec::Geographic => Self::Geographic(CONFIGURED.to_owned()),
+            CrsSpec::Projected => Self::Projected(CONFIGURED.to_owned()),
             CrsSpec::Utm { zone, north } => Self::Utm {
                 zone,
                 north,
-                name: "as configured".to_owned(),
+                name: CONFIGURED.to_owned(),
             },
         }
     }
 }
 
 impl Crs {
+    /// Whether the same numbers mean the same place, datums that lie within 2 m of each other taken for one. Metres of unknown origin agree
+    /// with each other, and a projection that the operator laid down with any: nothing says otherwise.
+    pub fn agrees(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Local, Self::Local) | (Self::Geographic(_), Self::Geographic(_)) => true,
+            (
+                Self::Utm { zone, north, .. },
+                Self::Utm {
+                    zone: other_zone,
+                    north: other_north,
+                    ..
+                },
+            ) => (zone, north) == (other_zone, other_north),
+            (Self::Projected(name), Self::Projected(other)) => {
+                name == other || [name, other].iter().any(|n| *n == CONFIGURED)
+            }
+            _ => false,
+        }
+    }
+
     /// Latitude and longitude of a point of the file, radians; none where the system does not tell.
     pub fn geodetic_rad(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         match self {

@@ -32,7 +32,7 @@ mod xyz;
 pub use crs::Crs;
 pub use fault::Fault;
 pub use shapes::{Depth, HeightField, PointCloud, TriangleMesh};
-pub use survey::Survey;
+pub use survey::{Georeference, Survey};
 
 use glam::DVec3;
 

@@ -17,7 +17,7 @@ use super::{
     Crs, Facts, Fault, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape, Reader,
     mesh,
 };
-use crate::config::spec::{FirstRow, HeightSign, SeabedFileSpec};
+use crate::config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
 use crate::geodesy::LocalTangentPlane;
 use crate::scene::SceneError;
 
@@ -127,6 +127,39 @@ pub struct Lookup {
     pub surface_down_m: Option<f64>,
 }
 
+/// What a file's coordinates are, and where its zero lies in them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Georeference {
+    pub crs: Crs,
+    /// x east, y north.
+    pub zero: [f64; 2],
+}
+
+impl Georeference {
+    /// North and east of this zero, metres, of another's; refused where its coordinates are counted in another system.
+    pub fn locate(&self, other: &Self) -> Result<(f64, f64), Fault> {
+        if !self.crs.agrees(&other.crs) {
+            let rule = format!(
+                "must be that of the seabed's file, {} (mosaic_crs overrides what the file says)",
+                self.crs
+            );
+            return Err(Fault::new(
+                "coordinate system",
+                &other.crs.to_string(),
+                rule,
+            ));
+        }
+        Ok(local_m(&self.crs, self.zero, other.zero[0], other.zero[1]))
+    }
+}
+
+fn local_m(crs: &Crs, zero: [f64; 2], x: f64, y: f64) -> (f64, f64) {
+    match crs {
+        Crs::Geographic(_) => plane_at(zero).local_m(y.to_radians(), x.to_radians()),
+        _ => (y - zero[1], x - zero[0]),
+    }
+}
+
 impl Survey {
     pub fn open(asked: &SeabedFileSpec) -> Result<Self, SceneError> {
         let bytes = text::read_file(&asked.path)?;
@@ -137,9 +170,10 @@ impl Survey {
     }
 
     /// A file of anything else over the ground (a backscatter mosaic, dB): its numbers stand where depths would, and nothing is guessed from them.
-    pub fn open_layer(path: &Path) -> Result<Self, SceneError> {
+    pub fn open_layer(path: &Path, crs: Option<CrsSpec>) -> Result<Self, SceneError> {
         let asked = SeabedFileSpec {
             values: Some(HeightSign::Depth),
+            crs,
             ..SeabedFileSpec::of(path.to_owned())
         };
         let bytes = text::read_file(path)?;
@@ -208,9 +242,13 @@ impl Survey {
 
     /// North and east of the zero, metres, of a place in the file's coordinates.
     pub fn local_m(&self, x: f64, y: f64) -> (f64, f64) {
-        match self.crs {
-            Crs::Geographic(_) => plane_at(self.zero).local_m(y.to_radians(), x.to_radians()),
-            _ => (y - self.zero[1], x - self.zero[0]),
+        local_m(&self.crs, self.zero, x, y)
+    }
+
+    pub fn georeference(&self) -> Georeference {
+        Georeference {
+            crs: self.crs.clone(),
+            zero: self.zero,
         }
     }
 

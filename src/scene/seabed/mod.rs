@@ -13,7 +13,7 @@ use super::SceneError;
 use super::occlusion::Piece;
 use super::paper;
 pub use super::read::Depth;
-use super::read::{HeightField, Survey};
+use super::read::{Fault, Georeference, HeightField, Survey};
 use crate::config::spec::{MosaicSpec, PaperShape, SeabedShape};
 use blocks::{Blocks, NOTHING, united};
 
@@ -38,7 +38,7 @@ pub enum Surface {
         slope_north: f64,
         slope_east: f64,
     },
-    Grid(GridSurface),
+    Grid(Box<GridSurface>),
     Paper(PaperShape),
 }
 
@@ -55,6 +55,8 @@ pub struct GridSurface {
     blocks: Blocks,
     /// Where on the earth the file's middle lies, latitude and longitude, radians; and where in the scene, metres.
     place: Option<GeodeticPlace>,
+    /// The file's coordinates, and its zero in the scene, metres north and east.
+    reference: Option<(Georeference, DVec2)>,
 }
 
 /// A point of the scene whose place on the earth is known.
@@ -96,22 +98,63 @@ impl Surface {
                         east_m: *offset_east_m,
                     });
                 let (north_m, east_m) = (*offset_north_m, *offset_east_m);
+                let reference = (survey.georeference(), DVec2::new(north_m, east_m));
                 let mut surface = GridSurface::new(survey.field, mirror, north_m, east_m, block_m);
                 surface.place = place;
-                Ok(Self::Grid(surface))
+                surface.reference = Some(reference);
+                Ok(Self::Grid(Box::new(surface)))
             }
         }
     }
 
-    /// Opens a mosaic: decibels take the place of depths.
+    /// Opens a mosaic to be laid over this surface: decibels take the place of depths. Over a file's surface it lies where its coordinates put
+    /// it, to be asked at [`Self::own_place`]; otherwise its centre lies at the scene's zero.
     pub fn open_mosaic(
+        &self,
         mosaic: &MosaicSpec,
         mirror: bool,
         block_m: f64,
     ) -> Result<Self, SceneError> {
-        let grid = Survey::open_layer(&mosaic.path)?.field;
-        let (north_m, east_m) = (mosaic.offset_north_m, mosaic.offset_east_m);
-        Ok(Self::from_grid(grid, mirror, north_m, east_m, block_m))
+        let survey = Survey::open_layer(&mosaic.path, mosaic.crs)?;
+        let refused = |fault: Fault| SceneError::Refused {
+            path: mosaic.path.clone(),
+            fault,
+        };
+        let offset_m = DVec2::new(mosaic.offset_north_m, mosaic.offset_east_m);
+        let Self::Grid(ground) = self else {
+            let (north_m, east_m) = (offset_m.x, offset_m.y);
+            let laid = Self::from_grid(survey.field, mirror, north_m, east_m, block_m);
+            return Ok(laid);
+        };
+        let mut zero_m = offset_m;
+        if let Some((reference, at_m)) = &ground.reference {
+            let (north_m, east_m) = reference.locate(&survey.georeference()).map_err(refused)?;
+            zero_m += *at_m + DVec2::new(north_m, east_m);
+        }
+        let laid = GridSurface::new(survey.field, false, zero_m.x, zero_m.y, block_m);
+        if !laid.overlaps(ground) {
+            return Err(refused(Fault::new(
+                "coordinates",
+                &format!(
+                    "{:.0} m north, {:.0} m east of the scene's zero",
+                    zero_m.x, zero_m.y
+                ),
+                "lies beside the seabed's file, over none of it",
+            )));
+        }
+        Ok(Self::Grid(Box::new(laid)))
+    }
+
+    /// The place of the file that a place of the scene shows: another only in mirror images.
+    pub fn own_place(&self, north_m: f64, east_m: f64) -> (f64, f64) {
+        match self {
+            Self::Grid(surface) if surface.mirror => {
+                let v = fold(north_m - surface.south_m, surface.grid.extent_north_m()).0;
+                let u = fold(east_m - surface.west_m, surface.grid.extent_east_m()).0;
+                (surface.south_m + v, surface.west_m + u)
+            }
+            _ => (north_m, east_m),
+        }
     }
 
     /// A surface of depths whose zero lies at the offset.
@@ -122,13 +165,8 @@ impl Surface {
         offset_east_m: f64,
         block_m: f64,
     ) -> Self {
-        Self::Grid(GridSurface::new(
-            grid,
-            mirror,
-            offset_north_m,
-            offset_east_m,
-            block_m,
-        ))
+        let surface = GridSurface::new(grid, mirror, offset_north_m, offset_east_m, block_m);
+        Self::Grid(Box::new(surface))
     }
 
     /// A point of it whose place on the earth is known; none where no file tells.
@@ -267,7 +305,18 @@ impl GridSurface {
             blocks: Blocks::new(&grid, block_m),
             grid,
             place: None,
+            reference: None,
         }
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        let ends = |s: &Self| {
+            let low = DVec2::new(s.south_m, s.west_m);
+            let size = DVec2::new(s.grid.extent_north_m(), s.grid.extent_east_m());
+            (low, low + size)
+        };
+        let (own, others) = (ends(self), ends(other));
+        own.0.cmple(others.1).all() && others.0.cmple(own.1).all()
     }
 
     fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {

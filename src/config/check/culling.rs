@@ -1,0 +1,79 @@
+//! How much of the patterns may be left out, where the operator does not say.
+//!
+//! Over a seabed, the energy that a ring of ground returns from directions below a floor of the two-way pattern is a known share of all that it
+//! returns, and the root of the share is the relative error of that window's samples. The floor is the highest that costs
+//! [`SHARE_OF_TOLERANCE`] of the tolerance at any of [`INCIDENCES_DEG`] and any array, on a level platform over flat, evenly scattering ground.
+
+use glam::DVec3;
+
+use super::super::spec::SonarSpec;
+use crate::flow::{ArrayGeometry, Pattern, TransmitArray};
+
+/// Errors of engines and of models need the rest.
+const SHARE_OF_TOLERANCE: f64 = 0.5;
+/// From near the first bottom return to grazing.
+const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
+/// Directions on a ring.
+const AZIMUTHS: usize = 7200;
+/// A floor below this is none, dB: it leaves out next to nothing.
+const LEAST_DB: f64 = -120.0;
+
+/// For [`ModelChoice::cull_db`](crate::flow::ModelChoice); none where hardly anything may be left out.
+pub fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
+    let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
+    let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);
+    let floors = sonar.receive.iter().flat_map(|array| {
+        let transmit = &sonar.transmit[array.transmit];
+        INCIDENCES_DEG.map(|deg| floor(transmit, array, wavelength_m, deg.to_radians(), share))
+    });
+    let least = floors.fold(f64::INFINITY, f64::min);
+    // Down to a tenth, so that the number in the records says all.
+    let db = (200.0 * libm::log10(least)).floor() / 10.0;
+    (LEAST_DB..0.0).contains(&db).then_some(db)
+}
+
+/// The highest level below which lies no more than a share of a ring's energy.
+fn floor(
+    transmit: &TransmitArray,
+    array: &ArrayGeometry,
+    wavelength_m: f64,
+    incidence_rad: f64,
+    share: f64,
+) -> f64 {
+    let (sin, cos) = libm::sincos(incidence_rad);
+    let mut levels: Vec<f64> = (0..AZIMUTHS)
+        .map(|k| {
+            let (east, north) = libm::sincos(std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
+            let ray = DVec3::new(sin * north, sin * east, cos);
+            let out = transmit.mounting.body_from_array.inverse() * ray;
+            let back = array.mounting.body_from_array.inverse() * ray;
+            let out = response(&transmit.pattern, wavelength_m, out);
+            (out * response(&array.element_pattern, wavelength_m, back)).abs()
+        })
+        .collect();
+    levels.sort_unstable_by(f64::total_cmp);
+    let all: f64 = levels.iter().map(|l| l * l).sum();
+    let mut below = 0.0;
+    let first_kept = levels.iter().find(|l| {
+        below += **l * **l;
+        below > share * all
+    });
+    // Silent all round: nothing to keep or to leave out.
+    first_kept.copied().unwrap_or(1.0)
+}
+
+/// As [`Pattern`] has it, towards a unit vector in array axes. (`echo::levels::Directivity` is the same for the ping path; `tests/seabed_culling.rs`
+/// holds what this chooses against that.)
+fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
+    let sinc = |x: f64| match x == 0.0 {
+        true => 1.0,
+        false => libm::sin(std::f64::consts::PI * x) / (std::f64::consts::PI * x),
+    };
+    match *pattern {
+        Pattern::Omnidirectional => 1.0,
+        Pattern::Rectangle { baffled, .. } if baffled && u.z < 0.0 => 0.0,
+        Pattern::Rectangle {
+            length_m, width_m, ..
+        } => sinc(length_m / wavelength_m * u.x) * sinc(width_m / wavelength_m * u.y),
+    }
+}
