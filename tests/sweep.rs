@@ -58,11 +58,10 @@ fn a_line_under_way_is_as_good_as_asked() {
 #[test]
 fn chance_finds_no_answer_worse_than_asked() {
     let mut answers = 0;
-    for seed in [0, 2, 12, 25, 31, 40] {
+    for seed in [0, 2, 12, 25, 31, 40, 142, 154] {
         let case = case::random(seed);
         let truth = measure::truth(&case);
-        // gridded-2d misses its tolerances where patterns and levels change along a short line: tests/stability/tolerances.txt.
-        for method in Method::of(&case).filter(|&m| m != Method::Gridded2d) {
+        for method in Method::of(&case) {
             for cell in Row::of(method, &case, &truth, &TOLERANCES[..4]).cells {
                 answers += usize::from(cell.outcome.is_ok());
                 assert!(
