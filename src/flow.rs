@@ -926,6 +926,10 @@ pub struct LineChunk {
     pub twist_per_s: [f64; CHUNK],
     /// c d2u/dw2: what the linearised stretch leaves out.
     pub swing_m_per_s2: [f64; CHUNK],
+    /// How the amplitude differs along the stretch: `amplitude` times 1 + fade y + curl y^2 at y metres from the middle, exact at both ends.
+    /// Zero where they were not asked for.
+    pub fade_per_m: [f64; CHUNK],
+    pub curl_per_m2: [f64; CHUNK],
 }
 
 impl LineChunk {
@@ -940,15 +944,19 @@ impl LineChunk {
             bend_per_m: zero,
             twist_per_s: zero,
             swing_m_per_s2: zero,
+            fade_per_m: zero,
+            curl_per_m2: zero,
         }
     }
 
-    /// Copies slope, bend, twist and swing from one place to another.
+    /// Copies slope, bend, twist, swing, fade and curl from one place to another.
     pub fn move_derivatives(&mut self, from: usize, to: usize) {
         self.slope[to] = self.slope[from];
         self.bend_per_m[to] = self.bend_per_m[from];
         self.twist_per_s[to] = self.twist_per_s[from];
         self.swing_m_per_s2[to] = self.swing_m_per_s2[from];
+        self.fade_per_m[to] = self.fade_per_m[from];
+        self.curl_per_m2[to] = self.curl_per_m2[from];
     }
 }
 
@@ -968,6 +976,10 @@ pub trait LineSink {
 pub struct LineStretch {
     /// From the array's centre.
     pub middle_m: f64,
+    /// From its middle to its outermost elements.
+    pub half_m: f64,
+    /// Whether fade and curl are wanted.
+    pub fades: bool,
     /// Elements in it, for the counts.
     pub elements: u64,
     /// From `earliest_s` up to, not including, `latest_s`.
@@ -980,7 +992,8 @@ pub trait LineSource: Sync {
     /// Scatterers that may be heard.
     fn scatterers(&self) -> u64;
 
-    /// Points that span what [`Self::walk`] would hand on (all but a few of the echoes lie between them), of amplitude 1.
+    /// Points of amplitude 0 that span what [`Self::walk`] would hand on (all but a few of the echoes lie between them), and a sample of its
+    /// echoes, with fade and curl.
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);
 
     /// Echoes at the middle of a stretch, in chunks of at most [`CHUNK`], always in the same order. Counts are of scatterer-element pairs;

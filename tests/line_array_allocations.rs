@@ -35,6 +35,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         slope_width: 4,
         moments: 8,
         series: 2e-4,
+        far: 1e-9,
         motion: PulseMotion::Stretch,
     };
     let decimator = &scenes[0].decimator;

@@ -79,7 +79,7 @@ fn chance_finds_nothing_worse_than_is_known() {
         let mut case = case::random(seed);
         case.looked_at.truncate(1);
         let truth = measure::truth(&case);
-        // gridded-2d misses its tolerances where patterns and levels change along a short line: tests/stability/tolerances.txt.
+        // gridded-2d: the next test.
         for method in Method::of(&case).filter(|&m| m != Method::Gridded2d) {
             for cell in Row::of(method, &case, &truth, &TOLERANCES[..4]).cells {
                 let said = format!(
@@ -105,6 +105,30 @@ fn chance_finds_nothing_worse_than_is_known() {
         "{}: {misses:#?}",
         misses.len()
     );
+}
+
+/// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record; and motion across the line, which is refused.
+#[test]
+fn chance_finds_no_line_worse_than_asked_beside_its_echoes() {
+    let mut answers = 0;
+    for seed in [2, 18, 25, 106, 142, 154] {
+        let mut case = case::random(seed);
+        case.looked_at.truncate(1);
+        let truth = measure::truth(&case);
+        for cell in Row::of(Method::Gridded2d, &case, &truth, &TOLERANCES[..4]).cells {
+            answers += usize::from(cell.outcome.is_ok());
+            let beside = cell.outcome.as_ref().map_or(0.0, |m| m.error.beside);
+            assert!(
+                beside <= cell.tolerance,
+                "{:?} asked for {:e}: {}",
+                cell.outcome,
+                cell.tolerance,
+                case::describe(&case)
+            );
+        }
+    }
+    println!("{answers} answers");
+    assert!(answers >= 16, "{answers}");
 }
 
 #[test]

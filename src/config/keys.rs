@@ -1138,7 +1138,7 @@ static MODEL: Table = Table {
                 &["gridded"],
             ),
             Shown("\"gridded-1d\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with any doppler but \"paper-eq21\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, any doppler but \"paper-eq21\" and a tolerance from 2e-2 on. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with any doppler but \"paper-eq21\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, and any doppler but \"paper-eq21\". For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
         ),
         key(
             "tolerance",

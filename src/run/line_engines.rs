@@ -5,6 +5,7 @@
 
 use std::sync::Mutex;
 
+use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
@@ -12,12 +13,16 @@ use crate::array::gridded::Dialect;
 use crate::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
 use crate::config::spec::SonarSpec;
 use crate::echo::walk::{Illuminated, LineEchoes, LineWorkspace};
-use crate::flow::{EchoCounts, MethodCard, PingPlan, Pulse};
+use crate::flow::{ArrayGeometry, EchoCounts, MethodCard, PingPlan, Pulse};
 use crate::ping;
 use crate::run::engines::LEVEL_RANGE_DB;
 
 /// Platforms turn no faster, rad/s: a roll of 10 degrees in 5 s.
 const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
+
+/// Across a line, m/s: what a ship sways and heaves. How much more a line can follow depends on the pulse and on where echoes come from, so it
+/// is measured ping by ping, and pings that leave out too much are counted.
+const SIDEWAYS_M_PER_S: f64 = 0.5;
 
 /// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
 const NOMINAL_SCATTERERS: usize = 300_000;
@@ -47,7 +52,8 @@ impl LineEngines {
             duration_s: spec.limits.pulse_duration_s.1,
             ..spec.pulse
         };
-        let engine = |array| {
+        let engine = |array: &ArrayGeometry| {
+            let along = (array.mounting.body_from_array * DVec3::X).x.abs();
             Gridded2d::new(&Spec {
                 array,
                 pulse: &longest,
@@ -58,8 +64,8 @@ impl LineEngines {
                 bounds: Bounds {
                     nearest_m: spec.synthesis.nearest_m,
                     greatest_slope: 1.0,
-                    along_m_per_s: fastest_m_per_s,
-                    across_m_per_s: fastest_m_per_s,
+                    along_m_per_s: along * fastest_m_per_s,
+                    across_m_per_s: SIDEWAYS_M_PER_S,
                     turning_rad_per_s: FASTEST_TURN_RAD_PER_S,
                 },
                 tolerance: spec.synthesis.tolerance,

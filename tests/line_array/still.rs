@@ -12,6 +12,7 @@ pub const FINE: Fineness = Fineness {
     slope_width: 12,
     moments: 12,
     series: 1e-8,
+    far: 1e-9,
     motion: PulseMotion::Stretch,
 };
 

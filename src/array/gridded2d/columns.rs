@@ -17,7 +17,7 @@ impl<T: Sample> Task<'_, T> {
         self.engine.blocks.len() * BLOCK
     }
 
-    /// Instants, products of bend and twist, powers along the stretch: entries of a template per power of the frequency.
+    /// Instants, products of kind, bend and twist, powers along the stretch: entries of a template per power of the frequency.
     fn entries(&self) -> usize {
         self.orders.instants * self.kept().len() * self.orders.along
     }
@@ -123,12 +123,18 @@ impl<T: Sample> Task<'_, T> {
             let s = slopes.at(node);
             let (values, next) = (&mut work.values, &mut work.values_next);
             values.clear();
-            for &w in &instants.x {
+            let kinds = self.kinds();
+            let each = instants
+                .x
+                .iter()
+                .flat_map(|&w| kinds.iter().map(move |&kind| (w, kind)));
+            for (w, kind) in each {
                 for b in chebyshev_nodes(orders.bend) {
                     for twist in chebyshev_nodes(orders.twist) {
                         let ray = Ray {
                             per_range_per_m: self.smooth.per_range_per_m.at(b),
                             twist,
+                            kind,
                         };
                         for x in chebyshev_nodes(along) {
                             for f in chebyshev_nodes(band) {
@@ -152,7 +158,8 @@ impl<T: Sample> Task<'_, T> {
             for power in 0..band {
                 for n in 0..orders.instants {
                     for kept in self.kept() {
-                        let from = (n * orders.bend + kept.bend) * orders.twist + kept.twist;
+                        let kind = n * orders.kinds + kept.kind;
+                        let from = (kind * orders.bend + kept.bend) * orders.twist + kept.twist;
                         for q in 0..along {
                             let value = values[(from * along + q) * band + power];
                             work.shapes.re[at] = T::narrow(value.re);

@@ -8,7 +8,7 @@ use num_complex::{Complex, Complex64};
 use crate::array::gridded::dialect::Dialect;
 use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::transform::grid_size;
-use crate::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, Pattern, PingPlan};
+use crate::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, PingPlan};
 
 use super::lanes::{BLOCK, Split};
 use super::panel::{PanelFft, Row};
@@ -50,6 +50,8 @@ pub struct Fineness {
     pub moments: usize,
     /// What each series may leave out, relative to an echo.
     pub series: f64,
+    /// What may be left all over a slab, relative to its echoes.
+    pub far: f64,
     pub motion: PulseMotion,
 }
 
@@ -66,6 +68,8 @@ pub struct Filter<'a> {
 pub struct Orders {
     /// Instants of the emission.
     pub instants: usize,
+    /// What channels carry: the echoes themselves, and what changes along the stretch or during the pulse in ways of their own.
+    pub kinds: usize,
     /// Powers of the place along the stretch, without and with the turn inside a block.
     pub along: usize,
     pub turn: usize,
@@ -107,8 +111,6 @@ pub struct LineEngine<T: Sample> {
     pub(super) fastest_m_per_s: f64,
     pub(super) dialect: Dialect,
     pub(super) stretches: Vec<Stretch>,
-    /// Length and shape of the element pattern along the line, metres; 0 is none.
-    pub(super) element_m: f64,
     pub(super) time_kernel: Kernel,
     pub(super) slope_kernel: Kernel,
     pub(super) time_taps: Vec<Taps<T>>,
@@ -223,10 +225,6 @@ impl<T: Sample> LineEngine<T> {
                 }
             })
             .collect();
-        let element_m = match array.element_pattern {
-            Pattern::Omnidirectional => 0.0,
-            Pattern::Rectangle { length_m, .. } => length_m,
-        };
         let most = MOST_INSTANTS.max(MOST_ALONG);
         Self {
             fineness,
@@ -235,7 +233,6 @@ impl<T: Sample> LineEngine<T> {
             fastest_m_per_s: 5.0,
             dialect,
             stretches,
-            element_m,
             time_taps: tap_tables(&time_kernel),
             slope_taps: tap_tables(&slope_kernel),
             slope_inverse: InverseGain::new(&slope_kernel),
@@ -368,6 +365,8 @@ impl<T: Sample> LineEngine<T> {
         let edge_s = |slab: usize| ping.first_edge_s + slab as f64 * ping.slab_s;
         LineStretch {
             middle_m: stretch.middle_m,
+            half_m: stretch.half_m,
+            fades: false,
             elements: stretch.along_m.len() as u64,
             earliest_s: edge_s(self.slab(task)),
             latest_s: edge_s(self.slab(task) + 1),
@@ -449,11 +448,13 @@ impl<T: Sample> LineEngine<T> {
         if work.echoes.is_empty() {
             return (counts, report);
         }
-        let surveyed = Smooth::of(&work.echoes);
+        let window_s = 0.5 * self.ping.duration_s;
+        let surveyed = Smooth::of(&work.echoes, window_s, self.stretch(task).half_m);
         for margin in MARGINS {
             let numbers = Task::new(self, self.stretch(task), surveyed.widened(margin));
+            let fades = numbers.fades();
             let mut spread = Spread::new(&numbers, centring, work);
-            counts = source.walk(wanted, &mut spread);
+            counts = source.walk(LineStretch { fades, ..wanted }, &mut spread);
             let (echoes, beyond) = (spread.echoes, spread.beyond);
             if beyond > 0 && margin != MARGINS[MARGINS.len() - 1] {
                 continue;

@@ -18,8 +18,11 @@
 //! In: [`LineChunk`](crate::flow::LineChunk)s of one slab at the middle of one stretch. Out: samples of its elements, receiver filter
 //! included. f64 geometry and templates; grids and transforms in f32 or f64. A task is one thread's: no sum crosses threads.
 //!
-//! Not modelled: how scattering law and element pattern across the line vary along a stretch (1e-4 for 0.1 m at 36 m); alias images of
-//! the filter's stop band (82 dB down).
+//! The strength of an echo differs along a stretch too (range, scattering law, element pattern): what is a line over the slope goes into the
+//! templates, and the rest, where a survey of the echoes finds it too large, into channels of first and second order in the place. So does
+//! what is left of the pulse's third order where the platform moves across the line.
+//!
+//! Not modelled: alias images of the filter's stop band (82 dB down).
 
 mod columns;
 mod elements;

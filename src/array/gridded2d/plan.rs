@@ -4,14 +4,20 @@
 //! series (each task takes as many terms as its own echoes need, and reports what it left out), the delay's fourth order along a stretch,
 //! steps of the attitude between a polyline's segments, rounding.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use crate::array::filter::Decimator;
 use crate::array::gridded::dialect::Dialect;
 use crate::array::gridded::kernel::Kernel;
-use crate::flow::{ArrayGeometry, DopplerModel, MethodCard, ModelChoice, PathModel, Pulse};
+use crate::flow::{
+    ArrayGeometry, DopplerModel, MethodCard, ModelChoice, PathModel, Pattern, Pulse,
+};
+
+use num_complex::Complex64;
 
 use super::engine::{Fineness, PulseMotion};
+use super::series::terms_needed;
+use super::task::MOST_DILATION;
 
 /// Stretches tried, from long to short: long ones are cheap.
 const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
@@ -19,10 +25,15 @@ const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
 const KERNEL_FACTOR: f64 = 3.0;
 /// Of f32 grids and transforms: 1e-7 of the strongest echo of a slab, over the weakest window of it, some 30 dB below.
 const F32_ERROR: f64 = 1e-5;
-/// Per m/s along the array, 400 kHz, 5 ms, 36 m: third orders in slope and motion that are taken at a column's own slope (measured).
-const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6;
+/// Per m/s along the array, and Hz over metre of range (1.8e-6 of 400 kHz at 36 m): third orders in slope and motion that are taken at a
+/// column's own slope (measured).
+const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
 /// Of the tolerance, what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
-const SERIES_SHARE: f64 = 0.4;
+const SERIES_SHARE: f64 = 0.2;
+/// Terms of the dilation's series that leave room for those of bend, twist and fade in the grid's channels.
+const MOST_TERMS: usize = 16;
+/// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
+const FARTHEST_DB: f64 = 60.0;
 /// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and per element and slab.
 const ECHO_NS: f64 = 150.0;
 const ELEMENT_SLAB_NS: f64 = 3e5;
@@ -86,6 +97,14 @@ pub enum Refusal {
         "tolerance {tolerance}: with scatterers as near as {nearest_m} m no stretch of the line is short enough for gridded-2d"
     )]
     TooNear { tolerance: f64, nearest_m: f64 },
+    #[error(
+        "tolerance {tolerance}: {across_m_per_s} m/s across the line is too fast for gridded-2d: the Doppler differs by {turn_rad:.0} rad from one side to the other"
+    )]
+    TooFastAcross {
+        tolerance: f64,
+        across_m_per_s: f64,
+        turn_rad: f64,
+    },
     #[error("doppler model `{}`: gridded-2d knows `none`, `stretch` and `stretch-quadratic`", .0.name())]
     Doppler(DopplerModel),
     #[error("gridded-2d needs the receiver filter: without it the pulse has no end in frequency")]
@@ -102,6 +121,11 @@ pub enum Refusal {
 
 /// Longest slab that is tried, samples.
 const MOST_SLAB: usize = 1 << 16;
+
+/// Whether echoes are stretched at all.
+fn motion_matters(doppler: DopplerModel) -> bool {
+    doppler != DopplerModel::None
+}
 
 /// The cheapest fineness that keeps the tolerance.
 pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
@@ -153,10 +177,21 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         other @ DopplerModel::PaperEq21 => return Err(Refusal::Doppler(other)),
     };
     let per_m = TAU * (pulse.center_frequency_hz + 0.5 * rate_hz) / sound_speed_m_per_s;
+    let half_s = 0.5 * pulse.duration_s;
+    let across = bounds.across_m_per_s;
+    // How fast the strength of an echo can change as the line looks at it from another angle.
+    let sides = match array.element_pattern {
+        Pattern::Omnidirectional => 0.0,
+        Pattern::Rectangle {
+            length_m, width_m, ..
+        } => length_m.max(width_m) * pulse.center_frequency_hz / sound_speed_m_per_s,
+    };
     let beyond_series = |stretch: usize| {
         let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
         let quartic = per_m * half_m.powi(4) / (8.0 * bounds.nearest_m.powi(3));
-        quartic + UNDERWAY_ERROR_S_PER_M * bounds.along_m_per_s
+        let turned = (1.0 + PI * sides) * half_m / bounds.nearest_m;
+        let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m;
+        quartic + turned.powi(3) / 6.0 + underway * bounds.along_m_per_s
     };
     // A polyline's attitude steps at its vertices: while the wave passes the stretch, part of it is on either side.
     let steps = |stretch: usize| match spec.model.path {
@@ -210,6 +245,19 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         }
     }
     let series = SERIES_SHARE * tolerance;
+    if motion_matters(spec.model.doppler) {
+        // Echoes from all sides: 2 v/c to either.
+        let turn_rad = per_m * half_s * 2.0 * across;
+        let wave = |x: f64| Complex64::from_polar(1.0, -turn_rad * x);
+        let (terms, rest) = terms_needed(wave, MOST_DILATION, series);
+        if terms > MOST_TERMS || rest > series {
+            return Err(Refusal::TooFastAcross {
+                tolerance,
+                across_m_per_s: across,
+                turn_rad,
+            });
+        }
+    }
     let rounding = match precision {
         Precision::Single => F32_ERROR,
         Precision::Double => 0.0,
@@ -236,6 +284,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             slope_width: width,
             moments,
             series,
+            far: series * 10f64.powf(-spec.level_range_db.clamp(0.0, FARTHEST_DB) / 20.0),
             motion,
         },
         precision,

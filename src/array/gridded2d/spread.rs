@@ -1,14 +1,16 @@
 //! Echoes in: what a survey remembers, and the spreading of every echo onto the grid, each in all channels.
 
-use crate::array::gridded::dialect::Kind;
+use num_complex::Complex64;
+
+use crate::array::gridded::dialect::Kind as Processor;
 use crate::array::gridded::kernel::MAX_WIDTH;
 use crate::array::phasor::cis;
 use crate::flow::{CHUNK, LineChunk, LineSink};
 
 use super::engine::{Ping, PulseMotion, Work};
 use super::sample::Sample;
-use super::smooth::{Echoes, Smooth};
-use super::task::{MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
+use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
+use super::task::{KINDS, Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
 use super::weights::taps;
 
 /// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
@@ -31,7 +33,10 @@ pub struct Centring {
     half_s: f64,
     /// 1/c where the change of the stretch is followed, else 0.
     bent: f64,
+    /// 1 where it is, else 0.
+    follows: f64,
     carrier_hz: f64,
+    nepers_per_m: f64,
     /// First sample of the slab.
     first_s: f64,
 }
@@ -43,6 +48,7 @@ struct Centred {
     slope: f64,
     dilation: f64,
     per_range_per_m: f64,
+    twist_per_s: f64,
     /// Of what the amplitude is turned by.
     turns: f64,
     stretched: f64,
@@ -56,7 +62,9 @@ impl Centring {
                 PulseMotion::Stretch => 0.0,
                 PulseMotion::Quadratic => 1.0 / ping.sound_speed_m_per_s,
             },
+            follows: f64::from(u8::from(motion == PulseMotion::Quadratic)),
             carrier_hz: ping.carrier_hz,
+            nepers_per_m: ping.nepers_per_m,
             first_s,
         }
     }
@@ -68,19 +76,30 @@ impl Centring {
         let at_edge = -chunk.doppler[i] * stretched;
         let rate = self.bent * chunk.swing_m_per_s2[i];
         let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
-        let (slope, twist) = (chunk.slope[i], chunk.twist_per_s[i]);
+        let slope = chunk.slope[i];
+        // The third order of the pulse's motion that follows from the second: the range changes along the line.
+        let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(LEAST_BROADSIDE);
+        let third = 3.0 * slope * per_range_there * self.follows * chunk.swing_m_per_s2[i];
+        let twist = chunk.twist_per_s[i] + 0.5 * third * half_s;
         let middle = slope - twist * half_s;
+        let twist_per_s = chunk.twist_per_s[i] + third * half_s;
         // The bend changes during the pulse too: third order, so plain 1/R will do.
-        let per_range = chunk.bend_per_m[i] / (1.0 - slope * slope).max(LEAST_BROADSIDE);
-        let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range * twist * half_s;
+        let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range_there * twist * half_s;
         Centred {
             middle_s: delay_s + half_s - self.first_s,
             slope: middle,
             dilation: at_edge + rate * half_s,
             per_range_per_m: bend / (1.0 - middle * middle).max(LEAST_BROADSIDE),
+            twist_per_s,
             turns: -self.carrier_hz * delay_s,
             stretched,
         }
+    }
+
+    /// The fade beyond what range and absorption make of it.
+    #[inline(always)]
+    fn fade_per_m(&self, chunk: &LineChunk, i: usize, echo: &Centred) -> f64 {
+        chunk.fade_per_m[i] - echo.slope * (echo.per_range_per_m + self.nepers_per_m)
     }
 }
 
@@ -95,16 +114,26 @@ impl LineSink for Survey<'_> {
     fn accept(&mut self, chunk: &LineChunk) {
         self.chunks += 1;
         let every = 1 + self.echoes.len() / SURVEYED;
-        if !self.chunks.is_multiple_of(every) {
-            return;
-        }
         for i in 0..chunk.len {
             let echo = self.centring.echo(chunk, i);
             let e = &mut *self.echoes;
+            if chunk.amplitude[i] != Complex64::ZERO {
+                e.heard.push(HeardEcho {
+                    middle_s: echo.middle_s,
+                    slope: echo.slope,
+                    per_range_per_m: echo.per_range_per_m,
+                    energy: chunk.amplitude[i].norm_sqr(),
+                    fade_per_m: self.centring.fade_per_m(chunk, i, &echo),
+                    curl_per_m2: chunk.curl_per_m2[i],
+                });
+            }
+            if !self.chunks.is_multiple_of(every) {
+                continue;
+            }
             e.slope.push(echo.slope);
             e.dilation.push(echo.dilation);
             e.per_range_per_m.push(echo.per_range_per_m);
-            e.twist_per_s.push(chunk.twist_per_s[i]);
+            e.twist_per_s.push(echo.twist_per_s);
             e.swing_m_per_s2.push(chunk.swing_m_per_s2[i]);
         }
     }
@@ -118,6 +147,8 @@ pub struct Prepared<T> {
     dilation: [T; CHUNK],
     bend: [T; CHUNK],
     twist: [T; CHUNK],
+    /// Of every kind but the echo itself: what fade and curl make of it at the stretch's end, what is left of the swing at the pulse's.
+    kinds: [[T; CHUNK]; KINDS - 1],
     /// Greatest of the three.
     farthest: [f64; CHUNK],
     row: [i32; CHUNK],
@@ -135,6 +166,7 @@ impl<T: Sample> Default for Prepared<T> {
             dilation: [T::ZERO; CHUNK],
             bend: [T::ZERO; CHUNK],
             twist: [T::ZERO; CHUNK],
+            kinds: [[T::ZERO; CHUNK]; KINDS - 1],
             farthest: [0.0; CHUNK],
             row: [0; CHUNK],
             column: [0; CHUNK],
@@ -151,6 +183,9 @@ struct Scales {
     per_dilation: f64,
     per_bend: f64,
     per_twist: f64,
+    half_m: f64,
+    /// Phase of a swing at the pulse's ends.
+    per_swing: f64,
     /// Columns: per unit of slope, and where a cell is; and the first value's column.
     per_step: f64,
     slope_shift: f64,
@@ -171,6 +206,8 @@ impl Scales {
             per_dilation: over(smooth.dilation_rest),
             per_bend: over(smooth.per_range_per_m.half),
             per_twist: over(smooth.twist_rest),
+            half_m: task.half_m(),
+            per_swing: task.rad_per_swing(),
             per_step: 1.0 / task.step,
             slope_shift: slope.shift(),
             first_column: (slope.first() - task.first) as f64,
@@ -199,7 +236,7 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
         let dilation = (echo.dilation - k.smooth.dilation(s)) * k.per_dilation;
         let bend = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_bend;
         let shared = echo.per_range_per_m * k.smooth.twist.at(s);
-        let twist = (chunk.twist_per_s[i] - shared) * k.per_twist;
+        let twist = (echo.twist_per_s - shared) * k.per_twist;
         p.farthest[i] = dilation.abs().max(bend.abs()).max(twist.abs());
         p.dilation[i] = T::narrow(dilation);
         p.bend[i] = T::narrow(bend);
@@ -213,6 +250,20 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
         let (cell, within) = self::cell(echo.middle_s * k.rows_per_s + k.time_shift);
         p.in_row[i] = T::narrow(within);
         p.row[i] = (cell + k.first_row + WHOLE).to_bits() as i32;
+    }
+}
+
+/// What is left of fade, curl and swing.
+#[inline(always)]
+fn prepare_kinds<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let shared = k.smooth.shared_fade(echo.slope, echo.per_range_per_m);
+        let fade = centring.fade_per_m(chunk, i, &echo) - shared;
+        let swing = chunk.swing_m_per_s2[i] - echo.per_range_per_m * k.smooth.swing.at(echo.slope);
+        p.kinds[0][i] = T::narrow(fade * k.half_m);
+        p.kinds[1][i] = T::narrow(chunk.curl_per_m2[i] * k.half_m * k.half_m);
+        p.kinds[2][i] = T::narrow(swing * k.per_swing);
     }
 }
 
@@ -267,6 +318,9 @@ impl<'a, T: Sample> Spread<'a, T> {
     #[inline(always)]
     fn accept_plain<const FUSED: bool>(&mut self, chunk: &LineChunk) {
         prepare(self.scales, self.centring, chunk, self.prepared);
+        if self.task.kinds().len() > 1 {
+            prepare_kinds(self.scales, self.centring, chunk, self.prepared);
+        }
         self.add::<FUSED>(chunk.len);
     }
 
@@ -278,6 +332,7 @@ impl<'a, T: Sample> Spread<'a, T> {
         let (time_width, slope_width) = (engine.time_kernel.width, engine.slope_kernel.width);
         let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
         let orders = task.orders;
+        let kinds = task.kinds();
         let numbers = 2 * task.channels();
         let width = task.width();
         let mut each = [T::ZERO; 2 * MOST_CHANNELS];
@@ -298,9 +353,14 @@ impl<'a, T: Sample> Spread<'a, T> {
                 let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
                 let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
                 let twist = chebyshev::<T, MOST_TWIST>(p.twist[i], orders.twist);
+                let of_kind = |kind: Kind| match kind {
+                    Kind::Whole => T::one(),
+                    Kind::Fade(order) => p.kinds[order][i],
+                    Kind::Swing => p.kinds[FADES][i],
+                };
                 let mut at = 0;
                 for kept in task.kept() {
-                    let share = bend[kept.bend] * twist[kept.twist];
+                    let share = of_kind(kinds[kept.kind]) * bend[kept.bend] * twist[kept.twist];
                     let (re, im) = (p.re[i] * share, p.im[i] * share);
                     for &r in &dilation[..kept.dilation] {
                         each[at] = re * r;
@@ -340,10 +400,10 @@ impl<T: Sample> LineSink for Spread<'_, T> {
         #[cfg(target_arch = "x86_64")]
         match self.task.engine.dialect.kind() {
             // SAFETY: a `Dialect` of that kind is proof that the processor has these.
-            Kind::Avx512 => return unsafe { self.accept_avx512(chunk) },
+            Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
             // SAFETY: as above.
-            Kind::Avx2 => return unsafe { self.accept_avx2(chunk) },
-            Kind::Portable => {}
+            Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
+            Processor::Portable => {}
         }
         self.accept_plain::<false>(chunk);
     }

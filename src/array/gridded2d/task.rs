@@ -1,6 +1,6 @@
 //! The numbers of one task: how many terms each of its series needs, and what an echo becomes beyond the plane wave.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use num_complex::Complex64;
 
@@ -12,7 +12,7 @@ use super::panel::PANEL;
 use super::pulse::{MOST_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{sizes, terms_needed};
-use super::smooth::{Smooth, Span};
+use super::smooth::{FADES, Smooth, Span};
 
 /// Most terms of each series; what does not converge with them is reported as error.
 pub const MOST_ALONG: usize = 16;
@@ -22,11 +22,14 @@ pub const MOST_BEND: usize = 8;
 pub const MOST_TURN: usize = 12;
 pub const MOST_TWIST: usize = 4;
 const MOST_NODES: usize = 16;
+const MOST_KEPT: usize = KINDS * MOST_BEND * MOST_TWIST;
 /// Most channels of the grid.
-pub const MOST_CHANNELS: usize = 64;
+pub const MOST_CHANNELS: usize = 96;
 
-/// Square of the pattern's level that counts as a null: 1e-3 of a change of the pattern by some hundredths is lost.
-const NULL: f64 = 1e-3;
+/// Of what a series may leave out, a kind that is left without channels.
+const KIND_SHARE: f64 = 0.5;
+/// How much more than a sample of echoes has it a window may have of a kind.
+const KIND_PEAK: f64 = 3.0;
 
 /// Step of the differences that stand for the derivatives of 1/D, cycles per column: of fourth order in what they are for.
 const STEP_NU: f64 = 1e-3;
@@ -36,11 +39,29 @@ const STEP_NU: f64 = 1e-3;
 pub struct Ray {
     pub per_range_per_m: f64,
     pub twist: f64,
+    pub kind: Kind,
 }
 
-/// Channels of one term of the bend times one of the twist.
+/// What a channel carries of its echoes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kind {
+    /// Themselves.
+    #[default]
+    Whole,
+    /// What fade (0) and curl (1) make of them.
+    Fade(usize),
+    /// What is left of the swing.
+    Swing,
+}
+
+/// Kinds that there are.
+pub const KINDS: usize = 2 + FADES;
+
+/// Channels of one kind times one term of the bend times one of the twist.
 #[derive(Clone, Copy, Default)]
 pub struct Kept {
+    /// Of [`Task::kinds`], by its number.
+    pub kind: usize,
     pub bend: usize,
     pub twist: usize,
     /// First terms of the dilation.
@@ -56,8 +77,9 @@ pub struct Task<'a, T: Sample> {
     pub orders: Orders,
     /// Slopes at which the shape is worked out; columns take it from there.
     pub nodes: usize,
-    /// Which products of terms of bend and twist have channels, and for how many terms of the dilation.
-    kept: [Kept; MOST_BEND * MOST_TWIST],
+    kinds: [Kind; KINDS],
+    /// Which products of kinds and terms of bend and twist have channels, and for how many terms of the dilation.
+    kept: [Kept; MOST_KEPT],
     kept_len: usize,
     pub left_out: f64,
     /// Slope per column, index of the first column, number.
@@ -85,7 +107,8 @@ impl<'a, T: Sample> Task<'a, T> {
             smooth,
             orders: Orders::default(),
             nodes: 1,
-            kept: [Kept::default(); MOST_BEND * MOST_TWIST],
+            kinds: [Kind::Whole; KINDS],
+            kept: [Kept::default(); MOST_KEPT],
             kept_len: 0,
             left_out: 0.0,
             step,
@@ -94,6 +117,37 @@ impl<'a, T: Sample> Task<'a, T> {
         };
         task.choose_orders();
         task
+    }
+
+    /// Kinds that have channels.
+    pub fn kinds(&self) -> &[Kind] {
+        &self.kinds[..self.orders.kinds]
+    }
+
+    /// Whether any of them is of a change of strength.
+    pub fn fades(&self) -> bool {
+        self.kinds()
+            .iter()
+            .any(|kind| matches!(kind, Kind::Fade(_)))
+    }
+
+    /// How much of an echo a kind is.
+    fn size_of(&self, kind: Kind) -> f64 {
+        match kind {
+            Kind::Whole => 1.0,
+            Kind::Fade(order) => self.smooth.faded[order],
+            Kind::Swing => self.smooth.swing_rest * self.rad_per_swing(),
+        }
+    }
+
+    /// Phase at the pulse's ends per swing.
+    pub fn rad_per_swing(&self) -> f64 {
+        let per_m = TAU * self.engine.top_hz() / self.engine.ping.sound_speed_m_per_s;
+        let half_s = 0.5 * self.engine.ping.duration_s;
+        match self.engine.fineness.motion {
+            PulseMotion::Stretch => 0.0,
+            PulseMotion::Quadratic => 0.5 * per_m * half_s * half_s,
+        }
     }
 
     pub fn half_m(&self) -> f64 {
@@ -125,13 +179,18 @@ impl<'a, T: Sample> Task<'a, T> {
             + bend * y * y * 0.5 * (1.0 + s * y * per_range)
             + 1.5 * s * per_range * per_range * y * t * (twist * y + quadratic * swing * t);
         let (cos, sin) = cis(-self.absolute_hz(band) / c * path_m);
-        let mut level = 1.0 + s * y * (per_range + ping.nepers_per_m);
-        if self.engine.element_m > 0.0 {
-            let lengths = self.engine.element_m * ping.carrier_hz / c;
-            let (here, there) = (sinc(lengths * s), sinc(lengths * (s - y * bend)));
-            // Near a null there is nothing to scale.
-            level *= 1.0 + (there - here) * here / (here * here + NULL);
-        }
+        let level = match ray.kind {
+            Kind::Whole => {
+                let shared = self.smooth.shared_fade(s, per_range);
+                1.0 + y * (s * (per_range + ping.nepers_per_m) + shared)
+            }
+            Kind::Fade(order) => x.powi(order as i32 + 1),
+            Kind::Swing => {
+                // To first order, over the greatest that is left.
+                let turned = self.absolute_hz(band) / self.engine.top_hz() * w * w;
+                return Complex64::new(turned * sin, -turned * cos);
+            }
+        };
         Complex64::new(level * cos, level * sin)
     }
 
@@ -179,6 +238,7 @@ impl<'a, T: Sample> Task<'a, T> {
                         let ray = Ray {
                             per_range_per_m,
                             twist: sign,
+                            kind: Kind::Whole,
                         };
                         let got = terms_needed(|x| f(x, s, ray, sign), limit, tolerance);
                         terms = terms.max(got.0);
@@ -200,7 +260,24 @@ impl<'a, T: Sample> Task<'a, T> {
             &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
             MOST_INSTANTS,
         );
-        let along = most(&|x, s, ray, w| self.shape(s, ray, x, w, 1.0), MOST_ALONG);
+        // Kinds that matter; what is beyond the last fade is left out with it.
+        let mut kinds = 1;
+        let mut unkept = 0.0;
+        for kind in [Kind::Fade(0), Kind::Fade(1), Kind::Swing] {
+            let size = self.size_of(kind);
+            if size > KIND_SHARE * tolerance {
+                self.kinds[kinds] = kind;
+                kinds += 1;
+            } else {
+                unkept += size;
+            }
+        }
+        let along = most(
+            &|x, s, ray, w| self.shape(s, ray, x, w, 1.0),
+            MOST_ALONG - FADES,
+        );
+        // A fade's channels have powers of their own.
+        let along = along + if kinds > 1 { FADES } else { 0 };
         let bend = most(
             &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
             MOST_BEND,
@@ -220,9 +297,11 @@ impl<'a, T: Sample> Task<'a, T> {
             MOST_NODES,
         );
         let turn_rad = self.turn_rad(0, slopes[0].abs().max(slopes[2].abs()) + self.step);
-        let turn = most(&|x, _, _, _| beyond(turn_rad * x), MOST_TURN);
+        // What is left here jumps from block to block and so spreads over the whole slab: it is held against the slab's weakest window.
+        let turn = terms_of_turn(turn_rad.abs(), self.engine.fineness.far);
         self.orders = Orders {
             instants,
+            kinds,
             along,
             turn,
             band,
@@ -230,14 +309,10 @@ impl<'a, T: Sample> Task<'a, T> {
             bend,
             twist,
         };
+        left_out += unkept;
         self.nodes = nodes;
         left_out += self.choose_channels(slopes, tolerance);
-        // Swing that no curve over the slope describes.
         let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
-        let half_s = 0.5 * ping.duration_s;
-        if self.engine.fineness.motion == PulseMotion::Quadratic {
-            left_out += 0.5 * per_m * self.smooth.swing_rest * half_s * half_s;
-        }
         // Fourth order of the delay along the stretch.
         left_out +=
             per_m * half_m.powi(4) / 8.0 * self.smooth.per_range_per_m.at(1.0).max(0.0).powi(3);
@@ -269,6 +344,7 @@ impl<'a, T: Sample> Task<'a, T> {
                         Ray {
                             per_range_per_m,
                             twist,
+                            kind: Kind::Whole,
                         },
                         x,
                         x,
@@ -279,21 +355,54 @@ impl<'a, T: Sample> Task<'a, T> {
                 widen(&mut twist_sizes, &sizes(|z| at(0.0, z), twist + 4));
             }
         }
-        let share = tolerance / (bend * twist) as f64;
+        let products = self.orders.kinds * bend * twist;
+        let mut share = tolerance / products as f64;
+        loop {
+            let (channels, left_out) = self.keep(
+                share,
+                &dilation_sizes[..dilation],
+                &bend_sizes,
+                &twist_sizes,
+            );
+            // Where there are too many, all give up alike.
+            if channels <= MOST_CHANNELS {
+                return left_out;
+            }
+            share *= 1.5;
+        }
+    }
+
+    /// Keeps of every product as many terms of the dilation as leave out no more than `share`. Returns how many channels those are, and
+    /// what all leave out together.
+    fn keep(
+        &mut self,
+        share: f64,
+        dilation_sizes: &[f64],
+        bend_sizes: &[f64; MOST_BEND],
+        twist_sizes: &[f64; MOST_TWIST],
+    ) -> (usize, f64) {
+        let Orders {
+            kinds, bend, twist, ..
+        } = self.orders;
         let (mut left_out, mut channels, mut len) = (0.0, 0, 0);
-        for (p, z) in (0..bend).flat_map(|p| (0..twist).map(move |z| (p, z))) {
-            let size = bend_sizes[p] * twist_sizes[z];
-            let (mut rest, mut terms) = (0.0, dilation);
+        let products = |kind| (0..bend * twist).map(move |k| (kind, k / twist, k % twist));
+        for (kind, p, z) in (0..kinds).flat_map(products) {
+            let of_kind = match kind {
+                0 => 1.0,
+                _ => (KIND_PEAK * self.size_of(self.kinds[kind])).min(1.0),
+            };
+            let size = of_kind * bend_sizes[p] * twist_sizes[z];
+            let (mut rest, mut terms) = (0.0, dilation_sizes.len());
             // The first of all carries the echo itself.
-            while p + z > 0 && terms > 0 && rest + dilation_sizes[terms - 1] * size <= share
-                || channels + terms > MOST_CHANNELS
-            {
+            let first = kind + p + z == 0;
+            while terms > usize::from(first) && rest + dilation_sizes[terms - 1] * size <= share {
                 rest += dilation_sizes[terms - 1] * size;
                 terms -= 1;
             }
             left_out += rest;
             if terms > 0 {
                 self.kept[len] = Kept {
+                    kind,
                     bend: p,
                     twist: z,
                     dilation: terms,
@@ -303,7 +412,7 @@ impl<'a, T: Sample> Task<'a, T> {
             }
         }
         self.kept_len = len;
-        left_out
+        (channels, left_out)
     }
 
     pub fn kept(&self) -> &[Kept] {
@@ -340,10 +449,12 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 }
 
-fn sinc(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else {
-        libm::sin(PI * x) / (PI * x)
+/// Terms of exp(j theta) whose remainder is at most `far`.
+fn terms_of_turn(theta: f64, far: f64) -> usize {
+    let (mut terms, mut rest) = (1, theta);
+    while rest > far && terms < MOST_TURN {
+        terms += 1;
+        rest *= theta / terms as f64;
     }
+    terms
 }

@@ -589,10 +589,6 @@ fn model(
     })
 }
 
-/// Finer ones the line engine is made for and does not always keep: on a ship's log it left 1.6e-2 of 1e-2, on a swinging platform 1.8e-3 of
-/// 1e-3 (at rest and without rotation it kept both).
-const LEAST_LINE_TOLERANCE: f64 = 2e-2;
-
 fn synthesis_named(name: &str) -> Option<Synthesis> {
     Synthesis::ALL.into_iter().find(|s| s.name() == name)
 }
@@ -618,14 +614,6 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
     };
     let keys = ["nearest_m"];
     only_with(table, &keys, line, "synthesis = \"gridded-2d\"", problems);
-    if line == Some(true) && table.number("tolerance")? < LEAST_LINE_TOLERANCE {
-        problems.refuse(
-            table.entry("tolerance"),
-            format!(
-                "must be at least {LEAST_LINE_TOLERANCE} with synthesis = \"gridded-2d\", which has missed finer ones on platforms that turn"
-            ),
-        );
-    }
     Some(SynthesisSpec {
         tolerance: table.number("tolerance")?,
         certificate: table.bool("certificate")?,

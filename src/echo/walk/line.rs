@@ -20,8 +20,8 @@ use std::sync::{Mutex, PoisonError};
 use glam::DVec3;
 
 use crate::flow::{
-    ArrayGeometry, CHUNK, EchoCounts, LineChunk, LineSink, LineSource, LineStretch, PathModel,
-    PingPlan,
+    ArrayGeometry, CHUNK, DopplerModel, EchoCounts, LineChunk, LineSink, LineSource, LineStretch,
+    PathModel, PingPlan,
 };
 
 use super::{
@@ -34,15 +34,38 @@ const CORNERS: usize = 8;
 /// A box wider than this much of its range is not small: its points are surveyed themselves.
 const SMALL_BOX: f64 = 0.25;
 
+/// Of the gain at the ends of a stretch, what its middle has at least.
+const NULL: f64 = 1e-6;
+/// Batches, about, whose echoes a survey hands on.
+const SAMPLED: usize = 16;
+
 /// Scratch of one thread of [`line_arrivals`].
-#[derive(Default)]
 pub struct LineWorkspace {
     track: LineTrack,
     rays: Rays,
     heard: Heard,
+    /// The same at an end of the stretch, and the gains at both.
+    end_rays: Rays,
+    end_heard: Heard,
+    gains: Box<[[f64; CHUNK]; 2]>,
     chunk: Box<LineChunk>,
     /// Of a survey.
     places: Box<Places>,
+}
+
+impl Default for LineWorkspace {
+    fn default() -> Self {
+        Self {
+            track: LineTrack::default(),
+            rays: Rays::default(),
+            heard: Heard::default(),
+            end_rays: Rays::default(),
+            end_heard: Heard::default(),
+            gains: Box::new([[0.0; CHUNK]; 2]),
+            chunk: Box::default(),
+            places: Box::default(),
+        }
+    }
 }
 
 impl LineWorkspace {
@@ -98,22 +121,45 @@ struct LineMotion {
     /// At `start_s`, and how it turns.
     axis: DVec3,
     turning_per_s: DVec3,
+    /// Beyond that, (t - start)(end - t) of it: on the continuous path the line lies as its attitude has it, and not on a chord between
+    /// vertices. Zero on others.
+    arc_per_s2: DVec3,
+    length_s: f64,
     /// In the path.
     velocity_m_per_s: DVec3,
+    /// Whether the path's velocity is that of Doppler, moment by moment.
+    exact: bool,
     /// Of Doppler, at `start_s`; and how it differs along the line.
     heard: Motion,
     heard_along_per_s: DVec3,
 }
 
 impl LineTrack {
-    fn motion_at(&self, time_s: f64) -> LineMotion {
+    fn motion_at(&self, plan: &PingPlan, array: &ArrayGeometry, time_s: f64) -> LineMotion {
         let (number, leg) = self.middle.leg_at(time_s);
         let ahead = self.ahead.leg(number);
+        let axis = ahead.origin_m - leg.origin_m;
+        let turning_per_s = ahead.velocity_m_per_s - leg.velocity_m_per_s;
+        let continuous = plan.model.path == PathModel::Continuous;
+        let length_s = match leg.end_s.is_finite() {
+            true => leg.end_s - leg.start_s,
+            false => plan.model.segment_s,
+        };
+        let arc_per_s2 = if continuous && length_s > 0.0 {
+            let pose = plan.trajectory.pose_at(leg.start_s + 0.5 * length_s);
+            let there = pose.world_from_body * (array.mounting.body_from_array * DVec3::X);
+            (there - axis - turning_per_s * (0.5 * length_s)) * (4.0 / (length_s * length_s))
+        } else {
+            DVec3::ZERO
+        };
         LineMotion {
             start_s: leg.start_s,
             until_s: leg.end_s,
-            axis: ahead.origin_m - leg.origin_m,
-            turning_per_s: ahead.velocity_m_per_s - leg.velocity_m_per_s,
+            axis,
+            turning_per_s,
+            arc_per_s2,
+            length_s,
+            exact: continuous && plan.model.doppler != DopplerModel::None,
             velocity_m_per_s: leg.velocity_m_per_s,
             heard: leg.doppler,
             heard_along_per_s: ahead.doppler.velocity_m_per_s - leg.doppler.velocity_m_per_s,
@@ -167,6 +213,19 @@ pub fn line_arrivals(
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) -> EchoCounts {
+    walk_batches(plan, array, stretch, lit, 1, work, sink)
+}
+
+/// [`line_arrivals`] of every so many batches.
+fn walk_batches(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    lit: &Illuminated,
+    every: usize,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) -> EchoCounts {
     let mut counts = EchoCounts::default();
     if lit.window.is_none() {
         return counts;
@@ -184,12 +243,17 @@ pub fn line_arrivals(
         track,
         rays,
         heard,
+        end_rays,
+        end_heard,
+        gains,
         chunk,
         ..
     } = work;
     let asked = stretch.earliest_s..stretch.latest_s;
 
-    for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
+    for (b, &(least_range_m, greatest_range_m)) in
+        lit.batch_range_m.iter().enumerate().step_by(every)
+    {
         if least_range_m > farthest_m || greatest_range_m < nearest_m {
             continue;
         }
@@ -222,7 +286,7 @@ pub fn line_arrivals(
         let whole = asked.contains(&first_s) && asked.contains(&last_s);
         let mut since_s = first_s;
         while since_s <= last_s {
-            let motion = track.motion_at(since_s);
+            let motion = track.motion_at(plan, array, since_s);
             let derivation = Derivation {
                 c,
                 motion: &motion,
@@ -232,6 +296,18 @@ pub fn line_arrivals(
                 rays,
             };
             derivation.run(&heard.doppler, chunk);
+            if stretch.fades {
+                let half_m = stretch.half_m;
+                for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
+                    see_from(rays, end_m, motion.axis * end_m, n, end_rays);
+                    weigh(&receive, lit, span.clone(), end_rays, end_heard);
+                    gains[..n].copy_from_slice(&end_heard.gain[..n]);
+                }
+                fade(&mut heard.gain[..n], gains, half_m, chunk);
+            } else {
+                chunk.fade_per_m[..n].fill(0.0);
+                chunk.curl_per_m2[..n].fill(0.0);
+            }
             let one_leg = since_s == first_s && last_s < motion.until_s;
             let mut used = 0;
             for i in 0..n {
@@ -270,6 +346,37 @@ pub fn line_arrivals(
     counts
 }
 
+/// The rays of a batch to a place on the line, `end_m` along it and `offset_m` in the world.
+fn see_from(rays: &Rays, end_m: f64, offset_m: DVec3, n: usize, to: &mut Rays) {
+    let n = n.min(CHUNK);
+    for i in 0..n {
+        to.x_m[i] = rays.x_m[i] - offset_m.x;
+        to.y_m[i] = rays.y_m[i] - offset_m.y;
+        to.z_m[i] = rays.z_m[i] - offset_m.z;
+        to.array_x_m[i] = rays.array_x_m[i] - end_m;
+        to.array_y_m[i] = rays.array_y_m[i];
+        to.array_z_m[i] = rays.array_z_m[i];
+    }
+}
+
+/// Fade and curl from the gains at both ends. Where the middle lies in a null it is given a millionth of what the ends hear, so that there
+/// is something to scale.
+fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
+    // A single element has no ends to speak of.
+    let per_m = if half_m > 0.0 { 0.5 / half_m } else { 0.0 };
+    let per_m2 = 2.0 * per_m * per_m;
+    for (i, gain) in gain.iter_mut().enumerate() {
+        let (before, after, here) = (ends[0][i], ends[1][i], *gain);
+        let least = NULL * before.abs().max(after.abs());
+        if here.abs() < least {
+            *gain = least.copysign(here);
+        }
+        let per_gain = if *gain == 0.0 { 0.0 } else { 1.0 / *gain };
+        chunk.fade_per_m[i] = (after - before) * per_m * per_gain;
+        chunk.curl_per_m2[i] = (after + before - 2.0 * here) * per_m2 * per_gain;
+    }
+}
+
 /// Sets out the stretch's way. Returns the nearest and the farthest that a scatterer heard in time can be from the transmitter, metres:
 /// 2 r_T - reach <= c u <= 2 r_T + reach.
 fn lay(
@@ -290,7 +397,8 @@ fn lay(
     )
 }
 
-/// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 1: corners of small boxes, and every point of others.
+/// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 0: corners of small boxes, and every point of others. And
+/// the echoes of every so many batches.
 pub fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -310,7 +418,7 @@ pub fn line_survey(
         }
         let (low_m, high_m) = lit.batch_box_m[b];
         if work.places.len > CHUNK - CORNERS {
-            survey_places(plan, stretch, None, lit, work, sink);
+            survey_places(plan, array, stretch, None, lit, work, sink);
         }
         if (high_m - low_m).length() < SMALL_BOX * least_range_m {
             for corner in 0..CORNERS {
@@ -328,16 +436,22 @@ pub fn line_survey(
             }
             continue;
         }
-        survey_places(plan, stretch, None, lit, work, sink);
+        survey_places(plan, array, stretch, None, lit, work, sink);
         for i in b * CHUNK..((b + 1) * CHUNK).min(lit.len()) {
             let at_m = DVec3::new(lit.x_m[i], lit.y_m[i], lit.z_m[i]);
             work.places
                 .push(at_m, lit.range_m[i], lit.closing_m_per_s[i]);
         }
         let asked = stretch.earliest_s..stretch.latest_s;
-        survey_places(plan, stretch, Some(asked), lit, work, sink);
+        survey_places(plan, array, stretch, Some(asked), lit, work, sink);
     }
-    survey_places(plan, stretch, None, lit, work, sink);
+    survey_places(plan, array, stretch, None, lit, work, sink);
+    let heard =
+        |&&(least_m, greatest_m): &&(f64, f64)| least_m <= farthest_m && greatest_m >= nearest_m;
+    let every = lit.batch_range_m.iter().filter(heard).count() / SAMPLED;
+    let fades = true;
+    let sampled = LineStretch { fades, ..stretch };
+    walk_batches(plan, array, sampled, lit, every.max(1), work, sink);
 }
 
 impl Places {
@@ -353,6 +467,7 @@ impl Places {
 /// Hands on the gathered places and forgets them; of exact ones only those `asked` for.
 fn survey_places(
     plan: &PingPlan,
+    array: &ArrayGeometry,
     stretch: LineStretch,
     asked: Option<std::ops::Range<f64>>,
     lit: &Illuminated,
@@ -365,6 +480,7 @@ fn survey_places(
         heard,
         chunk,
         places,
+        ..
     } = work;
     let n = std::mem::take(&mut places.len);
     if n == 0 {
@@ -389,7 +505,7 @@ fn survey_places(
     }
     let mut since_s = f64::NEG_INFINITY;
     loop {
-        let motion = track.motion_at(since_s.max(stretch.earliest_s));
+        let motion = track.motion_at(plan, array, since_s.max(stretch.earliest_s));
         let derivation = Derivation {
             c,
             motion: &motion,
@@ -411,7 +527,7 @@ fn survey_places(
             }
             chunk.delay_s[used] = delay_s;
             chunk.doppler[used] = heard.doppler[i];
-            chunk.amplitude[used] = Complex64::ONE;
+            chunk.amplitude[used] = Complex64::ZERO;
             if used < i {
                 chunk.move_derivatives(i, used);
             }
@@ -492,7 +608,10 @@ impl Derivation<'_> {
             start_s,
             axis: a0,
             turning_per_s: turning,
+            arc_per_s2: arc,
+            length_s,
             velocity_m_per_s: v,
+            exact,
             heard:
                 Motion {
                     velocity_m_per_s: w0,
@@ -514,14 +633,16 @@ impl Derivation<'_> {
                 w0.y + dw.y * after_s,
                 w0.z + dw.z * after_s,
             );
+            let within = after_s * (length_s - after_s);
             let (ax, ay, az) = (
-                a0.x + turning.x * after_s,
-                a0.y + turning.y * after_s,
-                a0.z + turning.z * after_s,
+                a0.x + turning.x * after_s + arc.x * within,
+                a0.y + turning.y * after_s + arc.y * within,
+                a0.z + turning.z * after_s + arc.z * within,
             );
-            let per_s = 1.0 / (c + dot(v));
+            let (vx, vy, vz) = if exact { (wx, wy, wz) } else { (v.x, v.y, v.z) };
+            let per_s = 1.0 / (c + (vx * x + vy * y + vz * z));
             let u_y = -(ax * x + ay * y + az * z) * per_s;
-            let (qx, qy, qz) = (ax + v.x * u_y, ay + v.y * u_y, az + v.z * u_y);
+            let (qx, qy, qz) = (ax + vx * u_y, ay + vy * u_y, az + vz * u_y);
             let s = -c * u_y;
             let closing = wx * x + wy * y + wz * z;
             let per_w = c / (c + closing);
