@@ -10,6 +10,9 @@ mod machine;
 mod ping;
 #[path = "bench/report.rs"]
 mod report;
+#[path = "../../tests/echo_model/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests of the echo model")]
+mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
 #[path = "bench/transform.rs"]
@@ -46,7 +49,8 @@ enum What {
     Echo {
         #[command(flatten)]
         common: Common,
-        /// Whole pings whose name, elements and scatterers contain this ("line 256 1000000"); without it all, and the other tables.
+        /// Whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3"); without
+        /// it all, and the other tables.
         #[arg(long)]
         only: Option<String>,
         /// best, portable, avx2, avx512.
@@ -89,7 +93,11 @@ fn echo(
         only: only.unwrap_or(""),
         dialects,
         threads,
-        most_scatterers: if common.quick { 50_000 } else { usize::MAX },
+        effort: if common.quick {
+            whole::QUICK
+        } else {
+            whole::FULL
+        },
     };
     whole::run(&selection, &mut report)?;
     report.keep(common.json.as_deref())
