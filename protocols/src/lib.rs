@@ -8,7 +8,14 @@
 //! caller's buffer.
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
+//! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
 
 #![forbid(unsafe_code)]
 
+pub mod calendar;
+pub mod framing;
+pub mod jsf;
+mod layout;
 pub mod sevenk;
+
+pub use layout::WireError;

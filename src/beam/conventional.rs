@@ -23,7 +23,8 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::matched::{Correlator, shading_weight};
+use super::matched::Correlator;
+use super::weights;
 use crate::config::spec::{FanSpec, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
 
@@ -85,9 +86,8 @@ impl FanFormer {
             Correlator::new(pulse, limits, 2 * travel + GUARD_SAMPLES, Shading::Uniform);
         let length = correlator.length();
 
-        let weights: Vec<_> = (0..array.elements)
-            .map(|e| shading_weight(fan.shading, e, array.elements))
-            .collect();
+        let mut weights = vec![0.0; array.elements];
+        weights::fill(fan.shading, &mut weights);
         let sum: f64 = weights.iter().sum();
         let angle_rad: Vec<_> = (0..fan.beams)
             .map(|b| beam_angle_rad(b, fan.beams, fan.sector_rad))

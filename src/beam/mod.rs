@@ -9,11 +9,13 @@
 //! by beam, so that the samples are the same bits for any number of threads.
 //!
 //! Not modelled: focusing in the near field, motion during reception in the steering delays, synthetic aperture.
+pub mod block;
 pub mod conventional;
 pub mod matched;
 pub mod sidescan;
 #[cfg(test)]
 mod test_rig;
+pub mod weights;
 
 /// The largest row a former will meet; its buffers and transforms are sized from it.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -622,10 +622,37 @@ pub struct FanSpec {
     pub shading: Shading,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shading {
+    #[default]
     Uniform,
     Hann,
+    Hamming,
+    Taylor {
+        side_lobe_db: f64,
+    },
+    /// Along a pulse: Taylor's of the same side lobes.
+    Chebyshev {
+        side_lobe_db: f64,
+    },
+    Kaiser {
+        beta: f64,
+    },
+}
+
+impl Shading {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Hann => "hann",
+            Self::Hamming => "hamming",
+            Self::Taylor { .. } => "taylor",
+            Self::Chebyshev { .. } => "chebyshev",
+            Self::Kaiser { .. } => "kaiser",
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
