@@ -27,12 +27,17 @@ fn transforms_and_elements_allocate_nothing() {
     for i in 0..CHUNK {
         chunk.delay_s[i] = 1e-4 * i as f64;
         chunk.doppler[i] = 1.5e-5 * (i as f64 - 128.0);
+        chunk.curvature_per_s[i] = 3e-5 * (i as f64 - 128.0);
         chunk.amplitude[i] = Complex64::ONE;
     }
     let mut out = vec![Complex64::ZERO; 1200];
 
     // One column and many; f32, mixed and f64.
-    for doppler in [DopplerModel::None, DopplerModel::Stretch] {
+    for doppler in [
+        DopplerModel::None,
+        DopplerModel::Stretch,
+        DopplerModel::StretchQuadratic,
+    ] {
         for tolerance in [1e-2, 1e-5, 1e-8] {
             let spec = Spec {
                 pulse: &pulse,
@@ -41,6 +46,7 @@ fn transforms_and_elements_allocate_nothing() {
                 filter: Some(&filter),
                 doppler,
                 span,
+                curvature_per_s: 4e-3,
                 tolerance,
                 level_range_db: 50.0,
                 arrivals: CHUNK,

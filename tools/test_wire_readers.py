@@ -5,6 +5,7 @@ written before, name it in WIRE_SAMPLES.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -89,6 +90,124 @@ class Jsf(unittest.TestCase):
         for _, pressure in self.of_type(2060):
             self.assertEqual((pressure.pressure, pressure.sound_velocity), (14696, 1500000))
         self.assertEqual([len(self.of_type(kind)) for kind in (2020, 2060, 2002)], [3, 3, 3])
+
+
+class Xtf(unittest.TestCase):
+    """pyxtf: its own ctypes tables."""
+
+    @classmethod
+    def setUpClass(cls):
+        import pyxtf
+        cls.header, cls.packets = pyxtf.xtf_read(sample("sample.xtf"))
+        cls.pings = cls.packets[pyxtf.XTFHeaderType.sonar]
+        cls.attitudes = cls.packets[pyxtf.XTFHeaderType.attitude]
+
+    def test_channels_are_as_stated(self):
+        self.assertEqual((self.header.NumberOfSonarChannels, self.header.NavUnits), (3, 3))
+        kinds = [(c.TypeOfChannel, c.BytesPerSample, c.SampleFormat) for c in self.header.sonar_info]
+        self.assertEqual(kinds, [(1, 2, 3), (2, 4, 5), (1, 1, 8)])
+
+    def test_samples_are_exact(self):
+        self.assertEqual(len(self.pings), 3)
+        for number, ping in enumerate(self.pings):
+            self.assertEqual([len(d) for d in ping.data], [500] * 3)
+            np.testing.assert_array_equal(ping.data[0], count(number, 0, 500) + 20000)
+            np.testing.assert_array_equal(ping.data[1], (count(number, 1, 500) + 20000) / 512.0)
+            np.testing.assert_array_equal(ping.data[2], (count(number, 2, 500) + 20000) % 256)
+
+    def test_time_place_and_attitude_are_those_of_the_ping(self):
+        for number, ping in enumerate(self.pings):
+            # To 0.01 s, rounded.
+            self.assertEqual(ping.get_time(), np.datetime64("2025-06-15T15:06:40.120") + np.timedelta64(100 * number, "ms"))
+            self.assertEqual((ping.SensorYcoordinate, ping.SensorXcoordinate), (LATITUDE, LONGITUDE))
+            got = (ping.SensorPitch, ping.SensorRoll, ping.SensorHeading, ping.Heave, ping.SoundVelocity)
+            for value, expected in zip(got, (PITCH, ROLL, HEADING, 0.25, 750.0)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        for number, attitude in enumerate(self.attitudes):
+            self.assertEqual(attitude.get_time(), np.datetime64("2025-06-15T15:06:40.123456") + np.timedelta64(100 * number, "ms"))
+            for value, expected in zip((attitude.Pitch, attitude.Roll, attitude.Heading), (PITCH, ROLL, HEADING)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        self.assertEqual(len(self.attitudes), 3)
+
+
+@unittest.skipUnless(shutil.which("tshark"), "tshark is not installed")
+class Vita49(unittest.TestCase):
+    """Wireshark's dissector of VITA 49, on a capture."""
+
+    @classmethod
+    def setUpClass(cls):
+        fields = ["type", "sid", "seq", "ts_int", "ts_frac_picosecond", "valid", "overrng", "data"]
+        command = ["tshark", "-r", sample("sample_vita49.pcap"), "-Y", "vrt", "-T", "fields", "-E", "separator=,"]
+        for field in fields:
+            command += ["-e", "vrt." + field]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, text=True)
+        cls.packets = [dict(zip(fields, line.split(","))) for line in done.stdout.splitlines()]
+
+    def of(self, kind, stream):
+        return [p for p in self.packets if int(p["type"]) == kind and int(p["sid"], 0) == stream]
+
+    def test_samples_of_the_vector_stream_are_exact_and_flagged(self):
+        data = self.of(1, 0x100)
+        self.assertTrue(all((p["valid"], p["overrng"]) == ("1", "0") for p in data), data[0])
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in data)), dtype=">i2").reshape(3, 500, 4, 2)
+        for ping in range(3):
+            for element in range(4):
+                np.testing.assert_array_equal(got[ping, :, element, :].ravel(), count(ping, element, 1000))
+
+    def test_samples_of_the_real_stream_are_exact(self):
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in self.of(1, 0x200))), dtype=">i2").reshape(3, 500)
+        for ping in range(3):
+            np.testing.assert_array_equal(got[ping], count(ping, 9, 500))
+
+    def test_packets_are_counted_and_their_times_are_their_first_samples(self):
+        for stream, rate, sample_bytes in ((0x100, 50e3, 16), (0x200, 2e6, 2)):
+            data = self.of(1, stream)
+            self.assertEqual([int(p["seq"]) for p in data], [n % 16 for n in range(len(data))])
+            self.assertEqual([int(p["seq"]) for p in self.of(4, stream)], [0, 1, 2])
+            before = 0
+            for packet in data:
+                ping, sample_in_ping = divmod(before, 500)
+                expected = 123456789000 + ping * 100000000000 + round(sample_in_ping / rate * 1e12)
+                self.assertEqual((int(packet["ts_int"]), int(packet["ts_frac_picosecond"])), (UTC_S, expected))
+                before += len(packet["data"]) // 2 // sample_bytes
+            self.assertEqual(before, 3 * 500)
+
+
+@needs_310
+class SigMf(unittest.TestCase):
+    """The reference implementation: its schema, and its reading of the samples."""
+
+    def test_words_are_valid_and_samples_exact(self):
+        import sigmf
+        recording = sigmf.sigmffile.fromfile(sample("sample.sigmf-meta"), autoscale=False)
+        recording.validate()
+        self.assertEqual(recording.get_global_field("core:num_channels"), 4)
+        for ping in range(3):
+            capture = recording.get_captures()[ping]
+            self.assertEqual((capture["core:sample_start"], capture["core:frequency"]), (500 * ping, 430e3))
+            self.assertEqual(capture["core:datetime"], "2025-06-15T15:06:40.%d23456789Z" % (1 + ping))
+            got = recording.read_samples(start_index=500 * ping, count=500)
+            self.assertEqual(got.shape, (500, 4))
+            for element in range(4):
+                numbers = count(ping, element, 1000)
+                np.testing.assert_array_equal(got[:, element], numbers[::2] + 1j * numbers[1::2])
+
+
+class Wav(unittest.TestCase):
+    """libsndfile, by soundfile."""
+
+    def test_eight_channels_are_exact_in_riff_and_rf64(self):
+        import soundfile
+        for name, kind, container, dtype, scale in (
+            ("sample_i16.wav", "PCM_16", "WAVEX", "int16", 1),
+            ("sample_i32_rf64.wav", "PCM_32", "RF64", "int32", 65536),
+            ("sample_f32.wav", "FLOAT", "WAVEX", "float32", 1 / 32768.0),
+        ):
+            about = soundfile.info(sample(name))
+            self.assertEqual((about.subtype, about.format, about.samplerate, about.channels, about.frames), (kind, container, 192000, 8, 500))
+            data, _ = soundfile.read(sample(name), dtype=dtype)
+            for channel in range(8):
+                np.testing.assert_array_equal(data[:, channel], count(0, channel, 500) * scale)
 
 
 if __name__ == "__main__":

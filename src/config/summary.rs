@@ -46,6 +46,8 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
             }
             NavInputSpec::Udp { listen, .. } => format!("UDP {listen}"),
             NavInputSpec::Serial { port, baud } => format!("{port} at {baud} Bd"),
+            NavInputSpec::TcpConnect { address } => format!("TCP server {address}"),
+            NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
         line(out, "", &format!("{}: {input}", source.name))?;
     }

@@ -108,6 +108,8 @@ impl Gridded {
                 least: -0.3 * fastest,
                 greatest: 0.3 * fastest,
             },
+            // A platform of that speed at 36 m: 25/(36 1500).
+            curvature_per_s: 5e-4,
             tolerance,
             level_range_db: 55.0,
             arrivals,

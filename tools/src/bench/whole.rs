@@ -470,6 +470,9 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
             least: -fastest,
             greatest: fastest,
         },
+        // At 18 m, half the least slant range: room to spare.
+        curvature_per_s: ready.ping.velocity_m_per_s.length_squared()
+            / (18.0 * SOUND_SPEED_M_PER_S),
         tolerance: ready.ping.tolerance,
         level_range_db: 60.0,
         arrivals: ready.ping.scatterers,
