@@ -55,6 +55,9 @@ enum What {
         /// it all, and the other tables.
         #[arg(long)]
         only: Option<String>,
+        /// Of whole pings one method alone: direct, spectral, gridded-1d, gridded-2d.
+        #[arg(long)]
+        method: Option<String>,
         /// best, portable, avx2, avx512.
         #[arg(long, value_delimiter = ',', default_value = "best")]
         dialects: Vec<String>,
@@ -84,35 +87,27 @@ enum What {
         directory: PathBuf,
         #[arg(long, default_value_t = 1_000_000)]
         scatterers: usize,
+        /// Of a line of so many elements ...
+        #[arg(long, default_value_t = 1)]
+        elements: usize,
+        /// ... this one.
+        #[arg(long, default_value_t = 0)]
+        element: usize,
     },
     /// Run transforms as standard input asks, one per line.
     TransformServe { directory: PathBuf },
 }
 
-fn echo(
-    common: &Common,
-    only: Option<&str>,
-    dialects: &[String],
-    threads: &[usize],
-) -> Result<(), String> {
+fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
     let mut report = Report::new();
+    let only = (!selection.only.is_empty()).then_some(selection.only);
     if only.is_none() {
         echo::run(common.quick, &mut report);
     }
     if only.is_none() || only == Some("forward-looking") {
-        forward_looking::run(threads, &mut report)?;
+        forward_looking::run(selection.threads, &mut report)?;
     }
-    let selection = whole::Selection {
-        only: only.unwrap_or(""),
-        dialects,
-        threads,
-        effort: if common.quick {
-            whole::QUICK
-        } else {
-            whole::FULL
-        },
-    };
-    whole::run(&selection, &mut report)?;
+    whole::run(selection, &mut report)?;
     report.keep(common.json.as_deref())
 }
 
@@ -121,9 +116,23 @@ fn main() -> std::process::ExitCode {
         What::Echo {
             common,
             only,
+            method,
             dialects,
             threads,
-        } => echo(&common, only.as_deref(), &dialects, &threads),
+        } => {
+            let selection = whole::Selection {
+                only: only.as_deref().unwrap_or(""),
+                method: method.as_deref(),
+                dialects: &dialects,
+                threads: &threads,
+                effort: if common.quick {
+                    whole::QUICK
+                } else {
+                    whole::FULL
+                },
+            };
+            echo(&common, &selection)
+        }
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
         What::Nav {
             common,
@@ -138,7 +147,9 @@ fn main() -> std::process::ExitCode {
         What::TransformDump {
             directory,
             scatterers,
-        } => transform::dump(&directory, scatterers),
+            elements,
+            element,
+        } => transform::dump(&directory, scatterers, elements, element),
         What::TransformServe { directory } => transform::serve(&directory),
     };
     match done {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use sweep::case::{self, Case, MOTIONS, SCENES};
 use sweep::measure;
 use sweep::methods::{Method, Reason};
-use sweep::table::{Cell, KNOWN, MEASURES, Row, TOLERANCES, doubt, heading};
+use sweep::table::{Cell, KNOWN, MEASURES, Measured, Row, TOLERANCES, doubt, heading};
 
 const ABOUT: &str = "\
 Three lines a method, all of the worst of every window of a pulse's length (32 samples at least), sample by sample, at three elements. First: the
@@ -159,19 +159,32 @@ fn random(count: u64) -> String {
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);
-    text += "\nabove in noise:\n";
-    for one in all.iter().filter(|one| !one.cell.holds(|e| e.in_noise)) {
-        if let Ok(m) = &one.cell.outcome {
-            text += &format!(
-                "{} at {:.0e}: {:.1e} in noise, {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
-                one.method.name(),
-                one.cell.tolerance,
-                m.error.in_noise,
-                m.error.beside,
-                m.predicted,
-                m.chosen.text(),
-                one.about
-            );
+    text += "\nabove in noise, the worst of each:\n";
+    for method in Method::ALL {
+        for &tolerance in tolerances {
+            let misses = all.iter().filter(|one| {
+                let here = one.method == method && one.cell.tolerance == tolerance;
+                here && !one.cell.holds(|e| e.in_noise)
+            });
+            let misses: Vec<(&Measured, &One)> = misses
+                .filter_map(|one| Some((one.cell.outcome.as_ref().ok()?, one)))
+                .collect();
+            let in_noise = |m: &Measured| m.error.in_noise;
+            let worst = misses
+                .iter()
+                .max_by(|a, b| in_noise(a.0).total_cmp(&in_noise(b.0)));
+            if let Some((m, one)) = worst {
+                text += &format!(
+                    "{} at {tolerance:.0e}, {} answers: {:.1e} in noise, {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
+                    method.name(),
+                    misses.len(),
+                    m.error.in_noise,
+                    m.error.beside,
+                    m.predicted,
+                    m.chosen.text(),
+                    one.about
+                );
+            }
         }
     }
     text

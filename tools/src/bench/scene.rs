@@ -89,27 +89,35 @@ impl Scene {
 
     /// Arrivals at each element, as the walk makes them.
     pub fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
-        let array = self.array(elements);
+        (0..elements)
+            .map(|element| self.chunks_at(elements, element))
+            .collect()
+    }
+
+    /// The same at one of `elements`.
+    pub fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
         let mut lit = Illuminated::new();
         let window = Window {
             first_s: 0.0,
             last_s: WINDOW_S,
         };
-        illuminate(
-            &self.plan,
-            &self.transmit,
-            window,
-            &self.scatterers,
-            &mut lit,
+        let Self {
+            plan,
+            transmit,
+            scatterers,
+        } = self;
+        illuminate(plan, transmit, window, scatterers, &mut lit);
+        let mut kept = Kept(Vec::new());
+        let array = self.array(elements);
+        arrivals(
+            plan,
+            &array,
+            element,
+            &lit,
+            &mut Workspace::new(),
+            &mut kept,
         );
-        (0..elements)
-            .map(|element| {
-                let mut kept = Kept(Vec::new());
-                let mut work = Workspace::new();
-                arrivals(&self.plan, &array, element, &lit, &mut work, &mut kept);
-                kept.0
-            })
-            .collect()
+        kept.0
     }
 }
 

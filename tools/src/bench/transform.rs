@@ -19,8 +19,8 @@ struct Points {
 }
 
 impl Points {
-    /// Arrivals at one element of the scene, in no order.
-    fn new(scatterers: usize) -> Self {
+    /// Arrivals at one element of a line over the scene, in no order.
+    fn new(scatterers: usize, elements: usize, element: usize) -> Self {
         let scene = Scene::new(Shape {
             scatterers,
             speed_m_per_s: 5.0,
@@ -31,7 +31,7 @@ impl Points {
             delay_s: Vec::new(),
             amplitude: Vec::new(),
         };
-        for chunk in &scene.chunks(1)[0] {
+        for chunk in &scene.chunks_at(elements, element) {
             for i in 0..chunk.len {
                 let turns = CARRIER_HZ * chunk.delay_s[i];
                 let carrier =
@@ -90,9 +90,19 @@ fn write(path: &Path, values: impl IntoIterator<Item = f64>) -> Result<(), Strin
 }
 
 /// Writes `delay_s.f64`, `amplitude.c128` and `direct.c128` into `directory`, little-endian and raw.
-pub fn dump(directory: &Path, scatterers: usize) -> Result<(), String> {
+pub fn dump(
+    directory: &Path,
+    scatterers: usize,
+    elements: usize,
+    element: usize,
+) -> Result<(), String> {
+    if element >= elements {
+        return Err(format!(
+            "element {element} of {elements}: they are counted from 0"
+        ));
+    }
     std::fs::create_dir_all(directory).map_err(|e| format!("{}: {e}", directory.display()))?;
-    let points = Points::new(scatterers);
+    let points = Points::new(scatterers, elements, element);
     let flat = |v: &[Complex64]| v.iter().flat_map(|c| [c.re, c.im]).collect::<Vec<_>>();
     write(
         &directory.join("delay_s.f64"),

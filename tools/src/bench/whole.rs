@@ -560,6 +560,8 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect) -> Outcome {
 /// What to run: dialects by name, numbers of threads, a part of a ping's label.
 pub struct Selection<'a> {
     pub only: &'a str,
+    /// None: all.
+    pub method: Option<&'a str>,
     pub dialects: &'a [String],
     pub threads: &'a [usize],
     pub effort: Effort,
@@ -597,7 +599,7 @@ pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
         for &threads in selection.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             pool.map_err(|e| e.to_string())?
-                .install(|| one(&mut ready, threads, selection.dialects, report))?;
+                .install(|| one(&mut ready, threads, selection, report))?;
         }
     }
     Ok(())
@@ -606,30 +608,33 @@ pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
 fn one(
     ready: &mut Ready,
     threads: usize,
-    dialects: &[String],
+    selection: &Selection,
     report: &mut Report,
 ) -> Result<(), String> {
     let ping = ready.ping;
-    for (k, name) in dialects.iter().enumerate() {
+    let wanted = |method: &str| selection.method.is_none_or(|name| name == method);
+    for (k, name) in selection.dialects.iter().enumerate() {
         let dialect = dialect_named(name)?;
         let mut methods: Vec<(&str, Outcome, Error)> = Vec::new();
         let mut add = |name, ready: &mut Ready, outcome: Outcome| {
             methods.push((name, outcome, ready.error()));
         };
-        let outcome = gridded_1d(ready, dialect);
-        add("gridded-1d", ready, outcome);
-        if ping.elements >= LEAST_LINE {
+        if wanted("gridded-1d") {
+            let outcome = gridded_1d(ready, dialect);
+            add("gridded-1d", ready, outcome);
+        }
+        if ping.elements >= LEAST_LINE && wanted("gridded-2d") {
             let outcome = gridded_2d(ready, dialect);
             add("gridded-2d", ready, outcome);
         }
         // What is the same in every dialect.
-        if k == 0 {
+        if k == 0 && wanted("direct") {
             let outcome = direct(ready);
             add("direct", ready, outcome);
-            if ping.velocity_m_per_s == STILL {
-                let outcome = spectral(ready);
-                add("spectral", ready, outcome);
-            }
+        }
+        if k == 0 && ping.velocity_m_per_s == STILL && wanted("spectral") {
+            let outcome = spectral(ready);
+            add("spectral", ready, outcome);
         }
         for (method, outcome, error) in methods {
             let v = ping.velocity_m_per_s;

@@ -1,0 +1,72 @@
+"""A line array of 256: FINUFFT element by element, delays and amplitudes given to it, against whole pings of ours with geometry, sonar
+equation, Doppler, receiver filter and return to time included, on the same scatterers in one run: ours before and after FINUFFT's turns.
+
+FINUFFT is timed on some of the elements (setpts, which sorts, and execute) and the time of all counted from their mean: every element has
+the same number of points, and no two the same ones.
+"""
+
+import argparse
+import json
+import subprocess
+import tempfile
+import time
+
+from peers_bench import BINS, PERIOD_S, Points, load
+import finufft
+import numpy as np
+
+ELEMENTS = 256
+
+
+def ours(bench, scatterers):
+    """(threads -> [best ms, worst window, what it says]) of our line engine's pings."""
+    with tempfile.NamedTemporaryFile(suffix=".json") as file:
+        only = f"grid {ELEMENTS} {scatterers} "
+        command = [bench, "echo", "--only", only, "--method", "gridded-2d", "--threads", "1,2", "--json", file.name]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        rows = json.load(file)["rows"]
+    return {row["threads"]: (row["ms_best"], row["error_worst_window"], row["says"]) for row in rows}
+
+
+def main():
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("build")
+    arguments.add_argument("bench")
+    arguments.add_argument("directories", nargs="+")
+    arguments.add_argument("--rounds", type=int, default=8)
+    given = arguments.parse_args()
+    elements = [Points(directory) for directory in given.directories]
+    scatterers = len(elements[0].delay_s)
+    before = ours(given.bench, scatterers)
+    print(
+        f"FINUFFT {finufft.__version__}, {given.build} build: {ELEMENTS} calls, from {len(elements)} elements timed, "
+        f"{scatterers} unsorted points each, {BINS} bins, f32, eps 1e-3, {load()}"
+    )
+    theirs = {}
+    for threads in (1, 2):
+        plan = finufft.Plan(1, (BINS,), eps=1e-3, isign=-1, dtype="complex64", nthreads=threads)
+        best, errors = [], []
+        for points in elements:
+            phase = 2 * np.pi * points.delay_s / PERIOD_S
+            x = np.where(phase >= np.pi, phase - 2 * np.pi, phase).astype("float32")
+            c = points.amplitude.astype("complex64")
+            took = []
+            for _ in range(given.rounds):
+                start = time.perf_counter()
+                plan.setpts(x)
+                got = plan.execute(c)
+                took.append((time.perf_counter() - start) * 1e3)
+            best.append(min(took))
+            errors.append(points.error(got))
+        theirs[threads] = ELEMENTS * float(np.mean(best))
+        print(f"    {threads} threads: error {max(errors):.1e}, {np.mean(best):8.2f} ms an element, {theirs[threads]:9.0f} ms for all")
+    after = ours(given.bench, scatterers)
+    for threads in before:
+        ms, error, says = min(before[threads], after[threads])
+        print(
+            f"    ours, {threads} threads: error {error:.1e} in the worst window looked at, {ms:8.1f} ms a ping, "
+            f"ratio {theirs[threads] / ms:.1f} (wanted 30); {says}; {load()}"
+        )
+
+
+main()
