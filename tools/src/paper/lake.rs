@@ -27,11 +27,14 @@ pub fn figure_17(out: &Path) -> Result<Value, String> {
     picture::write(&out.join("fig17.png"), &[(&grid, look)])?;
     Ok(json!({
         "figure": "17", "picture": "slant range to the right, north up", "pings": heard.len(),
-        "piers": piers(&heard, axis, &targets, 0.0),
+        "piers": piers(&heard, axis, &targets).iter().map(|p| json!({
+            "name": p.name, "true_east_m": p.true_east_m, "slant_range_m": p.slant_range_m, "near_wall_shown_at_m": p.shown_range_m,
+        })).collect::<Vec<_>>(),
     }))
 }
 
 pub fn figure_18(out: &Path) -> Result<Value, String> {
+    let (straight, _) = pings::run(&pings::load("fig17.toml")?)?;
     let spec = pings::load("fig18.toml")?;
     let (heard, targets) = pings::run(&spec)?;
     let axis = RangeAxis::new(
@@ -61,13 +64,23 @@ pub fn figure_18(out: &Path) -> Result<Value, String> {
         &out.join("fig18.png"),
         &[(&curve, black_and_white), (&grid, look)],
     )?;
+    // What the picture, read as if the track were straight, moves each pier by.
+    let before = piers(&straight, axis, &targets);
+    let shifts: Vec<Value> = piers(&heard, axis, &targets)
+        .iter()
+        .filter_map(|p| {
+            let was = before.iter().find(|b| b.name == p.name)?;
+            let moved_m = p.shown_east_m - was.shown_east_m;
+            Some(json!({ "name": p.name, "sway_m": p.sway_m, "predicted_displacement_m": -p.sway_m, "displacement_m": moved_m }))
+        })
+        .collect();
     let greatest = heard
         .iter()
         .map(|h| h.plan.nav.pose.position_m.y.abs())
         .fold(0.0, f64::max);
     Ok(json!({
         "figure": "18", "picture": "sway, -15 to 15 m to starboard; slant range to the right, north up", "greatest_sway_m": greatest,
-        "piers": piers(&heard, axis, &targets, 0.0),
+        "piers": shifts,
     }))
 }
 
@@ -86,37 +99,52 @@ fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
     grid
 }
 
-/// For each pier: the slant range at which its ping shows it, against the truth, and where a straight track at `track_east_m` would put it.
-fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target], track_east_m: f64) -> Vec<Value> {
+/// One pier as its ping shows it.
+struct Pier {
+    name: String,
+    sway_m: f64,
+    true_east_m: f64,
+    slant_range_m: f64,
+    shown_range_m: f64,
+    /// On a straight track at east 0, the depth of the pier's middle.
+    shown_east_m: f64,
+}
+
+/// Piers that nothing stands before, by the brightest echo about their near wall.
+fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
+    let hidden = |t: &Target| {
+        targets.iter().any(|o| {
+            let (to, from) = (o.position_m, t.position_m);
+            (to.x - from.x).abs() < 0.5 && to.y < from.y && from.y - to.y < 8.0
+        })
+    };
     let mut rows = Vec::new();
-    for target in targets {
-        let abeam = heard.iter().min_by(|a, b| {
-            let off = |h: &Heard| (h.plan.nav.pose.position_m.x - target.position_m.x).abs();
-            off(a).total_cmp(&off(b))
-        });
-        let Some(ping) = abeam else { continue };
-        let pose = &ping.plan.nav.pose;
-        if (pose.position_m.x - target.position_m.x).abs() > 1.0 {
+    for target in targets.iter().filter(|t| !hidden(t)) {
+        let off = |h: &Heard| (h.plan.nav.pose.position_m.x - target.position_m.x).abs();
+        let Some(ping) = heard.iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
             continue;
-        }
+        };
+        let pose = &ping.plan.nav.pose;
         let east_m = target.position_m.y - pose.position_m.y;
         let down_m = target.position_m.z - pose.position_m.z;
-        let slant_m = east_m.hypot(down_m);
-        // The wall that faces the sonar stands a radius nearer; at its top it is nearer still: the first strong echo within 8 m.
+        let slant_range_m = east_m.hypot(down_m);
         let line = &ping.output.lines[0].amplitude;
-        let near = axis.sample(slant_m - 8.0)..axis.sample(slant_m + 2.0).min(line.len());
-        let first = near.start;
-        let brightest = line[near]
-            .iter()
-            .enumerate()
-            .fold((0, 0.0_f32), |b, (k, a)| if *a > b.1 { (k, *a) } else { b });
-        let shown_m = axis.slant_range_m(first + brightest.0);
-        let shown_east_m = (shown_m * shown_m - down_m * down_m).max(0.0).sqrt() + track_east_m;
-        rows.push(json!({
-            "name": target.name, "sway_m": pose.position_m.y, "slant_range_m": slant_m, "brightest_at_m": shown_m,
-            "true_east_m": target.position_m.y, "east_if_the_track_were_straight_m": shown_east_m,
-            "displacement_m": shown_east_m - target.position_m.y, "predicted_displacement_m": -pose.position_m.y,
-        }));
+        let near = axis.sample(slant_range_m - 4.0)..axis.sample(slant_range_m + 1.0);
+        let Some(inside) = line.get(near.clone()) else {
+            continue;
+        };
+        let brightest = (0..inside.len()).fold(0, |b, k| if inside[k] > inside[b] { k } else { b });
+        let shown_range_m = axis.slant_range_m(near.start + brightest);
+        rows.push(Pier {
+            name: target.name.clone(),
+            sway_m: pose.position_m.y,
+            true_east_m: target.position_m.y,
+            slant_range_m,
+            shown_range_m,
+            shown_east_m: (shown_range_m * shown_range_m - down_m * down_m)
+                .max(0.0)
+                .sqrt(),
+        });
     }
     rows
 }
