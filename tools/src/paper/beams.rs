@@ -1,0 +1,171 @@
+//! Fig. 11: five subarrays at 10 knots. The far-field beams of `conventional` are out of focus near by, and show each curve many times over;
+//! `dynamic-focus` is not.
+
+use std::path::Path;
+
+use echotank::config::spec::{Former, RigSpec};
+use echotank::flow::BeamFrame;
+use echotank::image::colour::ColourMap;
+use echotank::run::pipeline::SonarPipeline;
+use glam::DVec3;
+use serde_json::{Value, json};
+
+use super::picture::{self, Grid, Look};
+use super::pings::{self, Heard};
+
+const CELL_M: f64 = 0.06;
+const RANGE_M: (f64, f64) = (29.0, 75.0);
+const TRACK_M: (f64, f64) = (0.0, 36.0);
+/// Ranges of the points whose images are measured.
+const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 72.0];
+
+pub fn figure_11(out: &Path) -> Result<Value, String> {
+    let mut grids = Vec::new();
+    let mut rows = Vec::new();
+    for name in ["fig11_conventional.toml", "fig11_focused.toml"] {
+        let spec = pings::load(name)?;
+        let (heard, _) = pings::run(&spec)?;
+        grids.push(lay(&spec, &heard));
+        rows.push(json!({ "config": name, "points": points(&spec, &heard[heard.len() / 2])? }));
+    }
+    let look = Look::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
+    let panels: Vec<_> = grids.iter().map(|g| (g, look)).collect();
+    picture::write(&out.join("fig11.png"), &panels)?;
+    Ok(json!({
+        "figure": "11", "panels": "conventional, dynamic focus; slant range to the right, north up",
+        "loss_db": "peak of the beams against the same point's under perfect focus (all subarrays in phase)",
+        "false_alarm_db": "greatest level beyond one beam width (and half of it) of the point, against the peak",
+        "rows": rows,
+    }))
+}
+
+/// Where along the track a sample of a beam lies: focused beams count from where the array was at the start of the pulse, far-field beams from where it
+/// is when it hears.
+fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
+    let pose = &heard.plan.nav.pose;
+    let c = heard.plan.sound_speed_m_per_s;
+    let moved = match spec.sonars[0].beams.fan.as_ref().map(|f| f.form.former) {
+        Some(Former::DynamicFocus) => 0.0,
+        _ => pose.velocity_m_per_s.x * 2.0 * range_m / c,
+    };
+    pose.position_m.x + moved + range_m * sine
+}
+
+/// Every cell from the beam that passes nearest.
+fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
+    let width = ((RANGE_M.1 - RANGE_M.0) / CELL_M) as usize;
+    let height = ((TRACK_M.1 - TRACK_M.0) / CELL_M) as usize;
+    let mut grid = Grid::new(width, height);
+    let mut nearest = vec![f64::INFINITY; width * height];
+    let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
+    for ping in heard {
+        let fan = &ping.output.beams[0];
+        let c = ping.plan.sound_speed_m_per_s;
+        let step = fan.angle_rad[1] - fan.angle_rad[0];
+        let sample = |range_m: f64| {
+            ((2.0 * range_m / c - ping.plan.first_sample_s) * rate_hz).max(0.0) as usize
+        };
+        for x in 0..width {
+            let range_m = RANGE_M.0 + (x as f64 + 0.5) * CELL_M;
+            let samples = sample(range_m - 0.5 * CELL_M)..sample(range_m + 0.5 * CELL_M);
+            for (b, angle) in fan.angle_rad.iter().enumerate() {
+                let Some(inside) = fan.beam(b).get(samples.clone()).filter(|s| !s.is_empty())
+                else {
+                    continue;
+                };
+                let power = inside.iter().map(|y| y.norm_sqr()).sum::<f64>() / inside.len() as f64;
+                let at_m = along_m(spec, ping, angle.sin(), range_m);
+                let reach_m = (0.75 * step * range_m).max(CELL_M);
+                let top = ((TRACK_M.1 - at_m - reach_m) / CELL_M).max(0.0) as usize;
+                for y in top..height {
+                    let north_m = TRACK_M.1 - (y as f64 + 0.5) * CELL_M;
+                    if north_m < at_m - reach_m {
+                        break;
+                    }
+                    let off_m = (north_m - at_m).abs();
+                    if off_m <= reach_m && off_m < nearest[y * width + x] {
+                        nearest[y * width + x] = off_m;
+                        grid.set(x, y, 10.0 * power.log10() as f32);
+                    }
+                }
+            }
+        }
+    }
+    grid
+}
+
+/// Images of single points on the boresight plane: loss of the peak, width, and the greatest false echo.
+fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
+    let mut wide = spec.clone();
+    let sonar = &mut wide.sonars[0];
+    let Some(fan) = &mut sonar.beams.fan else {
+        return Err("the configuration has no fan".into());
+    };
+    // Finer and wider than the picture's, all within the first null of the transmitter.
+    fan.beams = 401;
+    fan.sector_rad = 2.0_f64.to_radians();
+    let (focused, array) = (fan.form.former == Former::DynamicFocus, fan.array);
+    let array = sonar.receive[array].clone();
+    let c = wide.medium.sound_speed_m_per_s;
+    let wavelength_m = c / sonar.pulse.center_frequency_hz;
+    let lobe = 0.886 * wavelength_m / (array.spacing_m * array.elements as f64);
+    let mut pipeline =
+        SonarPipeline::new(&wide.sonars[0], &wide.medium).map_err(|e| e.to_string())?;
+    let mut output = pipeline.blank_output();
+    let (plan, pose) = (&heard.plan, &heard.plan.nav.pose);
+    let down = 30f64.to_radians();
+    let mut rows = Vec::new();
+    for range_m in POINTS_M {
+        let north_m = pose.velocity_m_per_s.x * range_m / c;
+        let at = pose.position_m + DVec3::new(north_m, range_m * down.cos(), range_m * down.sin());
+        pipeline.compute_ping(plan, &pings::point(at), &mut output);
+        let fan = &output.beams[0];
+        let levels = greatest_of_each(fan);
+        let peak = (0..fan.beams).fold(0, |b, k| if levels[k] > levels[b] { k } else { b });
+        let single = single_element_level(&output.elements[0]);
+        let half = levels[peak] * 0.5_f64.sqrt();
+        let side = |step: isize| {
+            let mut k = peak;
+            while k > 0 && k + 1 < fan.beams && levels[k] > half {
+                k = k.strict_add_signed(step);
+            }
+            fan.angle_rad[k].sin()
+        };
+        let width_m = range_m * (side(1) - side(-1));
+        // The point as this former counts: from where the array was, or is.
+        let sine = if focused { north_m } else { -north_m } / range_m;
+        let outside = (0..fan.beams)
+            .filter(|&k| (fan.angle_rad[k].sin() - sine).abs() > 1.5 * lobe)
+            // Half way to the grating lobes, which the transmitter and the subarrays look past.
+            .filter(|&k| {
+                (fan.angle_rad[k].sin() - sine).abs() < 0.5 * wavelength_m / array.spacing_m
+            })
+            .map(|k| levels[k])
+            .fold(0.0, f64::max);
+        rows.push(json!({
+            "range_m": range_m,
+            "loss_db": 20.0 * (levels[peak] / single).log10(),
+            "width_m": width_m, "width_far_field_m": lobe * range_m,
+            "off_m": range_m * (fan.angle_rad[peak].sin() - sine),
+            "false_alarm_db": 20.0 * (outside / levels[peak]).log10(),
+        }));
+    }
+    Ok(rows)
+}
+
+fn greatest_of_each(fan: &BeamFrame) -> Vec<f64> {
+    (0..fan.beams)
+        .map(|b| fan.beam(b).iter().map(|y| y.norm()).fold(0.0, f64::max))
+        .collect()
+}
+
+/// Mean level of the elements while the echo lasts: what a matched filter gives at a peak that everything joins in.
+fn single_element_level(frame: &echotank::flow::ElementFrame) -> f64 {
+    let each = (0..frame.elements).map(|e| {
+        let mut levels: Vec<f64> = frame.element(e).iter().map(|y| y.norm()).collect();
+        levels.sort_by(f64::total_cmp);
+        // The echo is flat over its pulse: the level that a hundred samples exceed.
+        levels[levels.len() - 100]
+    });
+    each.sum::<f64>() / frame.elements as f64
+}

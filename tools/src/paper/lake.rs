@@ -1,0 +1,150 @@
+//! Figs. 17 and 18: bridge piers in a lake, on a straight track and under a deviation of the motion.
+
+use std::path::Path;
+
+use echotank::flow::Target;
+use echotank::image::colour::ColourMap;
+use echotank::image::line::{RangeAxis, mean_intensity};
+use serde_json::{Value, json};
+
+use super::picture::{self, Grid, Look};
+use super::pings::{self, Heard};
+
+const CELL_M: f64 = 0.1;
+const RANGE_M: f64 = 85.0;
+/// Rows of one ping.
+const ROWS: usize = 2;
+
+pub fn figure_17(out: &Path) -> Result<Value, String> {
+    let spec = pings::load("fig17.toml")?;
+    let (heard, targets) = pings::run(&spec)?;
+    let axis = RangeAxis::new(
+        spec.medium.sound_speed_m_per_s,
+        spec.sonars[0].receiver.sample_rate_hz,
+    );
+    let grid = waterfall(&heard, axis);
+    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    picture::write(&out.join("fig17.png"), &[(&grid, look)])?;
+    Ok(json!({
+        "figure": "17", "picture": "slant range to the right, north up", "pings": heard.len(),
+        "piers": piers(&heard, axis, &targets).iter().map(|p| json!({
+            "name": p.name, "true_east_m": p.true_east_m, "slant_range_m": p.slant_range_m, "near_wall_shown_at_m": p.shown_range_m,
+        })).collect::<Vec<_>>(),
+    }))
+}
+
+pub fn figure_18(out: &Path) -> Result<Value, String> {
+    let (straight, _) = pings::run(&pings::load("fig17.toml")?)?;
+    let spec = pings::load("fig18.toml")?;
+    let (heard, targets) = pings::run(&spec)?;
+    let axis = RangeAxis::new(
+        spec.medium.sound_speed_m_per_s,
+        spec.sonars[0].receiver.sample_rate_hz,
+    );
+    let grid = waterfall(&heard, axis);
+    // The curve beside the picture: a row per ping, sway from -15 to 15 m.
+    let mut curve = Grid::new(150, grid.height);
+    for (k, ping) in heard.iter().rev().enumerate() {
+        let x = (ping.plan.nav.pose.position_m.y * 5.0 + 75.0).clamp(0.0, 149.0) as usize;
+        for row in 0..ROWS {
+            for i in 0..150 {
+                curve.set(i, k * ROWS + row, 0.0);
+            }
+            curve.set(75, k * ROWS + row, 0.4);
+            curve.set(x, k * ROWS + row, 1.0);
+        }
+    }
+    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    let black_and_white = Look {
+        map: ColourMap::Grey,
+        low: 0.0,
+        high: 1.0,
+    };
+    picture::write(
+        &out.join("fig18.png"),
+        &[(&curve, black_and_white), (&grid, look)],
+    )?;
+    // What the picture, read as if the track were straight, moves each pier by.
+    let before = piers(&straight, axis, &targets);
+    let shifts: Vec<Value> = piers(&heard, axis, &targets)
+        .iter()
+        .filter_map(|p| {
+            let was = before.iter().find(|b| b.name == p.name)?;
+            let moved_m = p.shown_east_m - was.shown_east_m;
+            Some(json!({ "name": p.name, "sway_m": p.sway_m, "predicted_displacement_m": -p.sway_m, "displacement_m": moved_m }))
+        })
+        .collect();
+    let greatest = heard
+        .iter()
+        .map(|h| h.plan.nav.pose.position_m.y.abs())
+        .fold(0.0, f64::max);
+    Ok(json!({
+        "figure": "18", "picture": "sway, -15 to 15 m to starboard; slant range to the right, north up", "greatest_sway_m": greatest,
+        "piers": shifts,
+    }))
+}
+
+fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
+    let width = (RANGE_M / CELL_M) as usize;
+    let mut grid = Grid::new(width, heard.len() * ROWS);
+    let mut cells = vec![0.0; width];
+    for (k, ping) in heard.iter().rev().enumerate() {
+        mean_intensity(&ping.output.lines[0].amplitude, axis, CELL_M, &mut cells);
+        for row in 0..ROWS {
+            for (x, cell) in cells.iter().enumerate() {
+                grid.set(x, k * ROWS + row, 10.0 * cell.log10());
+            }
+        }
+    }
+    grid
+}
+
+/// One pier as its ping shows it.
+struct Pier {
+    name: String,
+    sway_m: f64,
+    true_east_m: f64,
+    slant_range_m: f64,
+    shown_range_m: f64,
+    /// On a straight track at east 0, the depth of the pier's middle.
+    shown_east_m: f64,
+}
+
+/// Piers that nothing stands before, by the brightest echo about their near wall.
+fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
+    let hidden = |t: &Target| {
+        targets.iter().any(|o| {
+            let (to, from) = (o.position_m, t.position_m);
+            (to.x - from.x).abs() < 0.5 && to.y < from.y && from.y - to.y < 8.0
+        })
+    };
+    let mut rows = Vec::new();
+    for target in targets.iter().filter(|t| !hidden(t)) {
+        let off = |h: &Heard| (h.plan.nav.pose.position_m.x - target.position_m.x).abs();
+        let Some(ping) = heard.iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+            continue;
+        };
+        let pose = &ping.plan.nav.pose;
+        let east_m = target.position_m.y - pose.position_m.y;
+        let down_m = target.position_m.z - pose.position_m.z;
+        let slant_range_m = east_m.hypot(down_m);
+        let line = &ping.output.lines[0].amplitude;
+        let near = axis.sample(slant_range_m - 4.0)..axis.sample(slant_range_m + 1.0);
+        let Some(inside) = line.get(near.clone()) else {
+            continue;
+        };
+        let brightest = (0..inside.len()).fold(0, |b, k| if inside[k] > inside[b] { k } else { b });
+        let shown_range_m = axis.slant_range_m(near.start + brightest);
+        rows.push(Pier {
+            name: target.name.clone(),
+            sway_m: pose.position_m.y,
+            true_east_m: target.position_m.y,
+            slant_range_m,
+            shown_range_m,
+            shown_east_m: (shown_range_m * shown_range_m - down_m * down_m)
+                .max(0.0)
+                .sqrt(),
+        });
+    }
+    rows
+}

@@ -1,0 +1,99 @@
+//! Grids of levels to PNG, several beside one another.
+
+use std::io::BufWriter;
+use std::path::Path;
+
+use echotank::image::colour::ColourMap;
+
+/// Row-major levels; NaN is nothing.
+pub struct Grid {
+    pub width: usize,
+    pub height: usize,
+    pub level: Vec<f32>,
+}
+
+impl Grid {
+    pub fn new(width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            level: vec![f32::NAN; width * height],
+        }
+    }
+    pub fn set(&mut self, x: usize, y: usize, level: f32) {
+        self.level[y * self.width + x] = level;
+    }
+}
+
+/// How a panel is coloured: levels of the darkest and brightest.
+#[derive(Clone, Copy)]
+pub struct Look {
+    pub map: ColourMap,
+    pub low: f32,
+    pub high: f32,
+}
+
+impl Look {
+    /// These shares of the levels lie below darkest and brightest.
+    pub fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
+        let mut levels: Vec<f32> = grids
+            .iter()
+            .flat_map(|g| g.level.iter().copied())
+            .filter(|x| x.is_finite())
+            .collect();
+        levels.sort_by(f32::total_cmp);
+        let last = levels.len().saturating_sub(1);
+        let at = |share: f64| {
+            levels
+                .get((last as f64 * share) as usize)
+                .copied()
+                .unwrap_or(0.0)
+        };
+        Self {
+            map,
+            low: at(low),
+            high: at(high),
+        }
+    }
+}
+
+const GAP: usize = 8;
+const PAPER: [u8; 3] = [255, 255, 255];
+const NOTHING: [u8; 3] = [30, 34, 60];
+
+/// Panels side by side.
+pub fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
+    let height = panels.iter().map(|p| p.0.height).max().unwrap_or(1);
+    let width = panels.iter().map(|p| p.0.width).sum::<usize>() + GAP * (panels.len() - 1);
+    let mut pixels = PAPER.repeat(width * height);
+    let mut left = 0;
+    for (grid, look) in panels {
+        for y in 0..grid.height {
+            for x in 0..grid.width {
+                let level = grid.level[y * grid.width + x];
+                let colour = match level.is_nan() {
+                    true => NOTHING,
+                    false => look
+                        .map
+                        .at((level - look.low) / (look.high - look.low).max(1e-9)),
+                };
+                let at = 3 * (y * width + left + x);
+                pixels[at..at + 3].copy_from_slice(&colour);
+            }
+        }
+        left += grid.width + GAP;
+    }
+    let written = || -> Result<(), Box<dyn std::error::Error>> {
+        let out = BufWriter::new(std::fs::File::create(file)?);
+        let mut encoder = png::Encoder::new(out, width as u32, height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::High);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&pixels)?;
+        Ok(writer.finish()?)
+    };
+    written().map_err(|e| format!("{}: {e}", file.display()))?;
+    println!("{}", file.display());
+    Ok(())
+}

@@ -1,0 +1,87 @@
+//! Pings of a configuration, in order, and single echoes through its pipeline.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use echotank::config::{self, spec::NavMode, spec::RigSpec};
+use echotank::flow::{PingOutput, PingPlan, Scatterers, Target};
+use echotank::io::nav::NavInputs;
+use echotank::nav::Coverage;
+use echotank::ping::Schedule;
+use echotank::run::rig::{Rig, pool};
+use echotank::time::VirtualClock;
+
+/// The checked configuration of a figure.
+pub fn load(name: &str) -> Result<RigSpec, String> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("hil-configs/paper")
+        .join(name);
+    config::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))
+}
+
+/// What of a ping the figures need.
+pub struct Heard {
+    pub plan: PingPlan,
+    pub output: PingOutput,
+}
+
+/// Every ping until the navigation ends, and the scene's targets.
+pub fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
+    pool(0)
+        .map_err(|e| e.to_string())?
+        .install(|| run_here(spec))
+}
+
+fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
+    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let clock = Arc::new(VirtualClock::default());
+    let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
+    while rig.history.first_usable_utc().is_none() {
+        if !inputs.pull_next(&mut rig.history) {
+            return Err("the navigation has no position".into());
+        }
+    }
+    let first = rig.history.first_usable_utc().ok_or("no navigation")?;
+    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
+    let mut slot = rig.slot(0);
+    let settings = spec.sonars[0].settings;
+    let mut heard = Vec::new();
+    'pings: loop {
+        let order = schedule
+            .due(schedule.next_utc(), |_| settings)
+            .ok_or("the sonar does not ping")?;
+        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
+        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
+            if !inputs.pull_next(&mut rig.history) {
+                break 'pings;
+            }
+        }
+        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
+            .map_err(|e| format!("{e:?}"))?;
+        heard.push(Heard {
+            plan: slot.plan.clone(),
+            // Elements are large, and no figure shows them.
+            output: PingOutput {
+                beams: slot.output.beams.clone(),
+                lines: slot.output.lines.clone(),
+                ..PingOutput::default()
+            },
+        });
+    }
+    if heard.is_empty() {
+        return Err("the navigation ends before the first ping".into());
+    }
+    Ok((heard, rig.targets().to_vec()))
+}
+
+/// One point of unit strength.
+pub fn point(at_m: glam::DVec3) -> Scatterers {
+    let mut points = Scatterers::default();
+    points.push(
+        at_m,
+        [0.0; 3],
+        num_complex::Complex64::ONE,
+        echotank::flow::ScatterLaw::Point,
+    );
+    points
+}
