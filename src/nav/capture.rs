@@ -144,7 +144,7 @@ impl<'a> Packets<'a> {
         }
         let order = self.order;
         let len = order.u32(block, 4)? as usize;
-        if !(12..=MAX_PACKET + 64).contains(&len) || len % 4 != 0 {
+        if !(12..=MAX_PACKET + 64).contains(&len) || !len.is_multiple_of(4) {
             return None;
         }
         let body = block.get(8..len - 4)?;
