@@ -8,7 +8,22 @@
 //! caller's buffer.
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
+//! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
+//! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
+//! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
+//! - [`xtf`]: Triton XTF files.
 
 #![forbid(unsafe_code)]
 
+pub mod calendar;
+pub mod framing;
+pub mod jsf;
+mod layout;
 pub mod sevenk;
+
+pub mod sigmf;
+pub mod vita49;
+pub mod wav;
+pub mod xtf;
+
+pub use layout::WireError;

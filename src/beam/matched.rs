@@ -9,13 +9,13 @@
 //! Computed with one transform pair of a length that holds the longest row and the longest pulse, so that nothing wraps around. An echo cut
 //! off by the end of the row gives the part of its peak that was heard.
 
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
 
 use super::RowLimits;
+use super::weights::Taper;
 use crate::config::spec::Shading;
 use crate::flow::Pulse;
 
@@ -25,7 +25,7 @@ const LENGTH_STEP: usize = 16;
 const EDGE_SAMPLES: f64 = 1e-9;
 
 /// Samples that a pulse of `duration_s` covers, its first at time 0 and its end included.
-fn pulse_samples(duration_s: f64, sample_rate_hz: f64) -> usize {
+pub(super) fn pulse_samples(duration_s: f64, sample_rate_hz: f64) -> usize {
     (duration_s * sample_rate_hz + EDGE_SAMPLES).floor() as usize + 1
 }
 
@@ -102,11 +102,15 @@ impl Correlator {
         );
         let samples = pulse_samples(pulse.duration_s, rate_hz);
         self.spectrum.fill(Complex64::ZERO);
+        let taper = Taper::new(self.window);
+        // Each sample stands for an interval, and the weighting is even about the middle of the pulse: that keeps the group delay exact.
+        let interval_s = 1.0 / rate_hz;
         let mut energy = 0.0;
         for (n, out) in self.spectrum[..samples].iter_mut().enumerate() {
             // The last sample may lie past the end by the rounding that `pulse_samples` forgives.
             let a = pulse.envelope((n as f64 / rate_hz).min(pulse.duration_s));
-            let weight = shading_weight(self.window, n, samples);
+            let middle_s = n as f64 * interval_s - 0.5 * pulse.duration_s;
+            let weight = taper.at(middle_s / (pulse.duration_s + interval_s));
             *out = a * weight;
             energy += weight * a.norm_sqr();
         }
@@ -143,14 +147,6 @@ impl Correlator {
     /// A correlated spectrum becomes the correlated row, in `buffer`'s first samples.
     pub(super) fn inverse(&self, buffer: &mut [Complex64], scratch: &mut [Complex64]) {
         self.inverse.process_with_scratch(buffer, scratch);
-    }
-}
-
-/// Weight of item `n` of `count`, not normalised. Hann is taken at mid-interval, so that no item is lost.
-pub(super) fn shading_weight(shading: Shading, n: usize, count: usize) -> f64 {
-    match shading {
-        Shading::Uniform => 1.0,
-        Shading::Hann => 0.5 - 0.5 * (TAU * (n as f64 + 0.5) / count as f64).cos(),
     }
 }
 
@@ -202,6 +198,7 @@ mod tests {
     use crate::flow::PulseKind;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
+    use std::f64::consts::TAU;
 
     fn lfm(kind: PulseKind, bandwidth_hz: f64, duration_s: f64) -> Pulse {
         Pulse {
@@ -391,6 +388,122 @@ mod tests {
             );
             // 160 000 independent cells: 0.011 dB standard deviation; the 188th sample of the pulse is 0.02 dB.
             assert!(error_db.abs() < 0.1, "off by {error_db:.3} dB");
+        }
+    }
+
+    /// -3 dB width (in 1/B) and greatest side lobe of a compressed LFM, which is the transform of its weighting.
+    #[test]
+    fn weightings_give_the_widths_and_side_lobes_of_their_transforms() {
+        let (bandwidth_hz, duration_s) = (60e3, 20e-3);
+        let rate_hz = 16.0 * bandwidth_hz;
+        for (window, width_want, lobe_want_db) in [
+            (Shading::Uniform, 0.886, -13.26),
+            (Shading::Hann, 1.441, -31.5),
+            (Shading::Hamming, 1.303, -42.7),
+            (Shading::Taylor { side_lobe_db: 35.0 }, 1.19, -35.0),
+            // Half power and first side lobe of sinh(s)/s, s^2 = beta^2 - (pi u)^2.
+            (Shading::Kaiser { beta: 6.0 }, 1.402, -43.8),
+        ] {
+            let pulse = lfm(PulseKind::LfmUp, bandwidth_hz, duration_s);
+            let (level, peak) = compressed(&pulse, rate_hz, window);
+            assert!(
+                (level[peak] - 1.0).abs() < 1e-9,
+                "{window:?}: {}",
+                level[peak]
+            );
+            let width = width_s(&level, peak, rate_hz) * bandwidth_hz;
+            let lobe_db = greatest_side_lobe_db(&level, peak);
+            println!(
+                "{window:?}: width {width:.3}/B ({width_want}), {lobe_db:.2} dB ({lobe_want_db})"
+            );
+            assert!(
+                (width / width_want - 1.0).abs() < 0.02,
+                "{window:?}: {width:.4}/B"
+            );
+            // At BT = 1200 Fresnel ripples of the sweep's ends lift the lowest lobes.
+            assert!(
+                (lobe_db - lobe_want_db).abs() < 1.2,
+                "{window:?}: {lobe_db:.2} dB"
+            );
+        }
+    }
+
+    fn greatest_side_lobe_db(level: &[f64], peak: usize) -> f64 {
+        let mut k = peak;
+        while level[k + 1] < level[k] {
+            k += 1;
+        }
+        let most = level[k..].iter().copied().fold(0.0, f64::max);
+        20.0 * (most / level[peak]).log10()
+    }
+
+    /// Where a parabola through the greatest sample and its neighbours has its top, in samples.
+    fn top(level: &[f64]) -> f64 {
+        let k = (1..level.len() - 1).fold(1, |b, k| if level[k] > level[b] { k } else { b });
+        let (a, b, c) = (level[k - 1], level[k], level[k + 1]);
+        k as f64 + 0.5 * (a - c) / (a - 2.0 * b + c)
+    }
+
+    /// Pulses whose length is no whole number of samples, echoes between samples: the peak lies on the leading edge.
+    #[test]
+    fn group_delay_is_exact_for_every_weighting_and_any_length_of_pulse() {
+        let rate_hz = 400e3;
+        for window in [
+            Shading::Uniform,
+            Shading::Hann,
+            Shading::Taylor { side_lobe_db: 30.0 },
+        ] {
+            for duration_s in [5e-3, 3.333_21e-3] {
+                let pulse = Pulse {
+                    taper: 0.2,
+                    ..lfm(PulseKind::LfmUp, 30e3, duration_s)
+                };
+                let edge = 2100.37;
+                let mut row = echo(&pulse, rate_hz, 6000, edge / rate_hz);
+                filter(&pulse, rate_hz, 6000, window).apply(&mut row);
+                let level: Vec<_> = row.iter().map(|y| y.norm()).collect();
+                let got = top(&level);
+                assert!(
+                    (got - edge).abs() < 0.02,
+                    "{window:?}: {got:.3} want {edge}"
+                );
+            }
+        }
+    }
+
+    /// Echo stretched by eta about its leading edge: the peak moves by -(eta - 1) f_end T / (+-B).
+    #[test]
+    fn range_doppler_coupling_is_its_closed_form_within_1_percent_to_5p2_m_per_s() {
+        let (rate_hz, samples) = (2e6, 40_000);
+        for kind in [PulseKind::LfmUp, PulseKind::LfmDown] {
+            let pulse = lfm(kind, 30e3, 5e-3);
+            let sweep_hz = pulse.sweep_hz_per_s() * pulse.duration_s;
+            let end_hz = pulse.center_frequency_hz + 0.5 * sweep_hz;
+            let mut filter = filter(&pulse, rate_hz, samples, Shading::Uniform);
+            for speed in [-5.2, -1.0, 2.6, 5.2] {
+                let (c, edge_s) = (1500.0, 7e-3);
+                let eta = (c + speed) / (c - speed);
+                let mut row: Vec<_> = (0..samples)
+                    .map(|k| {
+                        let t = k as f64 / rate_hz - edge_s;
+                        let cycles = pulse.center_frequency_hz * (eta - 1.0) * t;
+                        pulse.envelope(eta * t) * Complex64::from_polar(1.0, TAU * cycles.fract())
+                    })
+                    .collect();
+                filter.apply(&mut row);
+                let level: Vec<_> = row.iter().map(|y| y.norm()).collect();
+                let got_s = top(&level) / rate_hz - edge_s;
+                let want_s = -(eta - 1.0) * end_hz * pulse.duration_s / sweep_hz;
+                println!(
+                    "{kind:?} {speed} m/s: {:.3} us, closed form {:.3}",
+                    got_s * 1e6,
+                    want_s * 1e6
+                );
+                assert!(
+                    (got_s / want_s - 1.0).abs() < 0.01,
+                    "{got_s:e} want {want_s:e}"
+                );
+            }
         }
     }
 

@@ -1132,7 +1132,7 @@ static MODEL: Table = Table {
                 &["gridded"],
             ),
             Shown("\"gridded-1d\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with doppler \"none\" or \"stretch\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, any doppler but \"paper-eq21\" and a tolerance from 2e-2 on. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with any doppler but \"paper-eq21\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, any doppler but \"paper-eq21\" and a tolerance from 2e-2 on. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
         ),
         key(
             "tolerance",
@@ -1189,19 +1189,43 @@ static BEAMS: Table = Table {
             Optional("\"rx-starboard\""),
             "The receive array of the starboard side-scan line.",
         ),
+        key(
+            "line_former",
+            Kind::Choice(&["aperture", "dynamic-focus"], &[]),
+            Default("\"aperture\""),
+            "\"aperture\": the plain sum of the elements. \"dynamic-focus\": refocused along range, with the receiver's motion.",
+        ),
+        key(
+            "weighting",
+            Kind::Choice(&["none", "hann", "hamming", "taylor", "kaiser"], &[]),
+            Default("\"none\""),
+            "Along the pulse, of every matched filter: lower side lobes of the compressed pulse, wider peak.",
+        ),
+        key(
+            "weighting_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("35.0"),
+            "Of \"taylor\", below the peak.",
+        ),
+        key(
+            "weighting_beta",
+            Kind::Number(from(0.0, 20.0)),
+            Default("6.0"),
+            "Of \"kaiser\".",
+        ),
         key("fan", Kind::Table(&FAN), Shown(""), ""),
     ],
-    later: &["focus", "multi_pulse", "synthetic_aperture"],
+    later: &["multi_pulse", "synthetic_aperture"],
 };
 
 static FAN: Table = Table {
-    doc: "Beams across the track, equally spaced in angle about the array's boresight, beam 0 port-most. Leave the table out for none.",
+    doc: "Beams of one array: across the track, beam 0 port-most; or, of an array that lies fore and aft (multibeam side-scan), beam 0 aft-most. Leave the table out for none.",
     keys: &[
         key(
             "array",
             Kind::Name,
             Required("\"rx\""),
-            "A receive array whose +x end points to starboard.",
+            "A receive array whose +x end points to starboard or forward.",
         ),
         key("beams", Kind::Integer(1, 4096), Required("64"), ""),
         key(
@@ -1211,10 +1235,58 @@ static FAN: Table = Table {
             "From the first beam to the last.",
         ),
         key(
+            "center_deg",
+            Kind::Number(from(-90.0, 90.0)),
+            Default("0.0"),
+            "Middle of the sector, from the boresight.",
+        ),
+        key(
+            "spacing",
+            Kind::Choice(&["equi-angle", "equi-distant", "equi-sine"], &[]),
+            Default("\"equi-angle\""),
+            "Equal steps of angle, of distance on a flat bottom, or of sine.",
+        ),
+        key(
+            "roll_stabilised",
+            Kind::Bool,
+            Default("false"),
+            "Angles from the vertical: the beams are steered against the roll.",
+        ),
+        key(
             "shading",
-            Kind::Choice(&["uniform", "hann"], &["taylor", "chebyshev"]),
+            Kind::Choice(&["uniform", "hann", "taylor", "chebyshev"], &[]),
             Default("\"uniform\""),
             "",
+        ),
+        key(
+            "shading_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("30.0"),
+            "Of \"taylor\" and \"chebyshev\", below the main lobe.",
+        ),
+        key(
+            "former",
+            Kind::Choice(&["exact", "conventional", "phase", "dynamic-focus"], &[]),
+            Default("\"exact\""),
+            "Far field in f64 at every frequency; far field with time delays or with phases, or focused along range with the receiver's motion, in f32 and several times faster.",
+        ),
+        key(
+            "bottom_detection",
+            Kind::Bool,
+            Default("false"),
+            "A sounding for each beam, from amplitude or from the phase between the two halves of the line.",
+        ),
+        key(
+            "f_number",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("50.0"),
+            "Of \"dynamic-focus\": the aperture in use is range / f_number, at most the whole line. Left out: the whole line everywhere.",
+        ),
+        key(
+            "focus_error_deg",
+            Kind::Number(from(0.1, 90.0)),
+            Default("5.0"),
+            "Of \"dynamic-focus\": carrier phase that a focus may err by at the ends of its zone of ranges.",
         ),
     ],
     later: &[],

@@ -680,7 +680,11 @@ pub struct LimitsSpec {
 pub struct BeamsSpec {
     /// Side-scan lines: which receive array makes which side.
     pub lines: Vec<LineSpec>,
+    /// Lines are focused along range.
+    pub focused_lines: bool,
     pub fan: Option<FanSpec>,
+    /// Along the pulse, of every matched filter.
+    pub weighting: Shading,
 }
 
 #[derive(Clone, Debug)]
@@ -695,15 +699,118 @@ pub struct FanSpec {
     /// Index of the receive array.
     pub array: usize,
     pub beams: usize,
-    /// From port-most to starboard-most, radians, about the boresight.
+    /// From port-most to starboard-most, radians.
     pub sector_rad: f64,
     pub shading: Shading,
+    pub form: FanForm,
+}
+
+/// How a fan's beams are laid and formed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FanForm {
+    pub former: Former,
+    pub spacing: BeamSpacing,
+    /// Middle of the sector, from the boresight.
+    pub center_rad: f64,
+    /// Angles are from the vertical, whatever the roll.
+    pub roll_stabilised: bool,
+    /// Of `dynamic-focus`: range over the length of line in use, at most all of it; none uses all of it everywhere.
+    pub f_number: Option<f64>,
+    /// Of `dynamic-focus`: what carrier phase a focus may err by at the ends of its zone.
+    pub focus_error_rad: f64,
+    /// Look for the bottom in every beam.
+    pub bottom_detection: bool,
+}
+
+impl Default for FanForm {
+    fn default() -> Self {
+        Self {
+            former: Former::Exact,
+            spacing: BeamSpacing::EquiAngle,
+            center_rad: 0.0,
+            roll_stabilised: false,
+            f_number: None,
+            focus_error_rad: 0.1,
+            bottom_detection: false,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Former {
+    /// Far field, true time delays at every frequency, f64.
+    Exact,
+    /// Far field, true time delays to a fraction of a sample, f32.
+    TimeDelay,
+    /// Far field, carrier phases alone.
+    Phase,
+    /// Near field, refocused along range, with the receiver's motion.
+    DynamicFocus,
+}
+
+impl Former {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::TimeDelay => "conventional",
+            Self::Phase => "phase",
+            Self::DynamicFocus => "dynamic-focus",
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BeamSpacing {
+    EquiAngle,
+    /// On a flat bottom.
+    EquiDistant,
+    /// As a transform over the line has them.
+    EquiSine,
+}
+
+impl BeamSpacing {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::EquiAngle => "equi-angle",
+            Self::EquiDistant => "equi-distant",
+            Self::EquiSine => "equi-sine",
+        }
+    }
+}
+
+/// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shading {
+    #[default]
     Uniform,
     Hann,
+    Hamming,
+    Taylor {
+        side_lobe_db: f64,
+    },
+    /// Along a pulse: Taylor's of the same side lobes.
+    Chebyshev {
+        side_lobe_db: f64,
+    },
+    Kaiser {
+        beta: f64,
+    },
+}
+
+impl Shading {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Hann => "hann",
+            Self::Hamming => "hamming",
+            Self::Taylor { .. } => "taylor",
+            Self::Chebyshev { .. } => "chebyshev",
+            Self::Kaiser { .. } => "kaiser",
+        }
+    }
 }
 
 #[derive(Clone, Debug)]

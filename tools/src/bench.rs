@@ -12,6 +12,9 @@ mod nav;
 mod ping;
 #[path = "bench/report.rs"]
 mod report;
+#[path = "../../tests/echo_model/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests of the echo model")]
+mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
 #[path = "bench/transform.rs"]
@@ -48,7 +51,8 @@ enum What {
     Echo {
         #[command(flatten)]
         common: Common,
-        /// Whole pings whose name, elements and scatterers contain this ("line 256 1000000"); without it all, and the other tables.
+        /// Whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3"); without
+        /// it all, and the other tables.
         #[arg(long)]
         only: Option<String>,
         /// best, portable, avx2, avx512.
@@ -102,7 +106,11 @@ fn echo(
         only: only.unwrap_or(""),
         dialects,
         threads,
-        most_scatterers: if common.quick { 50_000 } else { usize::MAX },
+        effort: if common.quick {
+            whole::QUICK
+        } else {
+            whole::FULL
+        },
     };
     whole::run(&selection, &mut report)?;
     report.keep(common.json.as_deref())

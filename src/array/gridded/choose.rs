@@ -1,9 +1,11 @@
 //! What a tolerance needs, at the least cost: the band, the kernel over delay, the grid of Dopplers.
 
+use std::sync::LazyLock;
+
 use crate::array::filter::occupied_hz;
 use crate::flow::Pulse;
 
-use super::doppler::{Coupling, DopplerGrid, DopplerSpan, Received, Trial};
+use super::doppler::{Coupling, DopplerGrid, DopplerSpan, MAX_ORDER, Received, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
 use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::{GriddedError, Spec};
@@ -77,8 +79,15 @@ pub fn delay_kernel<M: Real>(
 ) -> Option<(usize, Kernel)> {
     [1.25, 1.5, 2.0].into_iter().find_map(|oversampling| {
         let grid = grid_size((bins as f64 * oversampling) as usize);
+        let oversampling = grid as f64 / bins as f64;
+        // A search for the best window makes a kernel no more than so much better.
+        let hopeful = |width: &usize| {
+            let rough = Kernel::rough(*width, oversampling, M::MOMENTS);
+            rough.error <= 3.0 * SHARE * tolerance
+        };
         (MIN_WIDTH..=widest)
-            .map(|width| Kernel::new(width, grid as f64 / bins as f64, M::MOMENTS))
+            .filter(hopeful)
+            .map(|width| Kernel::new(width, oversampling, M::MOMENTS))
             .find(|kernel| kernel.error <= SHARE * tolerance)
             .map(|kernel| (grid, kernel))
     })
@@ -88,6 +97,8 @@ pub fn delay_kernel<M: Real>(
 pub const NS_PER_ARRIVAL: f64 = 6.0;
 /// Of an arrival on all its values of the grids, per row that a value has.
 pub const NS_PER_ROW: f64 = 6.0;
+/// Of an arrival, per weight on the columns that it goes to.
+const NS_PER_TAP: f64 = 0.2;
 pub const NS_PER_GRID_VALUE: f64 = 3.0;
 
 /// Error that the grid of Dopplers may leave to the echo that it serves worst, as a share of the tolerance. A window of a pulse's length holds
@@ -101,8 +112,26 @@ fn worst_share(pulse: &Pulse) -> f64 {
     }
 }
 
+/// Of the worst share, what each term of the series in the curvature may leave.
+const TERM_SHARE: f64 = 0.3;
+
+/// Of the tolerance: what the terms of that series that are left out may amount to at the ends of a pulse.
+pub const SERIES_SHARE: f64 = 0.1;
+
+/// Terms that the phase `bend_rad` at the ends of a pulse needs; none where [`MAX_ORDER`] are too few.
+pub fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
+    let mut rest = bend_rad;
+    for terms in 0..=MAX_ORDER {
+        if rest <= SERIES_SHARE * tolerance {
+            return Some(terms);
+        }
+        rest *= bend_rad / (terms + 2) as f64;
+    }
+    None
+}
+
 /// Frequencies that a grid of Dopplers is tried on.
-const TRIAL_FREQUENCIES: usize = 96;
+const TRIAL_FREQUENCIES: usize = 64;
 
 /// Cells of the grids that are tried.
 const TRIAL_CELLS: [usize; 16] = [1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64];
@@ -110,66 +139,132 @@ const TRIAL_CELLS: [usize; 16] = [1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 4
 /// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.
 const TRIAL_SHAPES: [f64; 4] = [1.25, 1.5, 2.0, 4.0];
 
-/// The grid of Dopplers that costs least of those that are fine enough, with or without coupling. `grid`: values of a column, roughly.
-pub fn doppler_grid<M: Real>(
-    spec: &Spec,
-    span: DopplerSpan,
-    spectrum: &PulseSpectrum,
-    band_hz: f64,
-    grid: usize,
-) -> Option<(DopplerGrid, Coupling)> {
-    let common = DopplerGrid::common(span);
-    if span.greatest == span.least {
-        return Some((common, Coupling::NONE));
-    }
-    let cost = |g: &DopplerGrid| {
-        let rows = g.columns.div_ceil(M::MOMENTS);
-        rows as f64 * NS_PER_ROW * spec.arrivals as f64
-            + g.columns as f64 * NS_PER_GRID_VALUE * grid as f64
-    };
-    // Where the echoes are.
-    let fastest = span.least.abs().max(span.greatest);
-    let occupied_hz = occupied_hz(spec.pulse) + 2.0 * fastest * spec.pulse.center_frequency_hz;
-    let band_hz = band_hz.min(1.25 * occupied_hz);
-    let share = worst_share(spec.pulse);
-    let frequency_hz: Vec<f64> = (0..TRIAL_FREQUENCIES)
-        .map(|i| ((i as f64 + 0.5) / TRIAL_FREQUENCIES as f64 - 0.5) * band_hz)
-        .collect();
-    let gain: Vec<f64> = frequency_hz
-        .iter()
-        .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
-        .collect();
-    let kernels: Vec<Kernel> = (MIN_WIDTH..=MAX_TAPS)
+/// The kernels that are tried, most taps first: they need the fewest cells, and what costs more than they do need not be looked at.
+static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
+    (MIN_WIDTH..=MAX_TAPS)
+        .rev()
         .flat_map(|taps| TRIAL_SHAPES.map(|shape| Kernel::rough(taps, shape, taps)))
-        .collect();
-    let most_cells = TRIAL_CELLS[TRIAL_CELLS.len() - 1];
-    let mut best: Option<(DopplerGrid, Coupling)> = None;
-    let dearer = |best: &Option<(DopplerGrid, Coupling)>, g: &DopplerGrid| {
-        best.as_ref().is_some_and(|(held, _)| cost(g) >= cost(held))
-    };
-    for coupling in [Coupling::of(spec.pulse), Some(Coupling::NONE)]
-        .into_iter()
-        .flatten()
-    {
-        let received = Received {
-            spectrum,
-            carrier_hz: spec.pulse.center_frequency_hz,
-            coupling,
-        };
-        let trial = Trial::new(received, span, most_cells, &frequency_hz, &gain);
-        let enough = |g: &DopplerGrid| trial.worst(g) <= share * spec.tolerance;
-        if !dearer(&best, &common) && enough(&common) {
-            best = Some((common.clone(), coupling));
+        .collect()
+});
+
+/// What grids of Dopplers are tried with.
+pub struct Trials<'a> {
+    spec: &'a Spec<'a>,
+    span: DopplerSpan,
+    /// Values of a column, roughly.
+    grid: usize,
+    frequency_hz: Vec<f64>,
+    gain: Vec<f64>,
+    /// Of an echo without curvature.
+    power: f64,
+}
+
+impl<'a> Trials<'a> {
+    pub fn new(spec: &'a Spec, span: DopplerSpan, band_hz: f64, grid: usize) -> Self {
+        // Where the echoes are.
+        let fastest = span.least.abs().max(span.greatest);
+        let occupied_hz = occupied_hz(spec.pulse) + 2.0 * fastest * spec.pulse.center_frequency_hz;
+        let band_hz = band_hz.min(1.25 * occupied_hz);
+        let frequency_hz: Vec<f64> = (0..TRIAL_FREQUENCIES)
+            .map(|i| ((i as f64 + 0.5) / TRIAL_FREQUENCIES as f64 - 0.5) * band_hz)
+            .collect();
+        let gain: Vec<f64> = frequency_hz
+            .iter()
+            .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
+            .collect();
+        Self {
+            spec,
+            span,
+            grid,
+            frequency_hz,
+            gain,
+            power: 0.0,
         }
-        for kernel in &kernels {
-            // The finer the better, give or take: the coarsest that is enough is found by halving.
-            let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(span, cells, kernel));
-            let affordable = grids.partition_point(|g| !dearer(&best, g));
-            let first = grids[..affordable].partition_point(|g| !enough(g));
-            if first < affordable {
-                best = Some((grids[first].clone(), coupling));
+    }
+
+    /// The grid for echoes without curvature, with or without coupling.
+    pub fn doppler<M: Real>(
+        &mut self,
+        spectrum: &PulseSpectrum,
+    ) -> Option<(DopplerGrid, Coupling)> {
+        if self.span.greatest == self.span.least {
+            self.power = self.trial(self.received(spectrum, Coupling::NONE)).power;
+            return Some((DopplerGrid::common(self.span), Coupling::NONE));
+        }
+        let share = worst_share(self.spec.pulse) * self.spec.tolerance;
+        let mut best: Option<(DopplerGrid, Coupling)> = None;
+        for coupling in [Coupling::of(self.spec.pulse), Some(Coupling::NONE)]
+            .into_iter()
+            .flatten()
+        {
+            let trial = self.trial(self.received(spectrum, coupling));
+            self.power = trial.power;
+            let held = best.as_ref().map(|(grid, _)| self.cost::<M>(grid));
+            if let Some(grid) = self.cheapest::<M>(&trial, share, held) {
+                best = Some((grid, coupling));
             }
         }
+        best
     }
-    best
+
+    /// The grid for one term of the series in the curvature. To be called after [`Self::doppler`].
+    pub fn term<M: Real>(&self, received: Received) -> Option<DopplerGrid> {
+        let share = TERM_SHARE * worst_share(self.spec.pulse) * self.spec.tolerance;
+        self.cheapest::<M>(&self.trial(received), share, None)
+    }
+
+    fn received<'b>(&self, spectrum: &'b PulseSpectrum, coupling: Coupling) -> Received<'b> {
+        Received {
+            spectrum,
+            carrier_hz: self.spec.pulse.center_frequency_hz,
+            coupling,
+            duration_s: self.spec.pulse.duration_s,
+            order: 0,
+            greatest_p: 0.0,
+        }
+    }
+
+    fn trial(&self, received: Received) -> Trial {
+        let most_cells = TRIAL_CELLS[TRIAL_CELLS.len() - 1];
+        Trial::new(
+            received,
+            self.span,
+            most_cells,
+            &self.frequency_hz,
+            &self.gain,
+        )
+    }
+
+    fn cost<M: Real>(&self, grid: &DopplerGrid) -> f64 {
+        let rows = grid.columns.div_ceil(M::MOMENTS);
+        (rows as f64 * NS_PER_ROW + grid.taps as f64 * NS_PER_TAP) * self.spec.arrivals as f64
+            + grid.columns as f64 * NS_PER_GRID_VALUE * self.grid as f64
+    }
+
+    /// The cheapest grid that leaves no echo more than `share`, if it costs less than `held`.
+    fn cheapest<M: Real>(
+        &self,
+        trial: &Trial,
+        share: f64,
+        held: Option<f64>,
+    ) -> Option<DopplerGrid> {
+        let mut best = None;
+        let mut held = held.unwrap_or(f64::INFINITY);
+        let enough = |g: &DopplerGrid| trial.worst(g, self.power) <= share;
+        let common = DopplerGrid::common(self.span);
+        if self.cost::<M>(&common) < held && enough(&common) {
+            return Some(common);
+        }
+        for kernel in &*TRIAL_KERNELS {
+            // The finer the better, give or take: the coarsest that is enough is found by halving.
+            let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(self.span, cells, kernel));
+            let affordable = grids.partition_point(|g| self.cost::<M>(g) < held);
+            let first = grids[..affordable].partition_point(|g| !enough(g));
+            if first < affordable {
+                held = self.cost::<M>(&grids[first]);
+                best = Some(grids[first].clone());
+            }
+        }
+        best
+    }
 }

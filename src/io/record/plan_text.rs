@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::config::spec::{Shading, SonarSpec};
+use crate::config::spec::SonarSpec;
 use crate::flow::{
     Mounting, Pattern, PingPlan, Pulse, PulseKind, Receiver, ReceiverFilter, Segment, Side,
     TimeVaryingGain,
@@ -39,10 +39,11 @@ pub(super) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
             "array": f.array,
             "beams": f.beams,
             "sector_rad": f.sector_rad,
-            "shading": match f.shading {
-                Shading::Uniform => "uniform",
-                Shading::Hann => "hann",
-            },
+            "shading": f.shading.name(),
+            "former": f.form.former.name(),
+            "spacing": f.form.spacing.name(),
+            "center_rad": f.form.center_rad,
+            "roll_stabilised": f.form.roll_stabilised,
         })),
     })
 }

@@ -1,0 +1,38 @@
+//! Writes one small file per format into a folder, for readers that nobody here wrote: `wire_samples FOLDER`.
+//!
+//! What the files hold is stated a second time by `tools/test_wire_readers.py`, from the same words: integers of [`count`], one position,
+//! one attitude.
+
+mod jsf;
+mod recordings;
+mod vita49;
+mod xtf;
+
+use std::path::Path;
+
+/// 2025-06-15 15:06:40.123456789 UTC.
+pub const UTC_NS: i64 = 1_750_000_000_123_456_789;
+/// Southern and western hemisphere, all angles different, heading near the turn.
+pub const LATITUDE_DEG: f64 = -36.8;
+pub const LONGITUDE_DEG: f64 = -121.8;
+pub const HEADING_DEG: f64 = 359.9;
+pub const PITCH_BOW_UP_DEG: f64 = 3.0;
+pub const ROLL_PORT_UP_DEG: f64 = 5.0;
+pub const SOUND_SPEED_M_PER_S: f32 = 1500.0;
+
+/// The integer of sample `k` in channel `c` of ping `p`: -20000..=20000, no two rows alike.
+pub fn count(p: u64, c: u64, k: u64) -> i16 {
+    (((k * 7_919 + c * 104_729 + p * 15_485_863) % 40_001) as i32 - 20_000) as i16
+}
+
+fn main() -> std::io::Result<()> {
+    let folder = std::env::args_os()
+        .nth(1)
+        .expect("usage: wire_samples FOLDER");
+    let folder = Path::new(&folder);
+    std::fs::create_dir_all(folder)?;
+    jsf::write(folder)?;
+    xtf::write(folder)?;
+    vita49::write(folder)?;
+    recordings::write(folder)
+}

@@ -1,0 +1,215 @@
+//! Messages of the sensors: 2002, 2020, 2060, 2080, 2091. Source: Rev. 1.20, tables 2-15 to 2-18 and 2-20.
+//!
+//! Each is the wire's fields as they are; reserved bytes are written 0 and read past. Every field but the time has a bit of `validity`.
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{MessageHeader, emit_message, message_type, subsystem};
+use crate::WireError;
+use crate::layout::layout;
+
+/// Seconds and milliseconds, as sensors' messages begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct SensorTime {
+    /// Since 1970.
+    pub seconds: i32,
+    /// In the second.
+    pub milliseconds: i32,
+}
+
+layout!(SensorTime, 8, "JSF sensor time", Little);
+
+impl SensorTime {
+    /// To a millisecond, and until 2038.
+    pub fn from_utc_ns(utc_ns: i64) -> Self {
+        Self {
+            seconds: utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32,
+            milliseconds: (utc_ns.rem_euclid(1_000_000_000) / 1_000_000) as i32,
+        }
+    }
+
+    pub fn to_utc_ns(self) -> i64 {
+        i64::from(self.seconds) * 1_000_000_000 + i64::from(self.milliseconds) * 1_000_000
+    }
+}
+
+/// Implements message type, name, and emission as a whole message, for messages of fixed length.
+macro_rules! sensor_message {
+    ($type:ty, $size:expr, $name:literal, $message_type:expr) => {
+        layout!($type, $size, $name, Little);
+
+        impl $type {
+            pub const MESSAGE_TYPE: u16 = $message_type;
+
+            /// Appends the whole message of a serial port and says where it lies.
+            pub fn emit_message(&self, buf: &mut Vec<u8>, port: u8) -> Range<usize> {
+                let header = MessageHeader::data($message_type, subsystem::PARSED_SERIAL, port);
+                emit_message(buf, &header, |buf| self.emit(buf))
+            }
+        }
+    };
+}
+
+/// 2002: one NMEA sentence, without its line end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Nmea2002<'a> {
+    pub time: SensorTime,
+    /// 1 sonar, 2 topside.
+    pub source: u8,
+    pub sentence: &'a [u8],
+}
+
+impl<'a> Nmea2002<'a> {
+    const HEAD_BYTES: usize = 12;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let truncated = WireError::Truncated {
+            what: "JSF 2002",
+            need_bytes: Self::HEAD_BYTES as u64,
+            got_bytes: body.len() as u64,
+        };
+        let (head, sentence) = body.split_at_checked(Self::HEAD_BYTES).ok_or(truncated)?;
+        Ok(Self {
+            time: SensorTime::parse(head)?,
+            source: head[8],
+            sentence,
+        })
+    }
+
+    /// Appends the whole message of a serial port; a line end in the sentence is left out.
+    pub fn emit_message(&self, buf: &mut Vec<u8>, port: u8) -> Range<usize> {
+        let header = MessageHeader::data(message_type::NMEA, subsystem::RAW_SERIAL, port);
+        emit_message(buf, &header, |buf| {
+            self.time.emit(buf);
+            buf.extend_from_slice(&[self.source, 0, 0, 0]);
+            buf.extend_from_slice(self.sentence.trim_ascii_end());
+        })
+    }
+}
+
+/// 2020: what a motion sensor said.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct PitchRoll2020 {
+    #[brw(pad_after = 4)]
+    pub time: SensorTime,
+    /// 12: x, y, z, steps of 20 x 1.5 / 32768 g.
+    pub acceleration: [i16; 3],
+    /// 18: x, y, z, steps of 500 x 1.5 / 32768 deg/s.
+    pub rate: [i16; 3],
+    /// 24: bow up, 180 degrees = 32768.
+    pub pitch: i16,
+    /// 26: port up, 180 degrees = 32768.
+    pub roll: i16,
+    /// 28
+    pub temperature_dc: i16,
+    /// 30
+    pub device_info: u16,
+    /// 32: down.
+    pub heave_down_mm: i16,
+    /// 34
+    pub heading_cdeg: u16,
+    /// 36: bits 0-2 acceleration, 3-5 rates, 6 pitch, 7 roll, 8 heave, 9 heading, 10 temperature, 11 device info, 12 yaw.
+    pub validity: u32,
+    /// 40
+    #[brw(pad_after = 2)]
+    pub yaw_cdeg: i16,
+}
+
+sensor_message!(PitchRoll2020, 44, "JSF 2020", message_type::PITCH_ROLL);
+
+/// 2060: what a pressure sensor said.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct Pressure2060 {
+    #[brw(pad_after = 4)]
+    pub time: SensorTime,
+    /// 12: thousandths of a pound per square inch, absolute.
+    pub pressure_mpsi: i32,
+    /// 16
+    pub temperature_mc: i32,
+    /// 20
+    pub salinity_ppm: i32,
+    /// 24: bits 0 pressure, 1 temperature, 2 salinity, 3 conductivity, 4 sound velocity, 5 depth.
+    pub validity: u32,
+    /// 28
+    pub conductivity_us_per_cm: i32,
+    /// 32
+    pub sound_velocity_mm_per_s: i32,
+    /// 36
+    #[brw(pad_after = 36)]
+    pub depth_m: i32,
+}
+
+sensor_message!(Pressure2060, 76, "JSF 2060", message_type::PRESSURE);
+
+/// 2080: what a Doppler log said.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
+pub struct Dvl2080 {
+    #[brw(pad_after = 4)]
+    pub time: SensorTime,
+    /// 12: bits 0 x and y velocity, 1 ship's axes (0: the earth's), 2 z velocity, 3 x and y through water, 4 z through water, 5 distance,
+    /// 6 heading, 7 pitch, 8 roll, 9 temperature, 10 depth, 11 salinity, 12 sound velocity, 31 error.
+    pub validity: u32,
+    /// 16: to the bottom, per beam; 0 none.
+    pub distance_cm: [i32; 4],
+    /// 32: over ground: starboard or east, forward or north, up.
+    pub velocity_mm_per_s: [i16; 3],
+    /// 38: through the water, likewise.
+    pub water_velocity_mm_per_s: [i16; 3],
+    /// 44
+    pub depth_dm: u16,
+    /// 46: bow up.
+    pub pitch_cdeg: i16,
+    /// 48: port up.
+    pub roll_cdeg: i16,
+    /// 50
+    pub heading_cdeg: u16,
+    /// 52: parts per thousand.
+    pub salinity_ppt: u16,
+    /// 54
+    pub temperature_cc: i16,
+    /// 56
+    #[brw(pad_after = 14)]
+    pub sound_velocity_m_per_s: i16,
+}
+
+sensor_message!(Dvl2080, 72, "JSF 2080", message_type::DVL);
+
+/// 2091: the situation, from all sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Situation2091 {
+    #[brw(pad_after = 4)]
+    pub time: SensorTime,
+    /// 12: bits 0 source's time, 1 longitude, 2 latitude, 3 depth, 4 altitude, 5 heave, 6 velocity 1 and 2, 7 velocity down, 8 pitch, 9 roll,
+    /// 10 heading, 11 sound speed, 12 water temperature.
+    pub validity: u32,
+    /// 16: 0 north and east, 1 forward and starboard, 2 turned by 45 degrees.
+    #[brw(pad_after = 3)]
+    pub velocity_axes: u8,
+    /// 20: 1e-7 s since 1970.
+    pub source_time_100ns: u64,
+    /// 28: north positive.
+    pub latitude_deg: f64,
+    /// 36: east positive.
+    pub longitude_deg: f64,
+    /// 44
+    pub depth_m: f32,
+    pub altitude_m: f32,
+    /// 52: down.
+    pub heave_down_m: f32,
+    pub velocity_1_m_per_s: f32,
+    pub velocity_2_m_per_s: f32,
+    pub velocity_down_m_per_s: f32,
+    /// 68: bow up.
+    pub pitch_deg: f32,
+    /// 72: port up.
+    pub roll_deg: f32,
+    pub heading_deg: f32,
+    pub sound_speed_m_per_s: f32,
+    /// 84
+    #[brw(pad_after = 12)]
+    pub water_temperature_c: f32,
+}
+
+sensor_message!(Situation2091, 100, "JSF 2091", message_type::SITUATION);

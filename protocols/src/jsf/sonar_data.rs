@@ -1,0 +1,484 @@
+//! Message 80: one channel of one ping. Source: Rev. 1.20, tables 2-1 to 2-9.
+//!
+//! ```text
+//! header 240 bytes, see SonarDataHeader
+//! data   samples x 1 or 2 i16, block floating point: value = sample x 2^-weighting
+//! ```
+//!
+//! Numbers of 20 bits (samples, start and end frequency, mark) have their upper four in [`SonarDataHeader::msb`]. What a header does not know is
+//! 0 with its bit of `validity` unset. The unit of the sampling interval's eight fraction bits is not stated in the manual: they are written
+//! 0, and the interval is a whole number of nanoseconds.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{MessageHeader, block_float, emit_message, message_type};
+use crate::WireError;
+use crate::calendar::Moment;
+use crate::layout::{data_at, layout, to_i16, to_i32, to_u16, to_u32, turn_counts};
+
+/// How the samples of a message are to be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DataFormat {
+    /// One i16 per sample.
+    Envelope,
+    /// Real and imaginary i16, after the matched filter.
+    Analytic,
+    /// One i16 per sample, before the matched filter.
+    Real,
+    /// Real and imaginary i16, before the matched filter: what an element received.
+    AnalyticUnfiltered,
+}
+
+impl DataFormat {
+    pub fn code(self) -> i16 {
+        match self {
+            Self::Envelope => 0,
+            Self::Analytic => 1,
+            Self::Real => 2,
+            Self::AnalyticUnfiltered => 9,
+        }
+    }
+
+    pub fn from_code(code: i16) -> Result<Self, WireError> {
+        match code {
+            0 => Ok(Self::Envelope),
+            1 => Ok(Self::Analytic),
+            2 => Ok(Self::Real),
+            9 => Ok(Self::AnalyticUnfiltered),
+            _ => Err(WireError::Unsupported {
+                what: "JSF data format",
+                got: u64::from(code as u16),
+            }),
+        }
+    }
+
+    pub fn shorts_per_sample(self) -> usize {
+        match self {
+            Self::Envelope | Self::Real => 1,
+            Self::Analytic | Self::AnalyticUnfiltered => 2,
+        }
+    }
+}
+
+/// Bits of [`SonarDataHeader::validity`].
+pub mod validity {
+    pub const POSITION: u16 = 1;
+    pub const COURSE: u16 = 1 << 1;
+    pub const SPEED: u16 = 1 << 2;
+    pub const HEADING: u16 = 1 << 3;
+    pub const PRESSURE: u16 = 1 << 4;
+    pub const PITCH_ROLL: u16 = 1 << 5;
+    pub const ALTITUDE: u16 = 1 << 6;
+    pub const WATER_TEMPERATURE: u16 = 1 << 8;
+    pub const DEPTH: u16 = 1 << 9;
+    pub const ANNOTATION: u16 = 1 << 10;
+    pub const CABLE: u16 = 1 << 11;
+    pub const KILOMETRES_OF_PIPE: u16 = 1 << 12;
+    /// The position is the sonar's at the time of the ping.
+    pub const POSITION_INTERPOLATED: u16 = 1 << 13;
+    pub const SOUND_SPEED: u16 = 1 << 14;
+}
+
+/// Samples and marks have 20 bits.
+pub const MAX_SAMPLES: usize = (1 << 20) - 1;
+const COORDINATES_LAT_LON: i16 = 2;
+/// Minutes of arc x 10000 in a radian.
+const ARC_COUNTS_PER_RAD: f64 = 180.0 / PI * 60.0 * 1e4;
+/// Counts of pitch and roll in a radian.
+const TILT_COUNTS_PER_RAD: f64 = 32_768.0 / PI;
+const MPS_PER_KNOT: f64 = 1852.0 / 3600.0;
+
+/// The 240 bytes before the samples, as on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
+pub struct SonarDataHeader {
+    /// 0: seconds since 1970 of the start of the ping.
+    pub ping_time_s: i32,
+    /// 4: samples from the ping to the first sample.
+    pub starting_depth_samples: u32,
+    /// 8
+    #[brw(pad_after = 4)]
+    pub ping_number: u32,
+    /// 16: upper bits of start frequency (0-3), end frequency (4-7), samples (8-11), mark (12-15).
+    pub msb: u16,
+    /// 18: fractions of sampling interval (0-7) and course (8-15).
+    pub lsb: u16,
+    /// 20: hundredths of knots (0-3), microseconds of the sweep (4-13).
+    #[brw(pad_after = 6)]
+    pub lsb2: u16,
+    /// 28: 1.
+    pub id_code: i16,
+    /// 30: see [`validity`].
+    #[brw(pad_after = 2)]
+    pub validity: u16,
+    /// 34: see [`DataFormat`].
+    pub data_format: i16,
+    /// 36: from antenna to tow point, aft positive.
+    pub antenna_aft_cm: i16,
+    /// 38: starboard positive.
+    #[brw(pad_after = 4)]
+    pub antenna_starboard_cm: i16,
+    /// 44
+    #[brw(pad_after = 32)]
+    pub kilometres_of_pipe: f32,
+    /// 80: minutes of arc x 10000, or x.
+    pub longitude: i32,
+    /// 84: minutes of arc x 10000, or y.
+    pub latitude: i32,
+    /// 88: 1 mm, 2 latitude and longitude, 3 dm.
+    pub coordinate_units: i16,
+    /// 90
+    pub annotation: [u8; 24],
+    /// 114: lower 16 bits.
+    pub samples_lsb: u16,
+    /// 116
+    pub sample_interval_ns: u32,
+    /// 120
+    pub adc_gain_factor: u16,
+    /// 122: 0 to 100.
+    #[brw(pad_after = 2)]
+    pub transmit_level_percent: i16,
+    /// 126: lower 16 bits, steps of 10 Hz.
+    pub start_frequency_dahz: u16,
+    /// 128: lower 16 bits, steps of 10 Hz.
+    pub end_frequency_dahz: u16,
+    /// 130: whole milliseconds; see `lsb2`.
+    pub sweep_length_ms: u16,
+    /// 132: thousandths of a pound per square inch.
+    pub pressure_mpsi: i32,
+    /// 136
+    pub depth_mm: i32,
+    /// 140: modulo 65536; half the rate for [`DataFormat::Real`].
+    pub sample_frequency_hz: u16,
+    /// 142
+    pub pulse_id: u16,
+    /// 144
+    pub altitude_mm: i32,
+    /// 148
+    pub sound_speed_m_per_s: f32,
+    /// 152
+    pub mixer_frequency_hz: f32,
+    /// 156: the time again, in fields.
+    pub year: i16,
+    pub day_of_year: i16,
+    pub hour: i16,
+    pub minute: i16,
+    pub second: i16,
+    /// 166: 3.
+    pub time_basis: i16,
+    /// 168: N of value = sample x 2^-N.
+    pub weighting: i16,
+    /// 170
+    pub pulses_in_water: i16,
+    /// 172
+    pub heading_cdeg: u16,
+    /// 174: bow up, 180 degrees = 32768.
+    pub pitch: i16,
+    /// 176: port up, 180 degrees = 32768.
+    #[brw(pad_after = 4)]
+    pub roll: i16,
+    /// 182: 0 internal, 1 external, 2 coupled.
+    pub trigger_source: i16,
+    /// 184: lower 16 bits; 0 no mark.
+    pub mark_number: u16,
+    /// 186: time of the position.
+    pub fix_hour: i16,
+    pub fix_minute: i16,
+    pub fix_second: i16,
+    /// 192: whole degrees; hundredths in `lsb`.
+    pub course_deg: i16,
+    /// 194: tenths of a knot; hundredths in `lsb2`.
+    pub speed_dkn: i16,
+    /// 196
+    pub fix_day_of_year: i16,
+    pub fix_year: i16,
+    /// 200
+    pub milliseconds_today: u32,
+    /// 204: largest magnitude of the converter's samples.
+    #[brw(pad_after = 4)]
+    pub adc_largest: u16,
+    /// 210: ASCII.
+    pub software_version: [u8; 6],
+    /// 216: -1 switched off.
+    pub spherical_correction_csamples: i32,
+    /// 220: 1.
+    pub packet_number: u16,
+    /// 222: x 100.
+    #[brw(pad_after = 2)]
+    pub adc_decimation_percent: i16,
+    /// 226
+    pub water_temperature_dc: i16,
+    /// 228
+    #[brw(pad_after = 4)]
+    pub layback_m: f32,
+    /// 236
+    #[brw(pad_after = 2)]
+    pub cable_out_dm: u16,
+}
+
+layout!(SonarDataHeader, 240, "JSF 80 header", Little);
+
+impl Default for SonarDataHeader {
+    /// Nothing known: all 0 but what is always the same.
+    fn default() -> Self {
+        let zeros = Self::parse(&[0; Self::SIZE_BYTES]).expect("240 bytes are a header");
+        Self {
+            id_code: 1,
+            time_basis: 3,
+            pulses_in_water: 1,
+            spherical_correction_csamples: -1,
+            packet_number: 1,
+            adc_decimation_percent: 100,
+            ..zeros
+        }
+    }
+}
+
+/// Puts `bits` at the place in `word` that `mask` marks.
+fn put_bits(word: &mut u16, mask: u16, bits: u16) {
+    *word = (*word & !mask) | ((bits << mask.trailing_zeros()) & mask);
+}
+
+fn bits_of(word: u16, mask: u16) -> u16 {
+    (word & mask) >> mask.trailing_zeros()
+}
+
+const START_FREQUENCY_BITS: u16 = 0x000F;
+const END_FREQUENCY_BITS: u16 = 0x00F0;
+const SAMPLES_BITS: u16 = 0x0F00;
+const COURSE_BITS: u16 = 0xFF00;
+const SPEED_BITS: u16 = 0x000F;
+const SWEEP_BITS: u16 = 0x3FF0;
+
+/// Largest number of 20 bits.
+const MAX_20_BITS: f64 = 1_048_575.0;
+
+impl SonarDataHeader {
+    pub fn samples(&self) -> usize {
+        usize::from(bits_of(self.msb, SAMPLES_BITS)) << 16 | usize::from(self.samples_lsb)
+    }
+
+    /// # Panics
+    /// If there are more than [`MAX_SAMPLES`].
+    pub fn set_samples(&mut self, samples: usize) {
+        assert!(samples <= MAX_SAMPLES, "JSF 80 of {samples} samples");
+        self.samples_lsb = samples as u16;
+        put_bits(&mut self.msb, SAMPLES_BITS, (samples >> 16) as u16);
+    }
+
+    /// Start and end of the pulse's band.
+    pub fn frequencies_hz(&self) -> (f64, f64) {
+        let hz = |mask, low: u16| {
+            f64::from(u32::from(bits_of(self.msb, mask)) << 16 | u32::from(low)) * 10.0
+        };
+        (
+            hz(START_FREQUENCY_BITS, self.start_frequency_dahz),
+            hz(END_FREQUENCY_BITS, self.end_frequency_dahz),
+        )
+    }
+
+    /// To 10 Hz, at most 10.5 MHz.
+    pub fn set_frequencies_hz(&mut self, start_hz: f64, end_hz: f64) {
+        let counts = |hz: f64| to_u32((hz / 10.0).min(MAX_20_BITS));
+        let (start, end) = (counts(start_hz), counts(end_hz));
+        (self.start_frequency_dahz, self.end_frequency_dahz) = (start as u16, end as u16);
+        put_bits(&mut self.msb, START_FREQUENCY_BITS, (start >> 16) as u16);
+        put_bits(&mut self.msb, END_FREQUENCY_BITS, (end >> 16) as u16);
+    }
+
+    pub fn sweep_length_s(&self) -> f64 {
+        f64::from(self.sweep_length_ms) * 1e-3 + f64::from(bits_of(self.lsb2, SWEEP_BITS)) * 1e-6
+    }
+
+    /// To a microsecond.
+    pub fn set_sweep_length_s(&mut self, seconds: f64) {
+        let us = to_u32((seconds * 1e6).min(65_535_999.0));
+        self.sweep_length_ms = (us / 1000) as u16;
+        put_bits(&mut self.lsb2, SWEEP_BITS, (us % 1000) as u16);
+    }
+
+    /// Nanoseconds since 1970 of the ping, to a millisecond.
+    pub fn utc_ns(&self) -> i64 {
+        i64::from(self.ping_time_s) * 1_000_000_000
+            + i64::from(self.milliseconds_today % 1000) * 1_000_000
+    }
+
+    /// Writes all fields of the ping's time: to a millisecond, and until 2038.
+    pub fn set_utc_ns(&mut self, utc_ns: i64) {
+        let moment = Moment::from_utc_ns(utc_ns);
+        self.ping_time_s = utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32;
+        self.milliseconds_today = moment.milliseconds_of_day();
+        self.year = moment.year as i16;
+        self.day_of_year = moment.day_of_year as i16;
+        self.hour = moment.hour.into();
+        self.minute = moment.minute.into();
+        self.second = moment.second.into();
+    }
+
+    /// Latitude and longitude, if they are there and are such.
+    pub fn position_rad(&self) -> Option<(f64, f64)> {
+        let is_there =
+            self.validity & validity::POSITION != 0 && self.coordinate_units == COORDINATES_LAT_LON;
+        is_there.then(|| {
+            (
+                f64::from(self.latitude) / ARC_COUNTS_PER_RAD,
+                f64::from(self.longitude) / ARC_COUNTS_PER_RAD,
+            )
+        })
+    }
+
+    /// The sonar's own position at the time of the ping: to 1e-4 minutes of arc (0.19 m of latitude). The fix is as old as the ping.
+    pub fn set_position_rad(&mut self, latitude_rad: f64, longitude_rad: f64) {
+        self.latitude = to_i32(latitude_rad * ARC_COUNTS_PER_RAD);
+        self.longitude = to_i32(longitude_rad * ARC_COUNTS_PER_RAD);
+        self.coordinate_units = COORDINATES_LAT_LON;
+        self.validity |= validity::POSITION | validity::POSITION_INTERPOLATED;
+        (self.fix_hour, self.fix_minute, self.fix_second) = (self.hour, self.minute, self.second);
+        (self.fix_day_of_year, self.fix_year) = (self.day_of_year, self.year);
+    }
+
+    pub fn heading_rad(&self) -> Option<f64> {
+        (self.validity & validity::HEADING != 0)
+            .then(|| (f64::from(self.heading_cdeg) / 100.0).to_radians())
+    }
+
+    /// To 0.01 degrees.
+    pub fn set_heading_rad(&mut self, heading_rad: f64) {
+        self.heading_cdeg = to_u16(turn_counts(heading_rad, 100.0));
+        self.validity |= validity::HEADING;
+    }
+
+    /// Pitch (bow up) and roll (port up).
+    pub fn pitch_roll_rad(&self) -> Option<(f64, f64)> {
+        (self.validity & validity::PITCH_ROLL != 0).then(|| {
+            (
+                f64::from(self.pitch) / TILT_COUNTS_PER_RAD,
+                f64::from(self.roll) / TILT_COUNTS_PER_RAD,
+            )
+        })
+    }
+
+    /// To 0.0055 degrees; bow up and port up are positive.
+    pub fn set_pitch_roll_rad(&mut self, pitch_rad: f64, roll_rad: f64) {
+        self.pitch = to_i16(pitch_rad * TILT_COUNTS_PER_RAD);
+        self.roll = to_i16(roll_rad * TILT_COUNTS_PER_RAD);
+        self.validity |= validity::PITCH_ROLL;
+    }
+
+    pub fn altitude_m(&self) -> Option<f64> {
+        (self.validity & validity::ALTITUDE != 0).then(|| f64::from(self.altitude_mm) * 1e-3)
+    }
+
+    pub fn set_altitude_m(&mut self, altitude_m: f64) {
+        self.altitude_mm = to_i32(altitude_m * 1e3);
+        self.validity |= validity::ALTITUDE;
+    }
+
+    pub fn depth_m(&self) -> Option<f64> {
+        (self.validity & validity::DEPTH != 0).then(|| f64::from(self.depth_mm) * 1e-3)
+    }
+
+    pub fn set_depth_m(&mut self, depth_m: f64) {
+        self.depth_mm = to_i32(depth_m * 1e3);
+        self.validity |= validity::DEPTH;
+    }
+
+    pub fn set_sound_speed_m_per_s(&mut self, sound_speed_m_per_s: f32) {
+        self.sound_speed_m_per_s = sound_speed_m_per_s;
+        self.validity |= validity::SOUND_SPEED;
+    }
+
+    pub fn course_rad(&self) -> Option<f64> {
+        (self.validity & validity::COURSE != 0).then(|| {
+            (f64::from(self.course_deg) + f64::from(bits_of(self.lsb, COURSE_BITS)) * 1e-2)
+                .to_radians()
+        })
+    }
+
+    /// Whole degrees and hundredths, as the manual has it; some readers take the whole degrees for tenths.
+    pub fn set_course_rad(&mut self, course_rad: f64) {
+        let counts = to_u16(turn_counts(course_rad, 100.0));
+        self.course_deg = (counts / 100) as i16;
+        put_bits(&mut self.lsb, COURSE_BITS, counts % 100);
+        self.validity |= validity::COURSE;
+    }
+
+    pub fn speed_m_per_s(&self) -> Option<f64> {
+        (self.validity & validity::SPEED != 0).then(|| {
+            (f64::from(self.speed_dkn) * 0.1 + f64::from(bits_of(self.lsb2, SPEED_BITS)) * 0.01)
+                * MPS_PER_KNOT
+        })
+    }
+
+    /// Speed over ground to 0.01 knots.
+    pub fn set_speed_m_per_s(&mut self, speed_m_per_s: f64) {
+        let counts = to_u32((speed_m_per_s / MPS_PER_KNOT * 100.0).clamp(0.0, 327_679.0));
+        self.speed_dkn = (counts / 10) as i16;
+        put_bits(&mut self.lsb2, SPEED_BITS, (counts % 10) as u16);
+        self.validity |= validity::SPEED;
+    }
+}
+
+/// Message 80, read: the samples stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SonarData80<'a> {
+    pub header: SonarDataHeader,
+    pub format: DataFormat,
+    data: &'a [u8],
+}
+
+impl<'a> SonarData80<'a> {
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let header = SonarDataHeader::parse(body)?;
+        let format = DataFormat::from_code(header.data_format)?;
+        let len = 2 * header.samples() as u64 * format.shorts_per_sample() as u64;
+        let data = data_at(body, SonarDataHeader::SIZE_BYTES, len, "JSF 80 samples")?;
+        Ok(Self {
+            header,
+            format,
+            data,
+        })
+    }
+
+    /// The numbers as they lie; pairs of real and imaginary part in the analytic formats.
+    pub fn shorts(&self) -> impl ExactSizeIterator<Item = i16> + 'a {
+        self.data
+            .chunks_exact(2)
+            .map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]]))
+    }
+
+    /// The numbers with the block's exponent put to them.
+    pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
+        let weighting = self.header.weighting;
+        self.shorts()
+            .map(move |sample| block_float::value(sample, weighting))
+    }
+}
+
+/// Appends message 80 for a subsystem and a channel, and says where it lies. Format, samples and weighting are those of the header.
+///
+/// # Panics
+/// If the header's format is not one we write, or `shorts` are not as many as the header says.
+pub fn emit_80(
+    buf: &mut Vec<u8>,
+    subsystem: u8,
+    channel: u8,
+    header: &SonarDataHeader,
+    shorts: &[i16],
+) -> Range<usize> {
+    let format = DataFormat::from_code(header.data_format).expect("a data format that we write");
+    assert_eq!(
+        shorts.len(),
+        header.samples() * format.shorts_per_sample(),
+        "JSF 80 of {} samples, {format:?}",
+        header.samples()
+    );
+    let message = MessageHeader::data(message_type::SONAR_DATA, subsystem, channel);
+    emit_message(buf, &message, |buf| {
+        buf.reserve(SonarDataHeader::SIZE_BYTES + 2 * shorts.len());
+        header.emit(buf);
+        crate::sevenk::frame::extend_encoded(buf, shorts, i16::to_le_bytes);
+    })
+}

@@ -1,0 +1,726 @@
+//! JSF against its published tables, against a file that other people's readers accepted, and against any bytes.
+
+mod offsets;
+
+use echotank_protocols::WireError;
+use echotank_protocols::jsf::control::{Control, Value, error_code, is_command};
+use echotank_protocols::jsf::sensors::SensorTime;
+use echotank_protocols::jsf::sonar_data::{DataFormat, SonarDataHeader, validity};
+use echotank_protocols::jsf::{
+    Dvl2080, FileTime426, JsfFraming, JsfStream, Message, MessageHeader, Nmea2002, PitchRoll2020,
+    Pressure2060, Situation2091, SonarData80, SystemInformation182, block_float, command_type,
+    describe, emit_80, emit_message, message_type, subsystem,
+};
+use offsets::{assert_same, table};
+use proptest::prelude::*;
+
+/// 2025-06-15 15:06:40.123 UTC.
+const UTC_NS: i64 = 1_750_000_000_123_000_000;
+
+fn ping() -> SonarDataHeader {
+    let mut header = SonarDataHeader {
+        ping_number: 7,
+        data_format: DataFormat::AnalyticUnfiltered.code(),
+        sample_interval_ns: 29_000,
+        sample_frequency_hz: 34_483,
+        weighting: 12,
+        adc_largest: 32_000,
+        software_version: *b"1.2.3\0",
+        ..SonarDataHeader::default()
+    };
+    header.set_samples(70_000);
+    header.set_utc_ns(UTC_NS);
+    header.set_frequencies_hz(420e3, 860e3);
+    header.set_sweep_length_s(12.345e-3);
+    header.set_position_rad((-36.8_f64).to_radians(), (-121.8_f64).to_radians());
+    header.set_heading_rad(359.9_f64.to_radians());
+    header.set_pitch_roll_rad(3_f64.to_radians(), 5_f64.to_radians());
+    header.set_altitude_m(20.5);
+    header.set_depth_m(3.25);
+    header.set_sound_speed_m_per_s(1500.0);
+    header.set_course_rad(123.45_f64.to_radians());
+    header.set_speed_m_per_s(3.21 * 1852.0 / 3600.0);
+    header
+}
+
+#[test]
+fn message_80_lies_as_tables_2_1_to_2_9_have_it() {
+    let i16s = |values: &[i16]| {
+        values
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect::<Vec<_>>()
+    };
+    let valid: u16 = 1 << 13 | 1 | 2 | 4 | 8 | 32 | 64 | 512 | 1 << 14;
+    let golden = table(
+        240,
+        &[
+            (0, &1_750_000_000_i32.to_le_bytes()),
+            (8, &7_u32.to_le_bytes()),
+            // 70 000 samples = 0x1_1170; 42 000 daHz fits 16 bits, 86 000 daHz = 0x1_4FF0.
+            (16, &0x0110_u16.to_le_bytes()),
+            (18, &(45_u16 << 8).to_le_bytes()),
+            // 1/100 knot, and 345 us.
+            (20, &(345_u16 << 4 | 1).to_le_bytes()),
+            (28, &i16s(&[1])),
+            (30, &valid.to_le_bytes()),
+            (34, &i16s(&[9])),
+            (80, &(-73_080_000_i32).to_le_bytes()),
+            (84, &(-22_080_000_i32).to_le_bytes()),
+            (88, &i16s(&[2])),
+            (114, &0x1170_u16.to_le_bytes()),
+            (116, &29_000_u32.to_le_bytes()),
+            (126, &42_000_u16.to_le_bytes()),
+            (128, &0x4FF0_u16.to_le_bytes()),
+            (130, &12_u16.to_le_bytes()),
+            (136, &3_250_i32.to_le_bytes()),
+            (140, &34_483_u16.to_le_bytes()),
+            (144, &20_500_i32.to_le_bytes()),
+            (148, &1500_f32.to_le_bytes()),
+            (156, &i16s(&[2025, 166, 15, 6, 40, 3])),
+            (168, &i16s(&[12, 1])),
+            (172, &35_990_u16.to_le_bytes()),
+            // 3 and 5 degrees / 180 x 32768 = 546.1 and 910.2.
+            (174, &i16s(&[546, 910])),
+            (186, &i16s(&[15, 6, 40, 123, 32, 166, 2025])),
+            (200, &54_400_123_u32.to_le_bytes()),
+            (204, &32_000_u16.to_le_bytes()),
+            (210, b"1.2.3"),
+            (216, &(-1_i32).to_le_bytes()),
+            (220, &1_u16.to_le_bytes()),
+            (222, &i16s(&[100])),
+        ],
+    );
+    let mut bytes = Vec::new();
+    ping().emit(&mut bytes);
+    assert_same(&bytes, &golden, "message 80");
+    let read = SonarDataHeader::parse(&golden).unwrap();
+    assert_eq!(read, ping());
+    assert_eq!(read.samples(), 70_000);
+    assert_eq!(read.frequencies_hz(), (420e3, 860e3));
+    assert_eq!(read.utc_ns(), UTC_NS);
+    let near = |got: f64, want: f64, tolerance: f64| {
+        assert!((got - want).abs() <= tolerance, "{got} for {want}");
+    };
+    near(read.sweep_length_s(), 12.345e-3, 1e-12);
+    let (latitude, longitude) = read.position_rad().unwrap();
+    near(latitude.to_degrees(), -36.8, 1e-6);
+    near(longitude.to_degrees(), -121.8, 1e-6);
+    near(read.heading_rad().unwrap().to_degrees(), 359.9, 0.005);
+    let (pitch, roll) = read.pitch_roll_rad().unwrap();
+    // Half a step of 180/32768 degrees.
+    near(pitch.to_degrees(), 3.0, 0.0028);
+    near(roll.to_degrees(), 5.0, 0.0028);
+    near(read.course_rad().unwrap().to_degrees(), 123.45, 1e-9);
+    near(read.speed_m_per_s().unwrap() / 1852.0 * 3600.0, 3.21, 1e-9);
+    near(read.altitude_m().unwrap(), 20.5, 1e-9);
+    near(read.depth_m().unwrap(), 3.25, 1e-9);
+}
+
+#[test]
+fn the_header_of_a_message_lies_as_section_2_1_has_it() {
+    let mut buf = vec![0xAA; 3];
+    let header = MessageHeader {
+        session: 4,
+        sequence: 9,
+        ..MessageHeader::data(2020, 101, 2)
+    };
+    let range = emit_message(&mut buf, &header, |buf| buf.extend([1, 2, 3]));
+    assert_eq!(range, 3..22);
+    let golden = table(
+        19,
+        &[
+            (0, &[0x01, 0x16, 0x0D, 4]),
+            (4, &2020_u16.to_le_bytes()),
+            (6, &[2, 101, 2, 9]),
+            (12, &3_i32.to_le_bytes()),
+            (16, &[1, 2, 3]),
+        ],
+    );
+    assert_same(&buf[range], &golden, "header");
+}
+
+#[test]
+fn sensors_lie_as_their_tables_have_it() {
+    let time = SensorTime::from_utc_ns(UTC_NS);
+    let (s, ms) = (1_750_000_000_i32.to_le_bytes(), 123_i32.to_le_bytes());
+    let of = |emit: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = Vec::new();
+        emit(&mut bytes);
+        bytes
+    };
+
+    let attitude = PitchRoll2020 {
+        time,
+        acceleration: [1, -2, 3],
+        rate: [-4, 5, -6],
+        pitch: 546,
+        roll: -910,
+        temperature_dc: 123,
+        device_info: 0xBEEF,
+        heave_down_mm: -250,
+        heading_cdeg: 35_990,
+        validity: 0x17FF,
+        yaw_cdeg: 1234,
+    };
+    let golden = table(
+        44,
+        &[
+            (0, &s),
+            (4, &ms),
+            (12, &1_i16.to_le_bytes()),
+            (14, &(-2_i16).to_le_bytes()),
+            (16, &3_i16.to_le_bytes()),
+            (18, &(-4_i16).to_le_bytes()),
+            (20, &5_i16.to_le_bytes()),
+            (22, &(-6_i16).to_le_bytes()),
+            (24, &546_i16.to_le_bytes()),
+            (26, &(-910_i16).to_le_bytes()),
+            (28, &123_i16.to_le_bytes()),
+            (30, &0xBEEF_u16.to_le_bytes()),
+            (32, &(-250_i16).to_le_bytes()),
+            (34, &35_990_u16.to_le_bytes()),
+            (36, &0x17FF_i32.to_le_bytes()),
+            (40, &1234_i16.to_le_bytes()),
+        ],
+    );
+    assert_same(&of(&|b| attitude.emit(b)), &golden, "2020");
+    assert_eq!(PitchRoll2020::parse(&golden), Ok(attitude));
+
+    let pressure = Pressure2060 {
+        time,
+        pressure_mpsi: 14_696,
+        temperature_mc: 12_345,
+        salinity_ppm: 35_000,
+        validity: 0x3F,
+        conductivity_us_per_cm: 42_000,
+        sound_velocity_mm_per_s: 1_500_123,
+        depth_m: 17,
+    };
+    let golden = table(
+        76,
+        &[
+            (0, &s),
+            (4, &ms),
+            (12, &14_696_i32.to_le_bytes()),
+            (16, &12_345_i32.to_le_bytes()),
+            (20, &35_000_i32.to_le_bytes()),
+            (24, &0x3F_i32.to_le_bytes()),
+            (28, &42_000_i32.to_le_bytes()),
+            (32, &1_500_123_i32.to_le_bytes()),
+            (36, &17_i32.to_le_bytes()),
+        ],
+    );
+    assert_same(&of(&|b| pressure.emit(b)), &golden, "2060");
+    assert_eq!(Pressure2060::parse(&golden), Ok(pressure));
+
+    let dvl = Dvl2080 {
+        time,
+        validity: 0x1FFF,
+        distance_cm: [2000, 2001, 2002, 2003],
+        velocity_mm_per_s: [-100, 1500, 20],
+        water_velocity_mm_per_s: [-101, 1501, 21],
+        depth_dm: 33,
+        pitch_cdeg: 300,
+        roll_cdeg: -500,
+        heading_cdeg: 35_990,
+        salinity_ppt: 35,
+        temperature_cc: 1234,
+        sound_velocity_m_per_s: 1500,
+    };
+    let golden = table(
+        72,
+        &[
+            (0, &s),
+            (4, &ms),
+            (12, &0x1FFF_u32.to_le_bytes()),
+            (16, &2000_i32.to_le_bytes()),
+            (20, &2001_i32.to_le_bytes()),
+            (24, &2002_i32.to_le_bytes()),
+            (28, &2003_i32.to_le_bytes()),
+            (32, &(-100_i16).to_le_bytes()),
+            (34, &1500_i16.to_le_bytes()),
+            (36, &20_i16.to_le_bytes()),
+            (38, &(-101_i16).to_le_bytes()),
+            (40, &1501_i16.to_le_bytes()),
+            (42, &21_i16.to_le_bytes()),
+            (44, &33_u16.to_le_bytes()),
+            (46, &300_i16.to_le_bytes()),
+            (48, &(-500_i16).to_le_bytes()),
+            (50, &35_990_u16.to_le_bytes()),
+            (52, &35_u16.to_le_bytes()),
+            (54, &1234_i16.to_le_bytes()),
+            (56, &1500_i16.to_le_bytes()),
+        ],
+    );
+    assert_same(&of(&|b| dvl.emit(b)), &golden, "2080");
+    assert_eq!(Dvl2080::parse(&golden), Ok(dvl));
+
+    let situation = Situation2091 {
+        time,
+        validity: 0x1FFF,
+        velocity_axes: 1,
+        source_time_100ns: 17_500_000_001_230_000,
+        latitude_deg: -36.8,
+        longitude_deg: -121.8,
+        depth_m: 3.25,
+        altitude_m: 20.5,
+        heave_down_m: -0.25,
+        velocity_1_m_per_s: 1.5,
+        velocity_2_m_per_s: -0.1,
+        velocity_down_m_per_s: 0.02,
+        pitch_deg: 3.0,
+        roll_deg: 5.0,
+        heading_deg: 359.9,
+        sound_speed_m_per_s: 1500.0,
+        water_temperature_c: 12.34,
+    };
+    let golden = table(
+        100,
+        &[
+            (0, &s),
+            (4, &ms),
+            (12, &0x1FFF_u32.to_le_bytes()),
+            (16, &[1]),
+            (20, &17_500_000_001_230_000_u64.to_le_bytes()),
+            (28, &(-36.8_f64).to_le_bytes()),
+            (36, &(-121.8_f64).to_le_bytes()),
+            (44, &3.25_f32.to_le_bytes()),
+            (48, &20.5_f32.to_le_bytes()),
+            (52, &(-0.25_f32).to_le_bytes()),
+            (56, &1.5_f32.to_le_bytes()),
+            (60, &(-0.1_f32).to_le_bytes()),
+            (64, &0.02_f32.to_le_bytes()),
+            (68, &3_f32.to_le_bytes()),
+            (72, &5_f32.to_le_bytes()),
+            (76, &359.9_f32.to_le_bytes()),
+            (80, &1500_f32.to_le_bytes()),
+            (84, &12.34_f32.to_le_bytes()),
+        ],
+    );
+    assert_same(&of(&|b| situation.emit(b)), &golden, "2091");
+    assert_eq!(Situation2091::parse(&golden), Ok(situation));
+
+    let system = SystemInformation182 {
+        system_type: 4,
+        low_rate_io: 0,
+        software_version: 1,
+        subsystems: 2,
+        serial_ports: 3,
+        serial_number: 77,
+    };
+    let golden: Vec<u8> = [4, 0, 1, 2, 3, 77_i32]
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
+    assert_same(&of(&|b| system.emit(b)), &golden, "182");
+    assert_eq!(
+        SystemInformation182::parse(&[&golden[..], &[1; 50]].concat()),
+        Ok(system)
+    );
+
+    let mut file_time = Vec::new();
+    let range = FileTime426 { time }.emit_message(&mut file_time);
+    assert_same(&file_time[range][16..], &[s, ms].concat(), "426");
+    assert_eq!(time.to_utc_ns(), UTC_NS);
+
+    let nmea = Nmea2002 {
+        time,
+        source: 1,
+        sentence: b"$GPZDA,150640.12,15,06,2025,,*62\r\n",
+    };
+    let mut bytes = Vec::new();
+    let range = nmea.emit_message(&mut bytes, 0);
+    let golden = [
+        &s[..],
+        &ms,
+        &[1, 0, 0, 0],
+        b"$GPZDA,150640.12,15,06,2025,,*62",
+    ]
+    .concat();
+    assert_same(&bytes[range][16..], &golden, "2002");
+    assert_eq!(
+        Nmea2002::parse(&golden).unwrap().sentence,
+        b"$GPZDA,150640.12,15,06,2025,,*62"
+    );
+}
+
+/// The bytes that LSTS DUNE sends, and what it expects back.
+#[test]
+fn commands_of_a_public_client_are_read_and_answered_in_its_bytes() {
+    let set_range = table(
+        20,
+        &[
+            (0, &[0x01, 0x16, 13]),
+            (4, &128_u16.to_le_bytes()),
+            (6, &[0, 21, 0, 0]),
+            (12, &4_i32.to_le_bytes()),
+            (16, &50_000_i32.to_le_bytes()),
+        ],
+    );
+    let control = Control::parse(&Message::parse(&set_range).unwrap()).unwrap();
+    assert_eq!(control.value, Value::Number(50_000));
+    // GET of the same without a body, and with stale bytes in it.
+    let get = table(
+        16,
+        &[
+            (0, &[0x01, 0x16, 13]),
+            (4, &128_u16.to_le_bytes()),
+            (6, &[1, 21, 0, 5]),
+        ],
+    );
+    let mut stale = [&get[..], &[9, 9, 9, 9]].concat();
+    stale[12] = 4;
+    for bytes in [&get, &stale] {
+        let asked = Control::parse(&Message::parse(bytes).unwrap()).unwrap();
+        assert_eq!(
+            (asked.command_type, &asked.value),
+            (command_type::GET, &Value::None)
+        );
+        let mut answer = Vec::new();
+        asked.reply(Value::Number(50_000)).emit(&mut answer);
+        let golden = table(
+            20,
+            &[
+                (0, &[0x01, 0x16, 13]),
+                (4, &128_u16.to_le_bytes()),
+                (6, &[2, 21, 0, 5]),
+                (12, &4_i32.to_le_bytes()),
+                (16, &50_000_i32.to_le_bytes()),
+            ],
+        );
+        assert_same(&answer, &golden, "reply to 128");
+        answer.clear();
+        asked
+            .refuse(error_code::UNKNOWN_SUBSYSTEM)
+            .emit(&mut answer);
+        assert_eq!((answer[6], answer[16]), (3, 3));
+    }
+    let coupling = Control {
+        message_type: message_type::PING_COUPLING,
+        command_type: command_type::SET,
+        subsystem: 20,
+        channel: 0,
+        session: 0,
+        sequence: 0,
+        value: Value::Coupling {
+            master_subsystem: 21,
+            divisor: 2,
+            delay_us: 300,
+        },
+    };
+    let mut bytes = Vec::new();
+    coupling.emit(&mut bytes);
+    let golden: Vec<u8> = [21, 2, 300_u32]
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
+    assert_same(&bytes[16..], &golden, "129");
+    assert_eq!(
+        Control::parse(&Message::parse(&bytes).unwrap()),
+        Ok(coupling)
+    );
+}
+
+#[test]
+fn every_command_comes_back_and_what_is_none_is_refused_as_unknown() {
+    for kind in 0..=u16::MAX {
+        if !is_command(kind) {
+            continue;
+        }
+        let value = match kind {
+            22 => Value::Time {
+                seconds: 1,
+                milliseconds: 2,
+            },
+            129 => Value::Coupling {
+                master_subsystem: 20,
+                divisor: 1,
+                delay_us: 0,
+            },
+            123 => Value::PulseName("400-1ms.spf".into()),
+            _ => Value::Number(-5),
+        };
+        let control = Control {
+            message_type: kind,
+            command_type: command_type::SET,
+            subsystem: 20,
+            channel: 1,
+            session: 2,
+            sequence: 3,
+            value,
+        };
+        let mut bytes = Vec::new();
+        control.emit(&mut bytes);
+        assert_eq!(
+            Control::parse(&Message::parse(&bytes).unwrap()),
+            Ok(control),
+            "{kind}"
+        );
+    }
+    let kinds: Vec<u16> = (0..=u16::MAX).filter(|&kind| is_command(kind)).collect();
+    assert_eq!(
+        kinds,
+        [
+            22, 25, 41, 44, 45, 83, 120, 121, 122, 123, 124, 125, 128, 129, 133, 140, 141, 142
+        ]
+    );
+    let mut bytes = Vec::new();
+    emit_message(
+        &mut bytes,
+        &MessageHeader {
+            command_type: 0,
+            ..MessageHeader::data(999, 0, 0)
+        },
+        |_| {},
+    );
+    assert!(matches!(
+        Control::parse(&Message::parse(&bytes).unwrap()),
+        Err(WireError::Unsupported { got: 999, .. })
+    ));
+}
+
+/// 60 messages 80 in formats 0, 1, 9 of subsystems 20, 21, 40, which pyjsf, pingverter and sidescantools read.
+#[test]
+fn a_file_that_other_readers_accepted_is_read_and_written_back_byte_for_byte() {
+    let file = std::fs::read(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/data/proto_iq.jsf"
+    ))
+    .unwrap();
+    let mut stream = JsfStream::new(JsfFraming::default());
+    let (mut back, mut formats) = (Vec::new(), std::collections::BTreeMap::new());
+    stream.feed(&file, |message| {
+        let message = Message::parse(message.unwrap()).unwrap();
+        if message.header.message_type != message_type::SONAR_DATA {
+            emit_message(&mut back, &message.header, |buf| {
+                buf.extend_from_slice(message.body)
+            });
+            return;
+        }
+        let data = SonarData80::parse(message.body).unwrap();
+        *formats
+            .entry((message.header.subsystem, data.header.data_format))
+            .or_insert(0) += 1;
+        let shorts: Vec<i16> = data.shorts().collect();
+        let at = back.len();
+        emit_80(
+            &mut back,
+            message.header.subsystem,
+            message.header.channel,
+            &data.header,
+            &shorts,
+        );
+        // Its version and sequence are its own.
+        back[at + 2] = message.header.protocol_version;
+        back[at + 9] = message.header.sequence;
+    });
+    assert_eq!(stream.skipped_bytes(), 0);
+    assert_eq!(formats.values().sum::<i32>(), 60, "{formats:?}");
+    assert_eq!(
+        formats
+            .keys()
+            .map(|key| key.1)
+            .collect::<std::collections::BTreeSet<_>>(),
+        [0, 1, 9].into()
+    );
+    // Bytes that the manual calls reserved are written 0.
+    let first_difference = back.iter().zip(&file).position(|(b, f)| b != f);
+    assert_eq!(first_difference, None, "of {} bytes", file.len());
+    assert_eq!(back.len(), file.len());
+}
+
+#[test]
+fn messages_come_whole_from_any_cut_of_the_stream_and_after_rubbish() {
+    let mut bytes = Vec::new();
+    for port in 0..5 {
+        Situation2091::default().emit_message(&mut bytes, port);
+        bytes.extend_from_slice(&[0x01, 0x16, 0x00][..usize::from(port % 4)]);
+    }
+    bytes.extend_from_slice(&[
+        0x01, 0x16, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff,
+    ]);
+    Situation2091::default().emit_message(&mut bytes, 5);
+    for cut in [1, 2, 7, 16, 115, 116, 117, 10_000] {
+        let mut stream = JsfStream::new(JsfFraming {
+            max_body_bytes: 1000,
+        });
+        let mut ports = Vec::new();
+        for chunk in bytes.chunks(cut) {
+            stream.feed(chunk, |message| {
+                if let Ok(bytes) = message {
+                    ports.push(Message::parse(bytes).unwrap().header.channel);
+                }
+            });
+        }
+        assert_eq!(ports, [0, 1, 2, 3, 4, 5], "cut every {cut} bytes");
+        assert_eq!(
+            stream.skipped_bytes(),
+            1 + 2 + 3 + 16,
+            "cut every {cut} bytes"
+        );
+    }
+}
+
+#[test]
+fn one_byte_short_is_truncated_and_a_huge_count_reserves_nothing() {
+    let body = |len: usize| vec![0; len];
+    let short = |error: Result<(), WireError>| {
+        assert!(
+            matches!(error, Err(WireError::Truncated { .. })),
+            "{error:?}"
+        );
+    };
+    short(SonarData80::parse(&body(239)).map(|_| ()));
+    short(PitchRoll2020::parse(&body(43)).map(|_| ()));
+    short(Pressure2060::parse(&body(75)).map(|_| ()));
+    short(Dvl2080::parse(&body(71)).map(|_| ()));
+    short(Situation2091::parse(&body(99)).map(|_| ()));
+    short(SystemInformation182::parse(&body(23)).map(|_| ()));
+    short(FileTime426::parse(&body(7)).map(|_| ()));
+    short(Nmea2002::parse(&body(11)).map(|_| ()));
+    let mut huge = body(300);
+    (huge[17], huge[114], huge[115]) = (0x0F, 0xFF, 0xFF);
+    short(SonarData80::parse(&huge).map(|_| ()));
+    huge[34] = 4;
+    assert!(matches!(
+        SonarData80::parse(&huge),
+        Err(WireError::Unsupported { got: 4, .. })
+    ));
+    let mut message = body(16);
+    message[..2].copy_from_slice(&[0x01, 0x16]);
+    message[12..].fill(0xff);
+    assert!(matches!(
+        Message::parse(&message),
+        Err(WireError::Oversized { .. })
+    ));
+}
+
+#[test]
+fn unknown_values_say_so() {
+    let header = SonarDataHeader::default();
+    assert_eq!(header.position_rad(), None);
+    assert_eq!(header.heading_rad(), None);
+    assert_eq!(header.pitch_roll_rad(), None);
+    assert_eq!(header.validity, 0);
+    let mut header = header;
+    header.set_heading_rad(359.9999_f64.to_radians());
+    assert_eq!(
+        (header.heading_cdeg, header.validity),
+        (0, validity::HEADING)
+    );
+}
+
+/// Bytes that look like messages often enough to be read.
+fn nearly_messages() -> impl Strategy<Value = Vec<u8>> {
+    let kinds = [
+        22_u16, 80, 120, 123, 129, 182, 426, 2002, 2020, 2060, 2080, 2091, 9999,
+    ];
+    proptest::collection::vec(
+        (
+            proptest::sample::select(kinds.to_vec()),
+            any::<[u8; 4]>(),
+            proptest::collection::vec(any::<u8>(), 0..400),
+            any::<bool>(),
+        ),
+        0..4,
+    )
+    .prop_map(|parts| {
+        let mut bytes = Vec::new();
+        for (kind, flags, mut body, is_small) in parts {
+            if is_small && body.len() > 116 {
+                // Few samples, a format that is read.
+                body[17] = 0;
+                body[34..36].copy_from_slice(&[[0, 1, 2, 9][usize::from(flags[3] % 4)], 0]);
+                body[115] = 0;
+            }
+            let header = MessageHeader {
+                command_type: flags[0] % 5,
+                ..MessageHeader::data(kind, flags[1], flags[2])
+            };
+            emit_message(&mut bytes, &header, |buf| buf.extend(body));
+        }
+        bytes
+    })
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_a_parser_panic(bytes in proptest::collection::vec(any::<u8>(), 0..600), mut good in nearly_messages(), spoil in any::<(prop::sample::Index, u8)>()) {
+        if !good.is_empty() {
+            let at = spoil.0.index(good.len());
+            good[at] ^= spoil.1;
+        }
+        for bytes in [&bytes, &good] {
+            let mut stream = JsfStream::new(JsfFraming { max_body_bytes: 4096 });
+            let mut seen = 0;
+            let mut look = |message: Result<&[u8], WireError>| match message {
+                Ok(message) => {
+                    seen += message.len();
+                    prop_assert!(!describe(message).is_empty());
+                    let read = Message::parse(message).unwrap();
+                    if let Ok(data) = SonarData80::parse(read.body) {
+                        prop_assert!(data.values().len() * 2 <= read.body.len());
+                    }
+                    if let Ok(control) = Control::parse(&read) {
+                        let mut again = Vec::new();
+                        control.emit(&mut again);
+                        prop_assert_eq!(Control::parse(&Message::parse(&again).unwrap()).unwrap(), control);
+                    }
+                    Ok(())
+                }
+                Err(error) => {
+                    prop_assert!(!error.to_string().is_empty());
+                    Ok(())
+                }
+            };
+            let mut results = Vec::new();
+            stream.feed(bytes, |message| results.push(look(message)));
+            stream.finish();
+            while let Some(message) = stream.next_message() {
+                results.push(look(message));
+            }
+            for result in results {
+                result?;
+            }
+            // Every byte is in a message or was passed over.
+            prop_assert_eq!(seen as u64 + stream.skipped_bytes(), bytes.len() as u64);
+            describe(bytes);
+        }
+    }
+
+    #[test]
+    fn header_bytes_that_are_not_reserved_come_back(bytes in proptest::collection::vec(any::<u8>(), 240)) {
+        let read = SonarDataHeader::parse(&bytes).unwrap();
+        let mut back = Vec::new();
+        read.emit(&mut back);
+        let mut expected = bytes;
+        for reserved in [12..16, 22..28, 32..34, 40..44, 48..80, 124..126, 178..182, 206..210, 224..226, 232..236, 238..240] {
+            expected[reserved].fill(0);
+        }
+        // NaN stays NaN, bit for bit.
+        prop_assert_eq!(back, expected);
+    }
+
+    #[test]
+    fn samples_come_back_in_all_formats_and_with_their_scale(
+        samples in proptest::collection::vec(-1e3_f32..1e3, 0..200), format in 0..4_usize
+    ) {
+        let format = [DataFormat::Envelope, DataFormat::Analytic, DataFormat::Real, DataFormat::AnalyticUnfiltered][format];
+        let samples = &samples[..samples.len() / 2 * 2];
+        let mut shorts = Vec::new();
+        let scaled = block_float::quantise(samples, &mut shorts);
+        let mut header = SonarDataHeader { data_format: format.code(), weighting: scaled.weighting, ..SonarDataHeader::default() };
+        header.set_samples(samples.len() / format.shorts_per_sample());
+        let mut buf = Vec::new();
+        let range = emit_80(&mut buf, subsystem::SIDE_SCAN_HIGH, 1, &header, &shorts);
+        let message = Message::parse(&buf[range]).unwrap();
+        let data = SonarData80::parse(message.body).unwrap();
+        prop_assert_eq!(data.header, header);
+        prop_assert_eq!(data.shorts().collect::<Vec<_>>(), shorts);
+        let half_step = 0.5 * 2.0_f64.powi(-i32::from(scaled.weighting));
+        for (value, &sample) in data.values().zip(samples) {
+            prop_assert!((value - f64::from(sample)).abs() <= half_step);
+        }
+    }
+}

@@ -1,0 +1,215 @@
+"""What the protocols crate writes, read by programs that nobody here wrote (tools/requirements.txt).
+
+The sample files come from `protocols/examples/wire_samples`; what they should hold is stated here a second time. To read a folder that was
+written before, name it in WIRE_SAMPLES.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+import warnings
+
+import numpy as np
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+UTC_S, UTC_MS = 1_750_000_000, 123
+LATITUDE, LONGITUDE = -36.8, -121.8
+HEADING, PITCH, ROLL = 359.9, 3.0, 5.0
+
+needs_310 = unittest.skipIf(sys.version_info < (3, 10), "the reader needs Python 3.10")
+
+_samples = None
+
+
+def count(ping, channel, samples):
+    """The integers of a channel of a ping."""
+    k = np.arange(samples, dtype=np.int64)
+    return ((k * 7919 + channel * 104729 + ping * 15485863) % 40001 - 20000).astype(np.int64)
+
+
+def setUpModule():
+    global _samples
+    folder = os.environ.get("WIRE_SAMPLES")
+    if folder:
+        _samples = folder
+        return
+    keep = tempfile.TemporaryDirectory()
+    unittest.addModuleCleanup(keep.cleanup)
+    subprocess.run(["cargo", "run", "--quiet", "--package", "echotank-protocols", "--example", "wire_samples", "--", keep.name], cwd=ROOT, check=True)
+    _samples = keep.name
+
+
+def sample(name):
+    return os.path.join(_samples, name)
+
+
+@needs_310
+class Jsf(unittest.TestCase):
+    """pyjsf: its own ctypes tables, and weighting put to the samples."""
+
+    @classmethod
+    def setUpClass(cls):
+        from pyjsf.jsf_io import jsf_read
+        cls.messages = jsf_read(sample("sample.jsf"))
+
+    def of_type(self, kind):
+        return [m for m in self.messages if m[0].message_type == kind]
+
+    def test_samples_are_exact_in_formats_0_1_and_9(self):
+        sonar = self.of_type(80)
+        self.assertEqual(len(sonar), 3 * 3 * 2)
+        formats = {20: 0, 21: 1, 40: 9}
+        for head, trace, data in sonar:
+            ping, channel = trace.ping_number - 1, head.channel_number
+            self.assertEqual(trace.data_format, formats[head.subsystem_number])
+            shorts = 500 * (1 if trace.data_format == 0 else 2)
+            np.testing.assert_array_equal(data, count(ping, channel, shorts) / 512.0)
+
+    def test_time_place_and_attitude_are_those_of_the_ping(self):
+        for head, trace, _ in self.of_type(80):
+            ping = trace.ping_number - 1
+            self.assertEqual((trace.ping_time, trace.milliseconds % 1000), (UTC_S, UTC_MS + 100 * ping))
+            self.assertEqual((trace.year, trace.day, trace.hour, trace.minute, trace.second), (2025, 166, 15, 6, 40))
+            self.assertEqual(trace.coordinate_units, 2)
+            self.assertAlmostEqual(trace.latitude / 600000.0, LATITUDE, delta=1e-6)
+            self.assertAlmostEqual(trace.longitude / 600000.0, LONGITUDE, delta=1e-6)
+            self.assertEqual(trace.compass_heading, 35990)
+            self.assertAlmostEqual(trace.pitch * 180.0 / 32768.0, PITCH, delta=0.0028)
+            self.assertAlmostEqual(trace.roll * 180.0 / 32768.0, ROLL, delta=0.0028)
+            self.assertEqual((trace.number_samples, trace.sampling_interval, trace.sample_frequency), (500, 20000, 50000))
+            self.assertEqual((trace.pulse_start_freq, trace.pulse_end_freq, trace.sweep_length), (42000, 44000, 2))
+            self.assertEqual((trace.altitude, trace.sound_speed), (20000, 1500.0))
+
+    def test_sensors_are_read(self):
+        for _, attitude in self.of_type(2020):
+            self.assertEqual((attitude.estimated_heave, attitude.heading, attitude.validity_flag), (-250, 35990, 0x3C0))
+            self.assertAlmostEqual(attitude.pitch * 180.0 / 32768.0, PITCH, delta=0.0028)
+        for _, pressure in self.of_type(2060):
+            self.assertEqual((pressure.pressure, pressure.sound_velocity), (14696, 1500000))
+        self.assertEqual([len(self.of_type(kind)) for kind in (2020, 2060, 2002)], [3, 3, 3])
+
+
+class Xtf(unittest.TestCase):
+    """pyxtf: its own ctypes tables."""
+
+    @classmethod
+    def setUpClass(cls):
+        import pyxtf
+        cls.header, cls.packets = pyxtf.xtf_read(sample("sample.xtf"))
+        cls.pings = cls.packets[pyxtf.XTFHeaderType.sonar]
+        cls.attitudes = cls.packets[pyxtf.XTFHeaderType.attitude]
+
+    def test_channels_are_as_stated(self):
+        self.assertEqual((self.header.NumberOfSonarChannels, self.header.NavUnits), (3, 3))
+        kinds = [(c.TypeOfChannel, c.BytesPerSample, c.SampleFormat) for c in self.header.sonar_info]
+        self.assertEqual(kinds, [(1, 2, 3), (2, 4, 5), (1, 1, 8)])
+
+    def test_samples_are_exact(self):
+        self.assertEqual(len(self.pings), 3)
+        for number, ping in enumerate(self.pings):
+            self.assertEqual([len(d) for d in ping.data], [500] * 3)
+            np.testing.assert_array_equal(ping.data[0], count(number, 0, 500) + 20000)
+            np.testing.assert_array_equal(ping.data[1], (count(number, 1, 500) + 20000) / 512.0)
+            np.testing.assert_array_equal(ping.data[2], (count(number, 2, 500) + 20000) % 256)
+
+    def test_time_place_and_attitude_are_those_of_the_ping(self):
+        for number, ping in enumerate(self.pings):
+            # To 0.01 s, rounded.
+            self.assertEqual(ping.get_time(), np.datetime64("2025-06-15T15:06:40.120") + np.timedelta64(100 * number, "ms"))
+            self.assertEqual((ping.SensorYcoordinate, ping.SensorXcoordinate), (LATITUDE, LONGITUDE))
+            got = (ping.SensorPitch, ping.SensorRoll, ping.SensorHeading, ping.Heave, ping.SoundVelocity)
+            for value, expected in zip(got, (PITCH, ROLL, HEADING, 0.25, 750.0)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        for number, attitude in enumerate(self.attitudes):
+            self.assertEqual(attitude.get_time(), np.datetime64("2025-06-15T15:06:40.123456") + np.timedelta64(100 * number, "ms"))
+            for value, expected in zip((attitude.Pitch, attitude.Roll, attitude.Heading), (PITCH, ROLL, HEADING)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        self.assertEqual(len(self.attitudes), 3)
+
+
+@unittest.skipUnless(shutil.which("tshark"), "tshark is not installed")
+class Vita49(unittest.TestCase):
+    """Wireshark's dissector of VITA 49, on a capture."""
+
+    @classmethod
+    def setUpClass(cls):
+        fields = ["type", "sid", "seq", "ts_int", "ts_frac_picosecond", "valid", "overrng", "data"]
+        command = ["tshark", "-r", sample("sample_vita49.pcap"), "-Y", "vrt", "-T", "fields", "-E", "separator=,"]
+        for field in fields:
+            command += ["-e", "vrt." + field]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, text=True)
+        cls.packets = [dict(zip(fields, line.split(","))) for line in done.stdout.splitlines()]
+
+    def of(self, kind, stream):
+        return [p for p in self.packets if int(p["type"]) == kind and int(p["sid"], 0) == stream]
+
+    def test_samples_of_the_vector_stream_are_exact_and_flagged(self):
+        data = self.of(1, 0x100)
+        self.assertTrue(all((p["valid"], p["overrng"]) == ("1", "0") for p in data), data[0])
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in data)), dtype=">i2").reshape(3, 500, 4, 2)
+        for ping in range(3):
+            for element in range(4):
+                np.testing.assert_array_equal(got[ping, :, element, :].ravel(), count(ping, element, 1000))
+
+    def test_samples_of_the_real_stream_are_exact(self):
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in self.of(1, 0x200))), dtype=">i2").reshape(3, 500)
+        for ping in range(3):
+            np.testing.assert_array_equal(got[ping], count(ping, 9, 500))
+
+    def test_packets_are_counted_and_their_times_are_their_first_samples(self):
+        for stream, rate, sample_bytes in ((0x100, 50e3, 16), (0x200, 2e6, 2)):
+            data = self.of(1, stream)
+            self.assertEqual([int(p["seq"]) for p in data], [n % 16 for n in range(len(data))])
+            self.assertEqual([int(p["seq"]) for p in self.of(4, stream)], [0, 1, 2])
+            before = 0
+            for packet in data:
+                ping, sample_in_ping = divmod(before, 500)
+                expected = 123456789000 + ping * 100000000000 + round(sample_in_ping / rate * 1e12)
+                self.assertEqual((int(packet["ts_int"]), int(packet["ts_frac_picosecond"])), (UTC_S, expected))
+                before += len(packet["data"]) // 2 // sample_bytes
+            self.assertEqual(before, 3 * 500)
+
+
+@needs_310
+class SigMf(unittest.TestCase):
+    """The reference implementation: its schema, and its reading of the samples."""
+
+    def test_words_are_valid_and_samples_exact(self):
+        import sigmf
+        recording = sigmf.sigmffile.fromfile(sample("sample.sigmf-meta"), autoscale=False)
+        recording.validate()
+        self.assertEqual(recording.get_global_field("core:num_channels"), 4)
+        for ping in range(3):
+            capture = recording.get_captures()[ping]
+            self.assertEqual((capture["core:sample_start"], capture["core:frequency"]), (500 * ping, 430e3))
+            self.assertEqual(capture["core:datetime"], "2025-06-15T15:06:40.%d23456789Z" % (1 + ping))
+            got = recording.read_samples(start_index=500 * ping, count=500)
+            self.assertEqual(got.shape, (500, 4))
+            for element in range(4):
+                numbers = count(ping, element, 1000)
+                np.testing.assert_array_equal(got[:, element], numbers[::2] + 1j * numbers[1::2])
+
+
+class Wav(unittest.TestCase):
+    """libsndfile, by soundfile."""
+
+    def test_eight_channels_are_exact_in_riff_and_rf64(self):
+        import soundfile
+        for name, kind, container, dtype, scale in (
+            ("sample_i16.wav", "PCM_16", "WAVEX", "int16", 1),
+            ("sample_i32_rf64.wav", "PCM_32", "RF64", "int32", 65536),
+            ("sample_f32.wav", "FLOAT", "WAVEX", "float32", 1 / 32768.0),
+        ):
+            about = soundfile.info(sample(name))
+            self.assertEqual((about.subtype, about.format, about.samplerate, about.channels, about.frames), (kind, container, 192000, 8, 500))
+            data, _ = soundfile.read(sample(name), dtype=dtype)
+            for channel in range(8):
+                np.testing.assert_array_equal(data[:, channel], count(0, channel, 500) * scale)
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("error")
+    unittest.main()
