@@ -559,7 +559,7 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 /// Both configurations with an engine, on a real ship's log over a real seabed: the direct sum of the same path and Doppler by window.
 #[test]
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
-    for (file, tolerance) in [("certified.toml", 1e-3), ("multibeam.toml", 1e-2)] {
+    for (file, tolerance) in [("certified.toml", 1e-3), ("multibeam.toml", 2e-2)] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {
                 sonar.synthesis.certificate = false;
