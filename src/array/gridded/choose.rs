@@ -1,8 +1,9 @@
 //! What a tolerance needs, at the least cost: the band, the kernel over delay, the grid of Dopplers.
 
+use std::f64::consts::TAU;
 use std::sync::LazyLock;
 
-use crate::array::filter::occupied_hz;
+use crate::array::filter::{bessel_i0, occupied_hz};
 use crate::flow::Pulse;
 
 use super::doppler::{Coupling, DopplerGrid, DopplerSpan, MAX_ORDER, Received, Trial};
@@ -18,13 +19,65 @@ pub const SHARE: f64 = 1.0 / 3.0;
 /// Multiples of the sample rate that the band may have.
 pub const MOST_BANDS: usize = 8;
 
-/// Band, in multiples of the sample rate, outside of which the received pulse has no more than the share at any Doppler; and what it has
-/// there.
+/// The band that is kept of the received pulse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Band {
+    /// Kept whole up to here to either side.
+    pub whole_hz: f64,
+    /// Beyond that it is let fade over this; 0: cut.
+    pub fade_hz: f64,
+    /// Amplitude share of an echo that is left out, at most.
+    pub outside: f64,
+}
+
+/// Over which a band fades, in sample rates: what it leaves out of an echo then stays within 24 samples of it.
+const FADE: f64 = 0.125;
+
+/// The fade is the integral of a Kaiser window: beyond the samples just named 70 dB down.
+const FADE_BETA: f64 = 9.0;
+
+impl Band {
+    /// Share of frequency `f_hz` that is kept.
+    pub fn gain(&self, f_hz: f64) -> f64 {
+        let beyond_hz = f_hz.abs() - self.whole_hz;
+        if beyond_hz <= 0.0 {
+            return 1.0;
+        }
+        if beyond_hz >= self.fade_hz {
+            return 0.0;
+        }
+        let place = beyond_hz / self.fade_hz * (FADING.len() - 1) as f64;
+        let (cell, x) = (place as usize, place.fract());
+        FADING[cell] * (1.0 - x) + FADING[cell + 1] * x
+    }
+}
+
+/// The integral from the outer end of the fade to its inner one.
+static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
+    const STEPS: usize = 1024;
+    let bump = |i: usize| {
+        let x = 2.0 * (i as f64 + 0.5) / STEPS as f64 - 1.0;
+        bessel_i0(FADE_BETA * (1.0 - x * x).sqrt())
+    };
+    let all: f64 = (0..STEPS).map(bump).sum();
+    let mut left = all;
+    let mut fading = vec![1.0];
+    for i in 0..STEPS {
+        left -= bump(i);
+        fading.push((left / all).max(0.0));
+    }
+    fading
+});
+
+/// The narrowest band of whole multiples of the sample rate outside of which the received pulse has no more than its share at any Doppler.
+///
+/// What is cut off sharply at f_e rings for ever: t after the echo with |S H|(f_e) / (2 pi t) per edge, in the window from T to 2 T with
+/// |S H| / (2 pi sqrt(T)). In a window that is weaker by the level range that must be within the share too; if it is not, the band fades.
 pub fn band(
     spec: &Spec,
     span: DopplerSpan,
     spectrum: &PulseSpectrum,
-) -> Result<(usize, f64), GriddedError> {
+) -> Result<Band, GriddedError> {
     let ends: Vec<Vec<f64>> = [span.least, span.greatest]
         .iter()
         .map(|&d| shares(spec, d, spectrum))
@@ -35,13 +88,42 @@ pub fn band(
         None => MOST_BANDS,
         Some(_) => MOST_BANDS / 2,
     };
-    (1..=most)
+    let bands = (1..=most)
         .find(|&bands| share(bands) <= SHARE * spec.tolerance)
-        .map(|bands| (bands, share(bands)))
         .ok_or(GriddedError::OutOfBand {
             tolerance: spec.tolerance,
             share: share(most),
-        })
+        })?;
+    let whole_hz = 0.5 * bands as f64 * spec.sample_rate_hz;
+    let ring = edge_level(spec, span, spectrum, whole_hz)
+        / (TAU * (spec.pulse.duration_s * spectrum.energy()).sqrt());
+    let heard = ring * 10f64.powf(spec.level_range_db / 20.0);
+    Ok(Band {
+        whole_hz,
+        fade_hz: match heard <= SHARE * spec.tolerance {
+            true => 0.0,
+            false => FADE * spec.sample_rate_hz,
+        },
+        outside: share(bands),
+    })
+}
+
+/// Greatest |S H| about the band's ends: a filter's response has zeros there, next to its ripples.
+fn edge_level(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum, edge_hz: f64) -> f64 {
+    const LOOKS: i32 = 16;
+    let mut most: f64 = 0.0;
+    for look in -LOOKS..=LOOKS {
+        let from_edge_hz = f64::from(look) / f64::from(LOOKS) * 0.05 * spec.sample_rate_hz;
+        for side in [-1.0, 1.0] {
+            let f_hz = side * (edge_hz + from_edge_hz);
+            let gain = spec.filter.map_or(1.0, |filter| filter.gain(f_hz));
+            for d in [span.least, span.greatest] {
+                let shift_hz = spec.pulse.center_frequency_hz * d;
+                most = most.max((spectrum.at(f_hz - shift_hz) * gain).norm());
+            }
+        }
+    }
+    most
 }
 
 /// Amplitude share of an echo of Doppler `d` outside of 0, 1, ... [`MOST_BANDS`] multiples of the sample rate.
@@ -111,6 +193,9 @@ fn worst_share(pulse: &Pulse) -> f64 {
         0.6
     }
 }
+
+/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 17 degrees to either hand, from a platform at full speed.
+const TYPICAL_SPAN: f64 = 0.3;
 
 /// Of the worst share, what each term of the series in the curvature may leave.
 const TERM_SHARE: f64 = 0.3;
@@ -236,9 +321,10 @@ impl<'a> Trials<'a> {
     }
 
     fn cost<M: Real>(&self, grid: &DopplerGrid) -> f64 {
-        let rows = grid.columns.div_ceil(M::MOMENTS);
+        let columns = grid.columns_of(TYPICAL_SPAN);
+        let rows = columns.div_ceil(M::MOMENTS);
         (rows as f64 * NS_PER_ROW + grid.taps as f64 * NS_PER_TAP) * self.spec.arrivals as f64
-            + grid.columns as f64 * NS_PER_GRID_VALUE * self.grid as f64
+            + columns as f64 * NS_PER_GRID_VALUE * self.grid as f64
     }
 
     /// The cheapest grid that leaves no echo more than `share`, if it costs less than `held`.

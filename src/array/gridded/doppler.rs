@@ -191,6 +191,12 @@ impl DopplerGrid {
         }
     }
 
+    /// Columns that echoes go to whose Dopplers take up this share of the span.
+    pub fn columns_of(&self, share: f64) -> usize {
+        let cells = (share * self.cells as f64).ceil() as usize + 1;
+        cells.min(self.cells) + self.taps - 1
+    }
+
     /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
     #[inline(always)]
     pub fn place(&self, doppler: f64) -> (usize, f64) {

@@ -105,8 +105,8 @@ impl Gridded {
             filter: Some(&filter),
             doppler,
             span: DopplerSpan {
-                least: -0.3 * fastest,
-                greatest: 0.3 * fastest,
+                least: -fastest,
+                greatest: fastest,
             },
             // A platform of that speed at 36 m: 25/(36 1500).
             curvature_per_s: 5e-4,
