@@ -446,8 +446,7 @@ impl Synthesis {
         match self {
             Self::Reference | Self::Direct => true,
             Self::Spectral | Self::Nearest | Self::Linear => doppler.keeps_pulse(),
-            Self::Gridded1d => matches!(doppler, DopplerModel::None | DopplerModel::Stretch),
-            Self::Gridded2d => doppler != DopplerModel::PaperEq21,
+            Self::Gridded1d | Self::Gridded2d => doppler != DopplerModel::PaperEq21,
         }
     }
 }

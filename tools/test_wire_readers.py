@@ -5,6 +5,7 @@ written before, name it in WIRE_SAMPLES.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -89,6 +90,180 @@ class Jsf(unittest.TestCase):
         for _, pressure in self.of_type(2060):
             self.assertEqual((pressure.pressure, pressure.sound_velocity), (14696, 1500000))
         self.assertEqual([len(self.of_type(kind)) for kind in (2020, 2060, 2002)], [3, 3, 3])
+
+
+class Xtf(unittest.TestCase):
+    """pyxtf: its own ctypes tables."""
+
+    @classmethod
+    def setUpClass(cls):
+        import pyxtf
+        cls.header, cls.packets = pyxtf.xtf_read(sample("sample.xtf"))
+        cls.pings = cls.packets[pyxtf.XTFHeaderType.sonar]
+        cls.attitudes = cls.packets[pyxtf.XTFHeaderType.attitude]
+
+    def test_channels_are_as_stated(self):
+        self.assertEqual((self.header.NumberOfSonarChannels, self.header.NavUnits), (3, 3))
+        kinds = [(c.TypeOfChannel, c.BytesPerSample, c.SampleFormat) for c in self.header.sonar_info]
+        self.assertEqual(kinds, [(1, 2, 3), (2, 4, 5), (1, 1, 8)])
+
+    def test_samples_are_exact(self):
+        self.assertEqual(len(self.pings), 3)
+        for number, ping in enumerate(self.pings):
+            self.assertEqual([len(d) for d in ping.data], [500] * 3)
+            np.testing.assert_array_equal(ping.data[0], count(number, 0, 500) + 20000)
+            np.testing.assert_array_equal(ping.data[1], (count(number, 1, 500) + 20000) / 512.0)
+            np.testing.assert_array_equal(ping.data[2], (count(number, 2, 500) + 20000) % 256)
+
+    def test_time_place_and_attitude_are_those_of_the_ping(self):
+        for number, ping in enumerate(self.pings):
+            # To 0.01 s, rounded.
+            self.assertEqual(ping.get_time(), np.datetime64("2025-06-15T15:06:40.120") + np.timedelta64(100 * number, "ms"))
+            self.assertEqual((ping.SensorYcoordinate, ping.SensorXcoordinate), (LATITUDE, LONGITUDE))
+            got = (ping.SensorPitch, ping.SensorRoll, ping.SensorHeading, ping.Heave, ping.SoundVelocity)
+            for value, expected in zip(got, (PITCH, ROLL, HEADING, 0.25, 750.0)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        for number, attitude in enumerate(self.attitudes):
+            self.assertEqual(attitude.get_time(), np.datetime64("2025-06-15T15:06:40.123456") + np.timedelta64(100 * number, "ms"))
+            for value, expected in zip((attitude.Pitch, attitude.Roll, attitude.Heading), (PITCH, ROLL, HEADING)):
+                self.assertAlmostEqual(value, expected, delta=1e-4)
+        self.assertEqual(len(self.attitudes), 3)
+
+
+@unittest.skipUnless(shutil.which("tshark"), "tshark is not installed")
+class Vita49(unittest.TestCase):
+    """Wireshark's dissector of VITA 49, on a capture."""
+
+    @classmethod
+    def setUpClass(cls):
+        fields = ["type", "sid", "seq", "ts_int", "ts_frac_picosecond", "valid", "overrng", "data"]
+        command = ["tshark", "-r", sample("sample_vita49.pcap"), "-Y", "vrt", "-T", "fields", "-E", "separator=,"]
+        for field in fields:
+            command += ["-e", "vrt." + field]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, text=True)
+        cls.packets = [dict(zip(fields, line.split(","))) for line in done.stdout.splitlines()]
+
+    def of(self, kind, stream):
+        return [p for p in self.packets if int(p["type"]) == kind and int(p["sid"], 0) == stream]
+
+    def test_samples_of_the_vector_stream_are_exact_and_flagged(self):
+        data = self.of(1, 0x100)
+        self.assertTrue(all((p["valid"], p["overrng"]) == ("1", "0") for p in data), data[0])
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in data)), dtype=">i2").reshape(3, 500, 4, 2)
+        for ping in range(3):
+            for element in range(4):
+                np.testing.assert_array_equal(got[ping, :, element, :].ravel(), count(ping, element, 1000))
+
+    def test_samples_of_the_real_stream_are_exact(self):
+        got = np.frombuffer(bytes.fromhex("".join(p["data"] for p in self.of(1, 0x200))), dtype=">i2").reshape(3, 500)
+        for ping in range(3):
+            np.testing.assert_array_equal(got[ping], count(ping, 9, 500))
+
+    def test_packets_are_counted_and_their_times_are_their_first_samples(self):
+        for stream, rate, sample_bytes in ((0x100, 50e3, 16), (0x200, 2e6, 2)):
+            data = self.of(1, stream)
+            self.assertEqual([int(p["seq"]) for p in data], [n % 16 for n in range(len(data))])
+            self.assertEqual([int(p["seq"]) for p in self.of(4, stream)], [0, 1, 2])
+            before = 0
+            for packet in data:
+                ping, sample_in_ping = divmod(before, 500)
+                expected = 123456789000 + ping * 100000000000 + round(sample_in_ping / rate * 1e12)
+                self.assertEqual((int(packet["ts_int"]), int(packet["ts_frac_picosecond"])), (UTC_S, expected))
+                before += len(packet["data"]) // 2 // sample_bytes
+            self.assertEqual(before, 3 * 500)
+
+
+@needs_310
+class SigMf(unittest.TestCase):
+    """The reference implementation: its schema, and its reading of the samples."""
+
+    def test_words_are_valid_and_samples_exact(self):
+        import sigmf
+        recording = sigmf.sigmffile.fromfile(sample("sample.sigmf-meta"), autoscale=False)
+        recording.validate()
+        self.assertEqual(recording.get_global_field("core:num_channels"), 4)
+        for ping in range(3):
+            capture = recording.get_captures()[ping]
+            self.assertEqual((capture["core:sample_start"], capture["core:frequency"]), (500 * ping, 430e3))
+            self.assertEqual(capture["core:datetime"], "2025-06-15T15:06:40.%d23456789Z" % (1 + ping))
+            got = recording.read_samples(start_index=500 * ping, count=500)
+            self.assertEqual(got.shape, (500, 4))
+            for element in range(4):
+                numbers = count(ping, element, 1000)
+                np.testing.assert_array_equal(got[:, element], numbers[::2] + 1j * numbers[1::2])
+
+
+class Wav(unittest.TestCase):
+    """libsndfile, by soundfile."""
+
+    def test_eight_channels_are_exact_in_riff_and_rf64(self):
+        import soundfile
+        for name, kind, container, dtype, scale in (
+            ("sample_i16.wav", "PCM_16", "WAVEX", "int16", 1),
+            ("sample_i32_rf64.wav", "PCM_32", "RF64", "int32", 65536),
+            ("sample_f32.wav", "FLOAT", "WAVEX", "float32", 1 / 32768.0),
+        ):
+            about = soundfile.info(sample(name))
+            self.assertEqual((about.subtype, about.format, about.samplerate, about.channels, about.frames), (kind, container, 192000, 8, 500))
+            data, _ = soundfile.read(sample(name), dtype=dtype)
+            for channel in range(8):
+                np.testing.assert_array_equal(data[:, channel], count(0, channel, 500) * scale)
+
+
+class PingProtocol(unittest.TestCase):
+    """brping, the makers' own client: its parser, its definitions, its checksum."""
+
+    @classmethod
+    def setUpClass(cls):
+        from brping import PingParser, definitions
+        # Numbers mean different things to different devices: 504 is longer in the list of all.
+        known = {**definitions.payload_dict_omniscan450, **definitions.payload_dict_surveyor240, **definitions.payload_dict_common}
+        parser = PingParser(payload_dict=known)
+        cls.messages = []
+        with open(sample("sample.ping"), "rb") as file:
+            for byte in file.read():
+                if parser.parse_byte(byte) == PingParser.NEW_MESSAGE:
+                    cls.messages.append(parser.rx_msg)
+        cls.errors = parser.errors
+
+    def of(self, message_id):
+        return [m for m in self.messages if m.message_id == message_id]
+
+    def test_every_frame_is_taken(self):
+        self.assertEqual((len(self.messages), self.errors), (8 + 3 * 4, 0))
+
+    def test_settings_and_answers_are_read(self):
+        info = self.of(4)[0]
+        self.assertEqual((info.device_revision, info.firmware_version_major, info.firmware_version_minor, info.firmware_version_patch), (1, 1, 2, 3))
+        self.assertEqual(self.of(1)[0].acked_id, 116)
+        self.assertEqual((self.of(2)[0].nacked_id, bytes(self.of(2)[0].nack_message)), (2197, b"out of range"))
+        params = self.of(2197)[0]
+        self.assertEqual((params.start_mm, params.length_mm, params.msec_per_ping, params.gain_index, params.num_results, params.enable), (1000, 50000, 20, -1, 1200, 1))
+        self.assertEqual(self.of(116)[0].speed_of_sound, 1500000)
+        params = self.of(3023)[0]
+        self.assertEqual((params.start_mm, params.end_mm, params.sos_mps, params.gain_index, params.msec_per_ping), (500, 30000, 1500.0, -1, 100))
+        self.assertEqual((params.ping_enable, params.enable_channel_data, params.enable_yz_point_data, params.enable_atof_data), (1, 0, 1, 1))
+        self.assertEqual((params.target_ping_hz, params.n_range_steps, params.pulse_len_steps), (240000, 400, 1.5))
+
+    def test_lines_of_the_omniscan_are_exact(self):
+        for ping, line in enumerate(self.of(2198)):
+            self.assertEqual((line.ping_number, line.num_results, line.sos_dmps, line.channel_number), (ping, 1200, 15000, 1))
+            self.assertEqual((line.min_pwr_db, line.max_pwr_db), (10.0, 90.0))
+            np.testing.assert_array_equal(np.frombuffer(bytes(line.pwr_results), "<u2"), count(ping, 0, 1200) + 20000)
+
+    def test_points_and_attitude_of_the_surveyor_are_exact(self):
+        for ping, points in enumerate(self.of(3012)):
+            self.assertEqual((points.ping_number, points.num_points, points.utc_msec), (ping, 200, UTC_S * 1000 + UTC_MS + 100 * ping))
+            got = np.frombuffer(bytes(points.atof_point_data), "<f4").reshape(200, 4)
+            np.testing.assert_array_equal(got[:, 0], count(ping, 1, 200) / 32768.0)
+            np.testing.assert_array_equal(got[:, 1], (count(ping, 2, 200) + 20000) / 1048576.0)
+        for ping, points in enumerate(self.of(3011)):
+            np.testing.assert_array_equal(np.frombuffer(bytes(points.yz_point_data), "<f4"), count(ping, 3, 200))
+            self.assertEqual((points.water_degC, points.water_bar, points.num_points), (12.5, -1000.0, 100))
+        for attitude in self.of(504):
+            up = (attitude.up_vec_x, attitude.up_vec_y, attitude.up_vec_z)
+            self.assertAlmostEqual(np.degrees(np.arcsin(up[0])), PITCH, delta=1e-4)
+            self.assertAlmostEqual(np.degrees(np.arctan2(up[1], up[2])), ROLL, delta=1e-4)
 
 
 if __name__ == "__main__":

@@ -65,14 +65,22 @@ pub(crate) fn write_layout<T: Layout>(value: &T, buf: &mut Vec<u8>) {
     debug_assert_eq!(buf.len() - start, T::SIZE_BYTES, "{}", T::NAME);
 }
 
-/// Implements [`Layout`], `parse` and `emit` for a struct of plain numbers.
-macro_rules! layout {
+/// Implements [`Layout`] for a struct of plain numbers.
+macro_rules! layout_of {
     ($type:ty, $size:expr, $name:literal, $endian:ident) => {
         impl crate::layout::Layout for $type {
             const SIZE_BYTES: usize = $size;
             const NAME: &'static str = $name;
             const ENDIAN: binrw::Endian = binrw::Endian::$endian;
         }
+    };
+}
+pub(crate) use layout_of;
+
+/// Implements [`Layout`], `parse` and `emit` for a struct of plain numbers.
+macro_rules! layout {
+    ($type:ty, $size:expr, $name:literal, $endian:ident) => {
+        crate::layout::layout_of!($type, $size, $name, $endian);
 
         impl $type {
             pub const SIZE_BYTES: usize = $size;

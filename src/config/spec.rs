@@ -68,8 +68,31 @@ pub struct NavSpec {
     pub history_s: f64,
     /// Used where no source gives it.
     pub fallback_heading_from_course: bool,
+    /// None: the first source that provides a quantity owns it.
+    pub failover: Option<FailoverSpec>,
+    pub jump_gate: Option<JumpGateSpec>,
+    /// A source without a sample for so long is stale, or lost; seconds.
+    pub stale_s: f64,
+    pub lost_s: f64,
     /// At least one.
     pub sources: Vec<NavSourceSpec>,
+}
+
+/// When another source takes a quantity over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FailoverSpec {
+    /// Silence after which the next source speaks, seconds.
+    pub after_s: f64,
+    /// How long the better one must have come again before it has the word back, seconds.
+    pub hold_off_s: f64,
+}
+
+/// What counts as a jump.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JumpGateSpec {
+    pub max_speed_m_per_s: f64,
+    /// Of heading, roll and pitch.
+    pub max_rate_rad_per_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,8 +138,55 @@ pub struct NavSourceSpec {
     pub checksum: ChecksumPolicy,
     /// Antenna in the body, metres; used with this source's positions.
     pub lever_arm_m: DVec3,
+    pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+/// What is particular about the messages of one source; by default nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NavDialect {
+    pub format: NavFormat,
+    /// Sentences, by address or its last three letters, whose checksum is not looked at.
+    pub ignore_checksum_for: Vec<String>,
+    /// PASHR carries heave + up, against the documented + down.
+    pub pashr_heave_up: bool,
+    pub reversed: Reversed,
+    /// East positive; makes magnetic headings true where the sentence does not say it.
+    pub magnetic_variation_rad: Option<f64>,
+}
+
+/// Quantities that the source sends with the opposite sign of its documentation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reversed {
+    pub roll: bool,
+    pub pitch: bool,
+    pub heave: bool,
+}
+
+/// What a source's bytes are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NavFormat {
+    #[default]
+    Nmea,
+    Tss1,
+    /// EM1000 too.
+    Em3000,
+    Seapath26,
+    Kmb,
+}
+
+impl NavFormat {
+    /// As the configuration has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            NavFormat::Nmea => "nmea",
+            NavFormat::Tss1 => "tss1",
+            NavFormat::Em3000 => "em3000",
+            NavFormat::Seapath26 => "seapath26",
+            NavFormat::Kmb => "kmb",
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -138,6 +208,14 @@ pub enum NavInputSpec {
     Serial {
         port: String,
         baud: u32,
+    },
+    /// A client of somebody's server, named as the configuration has it.
+    TcpConnect {
+        address: String,
+    },
+    /// A server; its newest client speaks.
+    TcpListen {
+        listen: SocketAddr,
     },
 }
 

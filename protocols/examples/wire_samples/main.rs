@@ -4,6 +4,11 @@
 //! one attitude.
 
 mod jsf;
+mod ping_protocol;
+mod recordings;
+mod vita49;
+mod wbms;
+mod xtf;
 
 use std::path::Path;
 
@@ -28,5 +33,10 @@ fn main() -> std::io::Result<()> {
         .expect("usage: wire_samples FOLDER");
     let folder = Path::new(&folder);
     std::fs::create_dir_all(folder)?;
-    jsf::write(folder)
+    jsf::write(folder)?;
+    xtf::write(folder)?;
+    vita49::write(folder)?;
+    recordings::write(folder)?;
+    ping_protocol::write(folder)?;
+    wbms::write(folder)
 }

@@ -1,6 +1,7 @@
 //! Golden bytes from a published table: zeros, and at each offset of the table what stands there.
 
 /// Bytes made of `(offset, value)`: nothing here knows the order of fields in a struct.
+#[allow(dead_code, reason = "not every test file has tables")]
 pub fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
     let mut bytes = vec![0; len];
     for (at, value) in fields {

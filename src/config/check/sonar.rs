@@ -553,8 +553,7 @@ fn model(
             .collect::<Vec<_>>()
             .join(" or ");
         let why = match synthesis {
-            Synthesis::Gridded1d => "which stretches every echo evenly",
-            Synthesis::Gridded2d => "which places every echo where it is",
+            Synthesis::Gridded1d | Synthesis::Gridded2d => "which places every echo where it is",
             _ => "which lays one pulse under every echo",
         };
         problems.refuse(

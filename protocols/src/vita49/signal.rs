@@ -1,0 +1,196 @@
+//! Signal data packets: a stream's samples, cut to datagrams. Source: ANSI/VITA 49.2-2017, section 6.3.
+//!
+//! Complex samples are one word, I in its upper and Q in its lower half. Real samples are two to a word, so that a packet takes an even number
+//! of them. A vector stream has all elements' samples of a moment side by side.
+
+use std::ops::Range;
+
+use super::{Context, PacketType, PayloadFormat, SampleKind, Trailer, VrtTime, emit_packet};
+
+/// Bytes of a packet around its payload: header, stream, time, trailer.
+const AROUND_PAYLOAD_BYTES: usize = 4 + 4 + 4 + 8 + 4;
+
+/// One stream: an element, or all of them side by side. It keeps the packet counts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SignalStream {
+    pub stream_id: u32,
+    /// I and Q, or real samples.
+    pub is_complex: bool,
+    /// 1, or the elements of a vector stream.
+    pub vector_size: u32,
+    pub sample_rate_hz: f64,
+    max_packet_bytes: usize,
+    data_count: u8,
+    context_count: u8,
+}
+
+impl SignalStream {
+    /// # Panics
+    /// If there is no element or more than 65536, if the rate is not above 0, or if a packet does not hold one moment's samples (two moments'
+    /// real ones, which fill whole words).
+    pub fn new(
+        stream_id: u32,
+        is_complex: bool,
+        vector_size: u32,
+        sample_rate_hz: f64,
+        max_packet_bytes: usize,
+    ) -> Self {
+        assert!(
+            (1..=65_536).contains(&vector_size),
+            "{vector_size} elements"
+        );
+        assert!(sample_rate_hz > 0.0, "rate of {sample_rate_hz} Hz");
+        let stream = Self {
+            stream_id,
+            is_complex,
+            vector_size,
+            sample_rate_hz,
+            max_packet_bytes: max_packet_bytes.min(4 * usize::from(u16::MAX)),
+            data_count: 0,
+            context_count: 0,
+        };
+        assert!(
+            stream.moments_per_packet() > 0,
+            "packets of {max_packet_bytes} bytes do not hold the samples of {vector_size} elements"
+        );
+        stream
+    }
+
+    /// Samples of one element that a packet holds at most.
+    pub fn moments_per_packet(&self) -> usize {
+        let payload = self.max_packet_bytes.saturating_sub(AROUND_PAYLOAD_BYTES);
+        let moments = payload / (self.sample_bytes() * self.vector_size as usize);
+        if self.is_complex {
+            moments
+        } else {
+            moments / 2 * 2
+        }
+    }
+
+    fn sample_bytes(&self) -> usize {
+        if self.is_complex { 4 } else { 2 }
+    }
+
+    /// What the samples of this stream are; the caller adds frequency and bandwidth.
+    pub fn context(&self) -> Context {
+        Context {
+            sample_rate_hz: Some(self.sample_rate_hz),
+            payload_format: Some(PayloadFormat {
+                is_complex: self.is_complex,
+                kind: SampleKind::Fixed { bits: 16 },
+                vector_size: self.vector_size,
+            }),
+            ..Context::default()
+        }
+    }
+
+    /// Appends a context packet and says where it lies.
+    pub fn emit_context(
+        &mut self,
+        buf: &mut Vec<u8>,
+        time: VrtTime,
+        context: &Context,
+    ) -> Range<usize> {
+        let count = self.context_count;
+        self.context_count = (count + 1) & 0xF;
+        context.emit(buf, self.stream_id, count, time)
+    }
+
+    /// Hands out packets of complex samples, one after the other in `buf`, which is overwritten. `time` is that of the first sample.
+    ///
+    /// # Panics
+    /// If the stream is real, or the samples are not a whole number of vectors.
+    pub fn emit_complex(
+        &mut self,
+        buf: &mut Vec<u8>,
+        time: VrtTime,
+        samples: &[[i16; 2]],
+        trailer: Option<Trailer>,
+        each: impl FnMut(&[u8]),
+    ) {
+        assert!(self.is_complex, "complex samples for a real stream");
+        self.emit(
+            buf,
+            time,
+            samples,
+            trailer,
+            |[i, q]| {
+                let ([i0, i1], [q0, q1]) = (i.to_be_bytes(), q.to_be_bytes());
+                [i0, i1, q0, q1]
+            },
+            each,
+        );
+    }
+
+    /// Likewise for real samples.
+    ///
+    /// # Panics
+    /// If the stream is complex, the samples are not a whole number of vectors, or their number is odd.
+    pub fn emit_real(
+        &mut self,
+        buf: &mut Vec<u8>,
+        time: VrtTime,
+        samples: &[i16],
+        trailer: Option<Trailer>,
+        each: impl FnMut(&[u8]),
+    ) {
+        assert!(!self.is_complex, "real samples for a complex stream");
+        assert!(
+            samples.len().is_multiple_of(2),
+            "{} real samples do not fill whole words",
+            samples.len()
+        );
+        self.emit(buf, time, samples, trailer, i16::to_be_bytes, each);
+    }
+
+    fn emit<T: Copy, const N: usize>(
+        &mut self,
+        buf: &mut Vec<u8>,
+        time: VrtTime,
+        samples: &[T],
+        trailer: Option<Trailer>,
+        encode: impl Fn(T) -> [u8; N] + Copy,
+        mut each: impl FnMut(&[u8]),
+    ) {
+        let vector = self.vector_size as usize;
+        assert!(
+            samples.len().is_multiple_of(vector),
+            "{} samples of {vector} elements",
+            samples.len()
+        );
+        let moments = self.moments_per_packet();
+        for (packet, chunk) in samples.chunks(moments * vector).enumerate() {
+            buf.clear();
+            // From the record's start every time, so that rounding does not add up.
+            let after_s = (packet * moments) as f64 / self.sample_rate_hz;
+            emit_packet(
+                buf,
+                PacketType::SignalData,
+                self.stream_id,
+                self.data_count,
+                time.plus_ps((after_s * 1e12).round() as u128),
+                trailer,
+                |buf| crate::sevenk::frame::extend_encoded(buf, chunk, encode),
+            );
+            self.data_count = (self.data_count + 1) & 0xF;
+            each(buf);
+        }
+    }
+}
+
+/// The complex 16-bit samples of a data packet's payload.
+pub fn complex_samples(payload: &[u8]) -> impl ExactSizeIterator<Item = [i16; 2]> + '_ {
+    payload.chunks_exact(4).map(|bytes| {
+        [
+            i16::from_be_bytes([bytes[0], bytes[1]]),
+            i16::from_be_bytes([bytes[2], bytes[3]]),
+        ]
+    })
+}
+
+/// The real 16-bit samples of a data packet's payload.
+pub fn real_samples(payload: &[u8]) -> impl ExactSizeIterator<Item = i16> + '_ {
+    payload
+        .chunks_exact(2)
+        .map(|bytes| i16::from_be_bytes([bytes[0], bytes[1]]))
+}

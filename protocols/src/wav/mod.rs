@@ -1,0 +1,231 @@
+//! Multichannel WAV for benches that play samples out: RIFF below 4 GiB, RF64 above.
+//!
+//! Sources: Microsoft, "Multiple channel audio data and WAVE files" (WAVE_FORMAT_EXTENSIBLE); EBU Tech 3306 v1.1 (2009), RF64: where a size
+//! does not fit 32 bits it is 0xFFFFFFFF, and a `ds64` chunk, which is always the first, has it in 64. That chunk's place is kept by a
+//! `JUNK` chunk of the same length, so that a file may become RF64 when it is closed, whatever it was begun as. Little endian.
+//!
+//! ```text
+//!  0 RIFF or RF64, size, WAVE      48 fmt , 40 bytes
+//! 12 JUNK or ds64, 28 bytes        96 data, size          104 samples, of all channels side by side
+//! ```
+
+use crate::WireError;
+use crate::layout::data_at;
+
+/// Where the samples begin in a file written here.
+pub const HEADER_BYTES: usize = 104;
+const EXTENSIBLE: u16 = 0xFFFE;
+/// The end of the identifiers of integer and floating samples: {0000000N-0000-0010-8000-00AA00389B71}.
+const SUBFORMAT_END: [u8; 14] = [
+    0x00, 0x00, 0x00, 0x00, 0x10, 0x00, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71,
+];
+const IN_DS64: u32 = u32::MAX;
+/// More chunks than this before the samples are no file of ours or of anybody's.
+const MAX_CHUNKS: usize = 64;
+
+/// One sample of one channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WavSample {
+    I16,
+    I32,
+    F32,
+}
+
+impl WavSample {
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::I16 => 2,
+            Self::I32 | Self::F32 => 4,
+        }
+    }
+}
+
+/// What a file holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WavFormat {
+    pub channels: u16,
+    pub sample_rate_hz: u32,
+    pub sample: WavSample,
+}
+
+/// Which kind of file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Container {
+    /// RIFF where the sizes fit 32 bits, RF64 where not.
+    AsNeeded,
+    Rf64,
+}
+
+impl WavFormat {
+    /// Bytes of all channels at a moment.
+    pub fn frame_bytes(&self) -> u64 {
+        u64::from(self.channels) * self.sample.bytes() as u64
+    }
+
+    /// Appends the header of a file with so many moments: always [`HEADER_BYTES`] long, to be written again when the number is known.
+    ///
+    /// # Panics
+    /// If there is no channel, or a moment has more bytes than 16 bits count.
+    pub fn emit_header(&self, buf: &mut Vec<u8>, moments: u64, container: Container) {
+        let frame_bytes = u16::try_from(self.frame_bytes()).expect("bytes of a moment in 16 bits");
+        assert!(frame_bytes > 0, "WAV without a channel");
+        let data_bytes = moments.saturating_mul(u64::from(frame_bytes));
+        // Chunks are padded to an even length.
+        let riff_bytes = (HEADER_BYTES as u64 - 8)
+            .saturating_add(data_bytes)
+            .saturating_add(data_bytes % 2);
+        let is_64 = container == Container::Rf64 || riff_bytes >= u64::from(IN_DS64);
+        let size = |bytes: u64| if is_64 { IN_DS64 } else { bytes as u32 }.to_le_bytes();
+        let start = buf.len();
+        buf.extend(if is_64 { b"RF64" } else { b"RIFF" });
+        buf.extend(size(riff_bytes));
+        buf.extend(b"WAVE");
+        buf.extend(if is_64 { b"ds64" } else { b"JUNK" });
+        buf.extend(28_u32.to_le_bytes());
+        let sizes = if is_64 {
+            [riff_bytes, data_bytes, moments]
+        } else {
+            [0; 3]
+        };
+        buf.extend(sizes.map(u64::to_le_bytes).as_flattened());
+        // No further chunk is longer than 32 bits.
+        buf.extend([0; 4]);
+        buf.extend(b"fmt ");
+        buf.extend(40_u32.to_le_bytes());
+        let bits = 8 * self.sample.bytes() as u16;
+        buf.extend(EXTENSIBLE.to_le_bytes());
+        buf.extend(self.channels.to_le_bytes());
+        buf.extend(self.sample_rate_hz.to_le_bytes());
+        buf.extend(
+            self.sample_rate_hz
+                .saturating_mul(frame_bytes.into())
+                .to_le_bytes(),
+        );
+        buf.extend(frame_bytes.to_le_bytes());
+        buf.extend(bits.to_le_bytes());
+        // What follows, the bits that count, and no loudspeaker for any channel.
+        buf.extend(22_u16.to_le_bytes());
+        buf.extend(bits.to_le_bytes());
+        buf.extend(0_u32.to_le_bytes());
+        let code: u16 = match self.sample {
+            WavSample::I16 | WavSample::I32 => 1,
+            WavSample::F32 => 3,
+        };
+        buf.extend(code.to_le_bytes());
+        buf.extend(SUBFORMAT_END);
+        buf.extend(b"data");
+        buf.extend(size(data_bytes));
+        debug_assert_eq!(buf.len() - start, HEADER_BYTES);
+    }
+}
+
+/// What the front of a file says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WavHeader {
+    pub format: WavFormat,
+    pub is_rf64: bool,
+    /// Where the samples begin.
+    pub data_at: usize,
+    pub data_bytes: u64,
+}
+
+impl WavHeader {
+    pub fn moments(&self) -> u64 {
+        self.data_bytes / self.format.frame_bytes()
+    }
+
+    /// Reads a file's front, up to its samples; chunks that are not needed are passed over.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let is_rf64 = match data_at(bytes, 0, 4, "WAV")? {
+            b"RIFF" => false,
+            b"RF64" => true,
+            other => {
+                return Err(WireError::Mark {
+                    what: "WAV mark",
+                    expected: u32::from_be_bytes(*b"RIFF").into(),
+                    got: number(other).swap_bytes() >> 32,
+                });
+            }
+        };
+        let wave = data_at(bytes, 8, 4, "WAV")?;
+        if wave != b"WAVE" {
+            return Err(WireError::Unsupported {
+                what: "RIFF form",
+                got: number(wave),
+            });
+        }
+        let (mut at, mut format, mut long_data) = (12, None, None);
+        for _ in 0..MAX_CHUNKS {
+            let name = data_at(bytes, at, 4, "WAV chunk")?;
+            let size = number(data_at(bytes, at + 4, 4, "WAV chunk")?);
+            at += 8;
+            match name {
+                b"data" => {
+                    let format = format.ok_or(WireError::Unsupported {
+                        what: "WAV data before their format, at byte",
+                        got: at as u64,
+                    })?;
+                    let data_bytes = match long_data {
+                        Some(bytes) if size == u64::from(IN_DS64) => bytes,
+                        _ => size,
+                    };
+                    return Ok(Self {
+                        format,
+                        is_rf64,
+                        data_at: at,
+                        data_bytes,
+                    });
+                }
+                b"fmt " => format = Some(parse_format(data_at(bytes, at, size, "WAV fmt")?)?),
+                b"ds64" => long_data = Some(number(data_at(bytes, at + 8, 8, "WAV ds64")?)),
+                _ => {}
+            }
+            data_at(bytes, at, size, "WAV chunk")?;
+            at += (size + size % 2) as usize;
+        }
+        Err(WireError::Unsupported {
+            what: "WAV with a number of chunks",
+            got: MAX_CHUNKS as u64,
+        })
+    }
+}
+
+/// Up to eight bytes as a number.
+fn number(bytes: &[u8]) -> u64 {
+    bytes
+        .iter()
+        .rev()
+        .fold(0, |sum, &byte| sum << 8 | u64::from(byte))
+}
+
+fn parse_format(chunk: &[u8]) -> Result<WavFormat, WireError> {
+    let field = |at, len| data_at(chunk, at, len, "WAV fmt").map(number);
+    let code = match field(0, 2)? {
+        code if code == u64::from(EXTENSIBLE) => field(24, 2)?,
+        code => code,
+    };
+    let bits = field(14, 2)?;
+    let sample = match (code, bits) {
+        (1, 16) => WavSample::I16,
+        (1, 32) => WavSample::I32,
+        (3, 32) => WavSample::F32,
+        _ => {
+            return Err(WireError::Unsupported {
+                what: "WAV sample of bits",
+                got: bits,
+            });
+        }
+    };
+    let channels = field(2, 2)? as u16;
+    if channels == 0 {
+        return Err(WireError::Unsupported {
+            what: "WAV number of channels",
+            got: 0,
+        });
+    }
+    Ok(WavFormat {
+        channels,
+        sample_rate_hz: field(4, 4)? as u32,
+        sample,
+    })
+}

@@ -1,0 +1,138 @@
+//! Triton XTF files: what they are, and what all their packets share.
+//!
+//! Source: "eXtended Triton Format (XTF)" Rev. X41 (2016), public. Little endian; angles in degrees; nose up, roll to starboard (port up) and
+//! sensor up are positive; time to 0.01 s.
+//!
+//! A file is a header of 1024 bytes ([`FileHeader`], with up to six channels) and packets, each with the mark [`MARK`], its type and its
+//! length, which is a multiple of 64.
+//!
+//! - [`file_header`]: the header and its channels
+//! - [`ping`]: one ping of side-scan, all channels
+//! - [`attitude`]: one reading of a motion sensor
+
+pub mod attitude;
+pub mod file_header;
+pub mod ping;
+
+use binrw::{BinRead, BinWrite};
+
+use crate::WireError;
+use crate::framing::{Framing, Look, Splitter};
+use crate::layout::{data_at, layout};
+
+pub use attitude::Attitude;
+pub use file_header::{ChannelInfo, ChannelKind, FileHeader, NavUnits, SampleFormat};
+pub use ping::{ChannelHeader, ChannelSamples, Ping, PingHeader, Samples, emit_ping};
+
+/// The first two bytes of every packet, CE FA.
+pub const MARK: u16 = 0xFACE;
+/// Packets are padded with zeros to a multiple of this.
+pub const PACKET_STEP_BYTES: usize = 64;
+/// Longest packet read unless told otherwise.
+pub const MAX_PACKET_BYTES: u32 = 1 << 26;
+
+/// Packet types.
+pub mod packet_type {
+    pub const SONAR: u8 = 0;
+    pub const NOTES: u8 = 1;
+    pub const ATTITUDE: u8 = 3;
+}
+
+/// The first 14 bytes of every packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct PacketStart {
+    /// [`MARK`].
+    pub mark: u16,
+    /// See [`packet_type`].
+    pub packet_type: u8,
+    pub sub_channel: u8,
+    #[brw(pad_after = 4)]
+    pub channels_to_follow: u16,
+    /// All of the packet, padding included.
+    pub packet_bytes: u32,
+}
+
+layout!(PacketStart, 14, "XTF packet start", Little);
+
+impl PacketStart {
+    fn check(&self, max_packet_bytes: u32) -> Result<(), WireError> {
+        if self.mark != MARK {
+            return Err(WireError::Mark {
+                what: "XTF mark",
+                expected: MARK.into(),
+                got: self.mark.into(),
+            });
+        }
+        if self.packet_bytes < Self::SIZE_BYTES as u32 {
+            return Err(WireError::Truncated {
+                what: "XTF packet",
+                need_bytes: Self::SIZE_BYTES as u64,
+                got_bytes: self.packet_bytes.into(),
+            });
+        }
+        if self.packet_bytes > max_packet_bytes {
+            return Err(WireError::Oversized {
+                what: "XTF packet",
+                got_bytes: self.packet_bytes.into(),
+                limit_bytes: max_packet_bytes.into(),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The packet of the stated type at the front of `bytes`, all of it.
+fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), WireError> {
+    let start = PacketStart::parse(bytes)?;
+    start.check(MAX_PACKET_BYTES)?;
+    if start.packet_type != packet_type {
+        return Err(WireError::Unsupported {
+            what: "XTF packet type",
+            got: start.packet_type.into(),
+        });
+    }
+    data_at(bytes, 0, start.packet_bytes.into(), "XTF packet").map(|packet| (start, packet))
+}
+
+/// How packets behind the file header show their lengths.
+#[derive(Debug, Clone, Copy)]
+pub struct XtfFraming {
+    pub max_packet_bytes: u32,
+}
+
+impl Default for XtfFraming {
+    fn default() -> Self {
+        Self {
+            max_packet_bytes: MAX_PACKET_BYTES,
+        }
+    }
+}
+
+impl Framing for XtfFraming {
+    fn max_message_bytes(&self) -> usize {
+        (self.max_packet_bytes as usize).max(PacketStart::SIZE_BYTES)
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        let mark = MARK.to_le_bytes();
+        let Ok(start) = PacketStart::parse(bytes) else {
+            return if bytes.iter().zip(mark).all(|(&byte, mark)| byte == mark) {
+                Look::More
+            } else {
+                Look::Wrong(WireError::Mark {
+                    what: "XTF mark",
+                    expected: MARK.into(),
+                    got: bytes[0].into(),
+                })
+            };
+        };
+        match start.check(self.max_packet_bytes) {
+            Err(error) => Look::Wrong(error),
+            Ok(()) if bytes.len() < start.packet_bytes as usize => Look::More,
+            Ok(()) => Look::Whole(start.packet_bytes as usize),
+        }
+    }
+}
+
+/// Packets of a file read in pieces, its header taken off.
+pub type XtfStream = Splitter<XtfFraming>;

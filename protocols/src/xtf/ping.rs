@@ -1,0 +1,305 @@
+//! One ping of side-scan. Source: Rev. X41, tables H (XTFPINGHEADER) and I (XTFPINGCHANHEADER).
+//!
+//! ```text
+//! ping header 256 | per channel: header 64, samples | zeros up to a multiple of 64 bytes
+//! ```
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{
+    FileHeader, MARK, PACKET_STEP_BYTES, PacketStart, SampleFormat, packet_of, packet_type,
+};
+use crate::WireError;
+use crate::calendar::{Moment, days_from_epoch};
+use crate::layout::{data_at, layout};
+use crate::sevenk::frame::extend_encoded;
+
+const NS_PER_HUNDREDTH: i64 = 10_000_000;
+
+/// The 256 bytes before the channels, as on the wire; counts of bytes and channels are filled in when it is written.
+#[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
+pub struct PingHeader {
+    pub start: PacketStart,
+    /// 14: the time of the ping, UTC.
+    pub year: u16,
+    pub month: u8,
+    pub day: u8,
+    pub hour: u8,
+    pub minute: u8,
+    pub second: u8,
+    pub hundredths: u8,
+    /// 22: day of the year.
+    pub julian_day: u16,
+    /// 24
+    pub event_number: u32,
+    /// 28
+    pub ping_number: u32,
+    /// 32: half of the speed of sound, as one counts two-way time.
+    pub sound_velocity_one_way_m_per_s: f32,
+    /// 36
+    #[brw(pad_after = 24)]
+    pub ocean_tide_m: f32,
+    /// 64
+    pub water_temperature_c: f32,
+    /// 68
+    pub pressure_psi: f32,
+    /// 72
+    #[brw(pad_after = 44)]
+    pub computed_sound_velocity_m_per_s: f32,
+    /// 120
+    pub ship_speed_kn: f32,
+    pub ship_gyro_deg: f32,
+    /// 128: degrees or metres, as the file header says.
+    pub ship_y: f64,
+    pub ship_x: f64,
+    /// 144
+    pub ship_altitude_dm: u16,
+    pub ship_depth_dm: u16,
+    /// 148: hour, minute, second, hundredths of the position.
+    pub fix_time: [u8; 4],
+    /// 152
+    #[brw(pad_after = 4)]
+    pub sensor_speed_kn: f32,
+    /// 160: degrees or metres, as the file header says.
+    pub sensor_y: f64,
+    #[brw(pad_after = 8)]
+    pub sensor_x: f64,
+    /// 184
+    #[brw(pad_after = 4)]
+    pub layback_m: f32,
+    /// 192
+    pub sensor_depth_m: f32,
+    /// 196: above the bottom.
+    #[brw(pad_after = 4)]
+    pub sensor_altitude_m: f32,
+    /// 204: nose up.
+    pub sensor_pitch_deg: f32,
+    /// 208: to starboard, which is port up.
+    pub sensor_roll_deg: f32,
+    pub sensor_heading_deg: f32,
+    /// 216: up.
+    pub heave_up_m: f32,
+    /// 220: to the right.
+    pub yaw_deg: f32,
+    /// 224: milliseconds, a clock shared with attitude packets.
+    #[brw(pad_after = 4)]
+    pub attitude_time_tag_ms: u32,
+    /// 232
+    #[brw(pad_after = 20)]
+    pub nav_fix_ms: u32,
+}
+
+layout!(PingHeader, 256, "XTF ping header", Little);
+
+impl Default for PingHeader {
+    /// Nothing known: all 0 but mark and type.
+    fn default() -> Self {
+        let zeros = Self::parse(&[0; Self::SIZE_BYTES]).expect("256 bytes are a header");
+        Self {
+            start: PacketStart {
+                mark: MARK,
+                packet_type: packet_type::SONAR,
+                ..zeros.start
+            },
+            ..zeros
+        }
+    }
+}
+
+impl PingHeader {
+    /// Nanoseconds since 1970 of the ping, to 0.01 s; `None` if the fields are no moment between 1970 and 2262.
+    pub fn utc_ns(&self) -> Option<i64> {
+        let is_moment = (1970..2262).contains(&self.year)
+            && (1..=12).contains(&self.month)
+            && (1..=31).contains(&self.day)
+            && self.hour < 24
+            && self.minute < 60
+            && self.second < 61
+            && self.hundredths < 100;
+        is_moment.then(|| {
+            let days = days_from_epoch(self.year.into(), self.month.into(), self.day.into());
+            let minutes = i64::from(self.hour) * 60 + i64::from(self.minute);
+            let seconds = days * 86_400 + minutes * 60 + i64::from(self.second);
+            seconds * 1_000_000_000 + i64::from(self.hundredths) * NS_PER_HUNDREDTH
+        })
+    }
+
+    /// Writes the time of the ping, rounded to 0.01 s, which is all there is room for, and that of the position, which is as old.
+    pub fn set_utc_ns(&mut self, utc_ns: i64) {
+        let moment = Moment::from_utc_ns(utc_ns.saturating_add(NS_PER_HUNDREDTH / 2));
+        self.year = moment.year as u16;
+        (self.month, self.day) = (moment.month, moment.day);
+        (self.hour, self.minute, self.second) = (moment.hour, moment.minute, moment.second);
+        self.hundredths = (i64::from(moment.nanosecond) / NS_PER_HUNDREDTH) as u8;
+        self.julian_day = moment.day_of_year;
+        self.fix_time = [self.hour, self.minute, self.second, self.hundredths];
+        self.nav_fix_ms = moment.milliseconds_of_day();
+        self.attitude_time_tag_ms = moment.milliseconds_of_day();
+    }
+}
+
+/// The 64 bytes before a channel's samples.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct ChannelHeader {
+    /// Index of the channel in the file header.
+    pub channel: u16,
+    /// 2 largest, 4 root of mean square.
+    pub downsample_method: u16,
+    /// 4
+    pub slant_range_m: f32,
+    /// 8: 0 where the data are in slant range.
+    pub ground_range_m: f32,
+    /// 12: from the ping to the first sample.
+    pub time_delay_s: f32,
+    /// 16: recorded.
+    pub time_duration_s: f32,
+    /// 20: from ping to ping.
+    pub seconds_per_ping: f32,
+    /// 24: 4 TVG, 8 angle and gain correction, 16 filter.
+    pub processing_flags: u16,
+    /// 26
+    pub frequency_khz: u16,
+    pub initial_gain_code: u16,
+    pub gain_code: u16,
+    #[brw(pad_after = 8)]
+    pub bandwidth_khz: u16,
+    /// 42: filled in when it is written.
+    pub samples: u32,
+    /// 46
+    #[brw(pad_after = 10)]
+    pub millivolt_scale: u16,
+    /// 58: N of value = sample x 2^-N, for sonars that have it.
+    #[brw(pad_after = 4)]
+    pub weight: i16,
+}
+
+layout!(ChannelHeader, 64, "XTF channel header", Little);
+
+/// Samples to write.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Samples<'a> {
+    U8(&'a [u8]),
+    U16(&'a [u16]),
+    U32(&'a [u32]),
+    F32(&'a [f32]),
+}
+
+impl Samples<'_> {
+    pub fn format(&self) -> SampleFormat {
+        match self {
+            Self::U8(_) => SampleFormat::U8,
+            Self::U16(_) => SampleFormat::U16,
+            Self::U32(_) => SampleFormat::U32,
+            Self::F32(_) => SampleFormat::F32,
+        }
+    }
+
+    pub fn count(&self) -> usize {
+        match self {
+            Self::U8(samples) => samples.len(),
+            Self::U16(samples) => samples.len(),
+            Self::U32(samples) => samples.len(),
+            Self::F32(samples) => samples.len(),
+        }
+    }
+}
+
+/// Appends a ping with all channels of the file, and says where it lies.
+///
+/// # Panics
+/// If the channels are not those of the file header, one by one, in number and format.
+pub fn emit_ping(
+    buf: &mut Vec<u8>,
+    file: &FileHeader,
+    header: &PingHeader,
+    channels: &[(ChannelHeader, Samples<'_>)],
+) -> Range<usize> {
+    assert_eq!(channels.len(), file.channels.len(), "XTF ping's channels");
+    let start = buf.len();
+    header.emit(buf);
+    for (index, (channel, samples)) in channels.iter().enumerate() {
+        assert_eq!(
+            samples.format(),
+            file.channels[index].format,
+            "XTF channel {index}"
+        );
+        let header = ChannelHeader {
+            samples: samples.count() as u32,
+            ..*channel
+        };
+        header.emit(buf);
+        match samples {
+            Samples::U8(samples) => buf.extend_from_slice(samples),
+            Samples::U16(samples) => extend_encoded(buf, samples, u16::to_le_bytes),
+            Samples::U32(samples) => extend_encoded(buf, samples, u32::to_le_bytes),
+            Samples::F32(samples) => extend_encoded(buf, samples, f32::to_le_bytes),
+        }
+    }
+    let bytes = (buf.len() - start).next_multiple_of(PACKET_STEP_BYTES);
+    buf.resize(start + bytes, 0);
+    buf[start + 4..start + 6].copy_from_slice(&(channels.len() as u16).to_le_bytes());
+    buf[start + 10..start + 14].copy_from_slice(&(bytes as u32).to_le_bytes());
+    start..buf.len()
+}
+
+/// A channel of a ping, read: its samples stay in the packet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChannelSamples<'a> {
+    pub header: ChannelHeader,
+    pub format: SampleFormat,
+    data: &'a [u8],
+}
+
+impl<'a> ChannelSamples<'a> {
+    /// The samples, whatever their format.
+    pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
+        let format = self.format;
+        self.data
+            .chunks_exact(format.bytes())
+            .map(move |bytes| match (format, bytes) {
+                (SampleFormat::U8, &[a]) => a.into(),
+                (SampleFormat::U16, &[a, b]) => u16::from_le_bytes([a, b]).into(),
+                (SampleFormat::U32, &[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]).into(),
+                (SampleFormat::F32, &[a, b, c, d]) => f32::from_le_bytes([a, b, c, d]).into(),
+                _ => f64::NAN,
+            })
+    }
+}
+
+/// A ping, read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ping<'a> {
+    pub header: PingHeader,
+    /// As many as the packet says, at most those of the file header.
+    pub channels: Vec<ChannelSamples<'a>>,
+}
+
+impl<'a> Ping<'a> {
+    /// Reads the packet at the front of `bytes`, which belongs to a file with this header.
+    pub fn parse(bytes: &'a [u8], file: &FileHeader) -> Result<Self, WireError> {
+        let (start, packet) = packet_of(bytes, packet_type::SONAR)?;
+        let header = PingHeader::parse(packet)?;
+        let count = usize::from(start.channels_to_follow);
+        let infos = file.channels.get(..count).ok_or(WireError::Unsupported {
+            what: "XTF channels in a ping",
+            got: start.channels_to_follow.into(),
+        })?;
+        let mut at = PingHeader::SIZE_BYTES;
+        let mut channels = Vec::with_capacity(count);
+        for info in infos {
+            let header = ChannelHeader::parse(packet.get(at..).unwrap_or_default())?;
+            at += ChannelHeader::SIZE_BYTES;
+            let len = u64::from(header.samples) * info.format.bytes() as u64;
+            let data = data_at(packet, at, len, "XTF samples")?;
+            at += data.len();
+            channels.push(ChannelSamples {
+                header,
+                format: info.format,
+                data,
+            });
+        }
+        Ok(Self { header, channels })
+    }
+}
