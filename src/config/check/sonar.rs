@@ -706,7 +706,7 @@ fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option
     };
     only_with(
         table,
-        &["f_number"],
+        &["f_number", "focus_error_deg"],
         Some(former == Former::DynamicFocus),
         "former = \"dynamic-focus\"",
         problems,

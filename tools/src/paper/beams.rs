@@ -17,7 +17,7 @@ const CELL_M: f64 = 0.06;
 const RANGE_M: (f64, f64) = (29.0, 75.0);
 const TRACK_M: (f64, f64) = (0.0, 36.0);
 /// Ranges of the points whose images are measured.
-const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 72.0];
+const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
 
 pub fn figure_11(out: &Path) -> Result<Value, String> {
     let mut grids = Vec::new();
