@@ -446,8 +446,7 @@ impl Synthesis {
         match self {
             Self::Reference | Self::Direct => true,
             Self::Spectral | Self::Nearest | Self::Linear => doppler.keeps_pulse(),
-            Self::Gridded1d => matches!(doppler, DopplerModel::None | DopplerModel::Stretch),
-            Self::Gridded2d => doppler != DopplerModel::PaperEq21,
+            Self::Gridded1d | Self::Gridded2d => doppler != DopplerModel::PaperEq21,
         }
     }
 }
@@ -1065,6 +1064,29 @@ impl BeamFrame {
     }
 }
 
+/// Where one beam of a fan meets the bottom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sounding {
+    /// Which beam of the fan.
+    pub beam: usize,
+    /// As [`BeamFrame::angle_rad`].
+    pub angle_rad: f64,
+    /// Two-way travel time at the array's centre, from the start of the pulse.
+    pub twtt_s: f64,
+    /// Predicted standard deviation of it.
+    pub error_s: f64,
+    pub detection: Detection,
+    /// Level of the echo, volts (rms).
+    pub level_v: f64,
+}
+
+/// By what a bottom was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detection {
+    Amplitude,
+    Phase,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Side {
     Port,
@@ -1103,6 +1125,8 @@ pub struct PingOutput {
     pub elements: Vec<ElementFrame>,
     /// One per configured fan (at most one today).
     pub beams: Vec<BeamFrame>,
+    /// Of the fan, where it detects the bottom; a beam without a bottom has none.
+    pub soundings: Vec<Sounding>,
     pub lines: Vec<Line>,
     pub counts: EchoCounts,
     pub scene: SceneCounts,

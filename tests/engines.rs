@@ -200,7 +200,11 @@ fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f
 fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
     let scatterers = scene(300);
     for path in PathModel::ALL {
-        for doppler in [DopplerModel::None, DopplerModel::Stretch] {
+        for doppler in [
+            DopplerModel::None,
+            DopplerModel::Stretch,
+            DopplerModel::StretchQuadratic,
+        ] {
             let model = |synthesis: &str, tolerance: f64| {
                 let (path, doppler) = (path.name(), doppler.name());
                 rig(

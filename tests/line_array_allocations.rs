@@ -1,8 +1,8 @@
 //! The line-array engine allocates nothing once its buffers have met the largest task.
 
-use std::alloc::{GlobalAlloc, Layout, System};
+mod counting;
+
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank::array::gridded::dialect::Dialect;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
@@ -19,31 +19,6 @@ mod scene;
 
 use rig::ALWAYS;
 use scene::*;
-
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: hands every request to the system's allocator unchanged; the counter touches no memory of the requests.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are passed on; the pointer came from `System`.
-        unsafe { System.realloc(pointer, layout, new_size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
@@ -76,7 +51,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
     let mut record = vec![Complex64::ZERO; scenes[0].plan.sample_count];
     let mut counted = Vec::new();
     for scene in scenes.iter().chain(&scenes) {
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        let before = counting::in_all_threads();
         engine.prepare(&scene.plan);
         illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
         let echoes = LineEchoes {
@@ -90,7 +65,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
             engine.run(task, &echoes, &mut work, output);
         }
         engine.assemble(|task| &outputs[task], 3, &mut record);
-        counted.push(ALLOCATIONS.load(Ordering::Relaxed) - before);
+        counted.push(counting::in_all_threads() - before);
     }
     println!("allocations by ping: {counted:?}");
     assert!(counted[0] > 0 && counted[3..] == [0, 0, 0], "{counted:?}");

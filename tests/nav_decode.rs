@@ -32,6 +32,7 @@ fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -
         time,
         checksum,
         lever_arm_m: DVec3::ZERO,
+        dialect: Default::default(),
         provides: provides.to_vec(),
     }
 }
@@ -59,12 +60,15 @@ fn seapath_counts_equal_an_independent_count() {
     assert_eq!(log.lines, 720);
     assert_eq!((log.stamped, log.backward), (720, 0));
     assert_eq!(counters.sentences, count("$"));
-    assert_eq!(counters.unsupported, count("PSXN,20") + count("PSXN,22"));
-    // VTG and HDT speak until RMC and PSXN do.
-    assert_eq!(counters.not_taken, count("HDT") - 1 + count("VTG") - 1);
+    assert_eq!(counters.unsupported, 0);
+    // VTG and HDT speak until RMC and PSXN do; PSXN,22 says nothing of use, PSXN,20 what is valid.
+    assert_eq!(
+        counters.not_taken,
+        count("HDT") - 1 + count("VTG") - 1 + count("PSXN,22")
+    );
     assert_eq!(
         counters.used,
-        count("ZDA") + count("GGA") + count("RMC") + count("PSXN,23") + 2
+        count("ZDA") + count("GGA") + count("RMC") + count("PSXN,23") + count("PSXN,20") + 2
     );
     assert_eq!(
         (
@@ -263,7 +267,8 @@ fn hydroball_wrong_checksums_are_refused_or_ignored_as_told_and_its_date_is_foun
         assert!(log.backward > 10, "{log:?}");
         check_sum(&counters);
         // 2017-12-11 18:58:40, which no line before the first RMC says.
-        let first = samples[0];
+        let is_fix = |s: &&NavSample| matches!(s.quantity, NavQuantity::Position { .. });
+        let first = samples.iter().find(is_fix).expect("a fix");
         assert_eq!(first.valid_utc, UtcNs(1_513_018_720 * NS_PER_S));
         let lag_s = first.arrival_utc.seconds_since(first.valid_utc);
         assert!(

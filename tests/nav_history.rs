@@ -26,6 +26,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
         time: TimePolicy::Message,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        dialect: Default::default(),
         provides: provides.to_vec(),
     }
 }
@@ -49,6 +50,10 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         max_extrapolation_s: 0.25,
         history_s: 30.0,
         fallback_heading_from_course: false,
+        failover: None,
+        jump_gate: None,
+        stale_s: 2.0,
+        lost_s: 10.0,
         sources,
     }
 }

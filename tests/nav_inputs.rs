@@ -38,6 +38,7 @@ fn source(name: &str, input: NavInputSpec) -> NavSourceSpec {
         time: TimePolicy::Burst,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::new(2.0, 1.0, -15.0),
+        dialect: Default::default(),
         provides: vec![
             NavChannel::Position,
             NavChannel::CourseSpeed,
@@ -74,6 +75,10 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         max_extrapolation_s: 0.25,
         history_s: 200.0,
         fallback_heading_from_course: false,
+        failover: None,
+        jump_gate: None,
+        stale_s: 2.0,
+        lost_s: 10.0,
         sources,
     }
 }
@@ -532,9 +537,9 @@ fn errors_name_the_source_the_place_and_the_reason() {
             path.display()
         )
     );
-    // A buoy whose attitude has wrong checksums: the operator is told.
+    // A buoy that has no heave, and whose attitude has wrong checksums: the operator is told.
     let mut buoy = source("c", log(data("hydroball_22s.txt")));
-    buoy.provides = vec![NavChannel::RollPitch];
+    buoy.provides = vec![NavChannel::Heave];
     let (message, error) = open(buoy);
     assert!(matches!(error, NavOpenError::NothingUsable { .. }));
     assert!(message.contains("168 with a wrong checksum"), "{message}");

@@ -3,8 +3,8 @@
 mod counting;
 
 use echotank::config::spec::{
-    AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedShape,
-    SeabedSpec,
+    AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
+    SeabedShape, SeabedSpec,
 };
 use echotank::flow::{Footprint, Scatterers};
 use echotank::scene::Scene;
@@ -18,20 +18,44 @@ fn a_moving_platform_gathers_without_allocating_after_warm_up() {
         .num_threads(2)
         .build()
         .unwrap();
-    pool.install(gather_on_the_move);
+    let plane = SeabedShape::Plane {
+        depth_m: 20.0,
+        slope_north: 0.0,
+        slope_east: 0.0,
+    };
+    assert_eq!(pool.install(|| gather_on_the_move(plane)), 0);
+    let hills = tempfile::tempdir().unwrap();
+    let path = hills.path().join("hills.asc");
+    std::fs::write(&path, ground()).unwrap();
+    let hills = SeabedShape::File {
+        file: SeabedFileSpec::of(path),
+        offset_north_m: 0.0,
+        offset_east_m: 0.0,
+    };
+    let shadowed = pool.install(|| gather_on_the_move(hills));
+    assert!(shadowed > 1000, "only {shadowed} in shadow");
 }
 
-fn gather_on_the_move() {
+/// Hills with shadows behind them, 480 m x 480 m.
+fn ground() -> String {
+    let mut text = "ncols 240 nrows 240 xllcorner 0 yllcorner 0 cellsize 2\n".to_owned();
+    for row in 0..240 {
+        for col in 0..240 {
+            let (n, e) = (f64::from(row), f64::from(col));
+            text += &format!("{:.3} ", 20.0 - 3.0 * (n / 3.0).sin() * (e / 4.0).cos());
+        }
+    }
+    text
+}
+
+/// Scatterers in shadow.
+fn gather_on_the_move(shape: SeabedShape) -> u64 {
     let spec = SceneSpec {
         seed: 1,
         anchor: AnchorSpec::Origin,
-        mirror: false,
+        mirror: true,
         seabed: Some(SeabedSpec {
-            shape: SeabedShape::Plane {
-                depth_m: 20.0,
-                slope_north: 0.0,
-                slope_east: 0.0,
-            },
+            shape,
             density: Density::PerM2(1.0),
             bottom: BottomSpec::BistaticLambert { mu_db: -27.0 },
             incidence: IncidenceSpec::Normal,
@@ -70,9 +94,11 @@ fn gather_on_the_move() {
     out.strength.reserve(room);
     out.law.reserve(room);
     let before = counting::in_all_threads();
-    let mut made = 0;
+    let (mut made, mut shadowed) = (0, 0);
     for i in 40..540 {
-        made += ping(4.0 * f64::from(i), &mut out).tiles_made;
+        let counts = ping(4.0 * f64::from(i), &mut out);
+        made += counts.tiles_made;
+        shadowed += counts.shadowed;
     }
     let allocations = counting::in_all_threads() - before;
     println!("{made} tiles made, {allocations} allocations");
@@ -81,4 +107,5 @@ fn gather_on_the_move() {
         allocations, 0,
         "{allocations} allocations, {made} tiles made"
     );
+    shadowed
 }

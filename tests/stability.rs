@@ -1,5 +1,7 @@
 //! Kept tables of errors, made anew: pass or fail and two digits.
 
+#[path = "../tools/src/errors/images.rs"]
+mod images;
 #[path = "../tools/src/errors/table.rs"]
 mod table;
 
@@ -7,15 +9,15 @@ use std::path::Path;
 
 use table::{Case, METHODS, measure, row};
 
-fn kept() -> String {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/errors.txt");
-    std::fs::read_to_string(file).expect("tools/errors --keep writes it")
+fn kept(name: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability");
+    std::fs::read_to_string(folder.join(name)).expect("tools/errors --keep writes it")
 }
 
 /// Every fourth row; `tools/errors --keep` makes the whole table.
 #[test]
 fn the_kept_table_of_errors_still_holds() {
-    let kept = kept();
+    let kept = kept("errors.txt");
     assert!(kept.contains(&table::heading()));
     let rows: Vec<&str> = kept
         .lines()
@@ -55,4 +57,40 @@ fn eq_21_is_worse_than_no_motion_and_only_stretch_follows_the_samples() {
     // Nothing but a stretched pulse has anything in common with the samples.
     assert!(errors[..3].iter().all(|e| e.1.1 > 1.0), "{errors:?}");
     assert!(errors[3].1.1 < 3e-3 && errors[4].1.1 < 1e-5, "{errors:?}");
+}
+
+/// Every fourth row.
+#[test]
+fn the_kept_table_of_pictures_still_holds() {
+    let kept = kept("images.txt");
+    assert!(kept.contains(&images::heading()));
+    let cases = images::cases();
+    let rows: Vec<&str> = kept.lines().collect();
+    let rows = &rows[rows.len() - cases.len()..];
+    let mut different = Vec::new();
+    for (case, kept) in cases.into_iter().zip(rows).step_by(4) {
+        let got = images::row(case);
+        if got != *kept {
+            different.push(format!("kept {kept}\ngot  {got}"));
+        }
+    }
+    assert!(different.is_empty(), "{}", different.join("\n"));
+}
+
+/// 2.572 m/s (5 knots), 75 m: two tolerances, two numbers.
+#[test]
+fn a_picture_bears_what_samples_do_not_and_the_criterion_says_when() {
+    let found = images::measure(2.572, 75.0);
+    let [hop, none, stretch] = &found[..] else {
+        panic!("three methods")
+    };
+    let near = |(want, got): (f64, f64), part: f64| (got.abs() / want - 1.0).abs() < part;
+    assert!(near(hop.along_m, 0.05), "{:?}", hop.along_m);
+    assert!(near(hop.ahead_m, 0.05), "{:?}", hop.ahead_m);
+    assert!(near(none.ahead_m, 0.05), "{:?}", none.ahead_m);
+    let stretched = [stretch.along_m.1, stretch.edge_m.1, stretch.ahead_m.1];
+    assert!(stretched.iter().all(|m| m.abs() < 1e-3), "{stretched:?}");
+    // Without Doppler the picture passes by prediction and measurement, the samples have little in common with the truth's.
+    assert_eq!(none.passes(75.0), (true, true));
+    assert!(none.element_error > 0.1, "{}", none.element_error);
 }

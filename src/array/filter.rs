@@ -184,7 +184,7 @@ fn dot(taps: &[f64], x: &[Complex64]) -> Complex64 {
 }
 
 /// Modified Bessel function of the first kind, order 0: its power series, which for the arguments here (below 12) ends within 40 terms.
-fn bessel_i0(x: f64) -> f64 {
+pub(super) fn bessel_i0(x: f64) -> f64 {
     let quarter = 0.25 * x * x;
     let (mut term, mut sum) = (1.0, 1.0);
     for k in 1..60 {

@@ -16,13 +16,13 @@
 //!
 //! Not modelled: near-field focus, motion between transmission and reception, element patterns (they are in the samples).
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
-use glam::DVec3;
 use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
+use super::directions::{Directions, widths_rad};
 use super::matched::Correlator;
 use super::weights;
 use crate::config::spec::{FanSpec, Shading};
@@ -44,11 +44,8 @@ pub struct FanFormer {
     spacing_m: f64,
     /// Over elements, sum 1.
     weights: Vec<f64>,
-    /// Per beam, from the boresight, positive to starboard.
-    angle_rad: Vec<f64>,
+    directions: Directions,
     width_rad: Vec<f64>,
-    /// Per beam: sine of its angle towards the array's +x.
-    sine: Vec<f64>,
     sound_speed_m_per_s: f64,
     correlator: Correlator,
     /// Element-major: weighted, matched-filtered spectra.
@@ -74,6 +71,7 @@ impl FanFormer {
         fan: &FanSpec,
         limits: RowLimits,
         pulse: &Pulse,
+        weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
         assert!(
@@ -82,28 +80,20 @@ impl FanFormer {
         );
         let length_m = array.spacing_m * (array.elements - 1) as f64;
         let travel = (length_m / sound_speed_m_per_s * limits.sample_rate_hz).ceil() as usize;
-        let correlator =
-            Correlator::new(pulse, limits, 2 * travel + GUARD_SAMPLES, Shading::Uniform);
+        let correlator = Correlator::new(pulse, limits, 2 * travel + GUARD_SAMPLES, weighting);
         let length = correlator.length();
 
         let mut weights = vec![0.0; array.elements];
         weights::fill(fan.shading, &mut weights);
         let sum: f64 = weights.iter().sum();
-        let angle_rad: Vec<_> = (0..fan.beams)
-            .map(|b| beam_angle_rad(b, fan.beams, fan.sector_rad))
-            .collect();
-        let x_in_body = array.mounting.body_from_array * DVec3::X;
-        let towards_x = if x_in_body.y < -1e-9 { -1.0 } else { 1.0 };
-
         let workers = rayon::current_num_threads().clamp(1, fan.beams);
         let mut former = Self {
             array: fan.array,
             elements: array.elements,
             spacing_m: array.spacing_m,
             weights: weights.iter().map(|w| w / sum).collect(),
-            sine: angle_rad.iter().map(|a| towards_x * a.sin()).collect(),
+            directions: Directions::new(array, fan),
             width_rad: vec![0.0; fan.beams],
-            angle_rad,
             sound_speed_m_per_s,
             spectra: vec![Complex64::ZERO; length * array.elements],
             workers: (0..workers)
@@ -136,7 +126,9 @@ impl FanFormer {
         );
         let tuned_hz = self.correlator.pulse().center_frequency_hz;
         self.correlator.set_pulse(&plan.pulse);
-        if plan.sound_speed_m_per_s != self.sound_speed_m_per_s
+        let turned = self.directions.aim(plan);
+        if turned
+            || plan.sound_speed_m_per_s != self.sound_speed_m_per_s
             || plan.pulse.center_frequency_hz != tuned_hz
         {
             self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
@@ -151,10 +143,10 @@ impl FanFormer {
     }
 
     fn prepare(&self, samples: usize, out: &mut BeamFrame) {
-        let beams = self.angle_rad.len();
+        let beams = self.directions.sine.len();
         out.beams = beams;
         out.samples = samples;
-        out.angle_rad.clone_from(&self.angle_rad);
+        out.angle_rad.clone_from(&self.directions.angle_rad);
         out.width_rad.clone_from(&self.width_rad);
         let most = beams * self.correlator.limits().samples;
         out.iq.reserve_exact(most.saturating_sub(out.iq.len()));
@@ -163,17 +155,9 @@ impl FanFormer {
 
     fn measure_widths(&mut self) {
         let wavelength_m = self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz;
-        let half = half_power_sine(&self.weights, self.spacing_m / wavelength_m);
-        for (width, sine) in self.width_rad.iter_mut().zip(&self.sine) {
-            let edge = |s: f64| {
-                if s.abs() < 1.0 {
-                    s.asin()
-                } else {
-                    FRAC_PI_2.copysign(s)
-                }
-            };
-            *width = edge(sine + half) - edge(sine - half);
-        }
+        let spacing = self.spacing_m / wavelength_m;
+        let sines = &self.directions.sine;
+        widths_rad(&self.weights, spacing, sines, &mut self.width_rad);
     }
 
     fn transform_elements(&mut self, frame: &ElementFrame) {
@@ -199,7 +183,7 @@ impl FanFormer {
 
     fn sum_beams(&mut self, samples: usize, out: &mut [Complex64]) {
         let length = self.correlator.length();
-        let share = self.sine.len().div_ceil(self.workers.len());
+        let share = self.directions.sine.len().div_ceil(self.workers.len());
         let (correlator, spectra) = (&self.correlator, &self.spectra);
         // Cycles over one element spacing per unit of sine and hertz.
         let spacing_s = self.spacing_m / self.sound_speed_m_per_s;
@@ -209,7 +193,7 @@ impl FanFormer {
             step_hz: correlator.limits().sample_rate_hz / length as f64,
         };
         out.par_chunks_mut(share * samples)
-            .zip(self.sine.par_chunks(share))
+            .zip(self.directions.sine.par_chunks(share))
             .zip(&mut self.workers)
             .for_each(|((rows, sines), worker)| {
                 for (rows, sines) in rows.chunks_mut(GROUP * samples).zip(sines.chunks(GROUP)) {
@@ -224,47 +208,6 @@ impl FanFormer {
                 }
             });
     }
-}
-
-/// Equally spaced from -sector/2 to +sector/2; a single beam looks along the boresight.
-fn beam_angle_rad(beam: usize, beams: usize, sector_rad: f64) -> f64 {
-    if beams == 1 {
-        return 0.0;
-    }
-    sector_rad * (beam as f64 / (beams - 1) as f64 - 0.5)
-}
-
-/// Offset in sine at which a line array's response has fallen by half its power; infinite where it never does (one element).
-fn half_power_sine(weights: &[f64], spacing_wavelengths: f64) -> f64 {
-    let middle = (weights.len() as f64 - 1.0) / 2.0;
-    // Symmetrical weights: the response is real.
-    let response = |sine: f64| -> f64 {
-        weights
-            .iter()
-            .enumerate()
-            .map(|(e, w)| w * (TAU * (e as f64 - middle) * spacing_wavelengths * sine).cos())
-            .sum()
-    };
-    let threshold = 0.5_f64.sqrt();
-    let step = 1.0 / (64.0 * weights.len() as f64 * spacing_wavelengths);
-    let mut inside = 0.0;
-    while response(inside + step) > threshold {
-        inside += step;
-        // Two is the widest offset between real directions.
-        if inside > 2.0 {
-            return f64::INFINITY;
-        }
-    }
-    let mut outside = inside + step;
-    for _ in 0..60 {
-        let middle = 0.5 * (inside + outside);
-        if response(middle) > threshold {
-            inside = middle;
-        } else {
-            outside = middle;
-        }
-    }
-    inside
 }
 
 /// The transform's frequencies.
@@ -394,6 +337,7 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 mod tests {
     use super::*;
     use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
+    use crate::config::spec::FanForm;
     use crate::flow::PulseKind;
     use crate::flow::testing::plan_at_rest as plan;
 
@@ -415,6 +359,7 @@ mod tests {
             beams,
             sector_rad,
             shading,
+            form: FanForm::default(),
         }
     }
 
@@ -432,7 +377,7 @@ mod tests {
                 samples: self.samples,
                 pulse_s: self.pulse.duration_s,
             };
-            FanFormer::new(&self.array, fan, limits, &self.pulse, C)
+            FanFormer::new(&self.array, fan, limits, &self.pulse, Shading::Uniform, C)
         }
         fn beams(&self, fan: &FanSpec, frame: &ElementFrame) -> BeamFrame {
             let mut out = BeamFrame::default();

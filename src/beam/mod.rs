@@ -2,15 +2,25 @@
 //! [`Line`](crate::flow::Line) out.
 //!
 //! - [`matched`]: correlation of a row of samples with the transmitted pulse.
-//! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's whole band.
-//! - [`sidescan`]: the whole aperture as one beam, one line per side.
+//! - [`block`]: the same on a stream of blocks. [`weights`]: weightings along pulses and apertures.
+//! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's whole band, f64.
+//! - [`delay_sum`]: far-field and dynamically focused beams in the time domain, f32, with the widest instructions at hand.
+//! - [`fan`]: whichever of these a configuration names.
+//! - [`halves`]: two fans of the halves of a line, for bottom detection. [`backproject`]: synthetic aperture over many pings.
+//! - [`sidescan`]: the whole aperture as one beam, one line per side, focused or not.
 //!
 //! Every former belongs to one array, is sized once from [`RowLimits`], and allocates nothing afterwards. Work is split by element and
 //! by beam, so that the samples are the same bits for any number of threads.
 //!
-//! Not modelled: focusing in the near field, motion during reception in the steering delays, synthetic aperture.
+//! Not modelled: turning of the platform during the echo in the steering delays.
+pub mod backproject;
 pub mod block;
 pub mod conventional;
+pub mod delay_sum;
+mod directions;
+pub mod fan;
+pub mod halves;
+mod kernel;
 pub mod matched;
 pub mod sidescan;
 #[cfg(test)]

@@ -3,9 +3,12 @@
 use num_complex::Complex64;
 
 use super::RowLimits;
+use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use crate::config::spec::{LineSpec, Shading};
-use crate::flow::{ElementFrame, Line, PingPlan, Pulse, Side};
+use crate::config::spec::{FanForm, FanSpec, Former, LineSpec, Shading};
+use crate::flow::{
+    ArrayGeometry, BeamFrame, ElementFrame, Line, PingPlan, Pulse, Side, TransmitArray,
+};
 
 /// The line of one side: mean of the elements, matched filter, envelope.
 ///
@@ -16,17 +19,61 @@ pub struct LineFormer {
     limits: RowLimits,
     filter: MatchedFilter,
     sum: Vec<Complex64>,
+    focus: Option<Focused>,
+}
+
+/// The one beam at broadside, refocused along range.
+struct Focused {
+    former: DelaySumFormer,
+    beam: BeamFrame,
 }
 
 impl LineFormer {
     /// Panics if the pulse is beyond `limits`: they come from a checked configuration.
     pub fn new(line: &LineSpec, limits: RowLimits, pulse: &Pulse) -> Self {
+        Self::weighted(line, limits, pulse, Shading::Uniform)
+    }
+
+    /// With a weighting along the pulse.
+    pub fn weighted(line: &LineSpec, limits: RowLimits, pulse: &Pulse, weighting: Shading) -> Self {
         Self {
             side: line.side,
             array: line.array,
             limits,
-            filter: MatchedFilter::new(pulse, limits, Shading::Uniform),
+            filter: MatchedFilter::new(pulse, limits, weighting),
             sum: vec![Complex64::ZERO; limits.samples],
+            focus: None,
+        }
+    }
+
+    /// The same, refocused along range with the receiver's motion: `array` is the line's, `transmit` the one it listens to.
+    pub fn focused(
+        line: &LineSpec,
+        array: &ArrayGeometry,
+        transmit: &TransmitArray,
+        limits: RowLimits,
+        pulse: &Pulse,
+        weighting: Shading,
+        sound_speed_m_per_s: f64,
+    ) -> Self {
+        let broadside = FanSpec {
+            array: line.array,
+            beams: 1,
+            sector_rad: 0.0,
+            shading: Shading::Uniform,
+            form: FanForm {
+                former: Former::DynamicFocus,
+                ..FanForm::default()
+            },
+        };
+        let c = sound_speed_m_per_s;
+        let former = DelaySumFormer::new(array, transmit, &broadside, limits, pulse, weighting, c);
+        Self {
+            focus: Some(Focused {
+                former,
+                beam: BeamFrame::default(),
+            }),
+            ..Self::weighted(line, limits, pulse, weighting)
         }
     }
 
@@ -47,15 +94,20 @@ impl LineFormer {
             self.limits.samples
         );
         let sum = &mut self.sum[..frame.samples];
-        sum.fill(Complex64::ZERO);
-        let weight = 1.0 / frame.elements as f64;
-        for e in 0..frame.elements {
-            for (s, x) in sum.iter_mut().zip(frame.element(e)) {
-                *s += x * weight;
+        if let Some(focus) = &mut self.focus {
+            focus.former.form(plan, frame, &mut focus.beam);
+            sum.copy_from_slice(focus.beam.beam(0));
+        } else {
+            sum.fill(Complex64::ZERO);
+            let weight = 1.0 / frame.elements as f64;
+            for e in 0..frame.elements {
+                for (s, x) in sum.iter_mut().zip(frame.element(e)) {
+                    *s += x * weight;
+                }
             }
+            self.filter.set_pulse(&plan.pulse);
+            self.filter.apply(sum);
         }
-        self.filter.set_pulse(&plan.pulse);
-        self.filter.apply(sum);
 
         let silent = (plan.first_sample_s * self.limits.sample_rate_hz)
             .round()

@@ -52,6 +52,12 @@ fn what_it_does(spec: &RigSpec) -> Vec<String> {
                 format!("replays {}{how}", path.display())
             }
             NavInputSpec::Udp { listen, .. } => format!("takes navigation from UDP {listen}"),
+            NavInputSpec::TcpConnect { address } => {
+                format!("takes navigation from the TCP server {address}")
+            }
+            NavInputSpec::TcpListen { listen } => {
+                format!("takes navigation from a client of TCP {listen}")
+            }
             NavInputSpec::Serial { port, baud } => {
                 format!("takes navigation from {port} at {baud} baud")
             }

@@ -317,6 +317,20 @@ fn nav<'t>(
         let condition = "a source of kind \"log\" or \"csv\"";
         only_with(table, &["loop"], any_recorded, condition, problems);
     }
+    let failing_over = Some(table.given("failover_s"));
+    only_with(table, &["hold_off_s"], failing_over, "failover_s", problems);
+    only_with(
+        table,
+        &["max_speed_m_per_s", "max_turn_rate_deg_per_s"],
+        table.bool("jump_gate"),
+        "jump_gate = true",
+        problems,
+    );
+    if let (Some(stale_s), Some(lost_s)) = (table.number("stale_s"), table.number("lost_s"))
+        && lost_s < stale_s
+    {
+        problems.refuse(table.entry("lost_s"), "must not be below stale_s");
+    }
     let vertical = vertical(table, problems);
     let origin = origin(table);
     refuse_unfit_track(table, tables, vertical, problems);
@@ -333,6 +347,22 @@ fn nav<'t>(
         max_extrapolation_s: table.scaled("max_extrapolation_ms", -3)?,
         history_s: table.number("history_s")?,
         fallback_heading_from_course: table.bool("heading_from_course")?,
+        failover: match table.number("failover_s") {
+            Some(after_s) => Some(FailoverSpec {
+                after_s,
+                hold_off_s: table.number("hold_off_s")?,
+            }),
+            None => None,
+        },
+        jump_gate: match table.bool("jump_gate")? {
+            true => Some(JumpGateSpec {
+                max_speed_m_per_s: table.number("max_speed_m_per_s")?,
+                max_rate_rad_per_s: table.angle_rad("max_turn_rate_deg_per_s")?,
+            }),
+            false => None,
+        },
+        stale_s: table.number("stale_s")?,
+        lost_s: table.number("lost_s")?,
         sources: all(sources).filter(|s| !s.is_empty())?,
     })
 }
@@ -469,11 +499,17 @@ fn nav_source<'t>(
     );
     only_with(
         table,
-        &["listen", "multicast"],
-        is("udp"),
-        "kind = \"udp\"",
+        &["listen"],
+        kind.map(|k| k == "udp" || k == "tcp"),
+        "kind = \"udp\" or \"tcp\"",
         problems,
     );
+    only_with(table, &["multicast"], is("udp"), "kind = \"udp\"", problems);
+    only_with(table, &["connect"], is("tcp"), "kind = \"tcp\"", problems);
+    if is("tcp") == Some(true) && table.given("listen") == table.given("connect") {
+        let rule = "tcp needs either `connect` (a server's address) or `listen` (for a client)";
+        problems.refuse(table.entry("kind"), rule);
+    }
     needed_with(table, "listen", is("udp"), "kind = \"udp\"", problems);
     only_with(
         table,
@@ -486,7 +522,16 @@ fn nav_source<'t>(
     needed_with(table, "baud", is("serial"), "kind = \"serial\"", problems);
     only_with(
         table,
-        &["time", "latency_ms", "checksum"],
+        &[
+            "time",
+            "latency_ms",
+            "checksum",
+            "ignore_checksum_for",
+            "format",
+            "variants",
+            "reverse",
+            "magnetic_variation_deg",
+        ],
         is("csv").map(|csv| !csv),
         "sentences, which a CSV track has not",
         problems,
@@ -516,11 +561,41 @@ fn nav_source<'t>(
             _ => ChecksumPolicy::Require,
         },
         lever_arm_m: table.vector("lever_arm_m")?,
+        dialect: dialect(table)?,
         provides: table
             .texts("provides")?
             .iter()
             .map(|c| channel(c))
             .collect(),
+    })
+}
+
+fn dialect(table: &RawTable) -> Option<NavDialect> {
+    let says = |key: &str, word: &str| {
+        let words = table.texts(key);
+        words.is_some_and(|words| words.iter().any(|w| w == word))
+    };
+    let formats = [
+        NavFormat::Nmea,
+        NavFormat::Tss1,
+        NavFormat::Em3000,
+        NavFormat::Seapath26,
+        NavFormat::Kmb,
+    ];
+    let format = table.text("format")?;
+    Some(NavDialect {
+        format: formats.into_iter().find(|f| f.name() == format)?,
+        ignore_checksum_for: table
+            .texts("ignore_checksum_for")
+            .unwrap_or_default()
+            .to_vec(),
+        pashr_heave_up: says("variants", "pashr-heave-up"),
+        reversed: Reversed {
+            roll: says("reverse", "roll"),
+            pitch: says("reverse", "pitch"),
+            heave: says("reverse", "heave"),
+        },
+        magnetic_variation_rad: table.angle_rad("magnetic_variation_deg"),
     })
 }
 
@@ -578,6 +653,22 @@ fn nav_input<'t>(
                     None => None,
                 },
             })
+        }
+        "tcp" if table.given("connect") => Some(NavInputSpec::TcpConnect {
+            address: table.text("connect")?.to_owned(),
+        }),
+        "tcp" => {
+            if !table.given("listen") {
+                return None;
+            }
+            let listen = address(table, "listen", problems)?;
+            listeners.push(Listener {
+                entry: table.entry("listen"),
+                protocol: "TCP",
+                address: listen,
+                multicast: false,
+            });
+            Some(NavInputSpec::TcpListen { listen })
         }
         _ => Some(NavInputSpec::Serial {
             port: table.text("port")?.to_owned(),

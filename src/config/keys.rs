@@ -245,9 +245,51 @@ static NAV: Table = Table {
             Default("false"),
             "Where no source gives a heading, take the course over ground.",
         ),
+        key(
+            "failover_s",
+            Kind::Number(above(0.0, 3600.0)),
+            Optional("2.0"),
+            "Where several sources provide a quantity: the next one in the file speaks when the better one has been silent this long. Without it the first owns the quantity.",
+        ),
+        key(
+            "hold_off_s",
+            Kind::Number(from(0.0, 3600.0)),
+            Default("5.0"),
+            "How long the better source must have come again before it has the word back. Only with failover_s.",
+        ),
+        key(
+            "jump_gate",
+            Kind::Bool,
+            Default("false"),
+            "Set samples aside that lie farther from the one before than the platform can have moved, until five in a row agree.",
+        ),
+        key(
+            "max_speed_m_per_s",
+            Kind::Number(above(0.0, 150.0)),
+            Default("50.0"),
+            "Only with jump_gate.",
+        ),
+        key(
+            "max_turn_rate_deg_per_s",
+            Kind::Number(above(0.0, 1.0e4)),
+            Default("60.0"),
+            "Of heading, roll and pitch. Only with jump_gate.",
+        ),
+        key(
+            "stale_s",
+            Kind::Number(above(0.0, 3600.0)),
+            Default("2.0"),
+            "A source is stale, in the status, when nothing came for so long; on hold when it misses three of its own intervals.",
+        ),
+        key(
+            "lost_s",
+            Kind::Number(above(0.0, 86_400.0)),
+            Default("10.0"),
+            "A source is lost when nothing came for so long; not below stale_s.",
+        ),
         key("source", Kind::Tables(&NAV_SOURCE), Required(""), ""),
     ],
-    later: &["jump_gate", "on_lost"],
+    later: &["on_lost"],
 };
 
 static GEODETIC_ORIGIN: Table = Table {
@@ -275,12 +317,9 @@ static NAV_SOURCE: Table = Table {
         key("name", Kind::Name, Required("\"gnss\""), ""),
         key(
             "kind",
-            Kind::Choice(
-                &["log", "csv", "udp", "serial"],
-                &["tcp", "pcap", "mavlink"],
-            ),
+            Kind::Choice(&["log", "csv", "udp", "serial", "tcp"], &[]),
             Required("\"udp\""),
-            "\"log\" a recorded log (path), \"csv\" a track (path) with the columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; \"udp\" (listen), \"serial\" (port, baud).",
+            "\"log\" a recorded log (path): text, pcap, pcapng or a MAVLink tlog, told from its first bytes; \"csv\" a track (path) with the columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; \"udp\" (listen), \"serial\" (port, baud), \"tcp\" (connect to a server, or listen for a client).",
         ),
         key(
             "path",
@@ -298,7 +337,13 @@ static NAV_SOURCE: Table = Table {
             "listen",
             Kind::Text,
             Shown("\"127.0.0.1:10110\""),
-            "Address and port. Only with kind = \"udp\".",
+            "Address and port. Only with kind = \"udp\" or \"tcp\".",
+        ),
+        key(
+            "connect",
+            Kind::Text,
+            Optional("\"192.168.1.20:10110\""),
+            "Host and port of a server. Only with kind = \"tcp\".",
         ),
         key(
             "multicast",
@@ -335,6 +380,39 @@ static NAV_SOURCE: Table = Table {
             Kind::Choice(&["require", "accept-missing", "ignore"], &[]),
             Default("\"require\""),
             "",
+        ),
+        key(
+            "ignore_checksum_for",
+            Kind::Names,
+            Optional("[\"PTNTHPR\"]"),
+            "Sentences whose checksum is not looked at: whole addresses, or their last three letters.",
+        ),
+        key(
+            "format",
+            Kind::Choice(
+                &["nmea", "tss1", "em3000", "seapath26", "kmb"],
+                &["pd0", "pd6", "stdbin", "sbg"],
+            ),
+            Default("\"nmea\""),
+            "What the bytes are: sentences, or records of one maker; em3000 is em1000 too.",
+        ),
+        key(
+            "variants",
+            Kind::Choices(&["pashr-heave-up"]),
+            Optional("[\"pashr-heave-up\"]"),
+            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere.",
+        ),
+        key(
+            "reverse",
+            Kind::Choices(&["roll", "pitch", "heave"]),
+            Optional("[\"pitch\"]"),
+            "Quantities that this instrument sends with the opposite sign of its format's documentation.",
+        ),
+        key(
+            "magnetic_variation_deg",
+            Kind::Number(from(-180.0, 180.0)),
+            Optional("1.3"),
+            "East positive. Makes HDG and HDM true headings where the sentence carries no variation; without it they are not taken.",
         ),
         key(
             "lever_arm_m",
@@ -1054,7 +1132,7 @@ static MODEL: Table = Table {
                 &["gridded"],
             ),
             Shown("\"gridded-1d\""),
-            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with doppler \"none\" or \"stretch\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, any doppler but \"paper-eq21\" and a tolerance from 2e-2 on. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
+            "\"reference\" solves the travel time of every sample on the continuous motion (slow, trusted; path and doppler are then not used); \"direct\" sums linearised echoes; \"gridded-1d\" does within tolerance, faster, with any doppler but \"paper-eq21\"; \"gridded-2d\" for line arrays of many elements, with the receiver filter, any doppler but \"paper-eq21\" and a tolerance from 2e-2 on. For comparison, with doppler \"none\" or \"paper-eq21\": \"spectral\" (the paper's sum by frequency), \"nearest\" and \"linear\" (a sampled pulse laid down). Left out: \"gridded-1d\" where it takes the doppler and the receiver has its filter, else \"direct\".",
         ),
         key(
             "tolerance",
@@ -1111,19 +1189,43 @@ static BEAMS: Table = Table {
             Optional("\"rx-starboard\""),
             "The receive array of the starboard side-scan line.",
         ),
+        key(
+            "line_former",
+            Kind::Choice(&["aperture", "dynamic-focus"], &[]),
+            Default("\"aperture\""),
+            "\"aperture\": the plain sum of the elements. \"dynamic-focus\": refocused along range, with the receiver's motion.",
+        ),
+        key(
+            "weighting",
+            Kind::Choice(&["none", "hann", "hamming", "taylor", "kaiser"], &[]),
+            Default("\"none\""),
+            "Along the pulse, of every matched filter: lower side lobes of the compressed pulse, wider peak.",
+        ),
+        key(
+            "weighting_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("35.0"),
+            "Of \"taylor\", below the peak.",
+        ),
+        key(
+            "weighting_beta",
+            Kind::Number(from(0.0, 20.0)),
+            Default("6.0"),
+            "Of \"kaiser\".",
+        ),
         key("fan", Kind::Table(&FAN), Shown(""), ""),
     ],
-    later: &["focus", "multi_pulse", "synthetic_aperture"],
+    later: &["multi_pulse", "synthetic_aperture"],
 };
 
 static FAN: Table = Table {
-    doc: "Beams across the track, equally spaced in angle about the array's boresight, beam 0 port-most. Leave the table out for none.",
+    doc: "Beams of one array: across the track, beam 0 port-most; or, of an array that lies fore and aft (multibeam side-scan), beam 0 aft-most. Leave the table out for none.",
     keys: &[
         key(
             "array",
             Kind::Name,
             Required("\"rx\""),
-            "A receive array whose +x end points to starboard.",
+            "A receive array whose +x end points to starboard or forward.",
         ),
         key("beams", Kind::Integer(1, 4096), Required("64"), ""),
         key(
@@ -1133,10 +1235,58 @@ static FAN: Table = Table {
             "From the first beam to the last.",
         ),
         key(
+            "center_deg",
+            Kind::Number(from(-90.0, 90.0)),
+            Default("0.0"),
+            "Middle of the sector, from the boresight.",
+        ),
+        key(
+            "spacing",
+            Kind::Choice(&["equi-angle", "equi-distant", "equi-sine"], &[]),
+            Default("\"equi-angle\""),
+            "Equal steps of angle, of distance on a flat bottom, or of sine.",
+        ),
+        key(
+            "roll_stabilised",
+            Kind::Bool,
+            Default("false"),
+            "Angles from the vertical: the beams are steered against the roll.",
+        ),
+        key(
             "shading",
-            Kind::Choice(&["uniform", "hann"], &["taylor", "chebyshev"]),
+            Kind::Choice(&["uniform", "hann", "taylor", "chebyshev"], &[]),
             Default("\"uniform\""),
             "",
+        ),
+        key(
+            "shading_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("30.0"),
+            "Of \"taylor\" and \"chebyshev\", below the main lobe.",
+        ),
+        key(
+            "former",
+            Kind::Choice(&["exact", "conventional", "phase", "dynamic-focus"], &[]),
+            Default("\"exact\""),
+            "Far field in f64 at every frequency; far field with time delays or with phases, or focused along range with the receiver's motion, in f32 and several times faster.",
+        ),
+        key(
+            "bottom_detection",
+            Kind::Bool,
+            Default("false"),
+            "A sounding for each beam, from amplitude or from the phase between the two halves of the line.",
+        ),
+        key(
+            "f_number",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("50.0"),
+            "The aperture in use is range / f_number, at most the whole line. Left out: the whole line everywhere. Only with former = \"dynamic-focus\".",
+        ),
+        key(
+            "focus_error_deg",
+            Kind::Number(from(0.1, 90.0)),
+            Default("5.0"),
+            "Carrier phase that a focus may err by at the ends of its zone of ranges. Only with former = \"dynamic-focus\".",
         ),
     ],
     later: &[],

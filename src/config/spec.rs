@@ -68,8 +68,31 @@ pub struct NavSpec {
     pub history_s: f64,
     /// Used where no source gives it.
     pub fallback_heading_from_course: bool,
+    /// None: the first source that provides a quantity owns it.
+    pub failover: Option<FailoverSpec>,
+    pub jump_gate: Option<JumpGateSpec>,
+    /// A source without a sample for so long is stale, or lost; seconds.
+    pub stale_s: f64,
+    pub lost_s: f64,
     /// At least one.
     pub sources: Vec<NavSourceSpec>,
+}
+
+/// When another source takes a quantity over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FailoverSpec {
+    /// Silence after which the next source speaks, seconds.
+    pub after_s: f64,
+    /// How long the better one must have come again before it has the word back, seconds.
+    pub hold_off_s: f64,
+}
+
+/// What counts as a jump.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JumpGateSpec {
+    pub max_speed_m_per_s: f64,
+    /// Of heading, roll and pitch.
+    pub max_rate_rad_per_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,8 +138,55 @@ pub struct NavSourceSpec {
     pub checksum: ChecksumPolicy,
     /// Antenna in the body, metres; used with this source's positions.
     pub lever_arm_m: DVec3,
+    pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+/// What is particular about the messages of one source; by default nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NavDialect {
+    pub format: NavFormat,
+    /// Sentences, by address or its last three letters, whose checksum is not looked at.
+    pub ignore_checksum_for: Vec<String>,
+    /// PASHR carries heave + up, against the documented + down.
+    pub pashr_heave_up: bool,
+    pub reversed: Reversed,
+    /// East positive; makes magnetic headings true where the sentence does not say it.
+    pub magnetic_variation_rad: Option<f64>,
+}
+
+/// Quantities that the source sends with the opposite sign of its documentation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reversed {
+    pub roll: bool,
+    pub pitch: bool,
+    pub heave: bool,
+}
+
+/// What a source's bytes are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NavFormat {
+    #[default]
+    Nmea,
+    Tss1,
+    /// EM1000 too.
+    Em3000,
+    Seapath26,
+    Kmb,
+}
+
+impl NavFormat {
+    /// As the configuration has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            NavFormat::Nmea => "nmea",
+            NavFormat::Tss1 => "tss1",
+            NavFormat::Em3000 => "em3000",
+            NavFormat::Seapath26 => "seapath26",
+            NavFormat::Kmb => "kmb",
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -138,6 +208,14 @@ pub enum NavInputSpec {
     Serial {
         port: String,
         baud: u32,
+    },
+    /// A client of somebody's server, named as the configuration has it.
+    TcpConnect {
+        address: String,
+    },
+    /// A server; its newest client speaks.
+    TcpListen {
+        listen: SocketAddr,
     },
 }
 
@@ -602,7 +680,11 @@ pub struct LimitsSpec {
 pub struct BeamsSpec {
     /// Side-scan lines: which receive array makes which side.
     pub lines: Vec<LineSpec>,
+    /// Lines are focused along range.
+    pub focused_lines: bool,
     pub fan: Option<FanSpec>,
+    /// Along the pulse, of every matched filter.
+    pub weighting: Shading,
 }
 
 #[derive(Clone, Debug)]
@@ -617,9 +699,85 @@ pub struct FanSpec {
     /// Index of the receive array.
     pub array: usize,
     pub beams: usize,
-    /// From port-most to starboard-most, radians, about the boresight.
+    /// From port-most to starboard-most, radians.
     pub sector_rad: f64,
     pub shading: Shading,
+    pub form: FanForm,
+}
+
+/// How a fan's beams are laid and formed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FanForm {
+    pub former: Former,
+    pub spacing: BeamSpacing,
+    /// Middle of the sector, from the boresight.
+    pub center_rad: f64,
+    /// Angles are from the vertical, whatever the roll.
+    pub roll_stabilised: bool,
+    /// Of `dynamic-focus`: range over the length of line in use, at most all of it; none uses all of it everywhere.
+    pub f_number: Option<f64>,
+    /// Of `dynamic-focus`: what carrier phase a focus may err by at the ends of its zone.
+    pub focus_error_rad: f64,
+    /// Look for the bottom in every beam.
+    pub bottom_detection: bool,
+}
+
+impl Default for FanForm {
+    fn default() -> Self {
+        Self {
+            former: Former::Exact,
+            spacing: BeamSpacing::EquiAngle,
+            center_rad: 0.0,
+            roll_stabilised: false,
+            f_number: None,
+            focus_error_rad: 0.1,
+            bottom_detection: false,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Former {
+    /// Far field, true time delays at every frequency, f64.
+    Exact,
+    /// Far field, true time delays to a fraction of a sample, f32.
+    TimeDelay,
+    /// Far field, carrier phases alone.
+    Phase,
+    /// Near field, refocused along range, with the receiver's motion.
+    DynamicFocus,
+}
+
+impl Former {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::TimeDelay => "conventional",
+            Self::Phase => "phase",
+            Self::DynamicFocus => "dynamic-focus",
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BeamSpacing {
+    EquiAngle,
+    /// On a flat bottom.
+    EquiDistant,
+    /// As a transform over the line has them.
+    EquiSine,
+}
+
+impl BeamSpacing {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::EquiAngle => "equi-angle",
+            Self::EquiDistant => "equi-distant",
+            Self::EquiSine => "equi-sine",
+        }
+    }
 }
 
 /// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.

@@ -24,6 +24,7 @@ pub struct Leg {
 
 impl Leg {
     /// Length and its first two derivatives, `later_s` after the leading edge.
+    #[inline(always)]
     fn at(&self, later_s: f64) -> (f64, f64, f64) {
         let Motion {
             velocity_m_per_s: velocity,
@@ -32,10 +33,11 @@ impl Leg {
         let ray_m = self.ray_m - (velocity + acceleration * (0.5 * later_s)) * later_s;
         let velocity = velocity + acceleration * later_s;
         let range_m = ray_m.length();
-        let e = ray_m / range_m.max(f64::MIN_POSITIVE);
+        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let e = ray_m * per_m;
         let closing = velocity.dot(e);
         let across2 = (velocity.length_squared() - closing * closing).max(0.0);
-        let second = across2 / range_m.max(f64::MIN_POSITIVE) - acceleration.dot(e);
+        let second = across2 * per_m - acceleration.dot(e);
         (range_m, -closing, second)
     }
 }
@@ -52,7 +54,8 @@ pub struct Stretched {
 const NEAREST_LEG: f64 = 5.0;
 
 /// The expansion about mid-pulse, in terms of its own leading edge. `delay_s` and `doppler` are those of the leading edge, `half_s` is T/2.
-/// A scatterer that the sonar all but touches keeps the stretch of its leading edge.
+/// A scatterer that the sonar all but touches keeps the stretch of its leading edge. Without a branch, so that batches fill vectors.
+#[inline(always)]
 pub fn about_mid_pulse(
     c: f64,
     half_s: f64,
@@ -61,35 +64,39 @@ pub fn about_mid_pulse(
     delay_s: f64,
     doppler: f64,
 ) -> Stretched {
-    let moved_m = |leg: &Leg| 2.0 * half_s * leg.motion.velocity_m_per_s.length();
-    let nearest_m = transmit.ray_m.length().min(receive.ray_m.length());
-    if nearest_m < NEAREST_LEG * moved_m(&transmit).max(moved_m(&receive)) {
-        return Stretched {
-            delay_s,
-            doppler,
-            curvature_per_s: 0.0,
-        };
-    }
+    // Squares: the legs' lengths come later.
+    let moved2_m2 =
+        |leg: &Leg| 4.0 * half_s * half_s * leg.motion.velocity_m_per_s.length_squared();
+    let nearest2_m2 = transmit
+        .ray_m
+        .length_squared()
+        .min(receive.ray_m.length_squared());
+    let most2_m2 = moved2_m2(&transmit).max(moved2_m2(&receive));
+    let near = nearest2_m2 < NEAREST_LEG * NEAREST_LEG * most2_m2;
+
     let (transmit_m, transmit_rate, transmit_second) = transmit.at(half_s);
-    // When the middle arrives: from the stretch at the leading edge two Newton steps reach the last bit.
+    // When the middle arrives. From the stretch at the leading edge one Newton step is right to 1e-14 s, and the rates there to the last bit;
+    // what it leaves goes with the next.
     let mut since_s = half_s / (1.0 + doppler);
+    let (mut receive_rate, mut receive_second) = (0.0, 0.0);
     for _ in 0..2 {
-        let (receive_m, rate, _) = receive.at(since_s);
+        let (receive_m, rate, second) = receive.at(since_s);
         let residual_m = c * ((delay_s - half_s) + since_s) - transmit_m - receive_m;
         since_s -= residual_m / (c - rate);
+        (receive_rate, receive_second) = (rate, second);
     }
-    let (_, receive_rate, receive_second) = receive.at(since_s);
-    let doppler = -(receive_rate + transmit_rate) / (c + transmit_rate);
-    let eta = 1.0 + doppler;
-    let curvature_per_s =
-        -0.5 * (transmit_second * eta * eta + receive_second) / (c + transmit_rate);
+    let per_speed = 1.0 / (c + transmit_rate);
+    let middle = -(receive_rate + transmit_rate) * per_speed;
+    let eta = 1.0 + middle;
+    let curvature_per_s = -0.5 * (transmit_second * eta * eta + receive_second) * per_speed;
     // Back to where t' = 0: half + eta s + curvature s^2 = 0.
     let root = (eta * eta - 4.0 * curvature_per_s * half_s).max(0.0).sqrt();
     let edge_s = -2.0 * half_s / (eta + root);
+    let pick = |at_edge: f64, expanded: f64| if near { at_edge } else { expanded };
     Stretched {
-        delay_s: delay_s + (since_s + edge_s),
-        doppler: doppler + 2.0 * curvature_per_s * edge_s,
-        curvature_per_s,
+        delay_s: pick(delay_s, delay_s + (since_s + edge_s)),
+        doppler: pick(doppler, middle + 2.0 * curvature_per_s * edge_s),
+        curvature_per_s: pick(0.0, curvature_per_s),
     }
 }
 

@@ -1,8 +1,12 @@
 //! Side-scan lines to pictures: [`Line`](crate::flow::Line)s in, rows of coloured pixels out. Files belong to `io::record`.
 //!
 //! - [`mod@line`]: the slant-range axis of a line and its gathering into cells.
-//! - [`waterfall`]: lines stacked into a picture.
-//!
-//! Not modelled: ground range, mosaics, water column, bottom detection.
+//! - [`waterfall`]: lines stacked into a picture. [`colour`]: colour maps.
+//! - [`mosaic`]: lines laid on the ground, in metres of a UTM zone ([`utm`]), as GeoTIFF and PNG.
+//! - [`bottom`]: soundings of a fan's beams.
+pub mod bottom;
+pub mod colour;
 pub mod line;
+pub mod mosaic;
+pub mod utm;
 pub mod waterfall;

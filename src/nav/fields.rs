@@ -1,6 +1,6 @@
 //! The comma-separated fields of a sentence, and the numbers, times and angles in them.
 
-use super::sentence::Refusal::{self, Malformed};
+use super::reading::Refusal::{self, Malformed};
 use crate::time::NS_PER_S;
 
 /// Fields looked at; the sentences decoded here have at most 16.
@@ -36,6 +36,16 @@ impl<'a> Fields<'a> {
         }
         match self.text(i).parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(Some(number)),
+            _ => Err(Malformed),
+        }
+    }
+
+    /// An unsigned number and the letter behind it that says its sign.
+    pub fn signed_by(&self, i: usize, plus: &str, minus: &str) -> Result<Option<f64>, Refusal> {
+        match (self.number(i)?, self.text(i + 1)) {
+            (None, _) => Ok(None),
+            (Some(v), letter) if letter == plus => Ok(Some(v)),
+            (Some(v), letter) if letter == minus => Ok(Some(-v)),
             _ => Err(Malformed),
         }
     }

@@ -73,12 +73,20 @@ impl Framing {
         self.resync_bytes
     }
 
-    /// Takes bytes off the front of `bytes` until a sentence is complete or none are left.
-    pub fn next(&mut self, bytes: &mut &[u8], arrival: UtcNs) -> Option<RawSentence<'_>> {
+    /// Takes bytes off the front of `bytes`, the first of which arrived at `arrival` and each later one `byte_ns` after it, until a sentence
+    /// is complete or none are left.
+    pub fn next(
+        &mut self,
+        bytes: &mut &[u8],
+        arrival: UtcNs,
+        byte_ns: i64,
+    ) -> Option<RawSentence<'_>> {
+        let mut at = arrival;
         while let Some((&byte, rest)) = bytes.split_first() {
-            let step = self.step(byte, arrival);
+            let step = self.step(byte, at);
             if !matches!(step, Step::EndedBefore(_)) {
                 *bytes = rest;
+                at = at.plus_ns(byte_ns);
             }
             if let Step::Ended(checksum) | Step::EndedBefore(checksum) = step {
                 return Some(self.sentence(checksum));
@@ -230,7 +238,7 @@ mod tests {
         let mut framing = Framing::new();
         let mut found = Vec::new();
         for mut piece in bytes.chunks(cut) {
-            while let Some(s) = framing.next(&mut piece, UtcNs(0)) {
+            while let Some(s) = framing.next(&mut piece, UtcNs(0), 0) {
                 found.push((s.body.to_string(), s.checksum));
             }
         }

@@ -3,7 +3,7 @@
 //! Only ZDA and RMC carry a date; the others carry a time of day that wraps at midnight. A day is chosen as the one nearest to where the
 //! message clock should be by now (before any date: nearest to the arrival).
 
-use super::sentence::Reading;
+use super::reading::{Reading, When};
 use crate::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
@@ -13,6 +13,32 @@ const BURST_GAP_NS: i64 = NS_PER_S / 4;
 const JUMP_NS: i64 = 10 * NS_PER_S;
 /// So many doubted messages that agree with one another are believed.
 const JUMP_CONFIRMATIONS: u32 = 3;
+
+/// A receiver that does not know its epoch is off by a multiple of this.
+const ROLLOVER_NS: i64 = 1024 * 7 * DAY_NS;
+/// A date this near to a multiple of the rollover off the clock is taken for one.
+const ROLLOVER_TOLERANCE_NS: i64 = 2 * DAY_NS;
+const WEEK_NS: i64 = 7 * DAY_NS;
+/// 1980-01-06T00:00:00Z.
+const GPS_EPOCH_NS: i64 = 315_964_800 * NS_PER_S;
+/// GPS minus UTC, seconds, from these UTC instants (seconds since 1970) on: the leap seconds since 1999 (IERS Bulletin C). Before: 13.
+const LEAP_S: [(i64, i64); 5] = [
+    (1_136_073_600, 14),
+    (1_230_768_000, 15),
+    (1_341_100_800, 16),
+    (1_435_708_800, 17),
+    (1_483_228_800, 18),
+];
+
+/// UTC of a GPS time counted as though GPS had no offset: nanoseconds since 1970.
+pub fn utc_of_gps(gps_ns: i64) -> i64 {
+    let leap_s = LEAP_S
+        .iter()
+        .rev()
+        .find(|(from_s, leap_s)| gps_ns >= (from_s + leap_s) * NS_PER_S)
+        .map_or(13, |(_, leap_s)| *leap_s);
+    gps_ns.saturating_sub(leap_s * NS_PER_S)
+}
 
 /// What a message's time came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +57,8 @@ pub struct MessageClock {
     last_sentence: Option<UtcNs>,
     burst: Option<UtcNs>,
     doubt: Option<(i64, u32)>,
+    arrivals_distrusted: bool,
+    week_rollovers: u64,
 }
 
 impl MessageClock {
@@ -59,26 +87,57 @@ impl MessageClock {
         self.dated
     }
 
+    /// Dates that were moved by whole rollovers.
+    pub fn week_rollovers(&self) -> u64 {
+        self.week_rollovers
+    }
+
+    pub fn distrust_arrivals(&mut self) {
+        self.arrivals_distrusted = true;
+    }
+
     pub fn stamp(&mut self, reading: &Reading, arrival: UtcNs) -> Stamp {
-        let Some(time_of_day_ns) = reading.time_of_day_ns else {
+        let Some(when) = reading.when else {
             return Stamp::None;
         };
         let expected = match self.last {
             Some((message, at)) => message.plus_ns(arrival.0.saturating_sub(at.0).max(0)),
             None => arrival,
         };
-        let message = match reading.day_ns {
-            Some(day) => UtcNs(day.saturating_add(time_of_day_ns)),
-            None => nearest_day(time_of_day_ns, expected),
+        let (message, dated) = match when {
+            When::TimeOfDay(ns) => (nearest_day(ns, expected), false),
+            When::GpsOfWeek(ns) => (nearest_week(ns, expected), false),
+            When::Dated {
+                day_ns,
+                time_of_day_ns,
+            } => (UtcNs(day_ns.saturating_add(time_of_day_ns)), true),
+            When::Instant(utc) => (utc, true),
         };
-        let first_date = reading.day_ns.is_some() && !self.dated;
+        let message = if dated {
+            self.unrolled(message, arrival)
+        } else {
+            message
+        };
+        let first_date = dated && !self.dated;
         if self.last.is_some() && !first_date && self.doubts(message, expected, arrival) {
             return Stamp::Jumped;
         }
-        self.dated |= reading.day_ns.is_some();
+        self.dated |= dated;
         self.last = Some((message, arrival));
         self.burst = Some(message);
         Stamp::At(message)
+    }
+
+    /// Moved by the rollovers that part it from the arrival, if nothing else does.
+    fn unrolled(&mut self, message: UtcNs, arrival: UtcNs) -> UtcNs {
+        let off_ns = message.0.saturating_sub(arrival.0);
+        let rolls = (off_ns as f64 / ROLLOVER_NS as f64).round() as i64;
+        let rest_ns = off_ns.saturating_sub(rolls * ROLLOVER_NS).saturating_abs();
+        if self.arrivals_distrusted || rolls == 0 || rest_ns > ROLLOVER_TOLERANCE_NS {
+            return message;
+        }
+        self.week_rollovers += 1;
+        message.plus_ns(-rolls * ROLLOVER_NS)
     }
 
     fn doubts(&mut self, message: UtcNs, expected: UtcNs, arrival: UtcNs) -> bool {
@@ -113,13 +172,64 @@ pub fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
     UtcNs(same_day.saturating_add(days * DAY_NS))
 }
 
+/// The instant of this GPS time of week that lies nearest to `reference`.
+fn nearest_week(of_week_ns: i64, reference: UtcNs) -> UtcNs {
+    let weeks = |ns: i64| ns.saturating_sub(GPS_EPOCH_NS).div_euclid(WEEK_NS);
+    let at = |week: i64| utc_of_gps(GPS_EPOCH_NS + week * WEEK_NS + of_week_ns);
+    let week = weeks(reference.0);
+    let nearest = [week - 1, week, week + 1]
+        .into_iter()
+        .map(at)
+        .min_by_key(|utc| utc.saturating_sub(reference.0).saturating_abs());
+    UtcNs(nearest.unwrap_or(reference.0))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::spec::NavDialect;
     use crate::nav::sentence::decode;
 
     fn reading(body: &str) -> Reading {
-        decode(body, &mut String::new()).expect("decodes")
+        decode(body, &NavDialect::default(), &mut String::new()).expect("decodes")
+    }
+
+    #[test]
+    fn a_receiver_1024_weeks_behind_is_moved_to_the_clock_s_date() {
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        // 1024 weeks before 2014-08-01 was 1994-12-16.
+        let zda = reading("GPZDA,000001.00,16,12,1994,,");
+        let mut clock = MessageClock::default();
+        assert_eq!(clock.stamp(&zda, at(1.1)), Stamp::At(at(1.0)));
+        assert_eq!(clock.week_rollovers(), 1);
+        let mut untimed = MessageClock::default();
+        untimed.distrust_arrivals();
+        let rollover_s = 1024.0 * 7.0 * 86400.0;
+        assert_eq!(
+            untimed.stamp(&zda, at(1.1)),
+            Stamp::At(at(1.0 - rollover_s))
+        );
+        // A month off is no rollover.
+        let other = reading("GPZDA,000001.00,16,01,1995,,");
+        let mut clock = MessageClock::default();
+        assert!(matches!(clock.stamp(&other, at(1.1)), Stamp::At(t) if t < at(-1e8)));
+    }
+
+    #[test]
+    fn gps_time_of_week_becomes_utc_with_its_leap_seconds() {
+        // 2014-08-01T00:00:00Z was GPS week 1803, 432016 s (16 leap seconds).
+        let att = reading("PASHR,ATT,432017.0,218.0,1.0,2.0,0.001,0.001,0");
+        let mut clock = MessageClock::default();
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        assert_eq!(clock.stamp(&att, at(1.3)), Stamp::At(at(1.0)));
+        assert_eq!(
+            utc_of_gps(1_483_228_817 * NS_PER_S),
+            1_483_228_800 * NS_PER_S
+        );
+        assert_eq!(
+            utc_of_gps(1_483_228_818 * NS_PER_S),
+            1_483_228_800 * NS_PER_S
+        );
     }
     const D: i64 = 1_406_851_200 * NS_PER_S; // 2014-08-01
 

@@ -3,14 +3,22 @@
 //! ```text
 //! bytes -> framing -> sentence -> message_time -> decoder -> NavSample -> history (rings) -> Trajectory, NavState
 //! ```
-//! `log` and `track` read recorded files (already in memory).
-//! Not modelled: depth sensors, binary attitude, fail-over between sources, several talkers on one line told apart.
+//! Records of fixed length (`records`) and MAVLink (`mavlink`) become the same readings as sentences. `log` and `track` read recorded files
+//! (already in memory); `capture` finds the datagrams in a packet capture.
+//! Not modelled: depth sensors, Doppler logs.
+pub mod capture;
 pub mod decoder;
 mod fields;
 pub mod framing;
+pub mod health;
 pub mod history;
 pub mod log;
+pub mod mavlink;
 pub mod message_time;
+mod proprietary;
+pub mod reading;
+pub mod records;
+pub mod report;
 pub mod ring;
 pub mod sentence;
 pub mod track;

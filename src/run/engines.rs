@@ -24,6 +24,9 @@ pub const LEVEL_RANGE_DB: f64 = 80.0;
 /// Echoes of one element for which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
 const NOMINAL_ARRIVALS: usize = 30_000;
 
+/// Acceleration of an array along its rays that the engines have room for, m/s^2: a small boat in a steep sea.
+const HARDEST_M_PER_S2: f64 = 5.0;
+
 /// Engines kept: the one in use, and those that pings ordered before the latest changes still need.
 const KEPT: usize = 4;
 
@@ -51,6 +54,7 @@ struct Wish {
     filter: Option<Decimator>,
     doppler: DopplerModel,
     span: DopplerSpan,
+    curvature_per_s: f64,
     tolerance: f64,
     threads: usize,
 }
@@ -102,6 +106,9 @@ impl Engines {
                 least: -greatest,
                 greatest,
             },
+            curvature_per_s: (fastest_m_per_s.powi(2) / spec.synthesis.nearest_m
+                + HARDEST_M_PER_S2)
+                / sound_speed_m_per_s,
             tolerance: spec.synthesis.tolerance,
             threads: rayon::current_num_threads(),
         };
@@ -224,6 +231,7 @@ impl Wish {
             filter: self.filter.as_ref(),
             doppler: self.doppler,
             span: self.span,
+            curvature_per_s: self.curvature_per_s,
             tolerance: self.tolerance,
             level_range_db: LEVEL_RANGE_DB,
             arrivals: NOMINAL_ARRIVALS,

@@ -20,9 +20,10 @@ use crate::array::receiver::receive;
 use crate::array::replica::Replica;
 use crate::array::spectral::{Bins, Spectral, Spectrum};
 use crate::beam::RowLimits;
-use crate::beam::conventional::FanFormer;
+use crate::beam::fan::Fan;
+use crate::beam::halves::HalvesFormer;
 use crate::beam::sidescan::LineFormer;
-use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::config::spec::{LineSpec, MediumSpec, SonarSpec};
 use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
@@ -30,6 +31,7 @@ use crate::flow::{
     BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, PingOutput, PingPlan,
     Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
 };
+use crate::image::bottom::BottomDetector;
 use crate::ping;
 use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
@@ -38,6 +40,9 @@ use crate::run::line_engines::LineEngines;
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
+
+/// No bottom is looked for nearer than this beyond the pulse, metres.
+const NEAREST_BOTTOM_M: f64 = 1.0;
 
 /// A sonar that cannot be computed as it is configured.
 #[derive(Debug, Error)]
@@ -94,7 +99,15 @@ pub struct SonarPipeline {
     /// Where certificates are asked for.
     certifier: Option<Certifier>,
     lines: Vec<LineFormer>,
-    fan: Option<FanFormer>,
+    fan: Option<Fan>,
+    bottom: Option<Bottom>,
+}
+
+/// What finds the bottom in the fan's beams.
+struct Bottom {
+    array: usize,
+    halves: HalvesFormer,
+    detector: BottomDetector,
 }
 
 impl SonarPipeline {
@@ -152,7 +165,9 @@ impl SonarPipeline {
             .unwrap_or(0);
         let fan = spec.beams.fan.as_ref().map(|fan| {
             let array = &spec.receive[fan.array];
-            FanFormer::new(array, fan, limits, &spec.pulse, medium.sound_speed_m_per_s)
+            let transmit = &spec.transmit[array.transmit];
+            let (weighting, c) = (spec.beams.weighting, medium.sound_speed_m_per_s);
+            Fan::new(array, transmit, fan, limits, &spec.pulse, weighting, c)
         });
         Ok(Self {
             lit: spec
@@ -189,8 +204,9 @@ impl SonarPipeline {
                 .beams
                 .lines
                 .iter()
-                .map(|line| LineFormer::new(line, limits, &spec.pulse))
+                .map(|line| line_former(spec, medium, line, limits))
                 .collect(),
+            bottom: bottom(spec, medium, limits),
             fan,
             spec: spec.clone(),
         })
@@ -206,6 +222,7 @@ impl SonarPipeline {
                 .map(|_| ElementFrame::default())
                 .collect(),
             beams: self.fan.iter().map(|_| BeamFrame::default()).collect(),
+            soundings: Vec::new(),
             lines: self
                 .spec
                 .beams
@@ -260,6 +277,14 @@ impl SonarPipeline {
         if let (Some(former), Some(beams)) = (&mut self.fan, output.beams.first_mut()) {
             let array = former.array();
             former.form(plan, &output.elements[array], beams);
+        }
+        if let Some(bottom) = &mut self.bottom {
+            let halves = bottom.halves.form(plan, &output.elements[bottom.array]);
+            let least_s = plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
+            let soundings = &mut output.soundings;
+            bottom
+                .detector
+                .detect(halves, plan.first_sample_s, least_s, soundings);
         }
     }
 
@@ -515,6 +540,42 @@ fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, F
         doppler_hz(spec, medium),
         filter::oversample(&shortest, rate_hz, spec.model.synthesis),
     )
+}
+
+fn bottom(spec: &SonarSpec, medium: &MediumSpec, limits: RowLimits) -> Option<Bottom> {
+    let fan = spec
+        .beams
+        .fan
+        .as_ref()
+        .filter(|f| f.form.bottom_detection)?;
+    let array = &spec.receive[fan.array];
+    let transmit = &spec.transmit[array.transmit];
+    let (weighting, c) = (spec.beams.weighting, medium.sound_speed_m_per_s);
+    let bandwidth_hz = spec
+        .pulse
+        .bandwidth_hz
+        .max(1.0 / spec.limits.pulse_duration_s.0);
+    Some(Bottom {
+        array: fan.array,
+        halves: HalvesFormer::new(array, transmit, fan, limits, &spec.pulse, weighting, c),
+        detector: BottomDetector::new(limits.sample_rate_hz, bandwidth_hz, limits.samples),
+    })
+}
+
+fn line_former(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    line: &LineSpec,
+    limits: RowLimits,
+) -> LineFormer {
+    let weighting = spec.beams.weighting;
+    if !spec.beams.focused_lines {
+        return LineFormer::weighted(line, limits, &spec.pulse, weighting);
+    }
+    let array = &spec.receive[line.array];
+    let transmit = &spec.transmit[array.transmit];
+    let c = medium.sound_speed_m_per_s;
+    LineFormer::focused(line, array, transmit, limits, &spec.pulse, weighting, c)
 }
 
 fn shortest_pulse(spec: &SonarSpec) -> Pulse {

@@ -195,9 +195,9 @@ fn keep(tile: &mut Tile, tile_box: &TileBox, listeners: Listeners) -> TileCount 
         targets,
     } = listeners;
     let around = Around {
-        ground: Some(surface),
-        roughness: tile.roughness,
+        ground: occlusion.ground_before(tile_box, surface),
         solids: occlusion.solids_before(tile_box, targets),
+        on_ground: true,
     };
     let mut kept = std::mem::take(&mut tile.kept);
     kept.clear();

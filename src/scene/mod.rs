@@ -19,8 +19,6 @@ pub mod targets;
 pub mod tiles;
 
 #[cfg(test)]
-mod shadow_tests;
-#[cfg(test)]
 mod tests;
 
 use std::path::{Path, PathBuf};
@@ -234,8 +232,8 @@ impl Scene {
         let anchor_m = self.anchor_m.extend(0.0);
         let around = Around {
             ground: self.seabed.as_ref().map(|(recipe, _)| recipe.surface()),
-            roughness: 1.0,
             solids: Some(&self.own_targets),
+            on_ground: false,
         };
         let mut kept = first;
         for i in first..out.len() {

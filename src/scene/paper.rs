@@ -10,6 +10,7 @@
 //! Everything is 30 m (the lake: 20 m) below the scene's zero, to the east of a track along north.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use glam::{DVec2, DVec3};
 
@@ -94,12 +95,12 @@ pub(super) fn profile(
     shape: PaperShape,
     from_m: DVec2,
     along: DVec2,
-    reach_m: f64,
+    stretch_m: Range<f64>,
     mut piece: impl FnMut(Piece),
 ) {
-    let mut here_m = 0.0;
-    while here_m < reach_m {
-        let next_m = (here_m + PIECE_M).min(reach_m);
+    let mut here_m = stretch_m.start;
+    while here_m < stretch_m.end {
+        let next_m = (here_m + PIECE_M).min(stretch_m.end);
         let at = Piece::AT.map(|share| {
             let place_m = from_m + along * (here_m + share * (next_m - here_m));
             down_m(shape, place_m.x, place_m.y)

@@ -192,8 +192,6 @@ pub struct Tile {
     pub down_m: Vec<f32>,
     pub normal: Vec<[f32; 3]>,
     pub strength: Vec<Complex32>,
-    /// How much the ground's slope changes over the tile.
-    pub roughness: f64,
     /// Those that the ping under way keeps.
     pub(super) kept: Vec<u16>,
 }
@@ -208,7 +206,6 @@ impl Tile {
             down_m: Vec::with_capacity(SCATTERERS_PER_TILE),
             normal: Vec::with_capacity(SCATTERERS_PER_TILE),
             strength: Vec::with_capacity(SCATTERERS_PER_TILE),
-            roughness: 0.0,
             kept: Vec::with_capacity(SCATTERERS_PER_TILE),
         }
     }
@@ -296,7 +293,6 @@ impl Recipe {
         // Intensity goes with the area of the patch, not of its horizontal projection: a cosine to come.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
-        let (mut least, mut most) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for north in first(id.row)..first(id.row + 1) {
             for east in first(id.col)..first(id.col + 1) {
                 let (north, east) = self.speaker(id.level, north, east);
@@ -313,8 +309,6 @@ impl Recipe {
                 let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
                     continue;
                 };
-                let slope = DVec2::new(depth.slope_north, depth.slope_east);
-                (least, most) = (least.min(slope), most.max(slope));
                 let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
                 if let Some(mosaic) = &self.mosaic {
                     amplitude *= mosaic.factor(at_north_m, at_east_m);
@@ -330,10 +324,6 @@ impl Recipe {
                 tile.strength.push(amplitude as f32 * reflectivity);
             }
         }
-        tile.roughness = match tile.is_empty() {
-            true => 0.0,
-            false => (most - least).length(),
-        };
     }
 
     /// What the law measures angles from.

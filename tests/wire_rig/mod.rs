@@ -5,7 +5,8 @@ use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
 
 use echotank::config::spec::{
-    BeamsSpec, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec, SynthesisSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec,
+    SynthesisSpec,
 };
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::flow::{
@@ -115,6 +116,8 @@ pub fn sonar() -> SonarSpec {
         },
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
+            focused_lines: false,
+            weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
                     side: Side::Port,
@@ -130,6 +133,7 @@ pub fn sonar() -> SonarSpec {
                 beams: 4,
                 sector_rad: 2.0,
                 shading: Shading::Uniform,
+                form: FanForm::default(),
             }),
         },
         outputs: Vec::new(),

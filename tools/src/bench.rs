@@ -6,10 +6,15 @@ mod echo;
 mod forward_looking;
 #[path = "bench/machine.rs"]
 mod machine;
+#[path = "bench/nav.rs"]
+mod nav;
 #[path = "bench/ping.rs"]
 mod ping;
 #[path = "bench/report.rs"]
 mod report;
+#[path = "../../tests/echo_model/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests of the echo model")]
+mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
 #[path = "bench/transform.rs"]
@@ -46,7 +51,8 @@ enum What {
     Echo {
         #[command(flatten)]
         common: Common,
-        /// Whole pings whose name, elements and scatterers contain this ("line 256 1000000"); without it all, and the other tables.
+        /// Whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3"); without
+        /// it all, and the other tables.
         #[arg(long)]
         only: Option<String>,
         /// best, portable, avx2, avx512.
@@ -61,6 +67,17 @@ enum What {
         common: Common,
         #[arg(long, default_value = "hil-configs/quickstart.toml")]
         config: PathBuf,
+    },
+    /// Navigation sentences per second, beside the crate nmea and, with --python, pynmea2, on the same lines.
+    Nav {
+        #[command(flatten)]
+        common: Common,
+        /// A text log; its sentences are repeated.
+        #[arg(long, default_value = "tests/data/nav/seapath330_90s.rvdas")]
+        log: PathBuf,
+        /// A Python that has pynmea2.
+        #[arg(long)]
+        python: Option<PathBuf>,
     },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
@@ -89,7 +106,11 @@ fn echo(
         only: only.unwrap_or(""),
         dialects,
         threads,
-        most_scatterers: if common.quick { 50_000 } else { usize::MAX },
+        effort: if common.quick {
+            whole::QUICK
+        } else {
+            whole::FULL
+        },
     };
     whole::run(&selection, &mut report)?;
     report.keep(common.json.as_deref())
@@ -104,6 +125,16 @@ fn main() -> std::process::ExitCode {
             threads,
         } => echo(&common, only.as_deref(), &dialects, &threads),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
+        What::Nav {
+            common,
+            log,
+            python,
+        } => nav::run(
+            &log,
+            python.as_deref(),
+            common.quick,
+            common.json.as_deref(),
+        ),
         What::TransformDump {
             directory,
             scatterers,

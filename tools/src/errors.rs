@@ -1,7 +1,9 @@
-//! Prints what path and Doppler models are off by against the reference, over speed and angle.
+//! Prints what path and Doppler models are off by against the reference: samples over speed and angle, pictures over speed and range.
 //!
-//! `tools/errors` prints the table that tests/stability/errors.txt keeps; `tools/errors --keep` writes it there.
+//! `tools/errors` prints the tables that tests/stability/errors.txt and images.txt keep; `tools/errors --keep` writes them there.
 
+#[path = "errors/images.rs"]
+mod images;
 #[path = "errors/table.rs"]
 mod table;
 
@@ -14,18 +16,34 @@ against the retarded-time sum on the continuous motion; pass up to 1e-3. An erro
 paper-eq21: Eq. 21 of Meng et al. 2023 as printed, on the polyline. stop-and-hop: without Doppler. The others: on the polyline.
 ";
 
+const ABOUT_IMAGES: &str = "\
+What the same models cost a picture. One point, the pulse of errors.txt, transmitter and receiver of 0.2 m each; truth is the retarded-time sum.
+Each pair: what the criterion says, and what was measured. along m: how far along the track the strongest line moves the point (abeam); criterion
+v r / c where the way during the ping is left out. edge m, 60 deg m: how far its compressed line moves it in range at the edge of the beam (0.48
+degrees ahead of abeam) and 60 degrees from the track; criterion v r cos / c of the way left out plus |d| f_c T / B of the Doppler left out. picture:
+of a side-scan, pass where along is below a quarter of the cell (0.64 lambda r / L) and edge below a tenth of its own (c / 2B = 0.025 m), by the
+criterion and by what was measured. samples: the relative error of the element's samples at the edge, ! above 1e-3: what a picture may do without,
+whoever beamforms may not.
+";
+
 fn main() -> std::io::Result<()> {
-    let mut text = format!("{ABOUT}\n{}\n", table::heading());
+    let mut samples = format!("{ABOUT}\n{}\n", table::heading());
     for case in table::cases() {
-        text += &table::row(case);
-        text += "\n";
+        samples += &table::row(case);
+        samples += "\n";
     }
-    print!("{text}");
+    let mut pictures = format!("{ABOUT_IMAGES}\n{}\n", images::heading());
+    for case in images::cases() {
+        pictures += &images::row(case);
+        pictures += "\n";
+    }
+    print!("{samples}\n{pictures}");
     match std::env::args().nth(1).as_deref() {
         None => Ok(()),
         Some("--keep") => {
-            let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/errors.txt");
-            std::fs::write(file, text)
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability");
+            std::fs::write(folder.join("errors.txt"), samples)?;
+            std::fs::write(folder.join("images.txt"), pictures)
         }
         Some(other) => {
             eprintln!("{other}: only --keep is known");

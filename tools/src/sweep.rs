@@ -10,16 +10,20 @@ use rayon::prelude::*;
 
 use sweep::case::{self, Case, MOTIONS, SCENES};
 use sweep::measure;
-use sweep::methods::Method;
-use sweep::table::{Cell, KNOWN, Row, TOLERANCES, heading};
+use sweep::methods::{Method, Reason};
+use sweep::table::{Cell, KNOWN, MEASURES, Row, TOLERANCES, doubt, heading};
 
 const ABOUT: &str = "\
-Worst window of a pulse's length, over the elements at the ends, of |x - x_ref| / |x_ref|: x_ref is the retarded-time sum on the continuous motion
-through the receiver filter, 64 points per width of the band; windows more than 55 dB below the strongest count against that level. Scenes: 36 m to
-150 m (75 m, 60 m) slant, 400 kHz, 30 kHz, 5 ms, 48 kHz samples; \"paper\" is rectangular, the others have half the pulse under flanks.
-A method is asked for a tolerance, takes the cheapest path and Doppler models whose cards leave room for it, and answers with samples or with
-a refusal: \"model\" where no Doppler or path model that it takes is close enough, \"sum\" where its way to sum is not. \"as it is\": continuous
-path, the best Doppler model it takes, whatever comes of it. A cell above its tolerance is marked !.
+Three lines a method, all of the worst of every window of a pulse's length (32 samples at least), sample by sample, at three elements. First: the
+contract's number without noise, |x - x_ref| over max(|x_ref|, 1e-6 of the median over the elements) in the window; inf: something where no element
+hears anything. x_ref is the retarded-time sum on the continuous motion through the receiver filter, 64 points per width of the band. These scenes
+are sparse: windows there are that hold the end of a flank or of the filter's tail alone, and the contract then asks for that end to within its tolerance
+of itself; what the reference half as dense scores stands above each scene. \"in noise\": the contract's number where noise lies 55 dB below the
+strongest window. \"beside\": looser and no promise, a window's error over the loudest window that shares samples with it, and over the strongest where
+that is below the noise. Scenes: 36 m to 150 m (75 m, 60 m) slant, 400 kHz, 30 kHz, 5 ms, 48 kHz samples; \"paper\" is rectangular, the others have
+half the pulse under flanks. A method is asked for a tolerance, takes the cheapest path and Doppler models whose cards leave room for it, and answers
+with samples or with a refusal: \"model\" where no Doppler or path model that it takes is close enough, \"sum\" where its way to sum is not. \"as it
+is\": continuous path, the best Doppler model it takes, whatever comes of it. A figure above its tolerance is marked !.
 ";
 
 #[derive(Parser)]
@@ -57,7 +61,7 @@ fn main() -> std::io::Result<()> {
             case.scene.contains(wanted) || case.motion.contains(wanted)
         })
         .collect();
-    let tables: Vec<Vec<Row>> = cases
+    let tables: Vec<(String, Vec<Row>)> = cases
         .par_iter()
         .map(|case| {
             let truth = measure::truth(case);
@@ -65,15 +69,15 @@ fn main() -> std::io::Result<()> {
                 .map(|m| Row::of(m, case, &truth, &TOLERANCES))
                 .collect();
             for row in &rows {
-                eprintln!("{}", row.text(case));
+                eprint!("{}", row.text(case));
             }
-            rows
+            (doubt(case, &truth), rows)
         })
         .collect();
-    for (case, rows) in cases.iter().zip(&tables) {
+    for (case, (doubt, rows)) in cases.iter().zip(&tables) {
+        text += doubt;
         for row in rows {
             text += &row.text(case);
-            text += "\n";
             broken += row.broken().count();
             if given.why {
                 text += &reasons(row);
@@ -81,9 +85,17 @@ fn main() -> std::io::Result<()> {
         }
     }
     for (method, tolerance, why) in KNOWN {
-        text += &format!("known: {} at {tolerance:.0e}: {why}\n", method.name());
+        text += &format!(
+            "known in noise: {} at {tolerance:.0e}: {why}\n",
+            method.name()
+        );
     }
-    text += &format!("others above their tolerance: {broken}\n");
+    text += &format!("others above their tolerance in noise: {broken}\n\n");
+    let rows: Vec<&Row> = tables.iter().flat_map(|(_, rows)| rows).collect();
+    let cells = rows
+        .iter()
+        .flat_map(|row| row.cells.iter().map(|cell| (row.method, cell)));
+    text += &counts(&cells.collect::<Vec<_>>());
     text += &random(given.random);
     print!("{text}");
     if given.keep {
@@ -100,10 +112,10 @@ fn reasons(row: &Row) -> String {
     let line = |cell: &Cell| {
         let said = match &cell.outcome {
             Ok(m) => format!(
-                "by itself {:.1e}, beside {:.1e}, silence {:.1e}, predicted {:.1e}: {}",
-                m.error.itself,
+                "{:.1e}, in noise {:.1e}, beside {:.1e}, predicted {:.1e}: {}",
+                m.error.contract,
+                m.error.in_noise,
                 m.error.beside,
-                m.error.silence,
                 m.predicted,
                 m.chosen.text()
             ),
@@ -119,7 +131,6 @@ fn random(count: u64) -> String {
     struct One {
         method: Method,
         cell: Cell,
-        seed: u64,
         about: String,
     }
     // f32 and f64, sharp and smooth; the truth itself is good to 4e-8.
@@ -136,7 +147,6 @@ fn random(count: u64) -> String {
                     found.push(One {
                         method,
                         cell,
-                        seed,
                         about: about.clone(),
                     });
                 }
@@ -144,58 +154,72 @@ fn random(count: u64) -> String {
             found
         })
         .collect();
-    let broken = all.iter().filter(|one| !one.cell.holds_beside()).count();
-    let ends = all.iter().filter(|one| !one.cell.holds()).count() - broken;
     let mut text = format!(
-        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; their seeds are their numbers), tolerances 1e-1 to 1e-6\n\n"
+        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; their seeds are their numbers), tolerances 1e-1 to 1e-6.\n\n"
     );
-    text += &format!(
-        "{:<10} {:>8} {:>8} {:>8} {:>8}  worst error beside / tolerance\n",
-        "method", "answers", "model", "sum", "above"
-    );
-    for method in Method::ALL {
-        let of: Vec<&One> = all.iter().filter(|one| one.method == method).collect();
-        let count = |what: &str| of.iter().filter(|one| one.cell.text() == what).count();
-        let (model, sum) = (count("model"), count("sum"));
-        let above = of.iter().filter(|one| !one.cell.holds_beside()).count();
-        text += &format!(
-            "{:<10} {:>8} {model:>8} {sum:>8} {above:>8}",
-            method.name(),
-            of.len() - model - sum
-        );
-        let ratio = |one: &&&One| {
-            let error = one.cell.outcome.as_ref().map_or(0.0, |m| m.error.beside);
-            error / one.cell.tolerance
-        };
-        let worst = of
-            .iter()
-            .filter(|one| one.cell.outcome.is_ok())
-            .max_by(|a, b| ratio(a).total_cmp(&ratio(b)));
-        if let Some(worst) = worst {
-            text += &format!(
-                "  {:.2} at {:.0e} (random {})",
-                ratio(&worst),
-                worst.cell.tolerance,
-                worst.seed
-            );
-        }
-        text += "\n";
-    }
-    text += &format!(
-        "\n{ends} answers are above their tolerance in a window by itself, but not beside those that share samples with it; {broken} are:\n"
-    );
-    for one in all.iter().filter(|one| !one.cell.holds_beside()) {
+    let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
+    text += &counts(&cells);
+    text += "\nabove in noise:\n";
+    for one in all.iter().filter(|one| !one.cell.holds(|e| e.in_noise)) {
         if let Ok(m) = &one.cell.outcome {
             text += &format!(
-                "{} at {:.0e}: {:.1e}, predicted {:.1e}: {}\n    {}\n",
+                "{} at {:.0e}: {:.1e} in noise, {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
                 one.method.name(),
                 one.cell.tolerance,
-                m.error.beside.max(m.error.silence),
+                m.error.in_noise,
+                m.error.beside,
                 m.predicted,
                 m.chosen.text(),
                 one.about
             );
         }
+    }
+    text
+}
+
+/// How often each method answered, and how often that was above its tolerance by each measure, with the worst of error over tolerance.
+fn counts(cells: &[(Method, &Cell)]) -> String {
+    let mut text = format!("{:<10}", "method");
+    for column in ["answers", "model", "sum", "above", "of it inf"] {
+        text += &format!(" {column:>9}");
+    }
+    text += " | above in noise, worst over tolerance | above beside, worst over tolerance\n";
+    for method in Method::ALL {
+        let of: Vec<&Cell> = cells
+            .iter()
+            .filter(|c| c.0 == method)
+            .map(|c| c.1)
+            .collect();
+        let refused = |by| {
+            let is = |c: &&&Cell| c.outcome.as_ref().is_err_and(|r| r.by == by);
+            of.iter().filter(is).count()
+        };
+        let answers = of.iter().filter(|c| c.outcome.is_ok()).count();
+        if answers == 0 {
+            continue;
+        }
+        let above = |error| of.iter().filter(|c| !c.holds(error)).count();
+        let silent = |c: &&&Cell| {
+            c.outcome
+                .as_ref()
+                .is_ok_and(|m| m.error.contract.is_infinite())
+        };
+        text += &format!("{:<10}", method.name());
+        for number in [
+            answers,
+            refused(Reason::Model),
+            refused(Reason::Sum),
+            above(|e| e.contract),
+            of.iter().filter(silent).count(),
+        ] {
+            text += &format!(" {number:>9}");
+        }
+        for (_, error) in &MEASURES[1..] {
+            let ratio = |c: &&Cell| Some(error(&c.outcome.as_ref().ok()?.error) / c.tolerance);
+            let worst = of.iter().filter_map(ratio).fold(0.0, f64::max);
+            text += &format!(" | {:>14}  {worst:>20.2}", above(*error));
+        }
+        text += "\n";
     }
     text
 }

@@ -17,12 +17,19 @@
 //! Introduction to Radar Systems, "ambiguity of the linear FM pulse"). Shift and phase go with the echo, exactly; the grid carries R_d. A
 //! pulse of 30 kHz and 5 ms with a tenth of taper needs 7 columns in place of 17 to 1e-3.
 //!
+//! An echo whose stretch changes (d at its middle, q the change: emission time d s + q s^2 about it) sounds, with p = q/eta^3 and
+//! alpha = 2pi (f + f_c), as the integral of a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2).
+//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so the series in p ends soon. Its k-th term is an echo of its own, of
+//! amplitude (p/p_max)^k, with a grid and templates that need be no finer than the term is large ([`Received::order`]).
+//!
 //! In: spectra, span of d, tolerance. Out: weights of an echo, templates per column and bin, the error of the fit as measured.
 
 use num_complex::Complex64;
 
+use crate::array::phasor::cis;
 use crate::flow::Pulse;
 
+use super::dialect::{Dialect, Kind};
 use super::kernel::Kernel;
 use super::least_squares::Matrix;
 use super::moments::MAX_TAPS;
@@ -68,24 +75,58 @@ impl Coupling {
     }
 }
 
-/// The received spectrum R_d(f) of one echo, seen from its middle and [`Coupling::shift_s`].
+/// The received spectrum R_d(f) of one echo, seen from its middle and [`Coupling::shift_s`]; or the term of `order` in what its curvature
+/// adds, for the greatest p.
 #[derive(Clone, Copy)]
 pub struct Received<'a> {
     pub spectrum: &'a PulseSpectrum,
     pub carrier_hz: f64,
     pub coupling: Coupling,
+    pub duration_s: f64,
+    pub order: usize,
+    /// p, per second.
+    pub greatest_p: f64,
 }
+
+/// Terms of the series in p, at most.
+pub const MAX_ORDER: usize = 5;
 
 impl Received<'_> {
     /// Without the receiver's gain.
+    #[inline(always)]
     pub fn at(&self, f_hz: f64, d: f64) -> Complex64 {
         let doppler_hz = self.carrier_hz * d;
-        let turns = (f_hz - 0.5 * doppler_hz) * self.coupling.shift_s(d);
-        let sound = self.spectrum.at((f_hz - doppler_hz) / (1.0 + d)) / (1.0 + d);
-        match self.coupling {
-            Coupling::NONE => sound,
-            _ => sound * Complex64::from_polar(1.0, std::f64::consts::TAU * turns),
+        let g_hz = (f_hz - doppler_hz) / (1.0 + d);
+        let sound = match self.order {
+            0 => self.spectrum.at(g_hz) / (1.0 + d),
+            _ => self.term(f_hz, g_hz, 1.0 + d),
+        };
+        if self.coupling == Coupling::NONE {
+            return sound;
         }
+        let turns = (f_hz - 0.5 * doppler_hz) * self.coupling.shift_s(d);
+        let (cos, sin) = cis(turns);
+        sound * Complex64::new(cos, sin)
+    }
+
+    #[inline(always)]
+    fn term(&self, f_hz: f64, g_hz: f64, eta: f64) -> Complex64 {
+        let mut powers = [Complex64::ZERO; 2 * MAX_ORDER + 1];
+        let k = self.order;
+        self.spectrum.powers_at(g_hz, &mut powers[..=2 * k]);
+        let (p, half_s) = (self.greatest_p, 0.5 * self.duration_s);
+        let alpha = std::f64::consts::TAU * (f_hz + self.carrier_hz);
+        // Phase of the quadratic at the pulse's ends.
+        let bend = Complex64::new(0.0, alpha * p * half_s * half_s);
+        // bend^(k-1) / (k-1)!
+        let before = (1..k).fold(Complex64::ONE, |term, i| term * bend / i as f64);
+        let mut sum = powers[2 * k] * before * bend / (k as f64 * eta)
+            - powers[2 * k - 1] * before * (2.0 * p * half_s);
+        if k == 2 {
+            sum += powers[2] * (6.0 * eta * (p * half_s).powi(2))
+                - powers[3] * bend * (2.0 * p * half_s);
+        }
+        sum
     }
 }
 
@@ -150,6 +191,12 @@ impl DopplerGrid {
         }
     }
 
+    /// Columns that echoes go to whose Dopplers take up this share of the span.
+    pub fn columns_of(&self, share: f64) -> usize {
+        let cells = (share * self.cells as f64).ceil() as usize + 1;
+        cells.min(self.cells) + self.taps - 1
+    }
+
     /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
     #[inline(always)]
     pub fn place(&self, doppler: f64) -> (usize, f64) {
@@ -165,10 +212,10 @@ impl DopplerGrid {
             .fold(0.0, |sum, k| sum * x + self.weights[k][i])
     }
 
-    /// The columns' weights at the Dopplers of the fit.
-    fn weights_at(&self, count: usize) -> Matrix {
-        Matrix::from_fn(count, self.columns, |s, column| {
-            let position = (s as f64 + 0.5) / count as f64 * self.cells as f64;
+    /// The columns' weights at Dopplers that lie at `shares` of the span.
+    fn weights_at(&self, shares: &[f64]) -> Matrix {
+        Matrix::from_fn(shares.len(), self.columns, |s, column| {
+            let position = shares[s] * self.cells as f64;
             let cell = position as usize;
             match column.checked_sub(cell) {
                 Some(tap) if tap < self.taps => {
@@ -186,10 +233,19 @@ impl DopplerGrid {
     }
 }
 
-/// `count` Dopplers evenly over a span, half a step from its ends.
-fn dopplers(span: DopplerSpan, count: usize) -> impl Iterator<Item = f64> {
-    let step = (span.greatest - span.least) / count as f64;
-    (0..count).map(move |s| span.least + (s as f64 + 0.5) * step)
+/// Where `count` Dopplers evenly over a span lie, half a step from its ends.
+fn even_shares(count: usize) -> Vec<f64> {
+    (0..count)
+        .map(|s| (s as f64 + 0.5) / count as f64)
+        .collect()
+}
+
+/// The Dopplers there.
+fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
+    shares
+        .iter()
+        .map(|share| span.least + share * (span.greatest - span.least))
+        .collect()
 }
 
 /// What a fit is tried on: R_d(f) H(f) at some frequencies and Dopplers.
@@ -198,7 +254,7 @@ pub struct Trial {
     /// `[frequency][doppler]`
     wanted: Vec<Vec<Complex64>>,
     /// Mean over the Dopplers of the sum over frequencies of |R_d H|^2.
-    power: f64,
+    pub power: f64,
 }
 
 impl Trial {
@@ -211,12 +267,14 @@ impl Trial {
         gain: &[f64],
     ) -> Self {
         let count = SAMPLES_PER_CELL * most_cells;
+        let dopplers = dopplers(span, &even_shares(count));
         let wanted: Vec<Vec<Complex64>> = frequency_hz
             .iter()
             .zip(gain)
             .map(|(&f_hz, gain)| {
-                dopplers(span, count)
-                    .map(|d| received.at(f_hz, d) * gain)
+                dopplers
+                    .iter()
+                    .map(|&d| received.at(f_hz, d) * gain)
                     .collect()
             })
             .collect();
@@ -233,77 +291,194 @@ impl Trial {
         }
     }
 
-    /// Relative error of the echo that `grid` serves worst.
-    pub fn worst(&self, grid: &DopplerGrid) -> f64 {
-        let weights = grid.weights_at(self.count);
+    /// Error of the echo that `grid` serves worst, over the root of `power`.
+    pub fn worst(&self, grid: &DopplerGrid, power: f64) -> f64 {
+        // As many of the Dopplers as this grid needs.
+        let least = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
+        let step = (self.count / least).max(1);
+        let used: Vec<usize> = (step / 2..self.count).step_by(step).collect();
+        let shares: Vec<f64> = used
+            .iter()
+            .map(|&s| (s as f64 + 0.5) / self.count as f64)
+            .collect();
+        let weights = grid.weights_at(&shares);
         let fit = weights.pseudo_inverse();
-        let mut off = vec![0.0; self.count];
+        let mut off = vec![0.0; used.len()];
         let mut columns = vec![Complex64::ZERO; grid.columns];
-        for wanted in &self.wanted {
-            for (column, value) in columns.iter_mut().enumerate() {
-                *value = fit.row(column).iter().zip(wanted).map(|(p, s)| s * p).sum();
+        let mut wanted = vec![Complex64::ZERO; used.len()];
+        for all in &self.wanted {
+            for (want, &s) in wanted.iter_mut().zip(&used) {
+                *want = all[s];
             }
-            for (s, (off, want)) in off.iter_mut().zip(wanted).enumerate() {
-                let cell = ((s as f64 + 0.5) / self.count as f64 * grid.cells as f64) as usize;
+            for (column, value) in columns.iter_mut().enumerate() {
+                let pairs = fit.row(column).iter().zip(&wanted);
+                *value = pairs.fold(Complex64::ZERO, |sum, (p, s)| sum + s * p);
+            }
+            for (s, (off, want)) in off.iter_mut().zip(&wanted).enumerate() {
+                let cell = (shares[s] * grid.cells as f64) as usize;
                 let got: Complex64 = (cell..cell + grid.taps)
                     .map(|column| columns[column] * weights.at(s, column))
                     .sum();
                 *off += (got - want).norm_sqr();
             }
         }
-        (off.iter().copied().fold(0.0, f64::max) / self.power).sqrt()
+        (off.iter().copied().fold(0.0, f64::max) / power).sqrt()
     }
 }
 
-/// What each column sounds like: `templates[column * bins + bin]`, and the relative error of the fit over all bins and Dopplers.
+/// Bins whose templates are worked out together.
+const BINS: usize = 64;
+
+/// Of a block of bins, how many apart those lie on which the fit's error is measured.
+const MEASURED: usize = 8;
+
+/// What each column sounds like: `templates[column * bins + bin]`.
 pub struct Templates {
     pub values: Vec<Complex64>,
-    pub error: f64,
+    /// Mean over the Dopplers of what the fit leaves, and of what was to be fitted: sums of squares over every eighth bin.
+    pub off: f64,
+    pub power: f64,
 }
+
+/// A fit to be made for many bins.
+struct Fitting<'a> {
+    grid: &'a DopplerGrid,
+    received: Received<'a>,
+    shares: Vec<f64>,
+    dopplers: Vec<f64>,
+    weights: Matrix,
+    fit: Matrix,
+}
+
+/// Numbers of the bins of a block.
+type Lane = [f64; BINS];
 
 impl Templates {
     /// `frequency_hz` and `gain` give each bin's place and H there.
-    pub fn new(
-        grid: &DopplerGrid,
-        received: Received,
-        duration_s: f64,
-        frequency_hz: &[f64],
-        gain: &[f64],
-    ) -> Self {
+    pub fn new(grid: &DopplerGrid, received: Received, frequency_hz: &[f64], gain: &[f64]) -> Self {
         let bins = frequency_hz.len();
-        let mut values = vec![Complex64::ZERO; grid.columns * bins];
-        let count = grid.sample_count(received.carrier_hz, duration_s);
-        let weights = grid.weights_at(count);
-        let fit = weights.pseudo_inverse();
-        let (mut off, mut all) = (0.0, 0.0);
-        let mut wanted = vec![Complex64::ZERO; count];
-        for bin in 0..bins {
-            if gain[bin] == 0.0 {
+        let count = grid.sample_count(received.carrier_hz, received.duration_s);
+        let shares = even_shares(count);
+        let weights = grid.weights_at(&shares);
+        let fitting = Fitting {
+            dopplers: dopplers(grid.span, &shares),
+            fit: weights.pseudo_inverse(),
+            grid,
+            received,
+            shares,
+            weights,
+        };
+        let mut templates = Self {
+            values: vec![Complex64::ZERO; grid.columns * bins],
+            off: 0.0,
+            power: 0.0,
+        };
+        let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
+        for first in (0..bins).step_by(BINS) {
+            let end = bins.min(first + BINS);
+            if gain[first..end].iter().all(|&g| g == 0.0) {
                 continue;
             }
-            for (want, d) in wanted.iter_mut().zip(dopplers(grid.span, count)) {
-                *want = received.at(frequency_hz[bin], d) * gain[bin];
-            }
-            for column in 0..grid.columns {
-                values[column * bins + bin] = fit
-                    .row(column)
-                    .iter()
-                    .zip(&wanted)
-                    .map(|(p, s)| s * p)
-                    .sum();
-            }
-            for (s, want) in wanted.iter().enumerate() {
-                let cell = ((s as f64 + 0.5) / count as f64 * grid.cells as f64) as usize;
-                let got: Complex64 = (cell..cell + grid.taps)
-                    .map(|column| values[column * bins + bin] * weights.at(s, column))
-                    .sum();
-                off += (got - want).norm_sqr();
-                all += want.norm_sqr();
+            fitting.block(
+                (first, bins),
+                &frequency_hz[first..end],
+                &gain[first..end],
+                &mut wanted,
+                &mut templates,
+            );
+        }
+        templates.off /= count as f64;
+        templates.power /= count as f64;
+        templates
+    }
+}
+
+impl Fitting<'_> {
+    /// The bins from the first of `at` on; its second is how many there are in all. `wanted` is scratch, one for each Doppler.
+    fn block(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut Templates,
+    ) {
+        match Dialect::best().kind() {
+            // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => unsafe { self.block_avx2(at, frequency_hz, gain, wanted, out) },
+            _ => self.block_plain(at, frequency_hz, gain, wanted, out),
+        }
+    }
+
+    /// The AVX-512 and AVX2 builds of [`Self::block_plain`]: the same arithmetic, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+    fn block_avx512(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut Templates,
+    ) {
+        self.block_plain(at, frequency_hz, gain, wanted, out);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn block_avx2(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut Templates,
+    ) {
+        self.block_plain(at, frequency_hz, gain, wanted, out);
+    }
+
+    #[inline(always)]
+    fn block_plain(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut Templates,
+    ) {
+        let (first, bins) = at;
+        for (want, &d) in wanted.iter_mut().zip(&self.dopplers) {
+            for (b, (&f_hz, gain)) in frequency_hz.iter().zip(gain).enumerate() {
+                let value = self.received.at(f_hz, d) * gain;
+                (want.0[b], want.1[b]) = (value.re, value.im);
             }
         }
-        Self {
-            values,
-            error: (off / all).sqrt(),
+        for column in 0..self.grid.columns {
+            let (mut re, mut im) = ([0.0; BINS], [0.0; BINS]);
+            for (p, want) in self.fit.row(column).iter().zip(&*wanted) {
+                for b in 0..BINS {
+                    re[b] += p * want.0[b];
+                    im[b] += p * want.1[b];
+                }
+            }
+            let values = &mut out.values[column * bins + first..][..frequency_hz.len()];
+            for (value, (re, im)) in values.iter_mut().zip(re.iter().zip(&im)) {
+                *value = Complex64::new(*re, *im);
+            }
+        }
+        for b in (0..frequency_hz.len()).step_by(MEASURED) {
+            for (s, want) in wanted.iter().enumerate() {
+                let want = Complex64::new(want.0[b], want.1[b]);
+                let cell = (self.shares[s] * self.grid.cells as f64) as usize;
+                let got = (cell..cell + self.grid.taps).fold(Complex64::ZERO, |sum, column| {
+                    sum + out.values[column * bins + first + b] * self.weights.at(s, column)
+                });
+                out.off += (got - want).norm_sqr();
+                out.power += want.norm_sqr();
+            }
         }
     }
 }

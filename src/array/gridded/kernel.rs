@@ -20,7 +20,7 @@ use super::least_squares::Matrix;
 pub const MIN_WIDTH: usize = 2;
 pub const MAX_WIDTH: usize = 16;
 
-/// A design; cheap to make next to anything that uses it (about a millisecond).
+/// A design; cheap to make next to anything that uses it (milliseconds).
 #[derive(Clone, Debug)]
 pub struct Kernel {
     pub width: usize,
@@ -176,30 +176,37 @@ impl Kernel {
         0.5 * (self.width % 2) as f64
     }
 
-    /// What a unit point at `x` becomes at `nu`, against its cell's centre.
-    fn response(&self, x: f64, nu: f64) -> (f64, f64) {
-        let (mut re, mut im) = (0.0, 0.0);
-        for i in 0..self.width {
-            let weight = (0..self.moments)
-                .rev()
-                .fold(0.0, |sum, k| sum * x + self.weight(k, i));
-            let turn = 2.0 * PI * nu * (i as f64 - 0.5 * (self.width - 1) as f64);
-            re += weight * libm::cos(turn);
-            im -= weight * libm::sin(turn);
-        }
-        let gain = self.window_gain(nu);
-        (re / gain, im / gain)
-    }
-
     fn rms_error(&self) -> f64 {
         const NODES: usize = 64;
         const PLACES: usize = 12;
+        // Of tap i at each place across the cell.
+        let places: Vec<(f64, Vec<f64>)> = (0..PLACES)
+            .map(|p| {
+                let x = (p as f64 + 0.5) / PLACES as f64 * 2.0 - 1.0;
+                let weight = |i: usize| {
+                    (0..self.moments)
+                        .rev()
+                        .fold(0.0, |sum, k| sum * x + self.weight(k, i))
+                };
+                (x, (0..self.width).map(weight).collect())
+            })
+            .collect();
         let mut sum = 0.0;
         for n in 0..NODES {
             let nu = (n as f64 + 0.5) / NODES as f64 * 0.5 / self.oversampling;
-            for p in 0..PLACES {
-                let x = (p as f64 + 0.5) / PLACES as f64 * 2.0 - 1.0;
-                let (re, im) = self.response(x, nu);
+            let gain = self.window_gain(nu);
+            let waves: Vec<(f64, f64)> = (0..self.width)
+                .map(|i| {
+                    let turn = 2.0 * PI * nu * (i as f64 - 0.5 * (self.width - 1) as f64);
+                    (libm::cos(turn) / gain, -libm::sin(turn) / gain)
+                })
+                .collect();
+            for (x, weights) in &places {
+                let (mut re, mut im) = (0.0, 0.0);
+                for (weight, wave) in weights.iter().zip(&waves) {
+                    re += weight * wave.0;
+                    im += weight * wave.1;
+                }
                 sum +=
                     (re - libm::cos(PI * nu * x)).powi(2) + (im + libm::sin(PI * nu * x)).powi(2);
             }

@@ -5,12 +5,17 @@
 //! transformed, multiplied by its template (pulse stretched by the column's Doppler, receiver filter, what undoes the kernels), the sum is
 //! folded onto the sample rate and transformed back.
 //!
+//! Where the stretch itself changes during the pulse (`stretch-quadratic`), each term of the series in its curvature is one more set of such
+//! columns, which the same points are added to with (p/p_max)^k as factor: few and coarse, since the terms are small, and left out for
+//! chunks whose echoes are bent too little to need them.
+//!
 //! The tolerance decides: widths and oversamplings of both kernels, how many multiples of the sample rate the band has, f32 or f64 for
 //! moments and transforms. f32 rounding in a transform spreads 1e-7 of the strongest echo over the whole record, f32 moments stay near
 //! their echo: so between the two lies the member with f32 moments and f64 transforms.
 //!
 //! What it equals: [`super::super::direct`] fed to the receiver filter, in the limit of dense sampling.
 
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use echotank_fft::Fft;
@@ -20,14 +25,14 @@ use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
 use super::choose::{
-    MOST_BANDS, NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_ROW, SHARE, band, delay_kernel,
-    doppler_grid,
+    MOST_BANDS, NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_ROW, SERIES_SHARE, SHARE, Trials, band,
+    delay_kernel, series_terms,
 };
-use super::dialect::Dialect;
+use super::dialect::{Dialect, Kind};
 use super::doppler::{DopplerSpan, Received, Templates};
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
-use super::prepare::{Bounds, Frame, Prepared};
+use super::prepare::{Columns, Frame, Prepared};
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
 
@@ -40,6 +45,9 @@ const F32_TRANSFORM: f64 = 1e-7;
 /// The least tolerance that f64 delays and kernels are good for here.
 const LEAST_TOLERANCE: f64 = 1e-10;
 
+/// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
+const MOST_CURVATURE_TIMES_PULSE: f64 = 0.05;
+
 /// What the engine is to be made for.
 pub struct Spec<'a> {
     pub pulse: &'a Pulse,
@@ -49,8 +57,10 @@ pub struct Spec<'a> {
     /// None: the sum is sampled at its points.
     pub filter: Option<&'a Decimator>,
     pub doppler: DopplerModel,
-    /// The widest that will occur; with `DopplerModel::None` it is not looked at.
+    /// The widest that will occur at leading edges; with `DopplerModel::None` it is not looked at.
     pub span: DopplerSpan,
+    /// Greatest |curvature| that will occur, per second; looked at with `DopplerModel::StretchQuadratic` alone.
+    pub curvature_per_s: f64,
     /// Relative error in any window of a pulse's length.
     pub tolerance: f64,
     /// How much weaker than the strongest window the weakest may be, dB.
@@ -69,8 +79,17 @@ pub enum GriddedError {
     OutOfBand { tolerance: f64, share: f64 },
     #[error("gridded-1d cannot reach a tolerance of {tolerance:e}; its least is {least:e}")]
     Tolerance { tolerance: f64, least: f64 },
-    #[error("gridded-1d knows the Doppler models `none` and `stretch`")]
+    #[error("gridded-1d does not know the Doppler model `paper-eq21`")]
     DopplerModel,
+    #[error(
+        "gridded-1d: a curvature of {curvature_per_s} per second turns the ends of the pulse by {turned_rad:.1} rad, too much for a tolerance \
+         of {tolerance:e}"
+    )]
+    Curvature {
+        curvature_per_s: f64,
+        turned_rad: f64,
+        tolerance: f64,
+    },
     #[error("Doppler from {least} to {greatest}: expected -0.1 <= least <= greatest <= 0.1")]
     Doppler { least: f64, greatest: f64 },
 }
@@ -89,7 +108,7 @@ pub struct Gridded1dWork(Box<dyn Element>);
 pub struct Misfits {
     /// Delays that cannot be heard in the window: left out.
     pub outside_window: u64,
-    /// Dopplers outside the span given to `start`: taken as the nearest in it.
+    /// Dopplers outside the span given to `start`, curvatures beyond the plan's: taken as the nearest within.
     pub outside_span: u64,
 }
 
@@ -122,17 +141,24 @@ impl Gridded1d {
     ) -> Result<Self, GriddedError> {
         let plan = Arc::new(Plan::<M, G>::new(spec)?);
         let error = (plan.error.powi(2) + spread_error.powi(2)).sqrt();
+        let bent = match plan.terms.len() {
+            1 => String::new(),
+            _ => {
+                let columns: Vec<String> = plan.terms[1..]
+                    .iter()
+                    .map(|term| term.columns.grid.columns.to_string())
+                    .collect();
+                format!(", for curvature {}", columns.join(" + "))
+            }
+        };
+        let doppler = &plan.terms[0].columns.grid;
         let card = MethodCard {
             name: "gridded-1d",
             error,
             cost_ms: plan.cost_ms(spec.arrivals),
             why: format!(
-                "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps",
-                plan.bins,
-                plan.grid,
-                plan.flush.width,
-                plan.frame.grid.columns,
-                plan.frame.grid.taps
+                "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
+                plan.bins, plan.grid, plan.flush.width, doppler.columns, doppler.taps
             ),
         };
         Ok(Self {
@@ -191,53 +217,99 @@ struct Plan<M: Real, G: Real> {
     /// From the start of the record to the first sample.
     lead_s: f64,
     flush: FlushWeights<M>,
-    frame: Frame<M>,
-    /// `[column * bins + bin]`, lowest frequency first.
-    templates: Vec<Complex<G>>,
+    frame: Frame,
+    /// Of the series in the curvature; the first is the echo without.
+    terms: Vec<Term<M, G>>,
+    /// By which Dopplers of middles may lie outside those of leading edges.
+    beside: f64,
     forward: Arc<dyn Fft<G>>,
     inverse: Arc<dyn Fft<G>>,
     error: f64,
+}
+
+struct Term<M: Real, G: Real> {
+    columns: Columns<M>,
+    /// `[column * bins + bin]`, lowest frequency first.
+    templates: Vec<Complex<G>>,
+    /// Chunks whose greatest |p| over the plan's is below this do without.
+    least_bend: f64,
 }
 
 impl<M: Real, G: Real> Plan<M, G> {
     fn new(spec: &Spec) -> Result<Self, GriddedError> {
         let pulse = spec.pulse;
         let rate_hz = spec.sample_rate_hz;
+        let carrier_hz = pulse.center_frequency_hz;
         let unreachable = |least| GriddedError::Tolerance {
             tolerance: spec.tolerance,
             least,
         };
-        let still = match spec.doppler {
-            DopplerModel::None => true,
-            DopplerModel::Stretch => false,
-            DopplerModel::StretchQuadratic | DopplerModel::PaperEq21 => {
-                return Err(GriddedError::DopplerModel);
-            }
+        let (still, greatest_q) = match spec.doppler {
+            DopplerModel::None => (true, 0.0),
+            DopplerModel::Stretch => (false, 0.0),
+            DopplerModel::StretchQuadratic => (false, spec.curvature_per_s.abs()),
+            DopplerModel::PaperEq21 => return Err(GriddedError::DopplerModel),
         };
-        let span = if still {
-            DopplerSpan {
+        // sqrt(eta^2 + 2 q T) - eta, eta no less than 0.9; in a pulse so much bent that this does not bound it the series fails below.
+        let beside = 1.25 * greatest_q * pulse.duration_s;
+        let span = match still {
+            true => DopplerSpan {
                 least: 0.0,
                 greatest: 0.0,
-            }
-        } else {
-            spec.span
+            },
+            false => DopplerSpan {
+                least: spec.span.least - beside,
+                greatest: spec.span.greatest + beside,
+            },
         };
         let fastest = span.least.abs().max(span.greatest);
-        let highest_hz = (0.5 * (MOST_BANDS + 1) as f64 * rate_hz
-            + fastest * pulse.center_frequency_hz)
-            / (1.0 - fastest);
-        let spectrum = PulseSpectrum::new(pulse, highest_hz);
-        let (bands, outside) = band(spec, span, &spectrum)?;
+        let half_s = 0.5 * pulse.duration_s;
+        let greatest_p = greatest_q / (1.0 - fastest).powi(3);
+        // The band's upper half has more turns than the carrier.
+        let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
+        let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
+        let terms = match greatest_q < MOST_CURVATURE_TIMES_PULSE / pulse.duration_s {
+            true => series_terms(bend_rad, spec.tolerance),
+            false => None,
+        };
+        let count = terms.ok_or(GriddedError::Curvature {
+            curvature_per_s: greatest_q,
+            turned_rad: bend_rad,
+            tolerance: spec.tolerance,
+        })?;
+        let highest_hz =
+            (0.5 * (MOST_BANDS + 1) as f64 * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
+        let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
+        let kept = band(spec, span, &spectrum)?;
+        let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
         // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what coupling moves it.
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
-        let alone_s = 0.5 * pulse.duration_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
+        let alone_s = half_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
         let period_with =
             |reach_s: f64| grid_size(spec.samples + (2.0 * reach_s * rate_hz).ceil() as usize);
-        let roughly = 2 * bands * period_with(alone_s);
-        let (doppler, coupling) =
-            doppler_grid::<M>(spec, span, &spectrum, bands as f64 * rate_hz, roughly)
-                .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+        let bins_of = |period: usize| {
+            let bins = (kept_hz / rate_hz * period as f64).ceil() as usize;
+            bins + bins % 2
+        };
+        let roughly = 2 * bins_of(period_with(alone_s));
+        let mut trials = Trials::new(spec, span, kept_hz, roughly);
+        let (doppler, coupling) = trials
+            .doppler::<M>(&spectrum)
+            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+        let received = |order| Received {
+            spectrum: &spectrum,
+            carrier_hz,
+            coupling,
+            duration_s: pulse.duration_s,
+            order,
+            greatest_p,
+        };
+        let mut grids = vec![doppler];
+        for order in 1..=count {
+            let grid = trials.term::<M>(received(order));
+            grids.push(grid.ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?);
+        }
         let coupled_s = coupling
             .shift_s(span.least)
             .abs()
@@ -245,13 +317,13 @@ impl<M: Real, G: Real> Plan<M, G> {
         let reach_s = alone_s + coupled_s;
         let period = period_with(reach_s);
         let period = period + period % 2;
-        let bins = bands * period;
+        let bins = bins_of(period);
         let period_s = period as f64 / rate_hz;
 
         // Moments cost the same whatever the width; values spread at once do not.
-        let widest = match (doppler.columns, M::MOMENTS) {
-            (1, _) => MAX_WIDTH,
-            (_, 8) => 8,
+        let one_column = grids.iter().all(|grid| grid.columns == 1);
+        let widest = match (one_column, M::MOMENTS) {
+            (false, 8) => 8,
             _ => MAX_WIDTH,
         };
         let (grid, kernel) = delay_kernel::<M>(spec.tolerance, bins, widest)
@@ -262,34 +334,56 @@ impl<M: Real, G: Real> Plan<M, G> {
             .collect();
         let gain: Vec<f64> = frequency_hz
             .iter()
-            .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
+            .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)) * kept.gain(f_hz))
             .collect();
-        let carrier_hz = pulse.center_frequency_hz;
-        let received = Received {
-            spectrum: &spectrum,
-            carrier_hz,
-            coupling,
-        };
-        let fitted = Templates::new(&doppler, received, pulse.duration_s, &frequency_hz, &gain);
-        let templates = fitted
-            .values
+        // What undoes the kernel and the flush's beginning at its first value, and moves the record's beginning to 0.
+        let undo: Vec<Complex64> = frequency_hz
             .iter()
-            .enumerate()
-            .map(|(i, value)| {
-                let f_hz = frequency_hz[i % bins];
+            .map(|f_hz| {
                 let nu = f_hz * period_s / grid as f64;
                 let turns = f_hz * reach_s - nu * kernel.first() as f64;
-                let undo = 1.0 / (kernel.window_gain(nu) * period_s);
-                let value = value * Complex64::from_polar(undo, std::f64::consts::TAU * turns);
-                Complex::new(G::narrow(value.re), G::narrow(value.im))
+                Complex64::from_polar(1.0 / (kernel.window_gain(nu) * period_s), TAU * turns)
             })
             .collect();
+        let (mut fit_error2, mut power) = (0.0, 0.0);
+        let mut terms = Vec::with_capacity(grids.len());
+        let mut term_rad = 1.0;
+        for (order, doppler) in grids.into_iter().enumerate() {
+            let fitted = Templates::new(&doppler, received(order), &frequency_hz, &gain);
+            if order == 0 {
+                power = fitted.power;
+            } else {
+                term_rad *= bend_rad / order as f64;
+            }
+            fit_error2 += fitted.off / power;
+            let templates = fitted.values.chunks(bins).flat_map(|column| {
+                column.iter().zip(&undo).map(|(value, undo)| {
+                    let value = value * undo;
+                    Complex::new(G::narrow(value.re), G::narrow(value.im))
+                })
+            });
+            terms.push(Term {
+                templates: templates.collect(),
+                columns: Columns::new(doppler),
+                least_bend: match order {
+                    0 => 0.0,
+                    _ => (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
+                },
+            });
+        }
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
-        let error = [kernel.error, fitted.error, outside, rounding]
-            .iter()
-            .map(|e| e * e)
-            .sum::<f64>()
-            .sqrt();
+        let series = term_rad * bend_rad / (count + 1) as f64;
+        let error = [
+            kernel.error,
+            fit_error2.sqrt(),
+            kept.outside,
+            rounding,
+            series,
+        ]
+        .iter()
+        .map(|e| e * e)
+        .sum::<f64>()
+        .sqrt();
         Ok(Self {
             dialect: spec.dialect,
             samples: spec.samples,
@@ -302,78 +396,98 @@ impl<M: Real, G: Real> Plan<M, G> {
             flush: FlushWeights::new(&kernel),
             frame: Frame {
                 carrier_hz,
-                half_pulse_s: 0.5 * pulse.duration_s,
+                half_pulse_s: half_s,
                 still,
+                greatest_q: if count == 0 { 0.0 } else { greatest_q },
+                greatest_p,
                 coupling,
-                weights: doppler.weights.map(|row| row.map(M::narrow)),
-                powers: doppler.powers,
-                grid: doppler,
             },
-            templates,
+            terms,
+            beside,
             forward: G::plan_forward(grid),
             inverse: G::plan_inverse(period),
             error,
         })
     }
 
-    /// Where what is not heard goes: right behind a table of moments; on grids far enough past the values that count.
+    /// Where what is not heard goes: far enough past the values that count.
     fn drain(&self) -> usize {
-        match self.frame.grid.columns {
-            1 => self.grid + 1,
-            _ => self.grid + MAX_WIDTH,
-        }
+        self.grid + MAX_WIDTH
     }
 
     fn cost_ms(&self, arrivals: usize) -> f64 {
-        let columns = self.frame.grid.columns as f64;
-        let per_arrival = NS_PER_ARRIVAL
-            + match self.frame.grid.columns {
-                1 => 0.0,
-                columns => NS_PER_ROW * columns.div_ceil(M::MOMENTS) as f64,
-            };
-        1e-6 * (arrivals as f64 * per_arrival + columns * self.grid as f64 * NS_PER_GRID_VALUE)
+        let mut ns = arrivals as f64 * NS_PER_ARRIVAL;
+        for term in &self.terms {
+            let columns = term.columns.grid.columns;
+            if columns > 1 {
+                ns += (arrivals * columns.div_ceil(M::MOMENTS)) as f64 * NS_PER_ROW;
+            }
+            ns += (columns * self.grid) as f64 * NS_PER_GRID_VALUE;
+        }
+        1e-6 * ns
     }
 }
 
 struct Work<M: Real, G: Real> {
     plan: Arc<Plan<M, G>>,
-    /// Where a thread adds up: moments for one column; for several their grids side by side.
-    table: Vec<M::Row>,
+    /// One for each of the plan's terms.
+    terms: Vec<TermWork<M>>,
     prepared: Box<Prepared<M>>,
     located: Box<Located<M>>,
     /// One column, flushed.
     values: Vec<Complex<M>>,
-    column: Vec<Complex<G>>,
+    /// The columns of one row, one after another.
+    columns: Vec<Complex<G>>,
     spectrum: Vec<Complex<G>>,
     scratch: Vec<Complex<G>>,
     /// Of this element.
     origin_s: f64,
+    /// Of its echoes' middles.
     span: DopplerSpan,
+    misfits: Misfits,
+}
+
+/// Where one term of an element is added up.
+struct TermWork<M: Real> {
+    /// Moments for one column; for several their grids side by side.
+    table: Vec<M::Row>,
     first_column: usize,
     columns: usize,
     /// Rows per grid value.
     rows: usize,
-    misfits: Misfits,
+    /// Something was added since the element began.
+    used: bool,
 }
 
 impl<M: Real, G: Real> Work<M, G> {
     fn new(plan: Arc<Plan<M, G>>) -> Self {
-        let columns = plan.frame.grid.columns;
-        let rows = match columns {
-            1 => plan.grid + 2,
-            // Up to the drain, and what it reaches.
-            _ => columns.div_ceil(M::MOMENTS) * (plan.grid + 2 * MAX_WIDTH + 1),
-        };
+        // Up to the drain, and what it reaches.
+        let length = plan.grid + 2 * MAX_WIDTH + 1;
+        let terms = plan.terms.iter().map(|term| {
+            let columns = term.columns.grid.columns;
+            TermWork {
+                table: vec![M::EMPTY; columns.div_ceil(M::MOMENTS) * length],
+                first_column: 0,
+                columns,
+                rows: 1,
+                used: true,
+            }
+        });
+        let most = plan
+            .terms
+            .iter()
+            .map(|term| term.columns.grid.columns)
+            .fold(1, usize::max);
         let scratch = plan
             .forward
             .get_inplace_scratch_len()
             .max(plan.inverse.get_inplace_scratch_len());
         Self {
-            table: vec![M::EMPTY; rows],
+            terms: terms.collect(),
             prepared: Box::new(Prepared::new()),
             located: Box::default(),
             values: vec![zero::<M>(); plan.grid + plan.flush.width],
-            column: vec![zero::<G>(); plan.grid],
+            columns: vec![zero::<G>(); most.min(M::MOMENTS) * plan.grid],
             spectrum: vec![zero::<G>(); plan.period],
             scratch: vec![zero::<G>(); scratch],
             origin_s: 0.0,
@@ -381,9 +495,6 @@ impl<M: Real, G: Real> Work<M, G> {
                 least: 0.0,
                 greatest: 0.0,
             },
-            first_column: 0,
-            columns,
-            rows: 1,
             misfits: Misfits::default(),
             plan,
         }
@@ -399,26 +510,29 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         let plan = &*self.plan;
         self.origin_s = first_sample_s - plan.lead_s;
         self.misfits = Misfits::default();
-        self.span = span;
-        let grid = &plan.frame.grid;
-        self.first_column = grid.place(span.least).0;
-        self.columns = grid.place(span.greatest).0 - self.first_column + grid.taps;
-        self.rows = self.columns.div_ceil(M::MOMENTS);
-        let used = match grid.columns {
-            1 => self.table.len(),
-            _ => self.rows * (plan.grid + 2 * MAX_WIDTH + 1),
+        self.span = DopplerSpan {
+            least: span.least - plan.beside,
+            greatest: span.greatest + plan.beside,
         };
-        self.table[..used].fill(M::EMPTY);
+        for (term, planned) in self.terms.iter_mut().zip(&plan.terms) {
+            let grid = &planned.columns.grid;
+            if term.used {
+                let used = term.rows * (plan.grid + 2 * MAX_WIDTH + 1);
+                term.table[..used].fill(M::EMPTY);
+                term.used = false;
+            }
+            term.first_column = grid.place(self.span.least).0;
+            let last = grid.place(self.span.greatest).0;
+            term.columns = last - term.first_column + grid.taps;
+            term.rows = term.columns.div_ceil(M::MOMENTS);
+        }
     }
 
     fn accept(&mut self, chunk: &ArrivalChunk) {
         let plan = &*self.plan;
         let prepared = &mut *self.prepared;
-        let bounds = Bounds {
-            span: self.span,
-            first_column: self.first_column,
-        };
-        self.misfits.outside_span += plan.frame.prepare(plan.dialect, chunk, bounds, prepared);
+        let outside = plan.frame.prepare(plan.dialect, chunk, self.span, prepared);
+        self.misfits.outside_span += outside;
         let n = chunk.len;
         let axis = Axis {
             per_s: plan.scale,
@@ -428,23 +542,37 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         };
         let located = &mut *self.located;
         self.misfits.outside_window += locate(plan.dialect, axis, &prepared.delay_s[..n], located);
-        let Located { cell, x } = located;
-        let points = Points {
-            cell: &cell[..n],
-            x: &x[..n],
-            amplitude: &prepared.amplitude[..n],
-        };
-        if plan.frame.grid.columns == 1 {
-            M::accumulate(plan.dialect, points, &mut self.table);
-            return;
+        for (order, (term, planned)) in self.terms.iter_mut().zip(&plan.terms).enumerate() {
+            if order > 0 {
+                if prepared.most_bent < planned.least_bend {
+                    break;
+                }
+                for (amplitude, bend) in prepared.amplitude[..n].iter_mut().zip(&prepared.bend) {
+                    *amplitude = *amplitude * *bend;
+                }
+            }
+            term.used = true;
+            let columns = &planned.columns;
+            if columns.grid.columns > 1 {
+                columns.place(plan.dialect, n, term.first_column, prepared);
+            }
+            let points = Points {
+                cell: &located.cell[..n],
+                x: &located.x[..n],
+                amplitude: &prepared.amplitude[..n],
+            };
+            if columns.grid.columns == 1 {
+                M::accumulate(plan.dialect, points, &mut term.table);
+                continue;
+            }
+            let across = Across {
+                column: &prepared.column[..n],
+                weight: &prepared.weight[..n],
+                taps: columns.grid.taps,
+                rows: term.rows,
+            };
+            M::spread(plan.dialect, points, across, &plan.flush, &mut term.table);
         }
-        let across = Across {
-            column: &prepared.column[..n],
-            weight: &prepared.weight[..n],
-            taps: plan.frame.grid.taps,
-            rows: self.rows,
-        };
-        M::spread(plan.dialect, points, across, &plan.flush, &mut self.table);
     }
 
     fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
@@ -456,34 +584,41 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             plan.samples
         );
         self.spectrum.fill(zero());
-        for q in 0..self.columns {
-            let widen =
-                |v: Complex<M>| Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()));
-            // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
-            if plan.frame.grid.columns == 1 {
-                M::flush(plan.dialect, &self.table, &plan.flush, &mut self.values);
-                let (period, beyond) = self.values.split_at(plan.grid);
-                for (value, v) in self.column.iter_mut().zip(period) {
-                    *value = widen(*v);
+        for (term, planned) in self.terms.iter().zip(&plan.terms) {
+            if !term.used {
+                continue;
+            }
+            for row in 0..term.rows {
+                let first = row * M::MOMENTS;
+                let count = (term.columns - first).min(M::MOMENTS);
+                let columns = &mut self.columns[..count * plan.grid];
+                // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
+                if planned.columns.grid.columns == 1 {
+                    // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
+                    let cells = &term.table[..plan.grid + 2];
+                    M::flush(plan.dialect, cells, &plan.flush, &mut self.values);
+                    let (period, beyond) = self.values.split_at(plan.grid);
+                    for (value, v) in columns.iter_mut().zip(period) {
+                        *value = widen(*v);
+                    }
+                    for (value, v) in columns.iter_mut().zip(beyond) {
+                        *value = *value + widen(*v);
+                    }
+                } else {
+                    let rows = Rows {
+                        table: &term.table[row..],
+                        step: term.rows,
+                        beyond: plan.flush.width,
+                    };
+                    apart::<M, G>(plan.dialect, rows, plan.grid, columns);
                 }
-                for (value, v) in self.column.iter_mut().zip(beyond) {
-                    *value = *value + widen(*v);
-                }
-            } else {
-                let lane = q % M::MOMENTS;
-                let rows = self.table[q / M::MOMENTS..].iter().step_by(self.rows);
-                for (value, row) in self.column.iter_mut().zip(rows.clone()) {
-                    *value = widen(M::lane(row, lane));
-                }
-                let beyond = rows.skip(plan.grid).take(plan.flush.width);
-                for (value, row) in self.column.iter_mut().zip(beyond) {
-                    *value = *value + widen(M::lane(row, lane));
+                for (q, column) in columns.chunks_exact_mut(plan.grid).enumerate() {
+                    plan.forward.process_with_scratch(column, &mut self.scratch);
+                    let at = (term.first_column + first + q) * plan.bins;
+                    let template = &planned.templates[at..][..plan.bins];
+                    add_folded(plan.dialect, &mut self.spectrum, column, template);
                 }
             }
-            plan.forward
-                .process_with_scratch(&mut self.column, &mut self.scratch);
-            let template = &plan.templates[(self.first_column + q) * plan.bins..][..plan.bins];
-            add_folded(&mut self.spectrum, &self.column, template);
         }
         plan.inverse
             .process_with_scratch(&mut self.spectrum, &mut self.scratch);
@@ -494,8 +629,119 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
     }
 }
 
+fn widen<M: Real + Into<f64>, G: Real>(v: Complex<M>) -> Complex<G> {
+    Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()))
+}
+
+/// One row of every grid value: every `step`th of `table`; `beyond` of them lie past the last value.
+struct Rows<'a, R> {
+    table: &'a [R],
+    step: usize,
+    beyond: usize,
+}
+
+/// The columns that lie side by side in rows, one after another in `columns`, `grid` values each.
+fn apart<M: Real + Into<f64>, G: Real>(
+    dialect: Dialect,
+    rows: Rows<M::Row>,
+    grid: usize,
+    columns: &mut [Complex<G>],
+) {
+    match dialect.kind() {
+        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 => unsafe { apart_avx512::<M, G>(rows, grid, columns) },
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx2 => unsafe { apart_avx2::<M, G>(rows, grid, columns) },
+        _ => apart_plain::<M, G>(rows, grid, columns),
+    }
+}
+
+/// The AVX-512 and AVX2 builds of [`apart_plain`]: the same arithmetic, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn apart_avx512<M: Real + Into<f64>, G: Real>(
+    rows: Rows<M::Row>,
+    grid: usize,
+    columns: &mut [Complex<G>],
+) {
+    apart_plain::<M, G>(rows, grid, columns);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn apart_avx2<M: Real + Into<f64>, G: Real>(
+    rows: Rows<M::Row>,
+    grid: usize,
+    columns: &mut [Complex<G>],
+) {
+    apart_plain::<M, G>(rows, grid, columns);
+}
+
+#[inline(always)]
+fn apart_plain<M: Real + Into<f64>, G: Real>(
+    rows: Rows<M::Row>,
+    grid: usize,
+    columns: &mut [Complex<G>],
+) {
+    /// Values of all columns worked on while their rows are in the innermost cache.
+    const STRETCH: usize = 128;
+    let row = |value: usize| &rows.table[value * rows.step];
+    for first in (0..grid).step_by(STRETCH) {
+        let end = grid.min(first + STRETCH);
+        for (lane, column) in columns.chunks_exact_mut(grid).enumerate() {
+            for (value, out) in (first..end).zip(&mut column[first..end]) {
+                *out = widen(M::lane(row(value), lane));
+            }
+        }
+    }
+    for (lane, column) in columns.chunks_exact_mut(grid).enumerate() {
+        for (beyond, out) in (grid..grid + rows.beyond).zip(column) {
+            *out = *out + widen::<M, G>(M::lane(row(beyond), lane));
+        }
+    }
+}
+
 /// Adds transform times template, bin for bin, to the spectrum that repeats every sample rate.
 fn add_folded<G: Real>(
+    dialect: Dialect,
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    match dialect.kind() {
+        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 => unsafe { add_folded_avx512(spectrum, column, template) },
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx2 => unsafe { add_folded_avx2(spectrum, column, template) },
+        _ => add_folded_plain(spectrum, column, template),
+    }
+}
+
+/// The AVX-512 and AVX2 builds of [`add_folded_plain`]: the same arithmetic, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn add_folded_avx512<G: Real>(
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    add_folded_plain(spectrum, column, template);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_folded_avx2<G: Real>(
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    add_folded_plain(spectrum, column, template);
+}
+
+#[inline(always)]
+fn add_folded_plain<G: Real>(
     spectrum: &mut [Complex<G>],
     column: &[Complex<G>],
     template: &[Complex<G>],
@@ -505,6 +751,7 @@ fn add_folded<G: Real>(
     while bin < bins {
         // Bin b is frequency b - bins/2: where it lies in the column's transform and in the spectrum.
         let at = (bin + column.len() - bins / 2) % column.len();
+        // A period more than the band has multiples of: no difference below 0.
         let to = (bin + bins * period - bins / 2) % period;
         let run = (bins - bin).min(column.len() - at).min(period - to);
         for ((sum, value), factor) in spectrum[to..to + run]
@@ -593,7 +840,9 @@ mod tests {
     }
 
     fn gridded(spec: &Spec, span: DopplerSpan, chunks: &[ArrivalChunk]) -> (Vec<Complex64>, f64) {
+        let begun = std::time::Instant::now();
         let engine = Gridded1d::new(spec).expect("within reach");
+        println!("    made in {:.1} ms", begun.elapsed().as_secs_f64() * 1e3);
         let mut work = engine.work();
         let mut out = vec![Complex64::ONE; SAMPLES];
         // Twice: what the first element left behind must not show in the second.
@@ -630,6 +879,7 @@ mod tests {
             filter,
             doppler: DopplerModel::Stretch,
             span,
+            curvature_per_s: 0.0,
             tolerance: 1e-3,
             level_range_db: 55.0,
             arrivals: 3000,
@@ -673,6 +923,41 @@ mod tests {
         let (got, _) = gridded(&spec(&pulse, Some(&filter), SIDESCAN), SIDESCAN, &chunks);
         let error = windowed(&got, &want, &pulse);
         assert!(error < 1e-3, "{error:e}");
+    }
+
+    /// A sharp CW has a spectrum that no band holds, and a band that is cut rings on: not into an echo 55 dB weaker, 8 ms later.
+    #[test]
+    fn what_the_band_leaves_out_of_an_echo_stays_near_it() {
+        let pulse = Pulse {
+            duration_s: 0.6e-3,
+            ..pulse(PulseKind::Cw, 0.0)
+        };
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let still = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        let mut chunk = ArrivalChunk::new();
+        chunk.len = 2;
+        chunk.delay_s[..2].copy_from_slice(&[FIRST_S + 0.020_003, FIRST_S + 0.028_017]);
+        let weak = 10f64.powf(-55.0 / 20.0);
+        chunk.amplitude[..2].copy_from_slice(&[Complex64::ONE, Complex64::new(0.0, weak)]);
+        let chunks = [chunk];
+        let want = direct(&pulse, Some(&filter), &chunks);
+        let heard = (0.028_017 * RATE_HZ) as usize..(0.0286 * RATE_HZ) as usize;
+        for tolerance in [1e-3, 1e-4, 1e-5] {
+            let spec = Spec {
+                doppler: DopplerModel::None,
+                tolerance,
+                ..spec(&pulse, Some(&filter), still)
+            };
+            let (got, _) = gridded(&spec, still, &chunks);
+            let off: f64 = heard.clone().map(|k| (got[k] - want[k]).norm_sqr()).sum();
+            let all: f64 = heard.clone().map(|k| want[k].norm_sqr()).sum();
+            let error = (off / all).sqrt();
+            println!("{tolerance:e}: {error:.1e}");
+            assert!(error < tolerance, "{error:e} > {tolerance:e}");
+        }
     }
 
     #[test]
@@ -722,6 +1007,57 @@ mod tests {
                 .clone();
             assert!(why.contains("1 Doppler columns, 1 taps"), "{why}");
         }
+    }
+
+    /// Curvatures as of 5 m/s at 36 m, as of a swell, and as of a scatterer next to a fast platform.
+    #[test]
+    fn curvature_keeps_every_tolerance_in_every_window() {
+        for (kind, greatest) in [
+            (PulseKind::LfmUp, 5e-4),
+            (PulseKind::LfmDown, 0.02),
+            (PulseKind::Cw, 4e-3),
+        ] {
+            let pulse = pulse(kind, 1.0);
+            let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+            let mut chunks = arrivals(700, SIDESCAN);
+            for (j, chunk) in chunks.iter_mut().enumerate() {
+                for i in 0..chunk.len {
+                    let m = j * CHUNK + i;
+                    let part = (0.5 + 0.819_172_513_396_164 * m as f64).fract();
+                    chunk.curvature_per_s[i] = greatest * (2.0 * part - 1.0);
+                }
+            }
+            let want = direct(&pulse, Some(&filter), &chunks);
+            // The direct sum's own parabolas leave some 1e-8 of bent sweeps.
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6] {
+                let spec = Spec {
+                    doppler: DopplerModel::StretchQuadratic,
+                    curvature_per_s: greatest,
+                    tolerance,
+                    ..spec(&pulse, Some(&filter), SIDESCAN)
+                };
+                let (got, predicted) = gridded(&spec, SIDESCAN, &chunks);
+                let error = windowed(&got, &want, &pulse);
+                println!("{kind:?} {greatest} {tolerance:e}: {error:.2e}, {predicted:.2e}");
+                assert!(error <= tolerance, "{kind:?}: {error:e} > {tolerance:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pulse_that_bends_too_far_is_refused() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let spec = Spec {
+            doppler: DopplerModel::StretchQuadratic,
+            curvature_per_s: 1.0,
+            ..spec(&pulse, Some(&filter), SIDESCAN)
+        };
+        let refusal = Gridded1d::new(&spec).err();
+        assert!(
+            matches!(refusal, Some(GriddedError::Curvature { .. })),
+            "{refusal:?}"
+        );
     }
 
     #[test]

@@ -1,10 +1,13 @@
 //! The spectrum of the transmitted pulse at any frequency, and the share of it that a band leaves out.
 //!
-//! S(g) = integral over -T/2..T/2 of a(w + T/2) exp(-j 2pi g w) dw, w counted from the middle of the pulse.
+//! S(g) = integral over -T/2..T/2 of a(w + T/2) exp(-j 2pi g w) dw, w counted from the middle of the pulse; and the same of the pulse times
+//! powers of 2w/T, for echoes whose stretch changes.
 //!
 //! In: a pulse and the highest |g|. Method: Gauss-Legendre panels of a few cycles each (the flanks of the taper are panels' ends), summed
 //! onto a uniform table by the product's own transform, and read between its entries by the same kernel used the other way round.
 //! Error: 1e-11 of the spectrum's root mean square.
+
+use std::sync::LazyLock;
 
 use num_complex::Complex64;
 
@@ -23,17 +26,35 @@ const PANEL_NODES: usize = 16;
 const PANEL_CYCLES: f64 = 1.5;
 
 pub struct PulseSpectrum {
-    kernel: Kernel,
-    /// Entry k lies at (k - middle) / period.
-    table: Vec<Complex64>,
+    kernel: &'static Reading,
+    /// Entry k lies at (k - middle) / period; one table for each power.
+    tables: Vec<Vec<Complex64>>,
     period_s: f64,
     energy: f64,
 }
 
+/// The kernel by which tables are read, made once.
+struct Reading {
+    kernel: Kernel,
+    /// Of tap i for power k: `[k][i]`.
+    weights: [[f64; WIDTH]; MOMENTS],
+}
+
+static READING: LazyLock<Reading> = LazyLock::new(|| {
+    let kernel = Kernel::new(WIDTH, OVERSAMPLING, MOMENTS);
+    let weights = std::array::from_fn(|k| std::array::from_fn(|i| kernel.weight(k, i)));
+    Reading { kernel, weights }
+});
+
 impl PulseSpectrum {
     /// Good for |g| <= `highest_hz`.
     pub fn new(pulse: &Pulse, highest_hz: f64) -> Self {
-        let kernel = Kernel::new(WIDTH, OVERSAMPLING, MOMENTS);
+        Self::with_powers(pulse, highest_hz, 0)
+    }
+
+    /// With the spectra of a (2w/T)^n for n up to `highest_power`.
+    pub fn with_powers(pulse: &Pulse, highest_hz: f64, highest_power: usize) -> Self {
+        let kernel = &READING.kernel;
         let period_s = OVERSAMPLING * pulse.duration_s;
         let entries = 2 * ((highest_hz * period_s).ceil() as usize + WIDTH + 2);
         let bins = grid_size(entries);
@@ -49,43 +70,77 @@ impl PulseSpectrum {
         }
         let transform =
             Transform1d::<f64>::new(bins, period_s, WIDTH, OVERSAMPLING, Dialect::best());
-        let mut table = vec![Complex64::ZERO; bins];
-        transform.execute(&mut transform.workspace(), &delay_s, &weight, &mut table);
-        // Half a period later: a factor of -1 in every odd entry.
-        let middle = bins / 2;
-        for (k, value) in table.iter_mut().enumerate() {
-            if (k + middle) % 2 == 1 {
-                *value = -*value;
+        let mut work = transform.workspace();
+        let mut tables = Vec::with_capacity(highest_power + 1);
+        for power in 0..=highest_power {
+            if power > 0 {
+                for (weight, delay_s) in weight.iter_mut().zip(&delay_s) {
+                    *weight *= (delay_s - 0.5 * period_s) / (0.5 * pulse.duration_s);
+                }
             }
+            let mut table = vec![Complex64::ZERO; bins];
+            transform.execute(&mut work, &delay_s, &weight, &mut table);
+            // Half a period later: a factor of -1 in every odd entry.
+            let middle = bins / 2;
+            for (k, value) in table.iter_mut().enumerate() {
+                if (k + middle) % 2 == 1 {
+                    *value = -*value;
+                }
+            }
+            tables.push(table);
         }
         Self {
-            kernel,
-            table,
+            kernel: &READING,
+            tables,
             period_s,
             energy,
         }
     }
 
-    /// S at `g_hz`, which must not exceed what the table was made for.
+    /// S at `g_hz`, which must not exceed what the tables were made for.
+    #[inline(always)]
     pub fn at(&self, g_hz: f64) -> Complex64 {
-        let position = g_hz * self.period_s + (self.table.len() / 2) as f64 + self.kernel.shift();
+        let (first, weight) = self.place(g_hz);
+        read(&self.tables[0][first..first + WIDTH], &weight)
+    }
+
+    /// The spectra of a (2w/T)^n for n = 0, 1, ...; as many as there are tables and places in `out`.
+    #[inline(always)]
+    pub fn powers_at(&self, g_hz: f64, out: &mut [Complex64]) {
+        let (first, weight) = self.place(g_hz);
+        for (out, table) in out.iter_mut().zip(&self.tables) {
+            *out = read(&table[first..first + WIDTH], &weight);
+        }
+    }
+
+    /// Entries between which `g_hz` is read, and their weights.
+    #[inline(always)]
+    fn place(&self, g_hz: f64) -> (usize, [f64; WIDTH]) {
+        let Reading { kernel, weights } = self.kernel;
+        let middle = (self.tables[0].len() / 2) as f64;
+        let position = g_hz * self.period_s + middle + kernel.shift();
         let cell = position.floor();
         let x = 2.0 * (position - cell) - 1.0;
-        let first = (cell as isize + self.kernel.first()) as usize;
-        let mut sum = Complex64::ZERO;
-        for (i, value) in self.table[first..first + WIDTH].iter().enumerate() {
-            let weight = (0..MOMENTS)
-                .rev()
-                .fold(0.0, |sum, k| sum * x + self.kernel.weight(k, i));
-            sum += value * weight;
+        let first = (cell as isize + kernel.first()) as usize;
+        let mut weight = [0.0; WIDTH];
+        for weights in weights.iter().rev() {
+            for (sum, weight) in weight.iter_mut().zip(weights) {
+                *sum = *sum * x + weight;
+            }
         }
-        sum
+        (first, weight)
     }
 
     /// Integral of |S|^2 over all frequencies (of |a|^2 over the pulse).
     pub fn energy(&self) -> f64 {
         self.energy
     }
+}
+
+#[inline(always)]
+fn read(entries: &[Complex64], weight: &[f64; WIDTH]) -> Complex64 {
+    let pairs = entries.iter().zip(weight);
+    pairs.fold(Complex64::ZERO, |sum, (value, weight)| sum + value * weight)
 }
 
 /// Places and weights that integrate a over the pulse with up to `highest_hz` on top.

@@ -1,6 +1,7 @@
 //! One `[[sonar]]`.
 
 use std::collections::HashSet;
+use std::f64::consts::FRAC_PI_2;
 
 use glam::{DQuat, DVec3};
 
@@ -28,6 +29,8 @@ const MAX_7K_ELEMENTS: usize = 65_535;
 const SIDE_MARGIN: f64 = 0.01;
 /// A fan's line must have this much of its length across the track for port and starboard to mean something.
 const MIN_ACROSS: f64 = 0.5;
+/// ... or along it for forward and aft to.
+const MIN_ALONG: f64 = 0.5;
 
 /// Shortest to longest, from the limits or else the setting.
 pub fn longest_range_m(table: &RawTable) -> Option<f64> {
@@ -550,8 +553,7 @@ fn model(
             .collect::<Vec<_>>()
             .join(" or ");
         let why = match synthesis {
-            Synthesis::Gridded1d => "which stretches every echo evenly",
-            Synthesis::Gridded2d => "which places every echo where it is",
+            Synthesis::Gridded1d | Synthesis::Gridded2d => "which places every echo where it is",
             _ => "which lays one pulse under every echo",
         };
         problems.refuse(
@@ -662,6 +664,13 @@ fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Opti
     let fan = table.table("fan").and_then(|t| fan(t, arrays, problems));
     Some(BeamsSpec {
         lines: all(lines)?,
+        focused_lines: table.text("line_former")? == "dynamic-focus",
+        weighting: shading(
+            table,
+            "weighting",
+            table.number("weighting_side_lobe_db")?,
+            table.number("weighting_beta")?,
+        )?,
         fan: match table.given("fan") {
             true => Some(fan?),
             false => None,
@@ -678,21 +687,74 @@ fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option
             "must be an array of at least two elements",
         );
     }
-    let across = spec.map(|s| (s.mounting.body_from_array * DVec3::X).y);
-    if across.is_some_and(|y| y < MIN_ACROSS) {
+    let line = spec.map(|s| s.mounting.body_from_array * DVec3::X);
+    if line.is_some_and(|x| x.y < MIN_ACROSS && x.x < MIN_ALONG) {
         problems.refuse(
             table.entry("array"),
-            "must be an array across the track whose +x end points to starboard (yaw_deg = 90)",
+            "must be an array across the track whose +x end points to starboard (yaw_deg = 90), or one that lies fore and aft (yaw_deg = 0)",
         );
     }
+    let center_rad = table.angle_rad("center_deg");
+    if let (Some(center), Some(sector)) = (center_rad, table.angle_rad("sector_deg"))
+        && center.abs() + 0.5 * sector > FRAC_PI_2 + 1e-9
+    {
+        problems.refuse(
+            table.entry("center_deg"),
+            "must keep the sector within 90 degrees of the boresight",
+        );
+    }
+    let roll_stabilised = table.bool("roll_stabilised")?;
+    if roll_stabilised && line.is_some_and(|x| x.y < MIN_ACROSS) {
+        problems.refuse(
+            table.entry("roll_stabilised"),
+            "needs an array across the track",
+        );
+    }
+    let former = match table.text("former")? {
+        "conventional" => Former::TimeDelay,
+        "phase" => Former::Phase,
+        "dynamic-focus" => Former::DynamicFocus,
+        _ => Former::Exact,
+    };
+    only_with(
+        table,
+        &["f_number", "focus_error_deg"],
+        Some(former == Former::DynamicFocus),
+        "former = \"dynamic-focus\"",
+        problems,
+    );
     Some(FanSpec {
         array: array?,
         beams: table.count("beams")?,
         sector_rad: table.angle_rad("sector_deg")?,
-        shading: match table.text("shading")? {
-            "hann" => Shading::Hann,
-            _ => Shading::Uniform,
+        shading: shading(table, "shading", table.number("shading_side_lobe_db")?, 0.0)?,
+        form: FanForm {
+            former,
+            spacing: match table.text("spacing")? {
+                "equi-distant" => BeamSpacing::EquiDistant,
+                "equi-sine" => BeamSpacing::EquiSine,
+                _ => BeamSpacing::EquiAngle,
+            },
+            center_rad: center_rad?,
+            roll_stabilised,
+            f_number: match table.given("f_number") {
+                true => Some(table.number("f_number")?),
+                false => None,
+            },
+            focus_error_rad: table.angle_rad("focus_error_deg")?,
+            bottom_detection: table.bool("bottom_detection")?,
         },
+    })
+}
+
+fn shading(table: &RawTable, key: &str, side_lobe_db: f64, beta: f64) -> Option<Shading> {
+    Some(match table.text(key)? {
+        "hann" => Shading::Hann,
+        "hamming" => Shading::Hamming,
+        "taylor" => Shading::Taylor { side_lobe_db },
+        "chebyshev" => Shading::Chebyshev { side_lobe_db },
+        "kaiser" => Shading::Kaiser { beta },
+        _ => Shading::Uniform,
     })
 }
 

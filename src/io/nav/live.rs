@@ -1,7 +1,9 @@
-//! Live sources: one blocking thread per UDP socket or serial port, a bounded queue, and rig time.
+//! Live sources: one blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
 //!
 //! Threads hand over raw bytes with the monotonic arrival of the first one; whoever pulls decodes them. Until rig time is known they are
 //! kept as bytes, so that every sample is decoded on the timeline it belongs to.
+
+mod tcp;
 
 use std::collections::VecDeque;
 use std::io::Read;
@@ -20,6 +22,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::{LiveCounters, NavOpenError, SourceCounters};
 use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use crate::flow::NavSample;
+use crate::nav::decoder::unwatched;
 use crate::nav::{NavDecoder, NavHistory};
 use crate::time::{Clock, MonoNs, NS_PER_S, Timeline};
 
@@ -63,8 +66,10 @@ struct LiveSource {
     decoder: NavDecoder,
     /// Looks for the first dated message while there is no timeline; none where messages do not rule.
     scout: Option<NavDecoder>,
-    /// Between two bytes on the wire; zero for datagrams.
+    /// Between two bytes on a serial line; zero elsewhere.
     byte_ns: i64,
+    /// Bytes without boundaries; else datagrams.
+    stream: bool,
     address: Option<SocketAddr>,
     stats: Arc<Stats>,
 }
@@ -129,6 +134,7 @@ impl Live {
             scout: (!matches!(spec.time, TimePolicy::Arrival { .. }))
                 .then(|| NavDecoder::new(id, spec)),
             byte_ns: 0,
+            stream: false,
             address: None,
             stats: stats.clone(),
         };
@@ -157,9 +163,25 @@ impl Live {
                     baud: *baud,
                     reason: reason.to_string(),
                 })?;
+                source.stream = true;
                 source.byte_ns = BITS_PER_BYTE * NS_PER_S / i64::from((*baud).max(1));
                 let (port, baud, byte_ns) = (port.clone(), *baud, source.byte_ns);
                 thread.spawn(move || read_serial(open, &port, baud, byte_ns, &outlet))
+            }
+            NavInputSpec::TcpConnect { address } => {
+                source.stream = true;
+                let address = address.clone();
+                thread.spawn(move || tcp::read_server(&address, &outlet))
+            }
+            NavInputSpec::TcpListen { listen } => {
+                source.stream = true;
+                let listener = tcp::listen(*listen).map_err(|reason| NavOpenError::Tcp {
+                    name: spec.name.clone(),
+                    listen: *listen,
+                    reason: reason.to_string(),
+                })?;
+                source.address = listener.local_addr().ok();
+                thread.spawn(move || tcp::read_clients(&listener, &outlet))
             }
             NavInputSpec::Log { .. } | NavInputSpec::Csv { .. } => return Ok(()),
         };
@@ -218,13 +240,8 @@ impl Live {
         {
             let source = &mut self.sources[chunk.source];
             let samples = &mut self.samples;
-            decode(
-                &mut source.decoder,
-                &chunk,
-                source.byte_ns,
-                timeline,
-                samples,
-            );
+            let pace = (source.stream, source.byte_ns);
+            decode(&mut source.decoder, &chunk, pace, timeline, samples);
             for sample in samples.drain(..) {
                 history.insert(&sample);
             }
@@ -239,7 +256,8 @@ impl Live {
                 && !self.foreign
                 && let Some(scout) = &mut source.scout
             {
-                decode(scout, &chunk, source.byte_ns, self.host, &mut self.samples);
+                let pace = (source.stream, source.byte_ns);
+                decode(scout, &chunk, pace, self.host, &mut self.samples);
                 self.samples.clear();
                 self.timeline = timeline_of(scout, self.host);
             }
@@ -287,12 +305,12 @@ fn timeline_of(scout: &NavDecoder, host: Timeline) -> Option<Timeline> {
 fn decode(
     decoder: &mut NavDecoder,
     chunk: &Chunk,
-    byte_ns: i64,
+    (stream, byte_ns): (bool, i64),
     timeline: Timeline,
     out: &mut Vec<NavSample>,
 ) {
     let arrival = timeline.utc(chunk.mono);
-    if byte_ns == 0 {
+    if !stream {
         // A datagram that begins with a sentence ends whatever the one before left open; others go on with it.
         let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
         if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
@@ -302,14 +320,7 @@ fn decode(
         return;
     }
     // Each sentence has the arrival of its own first byte.
-    let mut start = 0;
-    for at in 1..=chunk.bytes.len() {
-        if at == chunk.bytes.len() || matches!(chunk.bytes[at], b'$' | b'!') {
-            let first = arrival.plus_ns(start as i64 * byte_ns);
-            decoder.push(&chunk.bytes[start..at], first, out);
-            start = at;
-        }
-    }
+    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut unwatched);
 }
 
 /// A thread's end of the queue.

@@ -1,4 +1,4 @@
-//! Navigation inputs: recorded logs, CSV tracks, UDP and serial ports, into a [`NavHistory`].
+//! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, into a [`NavHistory`].
 //!
 //! Recorded sources are read whole when opened and merged by arrival; live ones are read by one blocking thread each, and decoded by whoever
 //! pulls. A rig may have both.
@@ -11,6 +11,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::config::spec::{NavInputSpec, NavSpec};
+use crate::nav::health::State;
 use crate::nav::log::LogCounts;
 use crate::nav::track::TrackError;
 use crate::nav::{NavCounters, NavHistory};
@@ -58,6 +59,12 @@ pub enum NavOpenError {
         listen: SocketAddr,
         reason: String,
     },
+    #[error("nav source `{name}`: cannot listen on tcp {listen}: {reason}")]
+    Tcp {
+        name: String,
+        listen: SocketAddr,
+        reason: String,
+    },
     #[error("nav source `{name}`: cannot open serial port {port} at {baud} baud: {reason}")]
     Serial {
         name: String,
@@ -85,7 +92,7 @@ pub struct LiveCounters {
     /// Of those: dropped, the queue to the decoder was full.
     pub dropped_full: u64,
     pub read_errors: u64,
-    /// A serial port that had vanished was found again.
+    /// A serial port that had vanished was found again, or a TCP connection made.
     pub reopened: u64,
 }
 
@@ -94,6 +101,8 @@ pub struct NavInputs {
     live: Option<Live>,
     /// One per configured source, in the file's order.
     counters: Vec<SourceCounters>,
+    /// How each source did when it was last pulled, in the file's order.
+    states: Vec<State>,
 }
 
 impl NavInputs {
@@ -108,12 +117,10 @@ impl NavInputs {
             })
             .collect();
         let recorded = Recorded::open(spec, &mut counters)?;
-        let has_live = spec.sources.iter().any(|s| {
-            matches!(
-                s.input,
-                NavInputSpec::Udp { .. } | NavInputSpec::Serial { .. }
-            )
-        });
+        let recorded_kind = |input: &NavInputSpec| {
+            matches!(input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
+        };
+        let has_live = spec.sources.iter().any(|s| !recorded_kind(&s.input));
         let live = if has_live {
             Some(Live::open(spec, clock, recorded.is_some())?)
         } else {
@@ -122,6 +129,7 @@ impl NavInputs {
         Ok(Self {
             recorded,
             live,
+            states: vec![State::Silent; counters.len()],
             counters,
         })
     }
@@ -149,6 +157,14 @@ impl NavInputs {
         if let Some(live) = &mut self.live {
             live.pull(history);
         }
+        for (i, state) in self.states.iter_mut().enumerate() {
+            *state = history.source_state(i, until);
+        }
+    }
+
+    /// How each source did when it was last pulled, in the file's order.
+    pub fn states(&self) -> &[State] {
+        &self.states
     }
 
     /// Inserts one more recorded sample; false when there is none.
@@ -184,18 +200,26 @@ impl NavInputs {
         }
     }
 
-    /// Bound addresses of the UDP sources, by name (a configured port of 0 is any free one).
+    /// Bound addresses of the UDP sources and TCP servers, by name (a configured port of 0 is any free one).
     pub fn listening(&self) -> Vec<(String, SocketAddr)> {
         self.live.as_ref().map_or(Vec::new(), Live::listening)
     }
 
     /// A line per source.
     pub fn lines(&mut self) -> Vec<String> {
-        let line = |s: &SourceCounters| {
+        let states = self.states.clone();
+        let line = |(s, state): (&SourceCounters, &State)| {
             let d = &s.decoder;
             let mut text = format!(
-                "nav {}: {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} samples",
-                s.name, d.sentences, d.used, d.bad_checksum, d.malformed, d.unsupported, d.samples
+                "nav {}: {}, {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} samples",
+                s.name,
+                state.name(),
+                d.sentences,
+                d.used,
+                d.bad_checksum,
+                d.malformed,
+                d.unsupported,
+                d.samples
             );
             let l = &s.live;
             if *l != LiveCounters::default() {
@@ -206,7 +230,7 @@ impl NavInputs {
             }
             text
         };
-        self.counters().iter().map(line).collect()
+        self.counters().iter().zip(&states).map(line).collect()
     }
 
     /// One entry per configured source, in the file's order.

@@ -129,7 +129,10 @@ fn read_source(
             };
             (samples, path)
         }
-        NavInputSpec::Udp { .. } | NavInputSpec::Serial { .. } => return Ok(Vec::new()),
+        NavInputSpec::Udp { .. }
+        | NavInputSpec::Serial { .. }
+        | NavInputSpec::TcpConnect { .. }
+        | NavInputSpec::TcpListen { .. } => return Ok(Vec::new()),
     };
     if samples.is_empty() {
         return Err(NavOpenError::NothingUsable {

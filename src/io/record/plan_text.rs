@@ -40,6 +40,10 @@ pub(super) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
             "beams": f.beams,
             "sector_rad": f.sector_rad,
             "shading": f.shading.name(),
+            "former": f.form.former.name(),
+            "spacing": f.form.spacing.name(),
+            "center_rad": f.form.center_rad,
+            "roll_stabilised": f.form.roll_stabilised,
         })),
     })
 }

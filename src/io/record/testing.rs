@@ -4,7 +4,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::config::spec::{
-    BeamsSpec, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec, SynthesisSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec, SynthesisSpec,
 };
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{
@@ -80,6 +80,8 @@ pub fn sonar() -> SonarSpec {
         model: plan.model,
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
+            focused_lines: false,
+            weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
                     side: Side::Port,
@@ -95,6 +97,7 @@ pub fn sonar() -> SonarSpec {
                 beams: 3,
                 sector_rad: 1.0,
                 shading: Shading::Uniform,
+                form: FanForm::default(),
             }),
         },
         outputs: Vec::new(),
@@ -143,6 +146,7 @@ pub fn output(ping_number: u32) -> PingOutput {
     PingOutput {
         certificate: None,
         elements,
+        soundings: Vec::new(),
         beams: vec![BeamFrame {
             beams: 3,
             samples: SAMPLES,

@@ -1,20 +1,31 @@
 //! Samples to motion: per-channel rings, and the platform's state and trajectory at a ping.
 //!
-//! - The first source of the file that provides a channel owns it; nobody else's samples are taken.
+//! - The first source of the file that provides a channel owns it, or, with fail-over, the best one that is not silent (`arbiter`); nobody
+//!   else's samples are taken. A change of source is a seam.
+//! - With a jump gate, samples that no platform can have made are set aside (`gate`).
 //! - Positions are reduced from the antenna to the body's reference point each at its own time: between two fixes the antenna sways with the
 //!   roll, the reference point does not. So [`crate::frames::Trajectory::lever_arm_m`] leaves here as zero.
 //! - Attitude knots lie at the roll-pitch samples; heading is interpolated there the short way round. Without roll and pitch they lie at the
 //!   heading samples.
-//! - A loop seam is a gap: nothing is interpolated across it.
-//! - Not modelled: smoothing, fail-over, outliers other than speed.
+//! - A seam is a gap: nothing is interpolated across it. Seams part loops of a log, sources that relieve one another, and places joined by
+//!   no motion; one is a seam in every channel.
+//! - Not modelled: smoothing.
 
+mod arbiter;
+mod gate;
 mod motion;
 
 use glam::DVec3;
 use thiserror::Error;
 
+use self::arbiter::{Arbiter, Word};
+use self::gate::{Gate, Passage};
+use super::health::{Health, Limits, State};
 use super::ring::{Inserted, Knot, Ring};
-use crate::config::spec::{NavChannel, NavInputSpec, NavSpec, OriginSpec, VerticalSpec};
+use crate::config::spec::{
+    FailoverSpec, JumpGateSpec, NavChannel, NavInputSpec, NavSourceSpec, NavSpec, OriginSpec,
+    VerticalSpec,
+};
 use crate::flow::{FixQuality, NavQuantity, NavSample};
 use crate::frames::VectorKnot;
 use crate::geodesy::LocalTangentPlane;
@@ -62,6 +73,12 @@ pub struct HistoryCounts {
     pub duplicates: u64,
     /// Dropped: another source owns the channel.
     pub not_owned: u64,
+    /// Times that another source took a channel over.
+    pub switches: u64,
+    /// Dropped: farther from the sample before than the platform can have moved.
+    pub quarantined: u64,
+    /// Times that such samples were believed, since they agreed.
+    pub resets: u64,
     /// Dropped: a position without the height that `nav.vertical` needs.
     pub no_vertical: u64,
     /// States refused.
@@ -83,7 +100,6 @@ enum HeadingFrom {
 
 #[derive(Clone, Copy, Debug)]
 struct Owner {
-    source: u16,
     /// A track in a file: its points are joined however far apart.
     sparse: bool,
 }
@@ -93,8 +109,19 @@ pub struct NavHistory {
     heading_from: HeadingFrom,
     max_extrapolation_s: f64,
     depth_ns: i64,
-    lever_arm_m: DVec3,
+    failover: Option<FailoverSpec>,
+    jump_gate: Option<JumpGateSpec>,
+    /// Of the antennas, by source.
+    arms_m: Vec<DVec3>,
+    /// The arm of the source that gives positions, from when on; ascending.
+    arms_used: Vec<(UtcNs, DVec3)>,
     owners: [Option<Owner>; 5],
+    arbiters: [Arbiter; 5],
+    gates: [Gate; 5],
+    /// Nothing valid before is taken: another source spoke then.
+    taken_from: [UtcNs; 5],
+    /// By source.
+    health: Vec<Health>,
     rings: [Ring; 5],
     plane: Option<LocalTangentPlane>,
     first_fix_m: Option<DVec3>,
@@ -113,7 +140,6 @@ impl NavHistory {
                 .iter()
                 .position(|s| s.provides.contains(&channel))?;
             Some(Owner {
-                source: u16::try_from(i).ok()?,
                 sparse: matches!(spec.sources[i].input, NavInputSpec::Csv { .. }),
             })
         });
@@ -127,14 +153,32 @@ impl NavHistory {
         } else {
             HeadingFrom::Track
         };
-        let antenna = owners[index(NavChannel::Position)].map(|o| usize::from(o.source));
+        let arbiters = ALL_CHANNELS.map(|channel| {
+            let provides = |(_, s): &(usize, &NavSourceSpec)| s.provides.contains(&channel);
+            let sources = spec.sources.iter().enumerate().filter(provides);
+            Arbiter::new(sources.filter_map(|(i, _)| u16::try_from(i).ok()))
+        });
+        let arms_m: Vec<DVec3> = spec.sources.iter().map(|s| s.lever_arm_m).collect();
+        let antenna = arbiters[index(NavChannel::Position)].source();
+        let first_arm_m = antenna.map_or(DVec3::ZERO, |i| arms_m[usize::from(i)]);
+        let limits = Limits {
+            stale_s: spec.stale_s,
+            lost_s: spec.lost_s,
+        };
         Self {
             vertical: spec.vertical,
             heading_from,
             max_extrapolation_s: spec.max_extrapolation_s,
             depth_ns: (spec.history_s * NS_PER_S as f64) as i64,
-            lever_arm_m: antenna.map_or(DVec3::ZERO, |i| spec.sources[i].lever_arm_m),
+            failover: spec.failover,
+            jump_gate: spec.jump_gate,
+            arms_used: vec![(UtcNs(i64::MIN), first_arm_m)],
+            arms_m,
             owners,
+            arbiters,
+            gates: Default::default(),
+            taken_from: [UtcNs(i64::MIN); 5],
+            health: vec![Health::new(limits); spec.sources.len()],
             rings: Default::default(),
             plane: match spec.origin {
                 OriginSpec::Geodetic {
@@ -192,6 +236,48 @@ impl NavHistory {
         &self.counts
     }
 
+    /// How the source with this index does at `now`, by the arrivals of its samples.
+    pub fn source_state(&mut self, source: usize, now: UtcNs) -> State {
+        self.health
+            .get_mut(source)
+            .map_or(State::Silent, |h| h.at(now))
+    }
+
+    /// The source whose samples of a channel count at present; before any came, the best.
+    pub fn speaking(&self, channel: NavChannel) -> Option<u16> {
+        self.arbiters[index(channel)].source()
+    }
+
+    /// Whether a sample counts, by who said it.
+    fn has_the_word(&mut self, channel: usize, sample: &NavSample) -> bool {
+        let word = self.arbiters[channel].hear(sample.source, sample.arrival_utc, self.failover);
+        if word == Word::Takes {
+            // Behind everything that the other source said.
+            let newest = self.rings[channel].newest();
+            let from = newest.map_or(sample.valid_utc, |n| sample.valid_utc.max(n.plus_ns(1)));
+            self.counts.switches += 1;
+            self.taken_from[channel] = from;
+            self.gates[channel].forget();
+            self.seam(from);
+            if channel == index(NavChannel::Position) {
+                let arm_m = self.arms_m[usize::from(sample.source)];
+                if self.arms_used.len() > MAX_SEAMS {
+                    self.arms_used.remove(0);
+                }
+                self.arms_used.push((from, arm_m));
+            }
+        }
+        word != Word::HasNot && sample.valid_utc >= self.taken_from[channel]
+    }
+
+    /// Where the antenna sat that gave the positions of this time.
+    fn arm_at(&self, utc: UtcNs) -> DVec3 {
+        let since = self.arms_used.iter().rev().find(|(from, _)| *from <= utc);
+        since
+            .or(self.arms_used.first())
+            .map_or(DVec3::ZERO, |a| a.1)
+    }
+
     /// From here on samples belong to another run of a repeated log.
     pub fn seam(&mut self, at: UtcNs) {
         if self.seams.len() == MAX_SEAMS {
@@ -202,7 +288,10 @@ impl NavHistory {
 
     pub fn insert(&mut self, sample: &NavSample) {
         let channel = channel_of(&sample.quantity);
-        if self.owners[index(channel)].is_none_or(|o| o.source != sample.source) {
+        if let Some(health) = self.health.get_mut(usize::from(sample.source)) {
+            health.heard(sample.arrival_utc);
+        }
+        if !self.has_the_word(index(channel), sample) {
             self.counts.not_owned += 1;
             return;
         }
@@ -254,6 +343,19 @@ impl NavHistory {
                 (DVec3::new(0.0, 0.0, heave_down_m), FixQuality::None)
             }
         };
+        if let Some(rule) = &self.jump_gate {
+            match self.gates[index(channel)].judge(channel, sample.valid_utc, value, rule) {
+                Passage::Open => {}
+                Passage::Shut => {
+                    self.counts.quarantined += 1;
+                    return;
+                }
+                Passage::Reset => {
+                    self.counts.resets += 1;
+                    self.seam(sample.valid_utc);
+                }
+            }
+        }
         if channel == NavChannel::Position {
             self.first_fix_m.get_or_insert(value);
         }
@@ -306,7 +408,9 @@ impl NavHistory {
     }
 
     fn has_arm(&self) -> bool {
-        self.lever_arm_m != DVec3::ZERO
+        self.arms_used
+            .iter()
+            .any(|(_, arm_m)| *arm_m != DVec3::ZERO)
     }
 
     /// The channel heading is made of, and how many knots past a time it takes to settle it there.

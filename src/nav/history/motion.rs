@@ -75,8 +75,9 @@ impl NavHistory {
         }
         self.attitude_knots(&window, &wide, &mut trajectory.attitude)?;
 
+        let arm_m = self.arm_at(zero);
         for knot in position.iter_mut().filter(|_| self.has_arm()) {
-            let arm = rotation_at(&trajectory.attitude, knot.time_s) * self.lever_arm_m;
+            let arm = rotation_at(&trajectory.attitude, knot.time_s) * arm_m;
             let level = matches!(self.vertical, VerticalSpec::Waterline { .. });
             knot.value -= DVec3::new(arm.x, arm.y, if level { 0.0 } else { arm.z });
         }

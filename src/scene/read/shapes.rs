@@ -72,6 +72,12 @@ impl HeightField {
     /// The surface at a place counted from the field's own zero; none outside the outer centres and where any of the four cells around is a
     /// hole.
     pub fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
+        self.sample_with_twist(north_m, east_m).map(|s| s.0)
+    }
+
+    /// And d^2 down / d north d east, which is the same over the whole square.
+    #[inline]
+    pub fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
         let (from_south_m, from_west_m) = (north_m - self.south_m, east_m - self.west_m);
         let inside = (0.0..=self.extent_north_m()).contains(&from_south_m)
             && (0.0..=self.extent_east_m()).contains(&from_west_m);
@@ -88,10 +94,14 @@ impl HeightField {
         let north = nw * (1.0 - u) + ne * u;
         let down_m = south * (1.0 - v) + north * v;
         // One hole among the four makes the sum NaN, whatever its weight.
-        (!down_m.is_nan()).then_some(Depth {
-            down_m,
-            slope_north: (north - south) / self.cell_north_m,
-            slope_east: ((se - sw) * (1.0 - v) + (ne - nw) * v) / self.cell_east_m,
+        (!down_m.is_nan()).then(|| {
+            let depth = Depth {
+                down_m,
+                slope_north: (north - south) / self.cell_north_m,
+                slope_east: ((se - sw) * (1.0 - v) + (ne - nw) * v) / self.cell_east_m,
+            };
+            let twist = (ne - nw - se + sw) / (self.cell_north_m * self.cell_east_m);
+            (depth, twist)
         })
     }
 }

@@ -4,15 +4,14 @@
 
 use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
 use echotank::flow::*;
-use echotank::frames::Trajectory;
-use echotank::time::UtcNs;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-pub const SOUND_SPEED_M_PER_S: f64 = 1500.0;
-pub const CARRIER_HZ: f64 = 400e3;
+use super::rig;
+
+pub use super::rig::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
 pub const BANDWIDTH_HZ: f64 = 30e3;
 pub const DURATION_S: f64 = 5e-3;
 pub const SAMPLE_RATE_HZ: f64 = 40e3;
@@ -20,6 +19,8 @@ pub const SAMPLE_RATE_HZ: f64 = 40e3;
 pub const PERIOD_S: f64 = 0.2048;
 pub const BINS: usize = 6144;
 pub const WINDOW_S: f64 = 0.21;
+/// Leading edges of the first and the last echo, about.
+pub const ECHOES_S: [f64; 2] = [0.0485, 0.1985];
 
 #[derive(Clone, Copy)]
 pub struct Shape {
@@ -73,11 +74,7 @@ impl Scene {
         }
         Self {
             plan: plan(shape),
-            transmit: TransmitArray {
-                mounting: level(DVec3::ZERO),
-                pattern: Pattern::Omnidirectional,
-                level_offset_db: 0.0,
-            },
+            transmit: rig::transmitter(DVec3::ZERO),
             scatterers,
         }
     }
@@ -85,12 +82,8 @@ impl Scene {
     /// A line of omnidirectional elements half a wavelength apart, along the track.
     pub fn array(&self, elements: usize) -> ArrayGeometry {
         ArrayGeometry {
-            mounting: level(DVec3::ZERO),
-            elements,
-            spacing_m: 0.5 * SOUND_SPEED_M_PER_S / CARRIER_HZ,
-            element_pattern: Pattern::Omnidirectional,
             sensitivity_db: -180.0,
-            transmit: 0,
+            ..rig::line(DVec3::ZERO, elements)
         }
     }
 
@@ -135,71 +128,15 @@ impl ArrivalSink for Kept {
     }
 }
 
-fn level(position_m: DVec3) -> Mounting {
-    Mounting {
-        position_m,
-        body_from_array: DQuat::IDENTITY,
-    }
-}
-
 fn plan(shape: Shape) -> PingPlan {
     let velocity_m_per_s = DVec3::X * shape.speed_m_per_s;
-    let trajectory = Trajectory::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY);
-    let pose = trajectory.pose_at(0.0);
-    PingPlan {
-        sonar: 0,
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        stamp_utc: UtcNs(0),
-        ping_period_s: 0.1,
-        settings: SonarSettings {
-            pinging: true,
-            range_m: 150.0,
-            max_ping_rate_hz: 10.0,
-            source_level_db: 220.0,
-            gain_db: 0.0,
-            pulse_duration_s: DURATION_S,
-        },
-        ping_rate_hz: 10.0,
-        pulse: Pulse {
-            kind: PulseKind::LfmUp,
-            center_frequency_hz: CARRIER_HZ,
-            bandwidth_hz: BANDWIDTH_HZ,
-            duration_s: DURATION_S,
-            taper: shape.taper,
-        },
-        sound_speed_m_per_s: SOUND_SPEED_M_PER_S,
-        absorption_db_per_m: 0.096,
-        sample_count: (WINDOW_S * SAMPLE_RATE_HZ) as usize,
-        first_sample_s: 0.0,
-        model: ModelChoice {
-            path: PathModel::Polyline,
-            doppler: DopplerModel::Stretch,
-            synthesis: Synthesis::Direct,
-            segment_s: 1.0,
-            cull_db: None,
-        },
-        nav: NavState {
-            utc: UtcNs(0),
-            pose,
-            roll_rad: 0.0,
-            pitch_rad: 0.0,
-            heading_rad: 0.0,
-            heave_down_m: 0.0,
-            latitude_rad: 0.0,
-            longitude_rad: 0.0,
-            height_m: 0.0,
-            fix: FixQuality::None,
-            position_age_s: 0.0,
-            attitude_age_s: 0.0,
-            extrapolated: false,
-        },
-        trajectory,
-        segments: vec![Segment {
-            start_s: 0.0,
-            position_m: DVec3::ZERO,
-            velocity_m_per_s,
-            world_from_body: DQuat::IDENTITY,
-        }],
-    }
+    let mut plan = rig::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY);
+    plan.settings.source_level_db = 220.0;
+    plan.pulse = Pulse {
+        taper: shape.taper,
+        ..rig::lfm(BANDWIDTH_HZ, DURATION_S)
+    };
+    plan.absorption_db_per_m = 0.096;
+    plan.sample_count = (WINDOW_S * SAMPLE_RATE_HZ) as usize;
+    plan
 }

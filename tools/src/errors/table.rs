@@ -8,7 +8,7 @@ use echotank::time::UtcNs;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-const C: f64 = 1500.0;
+pub const C: f64 = 1500.0;
 /// Samples of the comparison, Hz: over twice the band, so that a chirp and its shifted self are both whole.
 const RATE_HZ: f64 = 80e3;
 /// An element-level error up to this is a pass.
@@ -19,8 +19,8 @@ const ROUNDING: f64 = 1e-9;
 
 pub struct Method {
     pub name: &'static str,
-    path: PathModel,
-    doppler: DopplerModel,
+    pub path: PathModel,
+    pub doppler: DopplerModel,
 }
 
 /// What is compared, with the reference as truth.
@@ -143,7 +143,7 @@ pub fn measure(method: &Method, case: Case) -> (f64, f64) {
     (0.5 * C * (got_s - exact_s), (difference / size).sqrt())
 }
 
-fn sonar() -> (TransmitArray, ArrayGeometry) {
+pub fn sonar() -> (TransmitArray, ArrayGeometry) {
     let mounting = Mounting {
         position_m: DVec3::ZERO,
         body_from_array: DQuat::IDENTITY,
@@ -191,7 +191,7 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
 }
 
 /// 400 kHz, 30 kHz, 5 ms (the paper's pulse, its ends tapered by a twentieth each), straight ahead along x.
-fn plan(case: Case) -> PingPlan {
+pub fn plan(case: Case) -> PingPlan {
     let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
     PingPlan {
         sonar: 0,

@@ -14,8 +14,7 @@ const TRUTH_DENSITY: f64 = 64.0;
 /// ... and at least so many per sample, where a pulse is narrow.
 const LEAST_OVERSAMPLE: usize = 16;
 
-/// A window this far below the strongest is held against this level; where those beside it are no stronger nothing sounds, and what is
-/// heard there is measured against the strongest.
+/// What the engines are told of the range of levels, and where the noise is put that the contract may count a weak window against.
 pub const LEVEL_RANGE_DB: f64 = 55.0;
 
 /// A window is a pulse long, or this many samples.
@@ -41,13 +40,27 @@ pub fn filter(case: &Case, density: f64) -> Option<Decimator> {
 }
 
 pub fn truth(case: &Case) -> Truth {
-    let filter = filter(case, TRUTH_DENSITY);
-    let records = case
-        .looked_at
-        .iter()
-        .map(|&element| reference_record(case, filter.as_ref(), element))
-        .collect();
-    Truth { filter, records }
+    truth_of(case, TRUTH_DENSITY)
+}
+
+fn truth_of(case: &Case, density: f64) -> Truth {
+    let filter = filter(case, density);
+    let all = case.looked_at.iter();
+    Truth {
+        records: all
+            .map(|&element| reference_record(case, filter.as_ref(), element))
+            .collect(),
+        filter,
+    }
+}
+
+/// The reference and its filter half as dense, against the truth: what by each measure is not known. Without a filter nothing is summed
+/// densely.
+pub fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
+    match truth.filter {
+        None => WorstWindow::default(),
+        Some(_) => error(case, truth, &truth_of(case, 0.5 * TRUTH_DENSITY).records),
+    }
 }
 
 fn reference_record(case: &Case, filter: Option<&Decimator>, element: usize) -> Vec<Complex64> {
@@ -78,68 +91,77 @@ fn reference_record(case: &Case, filter: Option<&Decimator>, element: usize) -> 
     out
 }
 
-/// Worst of |got - want| over |want| by window, over all elements looked at.
+/// The contract counts a window against itself, or against this share of the middlemost element's where it is weaker still.
+const FLOOR_OF_MEDIAN: f64 = 1e-6;
+
+/// Worst of |got - want| by window and element, three ways.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorstWindow {
-    /// Each window against itself.
-    pub itself: f64,
-    /// Each against the strongest of those that share samples with it: a window may hold nothing but the last of a flank or the filter's
-    /// tail, and no sum on a grid is as good there as it is in the echo's middle.
+    /// The contract's, without noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite
+    /// where no element hears anything and something was made. Where a window holds the end of a flank or of the filter's tail alone, this
+    /// asks for that end to within its tolerance of itself: the reference half as dense does not keep that either.
+    pub contract: f64,
+    /// The contract's, with noise 55 dB below the strongest window as the floor.
+    pub in_noise: f64,
+    /// Looser, and no promise: over the loudest window that shares samples with it; where even that is below the noise of `in_noise`, over
+    /// the strongest. It tells what is wrong with an echo from what is left beside echoes.
     pub beside: f64,
-    /// What is heard in windows beside which nothing sounds, against the strongest window.
-    pub silence: f64,
 }
 
-impl WorstWindow {
-    fn with(self, other: Self) -> Self {
-        // What is no number is worse than any.
-        let worse = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };
-        Self {
-            itself: worse(self.itself, other.itself),
-            beside: worse(self.beside, other.beside),
-            silence: worse(self.silence, other.silence),
-        }
-    }
+/// What is no number is worse than any.
+fn worse(a: f64, b: f64) -> f64 {
+    if b.is_nan() { f64::INFINITY } else { a.max(b) }
 }
 
-/// Over windows half a window apart.
-fn worst_window(case: &Case, got: &[Complex64], want: &[Complex64]) -> WorstWindow {
-    let length = (case.plan.pulse.duration_s * case.rate_hz) as usize;
-    let length = length.max(LEAST_WINDOW).min(want.len());
-    let starts = (0..=want.len() - length).step_by((length / 2).max(1));
-    let windows: Vec<(f64, f64)> = starts
-        .map(|at| {
-            let span = at..at + length;
-            let pairs = got[span.clone()].iter().zip(&want[span.clone()]);
-            (
-                pairs.map(|(g, w)| (g - w).norm_sqr()).sum(),
-                want[span].iter().map(|w| w.norm_sqr()).sum(),
-            )
-        })
+/// Nothing where nothing is: no error.
+fn relative(off: f64, size: f64) -> f64 {
+    if off == 0.0 { 0.0 } else { (off / size).sqrt() }
+}
+
+/// Energy of every window, sample by sample; each summed afresh, since differences of running sums would lose the weak ones.
+fn energies(record: impl Iterator<Item = f64>, length: usize) -> Vec<f64> {
+    let squares: Vec<f64> = record.collect();
+    squares.windows(length).map(|w| w.iter().sum()).collect()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Over all windows of `length` samples of all elements' records; `got` and `want` by element.
+pub fn worst_window(got: &[Vec<Complex64>], want: &[Vec<Complex64>], length: usize) -> WorstWindow {
+    let length = length.max(LEAST_WINDOW).min(want[0].len());
+    let size: Vec<Vec<f64>> = want
+        .iter()
+        .map(|record| energies(record.iter().map(|w| w.norm_sqr()), length))
         .collect();
-    let strongest = windows.iter().map(|w| w.1).fold(0.0, f64::max);
-    let floor = strongest * 10f64.powf(-LEVEL_RANGE_DB / 10.0);
-    // Nothing where nothing is: no error.
-    let relative = |off: f64, size: f64| if off > 0.0 { (off / size).sqrt() } else { 0.0 };
     let mut worst = WorstWindow::default();
-    for (k, &(off, size)) in windows.iter().enumerate() {
-        let near = &windows[k.saturating_sub(1)..(k + 2).min(windows.len())];
-        let beside = near.iter().map(|w| w.1).fold(0.0, f64::max);
-        let mut here = WorstWindow::default();
-        if beside > floor {
-            here.itself = relative(off, size.max(floor));
-            here.beside = relative(off, beside);
-        } else {
-            here.silence = relative(off, strongest);
+    let floor: Vec<f64> = (0..size[0].len())
+        .map(|at| FLOOR_OF_MEDIAN.powi(2) * median(size.iter().map(|s| s[at])))
+        .collect();
+    let strongest = size.iter().flatten().copied().fold(0.0, f64::max);
+    let noise = strongest * 10f64.powf(-LEVEL_RANGE_DB / 10.0);
+    for ((got, want), size) in got.iter().zip(want).zip(&size) {
+        let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
+        let off = energies(off, length);
+        for (at, (&off, &here)) in off.iter().zip(size).enumerate() {
+            worst.contract = worse(worst.contract, relative(off, here.max(floor[at])));
+            worst.in_noise = worse(worst.in_noise, relative(off, here.max(noise)));
+            // Those that begin anywhere up to a window away; every quarter of one will do.
+            let last = size.len() - 1;
+            let around = (0..=8).map(|k| (at + k * length / 4).saturating_sub(length).min(last));
+            let loudest = around.map(|k| size[k]).fold(here, f64::max);
+            let against = if loudest > noise { loudest } else { strongest };
+            worst.beside = worse(worst.beside, relative(off, against));
         }
-        worst = worst.with(here);
     }
     worst
 }
 
 /// Over all elements looked at.
 pub fn error(case: &Case, truth: &Truth, records: &[Vec<Complex64>]) -> WorstWindow {
-    let all = records.iter().zip(&truth.records);
-    all.map(|(got, want)| worst_window(case, got, want))
-        .fold(WorstWindow::default(), WorstWindow::with)
+    let length = (case.plan.pulse.duration_s * case.rate_hz).ceil() as usize;
+    worst_window(records, &truth.records, length)
 }

@@ -396,6 +396,11 @@ fn gridded_1d(
     let all = heard.iter().flatten().flat_map(|c| &c.doppler[..c.len]);
     let (least, greatest) = all.fold((0.0f64, 0.0f64), |(a, b), &d| (a.min(d), b.max(d)));
     let span = DopplerSpan { least, greatest };
+    let bends = heard
+        .iter()
+        .flatten()
+        .flat_map(|c| &c.curvature_per_s[..c.len]);
+    let curvature_per_s = bends.fold(0.0f64, |most, q| most.max(q.abs()));
     let engine = Gridded1d::new(&one_dimensional::Spec {
         pulse: &plan.pulse,
         sample_rate_hz: case.rate_hz,
@@ -403,6 +408,7 @@ fn gridded_1d(
         filter,
         doppler: plan.model.doppler,
         span,
+        curvature_per_s,
         tolerance,
         level_range_db: LEVEL_RANGE_DB,
         arrivals: case.scatterers.len(),

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::Scene;
-use super::read::Survey;
-use super::seabed::Surface;
 use crate::config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
 };
 use crate::flow::{Footprint, Scatterers};
+use crate::scene::Scene;
+use crate::scene::read::Survey;
+use crate::scene::seabed::Surface;
 
 const ROWS: usize = 61;
 /// Metres.
@@ -154,9 +154,9 @@ fn shadows_are_those_of_rays_cast_one_by_one_within_a_spacing() {
                     continue;
                 }
                 // Right for a place a spacing away: the edge of a shadow.
-                let near = (0..16).any(|k| {
-                    let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 16.0).sin_cos();
-                    [0.4, 1.0].into_iter().any(|share| {
+                let near = (0..32).any(|k| {
+                    let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 32.0).sin_cos();
+                    [0.1, 0.2, 0.4, 0.7, 1.0].into_iter().any(|share| {
                         let p = at.truncate() + DVec2::new(cos, sin) * SPACING * share;
                         ground
                             .sample(p.x, p.y)
@@ -183,6 +183,26 @@ fn shadows_are_those_of_rays_cast_one_by_one_within_a_spacing() {
                 _ => assert!(truth > 500, "{name}: only {truth} in shadow"),
             }
         }
+    }
+}
+
+#[test]
+fn the_same_is_hidden_whatever_the_number_of_threads() {
+    let (_keep, path) = written(hills);
+    let footprint = Footprint {
+        receiver_m: DVec3::new(2.1, -3.0, 12.5),
+        ..Footprint::all_round(DVec3::new(4.3, -2.0, 12.0), RANGE)
+    };
+    for rule in [OcclusionSpec::Horizon, OcclusionSpec::Paper] {
+        let [one, two] = [1, 2].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| gathered(&spec(path.clone(), rule), &[footprint]))
+        });
+        assert!(one.1 > 500, "{rule:?}: {} in shadow", one.1);
+        assert!(one == two, "{rule:?}");
     }
 }
 

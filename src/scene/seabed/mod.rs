@@ -2,6 +2,11 @@
 //!
 //! Coordinates are the scene's own: metres north and east of its zero, down positive.
 
+mod blocks;
+mod facing;
+
+use std::ops::Range;
+
 use glam::DVec2;
 
 use super::SceneError;
@@ -10,6 +15,7 @@ use super::paper;
 pub use super::read::Depth;
 use super::read::{HeightField, Survey};
 use crate::config::spec::{MosaicSpec, PaperShape, SeabedShape};
+use blocks::{Blocks, NOTHING, united};
 
 impl Depth {
     /// Unit normal away from the solid (up: its down component is negative).
@@ -59,24 +65,6 @@ pub struct GeodeticPlace {
     /// In the scene's own coordinates.
     pub north_m: f64,
     pub east_m: f64,
-}
-
-/// Least and greatest depth of blocks of cells, so that the bounds of a tile cost a few look-ups.
-#[derive(Clone, Debug)]
-struct Blocks {
-    /// Intervals between cell centres on a block's sides.
-    intervals_north: usize,
-    intervals_east: usize,
-    rows: usize,
-    cols: usize,
-    /// Least and greatest, south-western block first; (inf, -inf) where all is a hole.
-    bounds_m: Vec<(f64, f64)>,
-}
-
-const NOTHING: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
-
-fn united(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
-    (a.0.min(b.0), a.1.max(b.1))
 }
 
 impl Surface {
@@ -195,32 +183,36 @@ impl Surface {
         matches!(self, Self::Grid(_) | Self::Paper(_))
     }
 
-    /// The ground along a ray from `from_m` in the horizontal unit direction `along`, out to `reach_m`, piece by piece. Holes give none.
-    pub fn profile(&self, from_m: DVec2, along: DVec2, reach_m: f64, mut piece: impl FnMut(Piece)) {
+    /// The ground along a ray from `from_m` in the horizontal unit direction `along`, over a stretch of distances, piece by piece. Holes give
+    /// none.
+    pub fn profile(
+        &self,
+        from_m: DVec2,
+        along: DVec2,
+        stretch_m: Range<f64>,
+        mut piece: impl FnMut(Piece),
+    ) {
         let surface = match self {
             Self::Plane { .. } => return,
-            Self::Paper(shape) => return paper::profile(*shape, from_m, along, reach_m, piece),
+            Self::Paper(shape) => return paper::profile(*shape, from_m, along, stretch_m, piece),
             Self::Grid(surface) => surface,
         };
         let grid = &surface.grid;
         let mut north = Crossings::new(from_m.x, along.x, surface.south_m, grid.cell_north_m);
         let mut east = Crossings::new(from_m.y, along.y, surface.west_m, grid.cell_east_m);
-        let mut here_m = 0.0;
+        let (mut here_m, reach_m) = (stretch_m.start, stretch_m.end);
         while here_m < reach_m {
-            let next_m = north.next_m.min(east.next_m).min(reach_m);
-            if next_m > here_m {
-                let at = Piece::AT.map(|share| {
-                    let place_m = from_m + along * (here_m + share * (next_m - here_m));
-                    let depth = surface.sample(place_m.x, place_m.y);
-                    depth.map_or(f64::NAN, |d| d.down_m)
-                });
-                if !at.iter().any(|down_m| down_m.is_nan()) {
-                    piece(Piece::through(here_m, next_m, at));
-                }
-                here_m = next_m;
-            }
             north.pass(here_m);
             east.pass(here_m);
+            let next_m = north.next_m.min(east.next_m).min(reach_m);
+            // In the middle of the piece: on the edge of a square its neighbour could answer, or be a hole.
+            let middle_m = from_m + along * (0.5 * (here_m + next_m));
+            if let Some((depth, twist)) = surface.sample_with_twist(middle_m.x, middle_m.y) {
+                let slope = depth.slope_north * along.x + depth.slope_east * along.y;
+                let bend = twist * along.x * along.y;
+                piece(Piece::new(here_m, next_m, [depth.down_m, slope, bend]));
+            }
+            here_m = next_m;
         }
     }
 }
@@ -279,16 +271,25 @@ impl GridSurface {
     }
 
     fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
+        self.sample_with_twist(north_m, east_m).map(|s| s.0)
+    }
+
+    /// And d^2 down / d north d east.
+    #[inline]
+    fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
         let (mut v, mut u) = (north_m - self.south_m, east_m - self.west_m);
         let (mut sign_v, mut sign_u) = (1.0, 1.0);
         if self.mirror {
             (v, sign_v) = fold(v, self.grid.extent_north_m());
             (u, sign_u) = fold(u, self.grid.extent_east_m());
         }
-        self.grid.sample(v, u).map(|h| Depth {
-            down_m: h.down_m,
-            slope_north: sign_v * h.slope_north,
-            slope_east: sign_u * h.slope_east,
+        self.grid.sample_with_twist(v, u).map(|(h, twist)| {
+            let depth = Depth {
+                down_m: h.down_m,
+                slope_north: sign_v * h.slope_north,
+                slope_east: sign_u * h.slope_east,
+            };
+            (depth, sign_v * sign_u * twist)
         })
     }
 
@@ -316,7 +317,7 @@ impl GridSurface {
         let mut bounds = NOTHING;
         for row in rows {
             for col in cols.clone() {
-                bounds = united(bounds, self.blocks.bounds_m[row * self.blocks.cols + col]);
+                bounds = united(bounds, self.blocks.at(row, col).down_m);
             }
         }
         (bounds.0 <= bounds.1).then_some(bounds)
@@ -344,52 +345,5 @@ fn fold_interval(ends: (f64, f64), extent: f64) -> (f64, f64) {
         (true, false) => (a.min(b), extent),
         (false, true) => (0.0, a.max(b)),
         _ => (a.min(b), a.max(b)),
-    }
-}
-
-impl Blocks {
-    fn new(grid: &HeightField, block_m: f64) -> Self {
-        let intervals = |cell_m: f64| ((block_m / cell_m).ceil() as usize).max(1);
-        let (intervals_north, intervals_east) =
-            (intervals(grid.cell_north_m), intervals(grid.cell_east_m));
-        let rows = (grid.rows - 1).div_ceil(intervals_north);
-        let cols = (grid.cols - 1).div_ceil(intervals_east);
-        let mut bounds_m = Vec::with_capacity(rows * cols);
-        for row in 0..rows {
-            for col in 0..cols {
-                let mut bounds = NOTHING;
-                // The centres on a block's edge belong to both neighbours: a bilinear surface has its extremes at centres.
-                for r in row * intervals_north..=((row + 1) * intervals_north).min(grid.rows - 1) {
-                    for c in col * intervals_east..=((col + 1) * intervals_east).min(grid.cols - 1)
-                    {
-                        let h = grid.cell_down_m(r, c);
-                        if !h.is_nan() {
-                            bounds = united(bounds, (h, h));
-                        }
-                    }
-                }
-                bounds_m.push(bounds);
-            }
-        }
-        Self {
-            intervals_north,
-            intervals_east,
-            rows,
-            cols,
-            bounds_m,
-        }
-    }
-
-    /// The blocks along one side that an interval (metres from the first centre) touches.
-    fn reach(
-        &self,
-        ends_m: (f64, f64),
-        (intervals, cell_m): (usize, f64),
-        count: usize,
-    ) -> std::ops::RangeInclusive<usize> {
-        let side_m = intervals as f64 * cell_m;
-        // Negative numbers become 0 in the cast.
-        let block = |m: f64| ((m / side_m) as usize).min(count - 1);
-        block(ends_m.0)..=block(ends_m.1)
     }
 }

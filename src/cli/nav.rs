@@ -1,0 +1,440 @@
+//! `echotank nav`: what a recorded log holds, what would be used of it, and why something is not.
+
+mod plot;
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use serde_json::{Value, json};
+
+use super::Failure;
+use crate::config::spec::{
+    ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, TimePolicy,
+};
+use crate::nav::decoder::Outcome;
+use crate::nav::log::LogKind;
+use crate::nav::report::{CHANNELS, LogReport, SentenceReport, Spread, report};
+use crate::time::UtcNs;
+
+/// As sources are called in the output.
+const CHANNEL_NAMES: [&str; 5] = ["position", "course-speed", "heading", "roll-pitch", "heave"];
+/// Gaps and jumps written out per quantity.
+const SHOWN: usize = 5;
+/// Largest file read, bytes; as for sources.
+const MAX_BYTES: u64 = 256 << 20;
+
+#[derive(Args, Clone, Debug)]
+pub struct NavArgs {
+    /// A recorded log: text, pcap or pcapng, MAVLink tlog, or records of one maker
+    pub log: PathBuf,
+    /// Draw track and attitude
+    #[arg(long, value_name = "FILE")]
+    pub png: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// What the bytes are, where the file does not tell
+    #[arg(long, value_enum, default_value = "nmea")]
+    pub format: Format,
+    #[arg(long, value_enum, default_value = "require")]
+    pub checksum: Checksum,
+    /// Sentences whose checksum is not looked at, e.g. PTNTHPR or HDT
+    #[arg(long, value_name = "NAME")]
+    pub ignore_checksum_for: Vec<String>,
+    /// When a measurement holds
+    #[arg(long, value_enum, default_value = "burst")]
+    pub time: Time,
+    /// With --time arrival
+    #[arg(long, default_value_t = 0.0)]
+    pub latency_ms: f64,
+    /// PASHR carries heave + up
+    #[arg(long)]
+    pub pashr_heave_up: bool,
+    /// Quantities sent with the opposite sign of their format's documentation
+    #[arg(long, value_enum)]
+    pub reverse: Vec<Reverse>,
+    /// East positive; makes magnetic headings true where the sentence does not say it
+    #[arg(long, allow_hyphen_values = true)]
+    pub magnetic_variation_deg: Option<f64>,
+    /// Sentences per second where neither lines nor messages carry a time
+    #[arg(long, default_value_t = 10.0)]
+    pub plain_rate_hz: f64,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+pub enum Format {
+    Nmea,
+    Tss1,
+    Em3000,
+    Seapath26,
+    Kmb,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+pub enum Checksum {
+    Require,
+    AcceptMissing,
+    Ignore,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+pub enum Time {
+    Message,
+    Burst,
+    Arrival,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reverse {
+    Roll,
+    Pitch,
+    Heave,
+}
+
+pub fn main(args: &NavArgs) -> Result<(), Failure> {
+    let rate_ok = args.plain_rate_hz.is_finite() && args.plain_rate_hz > 0.0;
+    if !rate_ok || !args.latency_ms.is_finite() {
+        let text = "--plain-rate-hz and --latency-ms must be finite, the rate above zero";
+        return Err(Failure::Configuration(text.to_owned()));
+    }
+    let failed = |e: std::io::Error| Failure::running(format!("{}: {e}", args.log.display()));
+    let size = std::fs::metadata(&args.log).map_err(failed)?.len();
+    if size > MAX_BYTES {
+        let text = format!(
+            "{}: {size} bytes; at most {MAX_BYTES} are read",
+            args.log.display()
+        );
+        return Err(Failure::running(text));
+    }
+    let bytes = std::fs::read(&args.log).map_err(failed)?;
+    let report = report(&bytes, &spec(args), args.plain_rate_hz);
+    if args.json {
+        println!("{:#}", json_of(args, &report));
+    } else {
+        print!("{}", text_of(args, &report));
+    }
+    if let Some(path) = &args.png {
+        plot::write(path, &report)
+            .map_err(|e| Failure::running(format!("{}: {e}", path.display())))?;
+    }
+    Ok(())
+}
+
+fn spec(args: &NavArgs) -> NavSourceSpec {
+    NavSourceSpec {
+        name: "log".to_owned(),
+        input: NavInputSpec::Log {
+            path: args.log.clone(),
+            plain_rate_hz: args.plain_rate_hz,
+        },
+        time: match args.time {
+            Time::Message => TimePolicy::Message,
+            Time::Burst => TimePolicy::Burst,
+            Time::Arrival => TimePolicy::Arrival {
+                latency_s: args.latency_ms / 1000.0,
+            },
+        },
+        checksum: match args.checksum {
+            Checksum::Require => ChecksumPolicy::Require,
+            Checksum::AcceptMissing => ChecksumPolicy::AcceptMissing,
+            Checksum::Ignore => ChecksumPolicy::Ignore,
+        },
+        lever_arm_m: DVec3::ZERO,
+        dialect: NavDialect {
+            format: match args.format {
+                Format::Nmea => NavFormat::Nmea,
+                Format::Tss1 => NavFormat::Tss1,
+                Format::Em3000 => NavFormat::Em3000,
+                Format::Seapath26 => NavFormat::Seapath26,
+                Format::Kmb => NavFormat::Kmb,
+            },
+            ignore_checksum_for: args.ignore_checksum_for.clone(),
+            pashr_heave_up: args.pashr_heave_up,
+            reversed: Reversed {
+                roll: args.reverse.contains(&Reverse::Roll),
+                pitch: args.reverse.contains(&Reverse::Pitch),
+                heave: args.reverse.contains(&Reverse::Heave),
+            },
+            magnetic_variation_rad: args.magnetic_variation_deg.map(f64::to_radians),
+        },
+        provides: CHANNELS.to_vec(),
+    }
+}
+
+/// ISO 8601 to the millisecond.
+fn iso(utc: UtcNs) -> String {
+    let time = chrono::DateTime::from_timestamp_nanos(utc.0);
+    time.format("%Y-%m-%dT%H:%M:%S%.3fZ").to_string()
+}
+
+fn outcome_name(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Used => "used",
+        Outcome::RefusedChecksum => "refused_checksum",
+        Outcome::Malformed => "malformed",
+        Outcome::Unsupported => "unsupported",
+        Outcome::EmptyFields => "empty_fields",
+        Outcome::NotTaken => "not_taken",
+        Outcome::TimeJump => "time_jump",
+    }
+}
+
+/// What a sentence gave, and why the rest of it gave nothing.
+fn fate(s: &SentenceReport, report: &LogReport) -> String {
+    let count = |outcome| s.outcomes.get(&outcome).copied().unwrap_or(0);
+    let mut parts = Vec::new();
+    for (i, name) in CHANNEL_NAMES.iter().enumerate() {
+        if s.gave[i] > 0 {
+            parts.push(format!("{name} {}", s.gave[i]));
+        }
+    }
+    if parts.is_empty() && count(Outcome::Used) > 0 {
+        parts.push(format!("time or quality {}", count(Outcome::Used)));
+    }
+    for (i, name) in CHANNEL_NAMES.iter().enumerate() {
+        if s.outspoken[i] > 0 {
+            let others = report
+                .sentences
+                .iter()
+                .filter(|o| o.name != s.name && o.gave[i] > 0);
+            let from = others
+                .max_by_key(|o| o.gave[i])
+                .map_or("another", |o| o.name.as_str());
+            parts.push(format!(
+                "{} not taken: {name} comes from {from}",
+                s.outspoken[i]
+            ));
+        }
+    }
+    if s.magnetic > 0 {
+        parts.push(format!(
+            "{} magnetic and of unknown variation (magnetic_variation_deg)",
+            s.magnetic
+        ));
+    }
+    if s.depths > 0 {
+        parts.push(format!(
+            "{} depths of water, not part of the motion",
+            s.depths
+        ));
+    }
+    let spoken = s.outspoken.iter().any(|n| *n > 0) || s.magnetic > 0 || s.depths > 0;
+    if count(Outcome::NotTaken) > 0 && !spoken {
+        parts.push(format!(
+            "{} known, of no use here",
+            count(Outcome::NotTaken)
+        ));
+    }
+    let reasons = [
+        (
+            Outcome::RefusedChecksum,
+            "refused for their checksum (checksum, ignore_checksum_for)",
+        ),
+        (Outcome::Malformed, "whose fields make no sense"),
+        (Outcome::Unsupported, "not decoded here"),
+        (Outcome::EmptyFields, "without a fix or with empty fields"),
+        (Outcome::TimeJump, "whose time jumped"),
+    ];
+    for (outcome, why) in reasons {
+        if count(outcome) > 0 {
+            parts.push(format!("{} {why}", count(outcome)));
+        }
+    }
+    parts.join("; ")
+}
+
+fn text_of(args: &NavArgs, r: &LogReport) -> String {
+    use std::fmt::Write;
+    let mut out = String::new();
+    let (c, log) = (&r.counters, &r.log);
+    // Writing to a string does not fail.
+    let _ = writeln!(out, "{:9} {}", "file", args.log.display());
+    let kind = match log.kind {
+        LogKind::Text => "lines of text",
+        LogKind::Binary => "records",
+        LogKind::Capture => "packet capture, UDP datagrams",
+        LogKind::Tlog => "MAVLink telemetry log, messages",
+    };
+    let _ = writeln!(
+        out,
+        "{:9} {kind}: {}, {} with a stamp, {} stamped before their predecessor, {} packets passed over",
+        "log", log.lines, log.stamped, log.backward, log.passed_over
+    );
+    if let Some((first, last)) = r.span {
+        let seconds = last.seconds_since(first);
+        let _ = writeln!(
+            out,
+            "{:9} {} .. {} ({seconds:.3} s)",
+            "arrivals",
+            iso(first),
+            iso(last)
+        );
+    }
+    let _ = writeln!(
+        out,
+        "{:9} {} midnights, {} week rollovers mended, {} time jumps, {} without a time of their own or of their burst",
+        "time", r.midnights, c.week_rollovers, c.time_jumps, c.undated
+    );
+    let _ = writeln!(
+        out,
+        "{:9} {}, of which {} belong to no sentence",
+        "bytes", c.bytes, c.resync_bytes
+    );
+    let _ = writeln!(
+        out,
+        "{:9} {}: {} used, {} not taken, {} unsupported, {} malformed, {} empty, {} refused for their checksum ({} wrong, {} missing in all)",
+        "sentences",
+        c.sentences,
+        c.used,
+        c.not_taken,
+        c.unsupported,
+        c.malformed,
+        c.empty_fields,
+        c.refused_checksum,
+        c.bad_checksum,
+        c.missing_checksum
+    );
+    let _ = writeln!(
+        out,
+        "\n{:20} {:>7} {:>9} {:>9} {:>26}  what comes of it",
+        "sentence", "count", "every s", "gap s", "latency ms least/med/most"
+    );
+    for s in &r.sentences {
+        let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
+        // Without stamps the arrivals are made of the messages.
+        let stamped = s.latency_s.filter(|_| log.stamped > 0);
+        let latency = stamped.map_or("-".to_owned(), |l| {
+            let ms = |v: f64| format!("{:.0}", v * 1e3);
+            format!("{}/{}/{}", ms(l.least), ms(l.median), ms(l.most))
+        });
+        let _ = writeln!(
+            out,
+            "{:20} {:>7} {:>9} {:>9} {latency:>26}  {}",
+            s.name,
+            s.count,
+            seconds(s.interval_s.map(|i| i.median)),
+            seconds(s.interval_s.map(|i| i.most)),
+            fate(s, r)
+        );
+    }
+    let _ = writeln!(out);
+    for (name, channel) in CHANNEL_NAMES.iter().zip(&r.channels) {
+        if channel.samples == 0 {
+            let _ = writeln!(out, "{name:13} nothing");
+            continue;
+        }
+        let every = channel
+            .interval_s
+            .map_or(String::new(), |i| format!(", every {:.3} s", i.median));
+        let _ = write!(
+            out,
+            "{name:13} {} samples{every}, {} gaps, {} jumps, {} not after the one before",
+            channel.samples,
+            channel.gaps.len(),
+            channel.jumps.len(),
+            channel.backward
+        );
+        for (start, seconds) in channel.gaps.iter().take(SHOWN) {
+            let _ = write!(
+                out,
+                "\n{:13}   gap of {seconds:.3} s from {}",
+                "",
+                iso(*start)
+            );
+        }
+        for at in channel.jumps.iter().take(SHOWN) {
+            let _ = write!(out, "\n{:13}   jump at {}", "", iso(*at));
+        }
+        let _ = writeln!(out);
+    }
+    out
+}
+
+fn spread_json(spread: Option<Spread>) -> Value {
+    spread.map_or(
+        Value::Null,
+        |s| json!({ "least": s.least, "median": s.median, "most": s.most }),
+    )
+}
+
+fn json_of(args: &NavArgs, r: &LogReport) -> Value {
+    let c = &r.counters;
+    let by_channel = |counts: &[u64; 5]| {
+        let pairs = CHANNEL_NAMES.iter().zip(counts).filter(|(_, n)| **n > 0);
+        Value::Object(
+            pairs
+                .map(|(name, n)| ((*name).to_owned(), json!(n)))
+                .collect(),
+        )
+    };
+    let sentences: Vec<Value> = r
+        .sentences
+        .iter()
+        .map(|s| {
+            let outcomes = s
+                .outcomes
+                .iter()
+                .map(|(o, n)| (outcome_name(*o).to_owned(), json!(n)));
+            json!({
+                "name": s.name,
+                "count": s.count,
+                "bad_checksum": s.bad_checksum,
+                "missing_checksum": s.missing_checksum,
+                "outcomes": Value::Object(outcomes.collect()),
+                "interval_s": spread_json(s.interval_s),
+                "latency_s": spread_json(s.latency_s.filter(|_| r.log.stamped > 0)),
+                "gave": by_channel(&s.gave),
+                "left_to_another": by_channel(&s.outspoken),
+                "what_comes_of_it": fate(s, r),
+            })
+        })
+        .collect();
+    let channels = CHANNEL_NAMES.iter().zip(&r.channels).map(|(name, ch)| {
+        let gaps: Vec<Value> = ch
+            .gaps
+            .iter()
+            .map(|(at, s)| json!({ "from": iso(*at), "seconds": s }))
+            .collect();
+        let jumps: Vec<String> = ch.jumps.iter().map(|at| iso(*at)).collect();
+        let value = json!({
+            "samples": ch.samples,
+            "interval_s": spread_json(ch.interval_s),
+            "gaps": gaps,
+            "jumps": jumps,
+            "not_after_the_one_before": ch.backward,
+        });
+        ((*name).to_owned(), value)
+    });
+    json!({
+        "file": args.log.display().to_string(),
+        "kind": format!("{:?}", r.log.kind).to_lowercase(),
+        "lines": r.log.lines,
+        "stamped": r.log.stamped,
+        "stamped_backward": r.log.backward,
+        "packets_passed_over": r.log.passed_over,
+        "first_arrival": r.span.map(|s| iso(s.0)),
+        "last_arrival": r.span.map(|s| iso(s.1)),
+        "midnights": r.midnights,
+        "counters": {
+            "bytes": c.bytes,
+            "resync_bytes": c.resync_bytes,
+            "sentences": c.sentences,
+            "used": c.used,
+            "not_taken": c.not_taken,
+            "flagged_invalid": c.flagged_invalid,
+            "unsupported": c.unsupported,
+            "malformed": c.malformed,
+            "empty_fields": c.empty_fields,
+            "refused_checksum": c.refused_checksum,
+            "bad_checksum": c.bad_checksum,
+            "missing_checksum": c.missing_checksum,
+            "time_jumps": c.time_jumps,
+            "week_rollovers": c.week_rollovers,
+            "undated": c.undated,
+            "samples": c.samples,
+        },
+        "sentences": sentences,
+        "quantities": Value::Object(channels.collect()),
+    })
+}

@@ -1,0 +1,85 @@
+//! TCP: as a client of somebody's server, or as a server whose newest client speaks.
+
+use std::io::Read;
+use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
+
+use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
+
+/// A server that does not answer is asked again.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
+
+pub(super) fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
+    let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+/// Reads from the server at `address`, for ever anew.
+pub(super) fn read_server(address: &str, outlet: &Outlet) {
+    while !outlet.stopped() {
+        match connect(address) {
+            Ok(stream) => {
+                outlet.stats.reopened.fetch_add(1, Relaxed);
+                read(stream, outlet, || false);
+            }
+            Err(_) => {
+                outlet.stats.read_errors.fetch_add(1, Relaxed);
+            }
+        }
+        outlet.pause(REOPEN_INTERVAL);
+    }
+}
+
+fn connect(address: &str) -> std::io::Result<TcpStream> {
+    let mut last = std::io::Error::other("no address");
+    for address in address.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+/// Reads from one client after the other.
+pub(super) fn read_clients(listener: &TcpListener, outlet: &Outlet) {
+    let mut waiting = None;
+    while !outlet.stopped() {
+        let Some(stream) = waiting.take().or_else(|| accept(listener)) else {
+            std::thread::sleep(READ_TIMEOUT);
+            continue;
+        };
+        outlet.stats.reopened.fetch_add(1, Relaxed);
+        read(stream, outlet, || {
+            waiting = accept(listener);
+            waiting.is_some()
+        });
+    }
+}
+
+fn accept(listener: &TcpListener) -> Option<TcpStream> {
+    let (stream, _) = listener.accept().ok()?;
+    stream.set_nonblocking(false).ok()?;
+    Some(stream)
+}
+
+/// Hands over what comes, until the other end closes, or `relieved`, asked between reads, says so.
+fn read(mut stream: TcpStream, outlet: &Outlet, mut relieved: impl FnMut() -> bool) {
+    if stream.set_read_timeout(Some(READ_TIMEOUT)).is_err() {
+        return;
+    }
+    let mut buffer = vec![0; 65_536];
+    while !outlet.stopped() && !relieved() {
+        match stream.read(&mut buffer) {
+            Ok(0) => return,
+            Ok(len) => outlet.send(&buffer[..len], 0),
+            Err(error) if is_timeout(&error) => {}
+            Err(_) => {
+                outlet.stats.read_errors.fetch_add(1, Relaxed);
+                return;
+            }
+        }
+    }
+}

@@ -1,0 +1,398 @@
+//! Records of fixed length to readings: EM1000/EM3000, Seapath binary 26, #KMB and TSS1. Comes in: bytes, cut anywhere, of a line that
+//! carries nothing else. Goes out: one reading per record, and how many bytes belonged to none.
+//!
+//! Only Seapath's record has a checksum. The others are found by what they look like, and EM3000, of which only two bytes look like
+//! anything, by several in a row. Sources: SBG Systems, sbgECom `doc/thirdPartyMessages.md`; signs as there.
+
+use super::framing::Checksum;
+use super::reading::Refusal::Malformed;
+use super::reading::{Decoded, Kind, Reading, When, sound};
+use crate::config::spec::NavFormat;
+use crate::flow::FixQuality;
+use crate::time::{NS_PER_S, UtcNs};
+
+const EM3000_BYTES: usize = 10;
+const SEAPATH_BYTES: usize = 52;
+const KMB_BYTES: usize = 132;
+const TSS1_BYTES: usize = 27;
+/// EM3000 records in a row that are believed; by chance one in 2^8 * 2^8 / 33 looks like one.
+const EM3000_ROW: usize = 3;
+
+/// What stands at the front of the buffer.
+enum Look {
+    /// More bytes are needed to say.
+    Short,
+    /// Nothing: this many bytes can go.
+    Noise(usize),
+    /// A record that its own checksum calls wrong.
+    Spoiled,
+    /// A record of so many bytes.
+    Record(usize),
+}
+
+/// One record as it came.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Record {
+    pub reading: Decoded,
+    pub checksum: Checksum,
+    /// Of its first byte.
+    pub arrival: UtcNs,
+}
+
+/// Finds the records of one format in a stream.
+#[derive(Debug)]
+pub struct Records {
+    look: fn(&[u8], bool) -> Look,
+    decode: fn(&[u8]) -> Decoded,
+    checksum: Checksum,
+    buffer: Vec<u8>,
+    arrivals: Vec<UtcNs>,
+    /// The last record ended where the buffer starts.
+    locked: bool,
+    resync_bytes: u64,
+}
+
+impl Records {
+    /// `None`: the format is text.
+    pub fn new(format: NavFormat) -> Option<Self> {
+        type Parts = (fn(&[u8], bool) -> Look, fn(&[u8]) -> Decoded, Checksum);
+        let (look, decode, checksum): Parts = match format {
+            NavFormat::Nmea => return None,
+            NavFormat::Tss1 => (look_tss1, tss1, Checksum::Missing),
+            NavFormat::Em3000 => (look_em3000, em3000, Checksum::Missing),
+            NavFormat::Seapath26 => (look_seapath, seapath_26, Checksum::Right),
+            NavFormat::Kmb => (look_kmb, kmb, Checksum::Missing),
+        };
+        Some(Self {
+            look,
+            decode,
+            checksum,
+            buffer: Vec::with_capacity(2 * KMB_BYTES),
+            arrivals: Vec::with_capacity(2 * KMB_BYTES),
+            locked: false,
+            resync_bytes: 0,
+        })
+    }
+
+    pub fn resync_bytes(&self) -> u64 {
+        self.resync_bytes
+    }
+
+    /// Takes bytes off the front of `bytes`, the first of which arrived at `arrival` and each later one `byte_ns` after it, until a record is
+    /// complete or none are left.
+    pub fn next(&mut self, bytes: &mut &[u8], arrival: UtcNs, byte_ns: i64) -> Option<Record> {
+        let mut at = arrival;
+        loop {
+            match (self.look)(&self.buffer, self.locked) {
+                Look::Short => {
+                    let (&byte, rest) = bytes.split_first()?;
+                    *bytes = rest;
+                    self.buffer.push(byte);
+                    self.arrivals.push(at);
+                    at = at.plus_ns(byte_ns);
+                }
+                Look::Noise(n) => self.skip(n),
+                Look::Spoiled => {
+                    let arrival = self.arrivals[0];
+                    // Its first byte only: a good record may begin inside.
+                    self.skip(1);
+                    return Some(Record {
+                        reading: Err(Malformed),
+                        checksum: Checksum::Wrong,
+                        arrival,
+                    });
+                }
+                Look::Record(n) => {
+                    let record = Record {
+                        reading: (self.decode)(&self.buffer[..n]),
+                        checksum: self.checksum,
+                        arrival: self.arrivals[0],
+                    };
+                    self.drop_front(n);
+                    self.locked = true;
+                    return Some(record);
+                }
+            }
+        }
+    }
+
+    /// Nothing follows: what is left is no record.
+    pub fn flush(&mut self) {
+        self.skip(self.buffer.len());
+    }
+
+    fn skip(&mut self, n: usize) {
+        self.resync_bytes += n as u64;
+        self.locked = false;
+        self.drop_front(n);
+    }
+
+    fn drop_front(&mut self, n: usize) {
+        self.buffer.drain(..n);
+        self.arrivals.drain(..n);
+    }
+}
+
+fn u16_le(b: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes([b[at], b[at + 1]])
+}
+fn i16_le(b: &[u8], at: usize) -> f64 {
+    f64::from(i16::from_le_bytes([b[at], b[at + 1]]))
+}
+fn i16_be(b: &[u8], at: usize) -> f64 {
+    f64::from(i16::from_be_bytes([b[at], b[at + 1]]))
+}
+fn i32_be(b: &[u8], at: usize) -> f64 {
+    f64::from(i32::from_be_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]]))
+}
+fn u32_le(b: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
+}
+fn f32_le(b: &[u8], at: usize) -> Result<f64, super::reading::Refusal> {
+    let value = f64::from(f32::from_bits(u32_le(b, at)));
+    sound(value.is_finite()).map(|()| value)
+}
+fn f64_le(b: &[u8], at: usize) -> Result<f64, super::reading::Refusal> {
+    let low = u64::from(u32_le(b, at));
+    let value = f64::from_bits(low | u64::from(u32_le(b, at + 4)) << 32);
+    sound(value.is_finite()).map(|()| value)
+}
+
+// ---------------------------------------------------------------- EM1000, EM3000
+
+fn is_em3000(b: &[u8]) -> bool {
+    b[1] == 0x90 && matches!(b[0], 0x00 | 0x90..=0xAF)
+}
+
+fn look_em3000(b: &[u8], locked: bool) -> Look {
+    let row = if locked { 1 } else { EM3000_ROW };
+    for record in b.chunks(EM3000_BYTES).take(row) {
+        if record.len() >= 2 && !is_em3000(record) {
+            return Look::Noise(1);
+        }
+    }
+    if b.len() < row * EM3000_BYTES {
+        return Look::Short;
+    }
+    Look::Record(EM3000_BYTES)
+}
+
+/// Status, 0x90, roll, pitch (0.01 degrees, port up and bow up), heave (cm, + up), heading (0.01 degrees), little-endian. A value outside
+/// its range is one that the instrument does not have.
+fn em3000(b: &[u8]) -> Decoded {
+    let mut r = Reading::new(Kind::Em3000);
+    // 0x00 (EM1000) and 0x90 full, 0x91 reduced accuracy; the rest is aligning or in error.
+    if !matches!(b[0], 0x00 | 0x90 | 0x91) {
+        return Ok(r);
+    }
+    let within = |value: f64, limit: f64| Some(value).filter(|v| v.abs() <= limit);
+    let roll = within(i16_le(b, 2), 17_999.0).map(|v| v / 100.0);
+    let pitch = within(i16_le(b, 4), 8_999.0).map(|v| v / 100.0);
+    let heave = within(i16_le(b, 6), 9_999.0).map(|v| -v / 100.0);
+    let heading = within(f64::from(u16_le(b, 8)), 35_999.0).map(|v| v / 100.0);
+    r.set_heading(heading)?;
+    r.set_roll_pitch(roll, pitch)?;
+    r.set_heave_down(heave)?;
+    Ok(r)
+}
+
+// ---------------------------------------------------------------- Seapath binary 26
+
+/// CRC-16, polynomial 0x8408 (reflected), start 0xFFFF, nothing added at the end.
+pub fn seapath_crc(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0xFFFF, |crc, byte| {
+        (0..8).fold(crc ^ u16::from(*byte), |crc, _| {
+            (crc >> 1) ^ if crc & 1 == 1 { 0x8408 } else { 0 }
+        })
+    })
+}
+
+fn look_seapath(b: &[u8], _: bool) -> Look {
+    match b {
+        [] | [0xAA] => Look::Short,
+        [0xAA, 0x55, ..] if b.len() < SEAPATH_BYTES => Look::Short,
+        [0xAA, 0x55, ..] => {
+            let crc = seapath_crc(&b[2..SEAPATH_BYTES - 2]);
+            // The manual does not say the order of these two bytes; Kongsberg's are all big-endian.
+            if b[SEAPATH_BYTES - 2..SEAPATH_BYTES] == crc.to_be_bytes() {
+                Look::Record(SEAPATH_BYTES)
+            } else {
+                Look::Spoiled
+            }
+        }
+        _ => Look::Noise(1),
+    }
+}
+
+fn seapath_26(b: &[u8]) -> Decoded {
+    let mut r = Reading::new(Kind::Seapath26);
+    let status = i16_be(b, 48) as i16;
+    let invalid = |bit: u32| status & (1 << bit) != 0;
+    let seconds = i64::from(i32_be(b, 2) as i32);
+    let fraction_ns = i64::from(u16::from_be_bytes([b[6], b[7]])) * 100_000;
+    r.when = Some(When::Instant(UtcNs(seconds * NS_PER_S + fraction_ns)));
+    let angle = |raw: f64| raw * 90.0 / 16_384.0;
+    if !invalid(1) {
+        let degrees = |at: usize| i32_be(b, at) * 90.0 / f64::from(1 << 30);
+        r.fix = FixQuality::Autonomous;
+        r.height_m = Some(i32_be(b, 16) / 100.0);
+        r.set_position(Some((degrees(8), degrees(12))))?;
+        r.set_velocity(i16_be(b, 22) / 100.0, i16_be(b, 24) / 100.0)?;
+    }
+    if !invalid(3) {
+        r.set_heave_down(Some(i16_be(b, 20) / 100.0))?;
+    }
+    if !invalid(5) {
+        r.set_roll_pitch(Some(angle(i16_be(b, 28))), Some(angle(i16_be(b, 30))))?;
+    }
+    if !invalid(7) {
+        let raw = u16::from_be_bytes([b[32], b[33]]);
+        r.set_heading(Some(angle(f64::from(raw))))?;
+    }
+    Ok(r)
+}
+
+// ---------------------------------------------------------------- #KMB
+
+fn look_kmb(b: &[u8], _: bool) -> Look {
+    const HEAD: [u8; 8] = [b'#', b'K', b'M', b'B', 132, 0, 1, 0];
+    let known = b.len().min(HEAD.len());
+    if b[..known] != HEAD[..known] {
+        return Look::Noise(1);
+    }
+    if b.len() < KMB_BYTES {
+        return Look::Short;
+    }
+    Look::Record(KMB_BYTES)
+}
+
+fn kmb(b: &[u8]) -> Decoded {
+    let mut r = Reading::new(Kind::Kmb);
+    let nanos = u32_le(b, 12);
+    sound(i64::from(nanos) < NS_PER_S)?;
+    let utc_ns = i64::from(u32_le(b, 8)) * NS_PER_S + i64::from(nanos);
+    r.when = Some(When::Instant(UtcNs(utc_ns)));
+    let status = u32_le(b, 16);
+    let invalid = |bit: u32| status & (1 << bit) != 0;
+    if !invalid(0) {
+        r.fix = FixQuality::Autonomous;
+        r.height_m = Some(f32_le(b, 36)?);
+        r.set_position(Some((f64_le(b, 20)?, f64_le(b, 28)?)))?;
+        r.set_velocity(f32_le(b, 68)?, f32_le(b, 72)?)?;
+    }
+    if !invalid(1) {
+        r.set_roll_pitch(Some(f32_le(b, 40)?), Some(f32_le(b, 44)?))?;
+    }
+    if !invalid(2) {
+        r.set_heading(Some(f32_le(b, 48)?))?;
+    }
+    if !invalid(3) {
+        r.set_heave_down(Some(f32_le(b, 52)?))?;
+    }
+    Ok(r)
+}
+
+// ---------------------------------------------------------------- TSS1
+
+/// `:XXAAAA SHHHHQSRRRR SPPPP<CR><LF>`: x hexadecimal, d decimal, s sign (space or minus), q quality.
+const TSS1_FORM: &[u8; TSS1_BYTES] = b":xxxxxx sddddqsdddd sdddd\r\n";
+
+fn look_tss1(b: &[u8], _: bool) -> Look {
+    let fits = |(&byte, &form): (&u8, &u8)| match form {
+        b'x' => byte.is_ascii_hexdigit(),
+        b'd' => byte.is_ascii_digit(),
+        b's' => matches!(byte, b' ' | b'-' | b'+'),
+        b'q' => b"UuGgHhFf".contains(&byte),
+        fixed => byte == fixed,
+    };
+    if !b.iter().zip(TSS1_FORM).all(fits) {
+        return Look::Noise(1);
+    }
+    if b.len() < TSS1_BYTES {
+        return Look::Short;
+    }
+    Look::Record(TSS1_BYTES)
+}
+
+/// Heave in cm, + up; roll (port up) and pitch (bow up) in 0.01 degrees. Heave is of use once the filter has settled (capital letter).
+fn tss1(b: &[u8]) -> Decoded {
+    let mut r = Reading::new(Kind::Tss1);
+    let value = |at: usize| {
+        let digits = b[at + 1..at + 5]
+            .iter()
+            .fold(0.0, |v, d| v * 10.0 + f64::from(d - b'0'));
+        (if b[at] == b'-' { -digits } else { digits }) / 100.0
+    };
+    r.set_roll_pitch(Some(value(14)), Some(value(20)))?;
+    let settled = b[13].is_ascii_uppercase();
+    r.set_heave_down(settled.then(|| -value(8)))?;
+    Ok(r)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all(format: NavFormat, bytes: &[u8], cut: usize) -> (Vec<Record>, u64) {
+        let mut records = Records::new(format).expect("binary");
+        let mut found = Vec::new();
+        for mut piece in bytes.chunks(cut) {
+            while let Some(r) = records.next(&mut piece, UtcNs(0), 0) {
+                found.push(r);
+            }
+        }
+        records.flush();
+        (found, records.resync_bytes())
+    }
+
+    #[test]
+    fn the_manual_s_tss1_string_reads_as_the_manual_says() {
+        let bytes = b"noise:1A4770 -0016H 0429 -0680\r\n:1A4770 -0016h 0429 -0680\r\n:12";
+        for cut in [1, 5, 100] {
+            let (found, resync) = all(NavFormat::Tss1, bytes, cut);
+            assert_eq!((found.len(), resync), (2, 8));
+            let r = found[0].reading.expect("decodes");
+            assert_eq!(r.heave_down_m, Some(0.16), "heave -16 cm up is 16 cm down");
+            let (roll, pitch) = r.roll_pitch_rad.expect("attitude");
+            assert!((roll.to_degrees() - 4.29).abs() < 1e-12);
+            assert!((pitch.to_degrees() + 6.80).abs() < 1e-12);
+            let unsettled = found[1].reading.expect("decodes");
+            assert_eq!(unsettled.heave_down_m, None);
+        }
+    }
+
+    #[test]
+    fn em3000_is_found_by_three_in_a_row_and_then_one_at_a_time() {
+        let record = |status: u8, roll: i16| {
+            let mut b = vec![status, 0x90];
+            for v in [roll, -680, -16, 9000] {
+                b.extend(v.to_le_bytes());
+            }
+            b
+        };
+        let mut bytes = vec![0x90, 0x90, 1];
+        for roll in [429, 430, 431, 432] {
+            bytes.extend(record(0x90, roll));
+        }
+        bytes.extend(record(0x9A, 433));
+        bytes.extend([7, 7]);
+        for cut in [1, 3, 100] {
+            let (found, resync) = all(NavFormat::Em3000, &bytes, cut);
+            assert_eq!((found.len(), resync), (5, 5), "cut {cut}");
+            let r = found[0].reading.expect("decodes");
+            let (roll, pitch) = r.roll_pitch_rad.expect("attitude");
+            assert!((roll.to_degrees() - 4.29).abs() < 1e-12);
+            assert!((pitch.to_degrees() + 6.80).abs() < 1e-12);
+            assert_eq!(r.heave_down_m, Some(0.16));
+            assert!((r.heading_rad.expect("heading").to_degrees() - 90.0).abs() < 1e-12);
+            let aligning = found[4].reading.expect("known");
+            assert!(aligning.is_empty(), "0x9A: invalid");
+        }
+    }
+
+    #[test]
+    fn crc_of_the_usual_check_string() {
+        // CRC-16/MCRF4XX: reflected 0x1021, start 0xFFFF, no final exclusive or.
+        assert_eq!(seapath_crc(b"123456789"), 0x6F91);
+    }
+}

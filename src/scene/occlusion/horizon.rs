@@ -1,0 +1,442 @@
+//! What one eye sees over the seabed: where all ground faces it, and shadows along rays where it does not.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::Piece;
+use crate::config::spec::OcclusionSpec;
+use crate::scene::seabed::Surface;
+
+/// At the longest range, where the rays are widest.
+const RAYS_TO_A_SPACING: usize = 2;
+/// Rays that are run together, because something may be looked at along any of them.
+const SECTOR: usize = 16;
+/// Spacings in the longest range: at least, and at most, when a full circle of rays takes 4 MiB.
+const SPACINGS: (f64, f64) = (64.0, 1024.0);
+/// Shadows that a ray keeps; beyond, a ray is cast for every scatterer.
+const SHADOWS: usize = 32;
+/// Shorter shadows are rounding, metres.
+const SLIVER_M: f64 = 1e-3;
+/// Of a tangent; a tenth of a micrometre at 100 m.
+const ROUNDING: f64 = 1e-9;
+/// Below the horizon of nothing at all.
+const OPEN: f64 = -1e9;
+/// Nearer than this there is nothing that could hide anything, metres.
+const FIRST_M: f64 = 1e-3;
+/// Turns between light and shadow in a piece of ground: it goes in and out of one at most, and may be hidden where it begins.
+const TURNS: usize = 4;
+
+const UNUSED: u32 = u32::MAX;
+
+/// Where the horizontal direction (north, east) lies on the way round: 0 to 4, growing with the azimuth, without a trigonometric function.
+#[inline(always)]
+fn turn(d: DVec2) -> f64 {
+    let sum = d.x.abs() + d.y.abs();
+    let share = d.y / sum.max(f64::MIN_POSITIVE);
+    match (d.x >= 0.0, d.y >= 0.0) {
+        (true, true) => share,
+        (false, _) => 2.0 - share,
+        (true, false) => 4.0 + share,
+    }
+}
+
+/// The direction that lies there.
+fn direction(turn: f64) -> DVec2 {
+    let quarter = turn.rem_euclid(4.0);
+    let d = match quarter {
+        q if q < 1.0 => DVec2::new(1.0 - q, q),
+        q if q < 2.0 => DVec2::new(1.0 - q, 2.0 - q),
+        q if q < 3.0 => DVec2::new(q - 3.0, 2.0 - q),
+        q => DVec2::new(q - 3.0, q - 4.0),
+    };
+    d.normalize()
+}
+
+/// A sixteenth or so of a degree to some degrees of the way round.
+#[derive(Clone, Copy, Debug)]
+struct Sector {
+    /// How far it will be looked at, metres; 0 where it will not.
+    reach_m: f64,
+    /// Nearer than this all ground faces the eye, so that nothing of it is hidden.
+    clear_m: f64,
+    /// Its rays among those that were run, in sectors.
+    place: u32,
+}
+
+const UNASKED: Sector = Sector {
+    reach_m: 0.0,
+    clear_m: f64::INFINITY,
+    place: UNUSED,
+};
+
+/// The ground's shadows along a ray, outward.
+#[derive(Clone, Copy, Debug)]
+struct Shadows {
+    count: u32,
+    /// Beyond this there are more than were kept.
+    known_m: f32,
+    /// Where each begins and ends.
+    edges_m: [[f32; 2]; SHADOWS],
+}
+
+const NO_SHADOWS: Shadows = Shadows {
+    count: 0,
+    known_m: f32::INFINITY,
+    edges_m: [[0.0; 2]; SHADOWS],
+};
+
+/// What is known of the ground at a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Seen,
+    Hidden,
+    Unsure,
+}
+
+/// Coordinates are the scene's own.
+#[derive(Debug, Default)]
+pub struct Horizon {
+    eye_m: DVec3,
+    /// Rays in the full circle, a multiple of 4.
+    rays: usize,
+    sectors: Vec<Sector>,
+    /// Around everything that will be looked at and the eye.
+    low_m: DVec2,
+    high_m: DVec2,
+    /// Sectors whose rays were run.
+    used: Vec<u32>,
+    shadows: Vec<Shadows>,
+}
+
+impl Horizon {
+    pub fn start(&mut self, eye_m: DVec3, longest_m: f64, spacing_m: f64) {
+        self.eye_m = eye_m;
+        let fine = (longest_m / spacing_m).clamp(SPACINGS.0, SPACINGS.1);
+        // A unit of `turn` holds up to 2 radians.
+        self.rays = (RAYS_TO_A_SPACING * 8 * fine.ceil() as usize).next_multiple_of(SECTOR);
+        self.sectors.clear();
+        self.sectors.resize(self.rays / SECTOR, UNASKED);
+        (self.low_m, self.high_m) = (eye_m.truncate(), eye_m.truncate());
+        self.used.clear();
+        self.used.reserve(self.sectors.len());
+        self.shadows.clear();
+        // For all, though hardly any ping needs them: what is not written takes no memory.
+        self.shadows.reserve(self.rays);
+    }
+
+    /// Something in this box will be looked at.
+    pub fn mark(&mut self, low_m: DVec2, high_m: DVec2) {
+        self.low_m = self.low_m.min(low_m);
+        self.high_m = self.high_m.max(high_m);
+        let farthest_m = self.farthest_m(low_m, high_m);
+        for sector in self.sectors_of(low_m, high_m) {
+            let reach_m = &mut self.sectors[sector].reach_m;
+            *reach_m = reach_m.max(farthest_m);
+        }
+    }
+
+    fn farthest_m(&self, low_m: DVec2, high_m: DVec2) -> f64 {
+        let eye_m = self.eye_m.truncate();
+        (low_m - eye_m).abs().max((high_m - eye_m).abs()).length()
+    }
+
+    /// The sectors of all rays between which a box lies.
+    fn sectors_of(&self, low_m: DVec2, high_m: DVec2) -> impl Iterator<Item = usize> + use<> {
+        let eye_m = self.eye_m.truncate();
+        let (low, high) = (low_m - eye_m, high_m - eye_m);
+        let sectors = self.sectors.len() as i64;
+        let around = low.max_element() <= 0.0 && high.min_element() >= 0.0;
+        let (first, last) = if around {
+            (0, sectors - 1)
+        } else {
+            let middle = turn((low + high) / 2.0);
+            let corners = [
+                low,
+                high,
+                DVec2::new(low.x, high.y),
+                DVec2::new(high.x, low.y),
+            ];
+            // Less than half the circle: the box lies on one side of the eye.
+            let from_middle = corners.map(|c| (turn(c) - middle + 6.0).rem_euclid(4.0) - 2.0);
+            let least = from_middle.into_iter().fold(0.0, f64::min);
+            let most = from_middle.into_iter().fold(0.0, f64::max);
+            let ray = |t: f64| ((middle + t) * (self.rays as f64 / 4.0)).floor() as i64;
+            let sector = |ray: i64| ray.div_euclid(SECTOR as i64);
+            (sector(ray(least)), sector(ray(most) + 1))
+        };
+        (first..=last).map(move |sector| sector.rem_euclid(sectors) as usize)
+    }
+
+    /// Finds how far each sector is clear. To be called after all has been marked.
+    pub fn clear(&mut self, surface: &Surface) {
+        let (eye_m, low_m, high_m) = (self.eye_m, self.low_m, self.high_m);
+        let at_m = eye_m.truncate();
+        surface.turned_away(eye_m, low_m, high_m, |low_m, high_m| {
+            let nearest_m = at_m.clamp(low_m, high_m).distance(at_m);
+            for sector in self.sectors_of(low_m, high_m) {
+                let clear_m = &mut self.sectors[sector].clear_m;
+                *clear_m = clear_m.min(nearest_m);
+            }
+        });
+    }
+
+    /// Runs the rays of the sectors that are not clear as far as they are looked at.
+    pub fn scan(&mut self, surface: &Surface, rule: OcclusionSpec) {
+        for (index, sector) in self.sectors.iter_mut().enumerate() {
+            if sector.clear_m < sector.reach_m {
+                sector.place = self.used.len() as u32;
+                self.used.push(index as u32);
+            }
+        }
+        self.shadows.resize(self.used.len() * SECTOR, NO_SHADOWS);
+        let (eye_m, rays) = (self.eye_m, self.rays);
+        let (used, sectors) = (&self.used, &self.sectors);
+        self.shadows
+            .par_iter_mut()
+            .with_min_len(SECTOR)
+            .enumerate()
+            .for_each(|(row, shadows)| {
+                let index = used[row / SECTOR] as usize;
+                let sector = &sectors[index];
+                let ray = index * SECTOR + row % SECTOR;
+                let along = direction(ray as f64 * 4.0 / rays as f64);
+                shadows.count = 0;
+                shadows.known_m = f32::INFINITY;
+                let mut scan = RayScan {
+                    shadows,
+                    eye_down_m: eye_m.z,
+                    highest: OPEN,
+                    hidden_from_m: None,
+                };
+                let from_m = match rule {
+                    // The first ground of all counts.
+                    OcclusionSpec::Paper => 0.0,
+                    _ => sector.clear_m,
+                };
+                let stretch_m = from_m..sector.reach_m;
+                surface.profile(eye_m.truncate(), along, stretch_m, |piece| match rule {
+                    OcclusionSpec::Paper => scan.falling(piece),
+                    _ => scan.below_horizon(piece),
+                });
+                scan.show_from(f64::INFINITY);
+            });
+    }
+
+    /// Whether all ground in a box that was marked is seen.
+    pub fn is_clear(&self, low_m: DVec2, high_m: DVec2) -> bool {
+        let farthest_m = self.farthest_m(low_m, high_m);
+        self.sectors_of(low_m, high_m)
+            .all(|sector| farthest_m <= self.sectors[sector].clear_m)
+    }
+
+    /// What the rays on both sides say of the ground at a place that was marked, and the nearer one of them alone.
+    #[inline(always)]
+    pub fn verdict(&self, at_m: DVec2) -> (Verdict, Verdict) {
+        let d = at_m - self.eye_m.truncate();
+        let distance_m = d.length();
+        let x = turn(d) * (self.rays as f64 / 4.0);
+        let ray = (x as usize).min(self.rays - 1);
+        let next = if ray + 1 == self.rays { 0 } else { ray + 1 };
+        let (a, b) = (self.along(ray, distance_m), self.along(next, distance_m));
+        let both = if a == b { a } else { Verdict::Unsure };
+        (both, if x - (ray as f64) < 0.5 { a } else { b })
+    }
+
+    #[inline(always)]
+    fn along(&self, ray: usize, distance_m: f64) -> Verdict {
+        let sector = &self.sectors[ray / SECTOR];
+        if sector.place == UNUSED || distance_m < sector.clear_m {
+            return Verdict::Seen;
+        }
+        self.shadows[sector.place as usize * SECTOR + ray % SECTOR].at(distance_m as f32)
+    }
+
+    /// A single ray: whether the ground hides a place from the eye.
+    pub fn cast_hides(&self, ground: &Surface, at_m: DVec3) -> bool {
+        let way_m = (at_m - self.eye_m).truncate();
+        let distance_m = way_m.length();
+        let ray = (turn(way_m) * (self.rays as f64 / 4.0)) as usize;
+        let clear_m = self.sectors[ray.min(self.rays - 1) / SECTOR].clear_m;
+        // The place of a scatterer is known to some micrometres.
+        let line = (self.eye_m.z - at_m.z + 1e-5) / distance_m;
+        let mut hidden = false;
+        let stretch_m = clear_m.min(distance_m)..distance_m;
+        let along = way_m / distance_m;
+        ground.profile(self.eye_m.truncate(), along, stretch_m, |piece| {
+            let from_m = piece.from_m.max(FIRST_M);
+            hidden |= piece.to_m > from_m && piece.highest(self.eye_m.z, from_m) > line;
+        });
+        hidden
+    }
+}
+
+impl Shadows {
+    #[inline(always)]
+    fn at(&self, distance_m: f32) -> Verdict {
+        let kept = &self.edges_m[..self.count as usize];
+        for &[from_m, to_m] in kept {
+            if distance_m < from_m {
+                return Verdict::Seen;
+            }
+            if distance_m < to_m {
+                return Verdict::Hidden;
+            }
+        }
+        match distance_m < self.known_m {
+            true => Verdict::Seen,
+            false => Verdict::Unsure,
+        }
+    }
+}
+
+/// Follows one ray outward.
+struct RayScan<'a> {
+    shadows: &'a mut Shadows,
+    eye_down_m: f64,
+    /// Horizon rule: the highest tangent so far. Paper's rule: that of the first ground.
+    highest: f64,
+    hidden_from_m: Option<f64>,
+}
+
+impl RayScan<'_> {
+    /// Hidden is what lies below the highest tangent before it; over a gap in the ground it stays.
+    fn below_horizon(&mut self, piece: Piece) {
+        let eye_down_m = self.eye_down_m;
+        let mut s = piece.from_m.max(FIRST_M);
+        if s >= piece.to_m {
+            return;
+        }
+        // Behind a gap the ground may lie higher or lower; elsewhere pieces meet but for rounding.
+        let here = piece.tangent(eye_down_m, s);
+        if here >= self.highest - ROUNDING {
+            self.show_from(s);
+        } else {
+            self.hidden_from_m.get_or_insert(s);
+        }
+        for _ in 0..TURNS {
+            if self.hidden_from_m.is_some() {
+                let Some(out_m) = piece.rises_through_m(eye_down_m, s, self.highest) else {
+                    return;
+                };
+                self.show_from(out_m);
+                s = out_m;
+            }
+            let falls_m = piece.falls_m(eye_down_m, s);
+            let lit_to_m = falls_m.unwrap_or(piece.to_m);
+            self.highest = self.highest.max(piece.tangent(eye_down_m, lit_to_m));
+            if falls_m.is_none() {
+                return;
+            }
+            self.hidden_from_m = falls_m;
+            s = lit_to_m;
+        }
+    }
+
+    /// Eq. 27: hidden is what lies lower in the view than what comes just before it, or than the first of all.
+    fn falling(&mut self, piece: Piece) {
+        let eye_down_m = self.eye_down_m;
+        let from_m = piece.from_m.max(FIRST_M);
+        if from_m >= piece.to_m {
+            return;
+        }
+        if self.highest == OPEN {
+            self.highest = piece.tangent(eye_down_m, from_m);
+        }
+        let turns_m = piece.turns_m(eye_down_m, from_m).unwrap_or(piece.to_m);
+        for [begin_m, end_m] in [[from_m, turns_m], [turns_m, piece.to_m]] {
+            if begin_m >= end_m {
+                continue;
+            }
+            let middle_m = 0.5 * (begin_m + end_m);
+            let hidden = piece.rise(eye_down_m, middle_m) < 0.0
+                || piece.tangent(eye_down_m, middle_m) < self.highest;
+            match (hidden, self.hidden_from_m) {
+                (true, None) => self.hidden_from_m = Some(begin_m),
+                (false, Some(_)) => self.show_from(begin_m),
+                _ => {}
+            }
+        }
+    }
+
+    /// The end of a shadow, if the ray is in one.
+    fn show_from(&mut self, to_m: f64) {
+        let Some(from_m) = self.hidden_from_m.take() else {
+            return;
+        };
+        let count = self.shadows.count as usize;
+        if to_m - from_m < SLIVER_M || self.shadows.known_m.is_finite() {
+            return;
+        }
+        if count == SHADOWS {
+            self.shadows.known_m = from_m as f32;
+            return;
+        }
+        self.shadows.edges_m[count] = [from_m as f32, to_m as f32];
+        self.shadows.count += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::read::HeightField;
+
+    #[test]
+    fn turns_and_directions_are_each_others_inverse_and_grow_with_the_azimuth() {
+        let mut last = -1.0;
+        for k in 0..10_000 {
+            let azimuth = f64::from(k) * std::f64::consts::TAU / 10_000.0;
+            let d = DVec2::new(azimuth.cos(), azimuth.sin());
+            let t = turn(d * 37.0);
+            assert!(t > last && t < 4.0, "{azimuth}: {t} after {last}");
+            assert!(direction(t).distance(d) < 1e-12, "{azimuth}");
+            last = t;
+        }
+    }
+
+    /// A washboard seen along its ridges' normal: 2 m apart, so that a ray meets more shadows than it keeps.
+    #[test]
+    fn beyond_the_shadows_that_a_ray_keeps_nothing_is_sure() {
+        let (rows, cols) = (21, 201);
+        let depth_m = |k: usize| 20.0 - (k % cols % 2) as f32;
+        let field = HeightField {
+            rows,
+            cols,
+            cell_north_m: 1.0,
+            cell_east_m: 1.0,
+            south_m: 0.0,
+            west_m: 0.0,
+            down_m: (0..rows * cols).map(depth_m).collect(),
+        };
+        let surface = Surface::from_grid(field, false, -10.0, 0.0, 16.0);
+        let mut horizon = Horizon::default();
+        let eye_m = DVec3::new(0.0, -1.0, 17.0);
+        horizon.start(eye_m, 200.0, 0.5);
+        horizon.mark(DVec2::new(-5.0, 0.0), DVec2::new(5.0, 198.0));
+        horizon.clear(&surface);
+        horizon.scan(&surface, OcclusionSpec::Horizon);
+        let (mut sure, mut unsure, mut hidden) = (0, 0, 0);
+        for k in 10..1970 {
+            let at_m = DVec2::new(0.03, 0.1 * f64::from(k) + 0.013);
+            let down_m = surface.sample(at_m.x, at_m.y).unwrap().down_m;
+            let cast = horizon.cast_hides(&surface, at_m.extend(down_m));
+            hidden += i32::from(cast);
+            match horizon.verdict(at_m).0 {
+                Verdict::Unsure => unsure += 1,
+                verdict => {
+                    sure += 1;
+                    // Within a centimetre of an edge either may be right.
+                    let near = [-0.01, 0.01].map(|d| {
+                        let p = at_m + DVec2::new(0.0, d);
+                        let down_m = surface.sample(p.x, p.y).unwrap().down_m;
+                        horizon.cast_hides(&surface, p.extend(down_m))
+                    });
+                    let edge = near[0] != near[1];
+                    assert!(edge || cast == (verdict == Verdict::Hidden), "{at_m}");
+                }
+            }
+        }
+        println!("{sure} sure, {unsure} not; {hidden} hidden");
+        assert!(sure > 400 && unsure > 400 && hidden > 400);
+    }
+}

@@ -1,0 +1,260 @@
+//! Several sources at once: who speaks, what becomes of the motion at the change, jumps, states of sources; TCP in both roles.
+
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use echotank::config::spec::*;
+use echotank::flow::{FixQuality, NavQuantity, NavSample, NavState};
+use echotank::frames::Trajectory;
+use echotank::io::nav::NavInputs;
+use echotank::nav::health::State;
+use echotank::nav::{NavGap, NavHistory};
+use echotank::time::{SystemClock, UtcNs};
+use glam::DVec3;
+
+fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSourceSpec {
+    NavSourceSpec {
+        name: name.into(),
+        input,
+        time: TimePolicy::Arrival { latency_s: 0.0 },
+        checksum: ChecksumPolicy::Require,
+        lever_arm_m: DVec3::ZERO,
+        dialect: NavDialect::default(),
+        provides: provides.to_vec(),
+    }
+}
+
+fn udp() -> NavInputSpec {
+    NavInputSpec::Udp {
+        listen: "127.0.0.1:0".parse().expect("an address"),
+        multicast: None,
+    }
+}
+
+fn spec(sources: Vec<NavSourceSpec>) -> NavSpec {
+    NavSpec {
+        origin: OriginSpec::Geodetic {
+            latitude_rad: 0.9,
+            longitude_rad: 0.1,
+        },
+        mode: NavMode::Settle,
+        vertical: VerticalSpec::Waterline {
+            reference_down_m: 0.0,
+        },
+        stamp: StampSpec::Log,
+        loop_log: false,
+        max_extrapolation_s: 0.25,
+        history_s: 60.0,
+        fallback_heading_from_course: false,
+        failover: Some(FailoverSpec {
+            after_s: 2.0,
+            hold_off_s: 5.0,
+        }),
+        jump_gate: None,
+        stale_s: 2.0,
+        lost_s: 10.0,
+        sources,
+    }
+}
+
+fn insert(history: &mut NavHistory, source: u16, t: f64, quantity: NavQuantity) {
+    let at = UtcNs(0).plus_s(t);
+    history.insert(&NavSample {
+        source,
+        valid_utc: at,
+        arrival_utc: at,
+        quantity,
+    });
+}
+
+/// So many metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
+fn position(north_m: f64) -> NavQuantity {
+    NavQuantity::Position {
+        latitude_rad: 0.9 + north_m / 6_374_674.0,
+        longitude_rad: 0.1,
+        height_m: Some(0.0),
+        fix: FixQuality::Autonomous,
+    }
+}
+
+fn motion(history: &mut NavHistory, t: f64) -> Result<NavState, NavGap> {
+    let mut trajectory = Trajectory::default();
+    history.motion(UtcNs(0).plus_s(t), 0.1, NavMode::Settle, &mut trajectory)
+}
+
+#[test]
+fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_joined_across() {
+    let provides = [NavChannel::Position, NavChannel::Heading];
+    let mut first = source("first", udp(), &provides);
+    first.lever_arm_m = DVec3::new(10.0, 0.0, 0.0);
+    let mut second = source("second", udp(), &[NavChannel::Position]);
+    second.lever_arm_m = DVec3::new(-20.0, 0.0, 0.0);
+    let compass = source("compass", udp(), &[NavChannel::Heading]);
+    let mut history = NavHistory::new(&spec(vec![first, second, compass]));
+    for i in 0..400 {
+        let t = f64::from(i) / 10.0;
+        // Northward at 2 m/s, heading north: the antennas are 10 m before and 20 m behind the reference point.
+        if !(10.0..20.0).contains(&t) {
+            insert(&mut history, 0, t, position(2.0 * t + 10.0));
+            insert(
+                &mut history,
+                0,
+                t,
+                NavQuantity::Heading { heading_rad: 0.0 },
+            );
+        }
+        insert(&mut history, 1, t, position(2.0 * t - 20.0));
+        insert(
+            &mut history,
+            2,
+            t,
+            NavQuantity::Heading { heading_rad: 0.0 },
+        );
+        let north =
+            |history: &mut NavHistory, t: f64| motion(history, t).map(|s| s.pose.position_m.x);
+        if i == 80 {
+            assert!((north(&mut history, 5.0).expect("first") - 10.0).abs() < 0.1);
+        }
+        if i == 180 {
+            assert_eq!(history.speaking(NavChannel::Position), Some(1));
+            assert!((north(&mut history, 15.0).expect("second") - 30.0).abs() < 0.1);
+            // The past keeps the arm of its own source.
+            assert!((north(&mut history, 9.0).expect("first") - 18.0).abs() < 0.1);
+            let across = motion(&mut history, 11.5);
+            assert!(across.is_err(), "nobody was heard at 11.5 s: {across:?}");
+        }
+    }
+    // Back at 20 s, trusted again at 25 s.
+    assert_eq!(history.speaking(NavChannel::Position), Some(0));
+    let back = motion(&mut history, 30.0).expect("first again");
+    assert!((back.pose.position_m.x - 60.0).abs() < 0.1, "{back:?}");
+    // Position and heading, there and back.
+    assert_eq!(history.counts().switches, 4);
+}
+
+#[test]
+fn a_jump_is_set_aside_and_a_lasting_one_becomes_a_reset() {
+    let provides = [NavChannel::Position, NavChannel::Heading];
+    let mut spec = spec(vec![source("gnss", udp(), &provides)]);
+    spec.failover = None;
+    spec.jump_gate = Some(JumpGateSpec {
+        max_speed_m_per_s: 20.0,
+        max_rate_rad_per_s: 1.0,
+    });
+    let mut history = NavHistory::new(&spec);
+    for i in 0..200 {
+        let t = f64::from(i) / 10.0;
+        let jump_m = match i {
+            50 => 5000.0,
+            100.. => 300.0,
+            _ => 0.0,
+        };
+        insert(&mut history, 0, t, position(2.0 * t + jump_m));
+        insert(
+            &mut history,
+            0,
+            t,
+            NavQuantity::Heading { heading_rad: 0.0 },
+        );
+    }
+    let counts = *history.counts();
+    assert_eq!(
+        (counts.quarantined, counts.resets),
+        (1 + 4, 1),
+        "{counts:?}"
+    );
+    let north = |history: &mut NavHistory, t: f64| motion(history, t).map(|s| s.pose.position_m.x);
+    // The stray fix at 5 s leaves no trace.
+    assert!((north(&mut history, 5.0).expect("fine") - 10.0).abs() < 0.05);
+    assert!((north(&mut history, 15.0).expect("fine") - 330.0).abs() < 0.05);
+    assert!(
+        north(&mut history, 10.2).is_err(),
+        "not joined across the reset"
+    );
+}
+
+#[test]
+fn states_of_sources_are_known_by_their_arrivals() {
+    let provides = [NavChannel::Position, NavChannel::Heading];
+    let mut history = NavHistory::new(&spec(vec![
+        source("a", udp(), &provides),
+        source("b", udp(), &provides),
+    ]));
+    for i in 0..50 {
+        insert(&mut history, 0, f64::from(i) / 10.0, position(0.0));
+    }
+    let mut state = |source: usize, t: f64| history.source_state(source, UtcNs(0).plus_s(t));
+    assert_eq!((state(0, 5.0), state(1, 5.0)), (State::Ok, State::Silent));
+    assert_eq!(state(0, 5.5), State::Hold);
+    assert_eq!(state(0, 8.0), State::Stale);
+    assert_eq!(state(0, 16.0), State::Lost);
+}
+
+// ---------------------------------------------------------------- TCP
+
+fn hdt(degrees: f64) -> Vec<u8> {
+    let body = format!("HEHDT,{degrees:.1},T");
+    let sum = body.bytes().fold(0, |s, b| s ^ b);
+    format!("${body}*{sum:02X}\r\n").into_bytes()
+}
+
+fn wait(inputs: &mut NavInputs, history: &mut NavHistory, samples: u64) {
+    let end = Instant::now() + Duration::from_secs(20);
+    loop {
+        inputs.pull(UtcNs(i64::MAX), history);
+        let got = inputs.counters()[0].decoder.samples;
+        if got >= samples {
+            return;
+        }
+        assert!(
+            Instant::now() < end,
+            "{got} of {samples} samples: {:?}",
+            inputs.counters()
+        );
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn opened(input: NavInputSpec) -> (NavInputs, NavHistory) {
+    let spec = spec(vec![source("tcp", input, &[NavChannel::Heading])]);
+    let inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    (inputs, NavHistory::new(&spec))
+}
+
+#[test]
+fn a_tcp_server_gives_its_sentences_however_they_are_cut_and_again_after_a_broken_connection() {
+    let server = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = server.local_addr().expect("bound").to_string();
+    let (mut inputs, mut history) = opened(NavInputSpec::TcpConnect { address });
+    for connection in 1..=2_u64 {
+        let (mut client, _) = server.accept().expect("connects, again too");
+        let text: Vec<u8> = (0..20).flat_map(|i| hdt(f64::from(i))).collect();
+        for piece in text.chunks(7) {
+            client.write_all(piece).expect("sent");
+        }
+        wait(&mut inputs, &mut history, 20 * connection);
+        drop(client);
+        let counters = &inputs.counters()[0];
+        assert_eq!(counters.live.reopened, connection);
+        assert_eq!(
+            (counters.decoder.bad_checksum, counters.decoder.resync_bytes),
+            (0, 0)
+        );
+    }
+}
+
+#[test]
+fn of_a_tcp_source_s_clients_the_newest_speaks() {
+    let listen = "127.0.0.1:0".parse().expect("an address");
+    let (mut inputs, mut history) = opened(NavInputSpec::TcpListen { listen });
+    let (_, address) = inputs.listening()[0].clone();
+    let mut old = TcpStream::connect(address).expect("connects");
+    old.write_all(&hdt(10.0)).expect("sent");
+    wait(&mut inputs, &mut history, 1);
+    let mut new = TcpStream::connect(address).expect("connects");
+    new.write_all(&hdt(20.0)).expect("sent");
+    wait(&mut inputs, &mut history, 2);
+    assert_eq!(inputs.counters()[0].live.reopened, 2);
+}
