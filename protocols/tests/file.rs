@@ -54,8 +54,16 @@ fn every_record_of_the_sample_that_we_know_is_read() {
         let body =
             RecordBody::parse(&record).unwrap_or_else(|error| panic!("{}: {error}", record.frame));
         match body {
-            RecordBody::Other(_) => {
-                assert!([1015, 1016, 7027].contains(&record.frame.record_type_id))
+            RecordBody::Other(_) => panic!("{} is not read", record.frame),
+            RecordBody::Navigation(navigation) => {
+                assert!((-1.6..1.6).contains(&navigation.latitude_rad));
+            }
+            RecordBody::Attitude(attitude) => assert!(attitude.sets().count() > 0),
+            RecordBody::RawDetections(raw) => {
+                assert!((1..=5).contains(&raw.rth.ping_number));
+                assert_eq!(raw.rth.data_field_size, 34);
+                let beams: Vec<u16> = raw.detections().map(|detection| detection.beam).collect();
+                assert!(beams.len() > 1 && beams.is_sorted(), "{beams:?}");
             }
             RecordBody::SonarSettings(settings) => {
                 assert!((1..=5).contains(&settings.ping_number));

@@ -58,12 +58,19 @@ pub mod record_id {
     pub const POSITION: u32 = 1003;
     pub const ROLL_PITCH_HEAVE: u32 = 1012;
     pub const HEADING: u32 = 1013;
+    pub const NAVIGATION: u32 = 1015;
+    pub const ATTITUDE: u32 = 1016;
     pub const SONAR_SETTINGS: u32 = 7000;
     pub const CONFIGURATION: u32 = 7001;
     pub const BEAM_GEOMETRY: u32 = 7004;
     pub const SIDE_SCAN: u32 = 7007;
     pub const BEAMFORMED: u32 = 7018;
+    pub const RAW_DETECTIONS: u32 = 7027;
+    pub const SNIPPETS: u32 = 7028;
     pub const RAW_IQ: u32 = 7038;
+    pub const COMPRESSED_WATER_COLUMN: u32 = 7042;
+    pub const CALIBRATED_SIDE_SCAN: u32 = 7057;
+    pub const SNIPPET_STRENGTHS: u32 = 7058;
     pub const FILE_HEADER: u32 = 7200;
     pub const FILE_CATALOGUE: u32 = 7300;
     pub const REMOTE_CONTROL: u32 = 7500;
@@ -71,6 +78,7 @@ pub mod record_id {
     pub const REMOTE_CONTROL_NACK: u32 = 7502;
     pub const REMOTE_CONTROL_SETTINGS: u32 = 7503;
     pub const SOUND_VELOCITY: u32 = 7610;
+    pub const SINGLE_BEAM_IQ: u32 = 10_038;
 }
 
 /// Bits of `control_flags` in 7000 and 7503.

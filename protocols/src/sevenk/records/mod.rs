@@ -5,23 +5,43 @@
 //! Records with samples parse to views that borrow the body. They are emitted by `emit_NNNN`, from slices of finished wire numbers:
 //! quantising is the caller's. Slices that do not fit each other are the programmer's mistake and panic.
 
+mod attitude;
 mod beamformed;
+mod calibrated;
 mod configuration;
+mod detections;
 mod geometry;
 mod platform;
 mod raw_iq;
 mod settings;
 mod side_scan;
+mod snippets;
+mod water_column;
 
 pub(crate) use configuration::{text_field, text_of};
 
+pub use attitude::{Attitude1016, AttitudeSet, emit_1016};
 pub use beamformed::{BeamSample, Beamformed7018, PHASE_COUNTS_PER_RAD, Rth7018, emit_7018};
+pub use calibrated::{
+    CalibratedSide, CalibratedSideScan7057, Rth7057, Rth10038, SingleBeamIq10038, emit_7057,
+    emit_10038,
+};
 pub use configuration::{Configuration7001, Module, emit_7001};
+pub use detections::{Detection7027, RawDetections7027, Rth7027, emit_7027};
 pub use geometry::{BeamAngles, BeamGeometry7004, emit_7004};
-pub use platform::{Heading1013, Position1003, RollPitchHeave1012, SoundVelocity7610};
+pub use platform::{
+    Heading1013, Navigation1015, Position1003, RollPitchHeave1012, SoundVelocity7610,
+};
 pub use raw_iq::{RawIq7038, Rth7038, SAMPLE_TYPE_I16, emit_7038, emit_7038_element_major};
 pub use settings::{RemoteSettings7503, SonarSettings7000};
 pub use side_scan::{Rth7007, SideSamples, SideScan7007, emit_7007};
+pub use snippets::{
+    Rth7028, Rth7058, SnippetDescriptor, SnippetSamples, SnippetStrengths7058, Snippets7028,
+    emit_7028, emit_7058,
+};
+pub use water_column::{
+    BeamSamples, CompressedBeam, Rth7042, WaterColumn7042, emit_7042, flags_7042,
+};
 
 use std::fmt;
 
@@ -115,6 +135,14 @@ pub enum RecordBody<'a> {
     Nack(Nack7502),
     RemoteSettings(Box<RemoteSettings7503>),
     SoundVelocity(SoundVelocity7610),
+    Navigation(Navigation1015),
+    Attitude(Attitude1016<'a>),
+    RawDetections(RawDetections7027<'a>),
+    Snippets(Snippets7028<'a>),
+    WaterColumn(WaterColumn7042<'a>),
+    CalibratedSideScan(CalibratedSideScan7057<'a>),
+    SnippetStrengths(SnippetStrengths7058<'a>),
+    SingleBeamIq(SingleBeamIq10038<'a>),
     /// A type this crate does not read.
     Other(&'a [u8]),
 }
@@ -152,6 +180,18 @@ impl<'a> RecordBody<'a> {
                 Self::RemoteSettings(Box::new(RemoteSettings7503::parse(body)?))
             }
             record_id::SOUND_VELOCITY => Self::SoundVelocity(SoundVelocity7610::parse(body)?),
+            record_id::NAVIGATION => Self::Navigation(Navigation1015::parse(body)?),
+            record_id::ATTITUDE => Self::Attitude(Attitude1016::parse(body)?),
+            record_id::RAW_DETECTIONS => Self::RawDetections(RawDetections7027::parse(body)?),
+            record_id::SNIPPETS => Self::Snippets(Snippets7028::parse(body)?),
+            record_id::COMPRESSED_WATER_COLUMN => Self::WaterColumn(WaterColumn7042::parse(body)?),
+            record_id::CALIBRATED_SIDE_SCAN => {
+                Self::CalibratedSideScan(CalibratedSideScan7057::parse(body)?)
+            }
+            record_id::SNIPPET_STRENGTHS => {
+                Self::SnippetStrengths(SnippetStrengths7058::parse(body)?)
+            }
+            record_id::SINGLE_BEAM_IQ => Self::SingleBeamIq(SingleBeamIq10038::parse(body)?),
             _ => Self::Other(body),
         })
     }
@@ -176,6 +216,14 @@ impl fmt::Display for RecordBody<'_> {
             Self::Nack(record) => record.fmt(f),
             Self::RemoteSettings(record) => record.fmt(f),
             Self::SoundVelocity(record) => record.fmt(f),
+            Self::Navigation(record) => record.fmt(f),
+            Self::Attitude(record) => record.fmt(f),
+            Self::RawDetections(record) => record.fmt(f),
+            Self::Snippets(record) => record.fmt(f),
+            Self::WaterColumn(record) => record.fmt(f),
+            Self::CalibratedSideScan(record) => record.fmt(f),
+            Self::SnippetStrengths(record) => record.fmt(f),
+            Self::SingleBeamIq(record) => record.fmt(f),
             Self::Other(body) => {
                 write!(f, "a record type we do not read, {} B of data", body.len())
             }

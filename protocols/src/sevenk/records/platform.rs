@@ -1,4 +1,5 @@
-//! What the platform tells: 1003 position, 1012 roll, pitch and heave, 1013 heading, 7610 sound velocity. Source: DFD 3.12.
+//! What the platform tells: 1003 position, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound
+//! velocity. Source: DFD 3.12.
 //!
 //! Signs: roll port up, pitch bow up, heave up. A server on the network needs 7610 for readers that refuse bathymetry without it.
 
@@ -52,6 +53,22 @@ pub struct Heading1013 {
     pub heading_rad: f32,
 }
 
+/// 1015: where, how fast and which way.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Navigation1015 {
+    /// 1 ellipsoid, 2 geoid, 3 chart datum.
+    pub vertical_reference: u8,
+    pub latitude_rad: f64,
+    pub longitude_rad: f64,
+    pub horizontal_accuracy_m: f32,
+    /// Of the vessel's reference point.
+    pub height_m: f32,
+    pub height_accuracy_m: f32,
+    pub speed_over_ground_m_per_s: f32,
+    pub course_over_ground_rad: f32,
+    pub heading_rad: f32,
+}
+
 /// 7610: sound velocity at the sonar head.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SoundVelocity7610 {
@@ -70,6 +87,7 @@ rth_record!(
     "1012 roll pitch heave"
 );
 rth_record!(Heading1013, record_id::HEADING, 4, "1013 heading");
+rth_record!(Navigation1015, record_id::NAVIGATION, 41, "1015 navigation");
 rth_record!(
     SoundVelocity7610,
     record_id::SOUND_VELOCITY,
@@ -120,6 +138,21 @@ impl fmt::Display for RollPitchHeave1012 {
 impl fmt::Display for Heading1013 {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "heading: {:.3} deg", self.heading_rad.to_degrees())
+    }
+}
+
+impl fmt::Display for Navigation1015 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "navigation: latitude {:.8} deg, longitude {:.8} deg, height {:.3} m, {:.2} m/s towards {:.2} deg, heading {:.2} deg",
+            self.latitude_rad.to_degrees(),
+            self.longitude_rad.to_degrees(),
+            self.height_m,
+            self.speed_over_ground_m_per_s,
+            self.course_over_ground_rad.to_degrees(),
+            self.heading_rad.to_degrees()
+        )
     }
 }
 

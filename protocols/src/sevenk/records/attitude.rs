@@ -1,0 +1,79 @@
+//! 1016: attitude, several readings of a motion sensor in one record. Source: DFD 3.12, tables 33 and 34.
+//!
+//! ```text
+//! RTH   0 u8 data sets N                                                                1 byte
+//! RD    N times: u16 milliseconds after the record's time, f32 roll, pitch, heave, heading   18 bytes each
+//! ```
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
+use crate::sevenk::{WireError, record_id};
+
+/// One reading of 1016.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct AttitudeSet {
+    /// After the record's time.
+    pub after_ms: u16,
+    /// Port up is positive.
+    pub roll_rad: f32,
+    /// Bow up is positive.
+    pub pitch_rad: f32,
+    /// Up is positive.
+    pub heave_up_m: f32,
+    pub heading_rad: f32,
+}
+
+rth!(AttitudeSet, 18, "1016 attitude");
+
+/// 1016, read: the readings stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Attitude1016<'a> {
+    sets: &'a [u8],
+}
+
+impl<'a> Attitude1016<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::ATTITUDE;
+    pub const RTH_BYTES: usize = 1;
+
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let count = data_at(body, 0, 1, "1016 attitude")?[0];
+        let len = u64::from(count) * AttitudeSet::SIZE_BYTES as u64;
+        Ok(Self {
+            sets: data_at(body, Self::RTH_BYTES, len, "1016 attitude")?,
+        })
+    }
+
+    pub fn sets(&self) -> impl Iterator<Item = AttitudeSet> + 'a {
+        self.sets
+            .chunks_exact(AttitudeSet::SIZE_BYTES)
+            .filter_map(|bytes| read_fixed(bytes).ok())
+    }
+}
+
+/// Appends a 1016 record.
+///
+/// # Panics
+/// If there are more than 255 readings.
+pub fn emit_1016(buf: &mut Vec<u8>, stamp: &RecordStamp, sets: &[AttitudeSet]) -> Range<usize> {
+    let count = u8::try_from(sets.len()).expect("1016 holds at most 255 readings");
+    let open = OpenRecord::begin(buf, record_id::ATTITUDE, stamp);
+    buf.push(count);
+    sets.iter().for_each(|set| write_fixed(set, buf));
+    open.finish(buf)
+}
+
+impl fmt::Display for Attitude1016<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = self.sets.len() / AttitudeSet::SIZE_BYTES;
+        write!(f, "attitude: {count} readings")?;
+        match self.sets().next() {
+            Some(first) => write!(f, ", the first {first:?}"),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! 7042: compressed water column, beam by beam. Source: DFD 3.12, tables 83 and 84.
+//!
+//! ```text
+//! RTH   44 bytes, see Rth7042
+//! RD    per beam: u16 beam, [u8 segment, flag bit 14], u32 samples n, n samples
+//!       a sample is magnitude and phase of 16 + 16 bits, 8 + 8 (bit 2), 32 + 8 (bit 12), or the magnitude alone (bit 1)
+//! ```
+
+use std::fmt;
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{data_at, rth};
+use crate::sevenk::frame::{OpenRecord, RecordStamp, read_fixed, u32_at, write_fixed};
+use crate::sevenk::{WireError, record_id};
+
+/// Bits of [`Rth7042::flags`].
+pub mod flags_7042 {
+    pub const LIMITED_BY_DETECTION: u32 = 1;
+    pub const MAGNITUDE_ONLY: u32 = 1 << 1;
+    pub const DB_IN_8_BITS: u32 = 1 << 2;
+    pub const DIVISOR_SHIFT: u32 = 4;
+    pub const MAGNITUDE_IN_32_BITS: u32 = 1 << 12;
+    pub const COMPRESSION_FACTOR: u32 = 1 << 13;
+    pub const SEGMENTS: u32 = 1 << 14;
+    pub const FIRST_SAMPLE_IS_DELAY: u32 = 1 << 15;
+}
+
+/// The RTH of 7042.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Rth7042 {
+    /// Serial number.
+    pub sonar_id: u64,
+    pub ping_number: u32,
+    /// 0 when not in multi-ping mode.
+    pub multi_ping_sequence: u16,
+    /// Written from the slice.
+    pub beams: u16,
+    /// By the range.
+    pub samples: u32,
+    /// Of the longest beam; written from the slices.
+    pub compressed_samples: u32,
+    /// See [`flags_7042`].
+    pub flags: u32,
+    pub first_sample: u32,
+    /// After the divisor.
+    pub sample_rate_hz: f32,
+    #[brw(pad_after = 4)]
+    pub compression_factor: f32,
+}
+
+rth!(Rth7042, 44, "7042 compressed water column");
+
+/// Bytes of magnitude and of phase of a sample.
+fn widths(flags: u32) -> Result<(usize, usize), WireError> {
+    use flags_7042::{DB_IN_8_BITS, MAGNITUDE_IN_32_BITS, MAGNITUDE_ONLY};
+    let is = |flag| flags & flag != 0;
+    let (magnitude, phase) = match (is(MAGNITUDE_IN_32_BITS), is(DB_IN_8_BITS)) {
+        (false, false) => (2, 2),
+        (false, true) => (1, 1),
+        (true, false) => (4, 1),
+        (true, true) => {
+            return Err(WireError::Unsupported {
+                what: "7042 of 8 and of 32 bits at once, flags",
+                got: flags.into(),
+            });
+        }
+    };
+    Ok((magnitude, if is(MAGNITUDE_ONLY) { 0 } else { phase }))
+}
+
+/// One beam, read: its samples stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CompressedBeam<'a> {
+    pub beam: u16,
+    /// 0 where the record has no segments.
+    pub segment: u8,
+    magnitude_bytes: usize,
+    phase_bytes: usize,
+    data: &'a [u8],
+}
+
+impl<'a> CompressedBeam<'a> {
+    /// Magnitude and phase as they are; a phase of 8 bits is the upper half of one of 16. Without phase it is 0.
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = (u32, i16)> + 'a {
+        let (magnitude_bytes, phase_bytes) = (self.magnitude_bytes, self.phase_bytes);
+        self.data
+            .chunks_exact(magnitude_bytes + phase_bytes)
+            .map(move |sample| {
+                let (magnitude, phase) = sample.split_at(magnitude_bytes);
+                let mut wide = [0; 4];
+                wide[..magnitude.len()].copy_from_slice(magnitude);
+                let phase = match *phase {
+                    [high] => i16::from_le_bytes([0, high]),
+                    [low, high] => i16::from_le_bytes([low, high]),
+                    _ => 0,
+                };
+                (u32::from_le_bytes(wide), phase)
+            })
+    }
+}
+
+/// 7042, read: the beams stay in the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WaterColumn7042<'a> {
+    pub rth: Rth7042,
+    data: &'a [u8],
+}
+
+impl<'a> WaterColumn7042<'a> {
+    pub const RECORD_TYPE_ID: u32 = record_id::COMPRESSED_WATER_COLUMN;
+    pub const RTH_BYTES: usize = Rth7042::RTH_BYTES;
+
+    /// Walks all beams, so that [`WaterColumn7042::beams`] has them whole.
+    pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
+        let rth: Rth7042 = read_fixed(body)?;
+        widths(rth.flags)?;
+        let data = &body[Rth7042::RTH_BYTES..];
+        let mut at = 0;
+        for _ in 0..rth.beams {
+            at += beam_at(&rth, data, at)?.1;
+        }
+        Ok(Self {
+            rth,
+            data: &data[..at],
+        })
+    }
+
+    pub fn beams(&self) -> impl Iterator<Item = CompressedBeam<'a>> + 'a {
+        let (rth, data, mut at) = (self.rth, self.data, 0);
+        (0..rth.beams).map_while(move |_| {
+            let (beam, len) = beam_at(&rth, data, at).ok()?;
+            at += len;
+            Some(beam)
+        })
+    }
+}
+
+/// The beam at a place in the record data, and its length.
+fn beam_at<'a>(
+    rth: &Rth7042,
+    data: &'a [u8],
+    at: usize,
+) -> Result<(CompressedBeam<'a>, usize), WireError> {
+    const WHAT: &str = "7042 beam";
+    let (magnitude_bytes, phase_bytes) = widths(rth.flags)?;
+    let has_segment = rth.flags & flags_7042::SEGMENTS != 0;
+    let head_bytes = 6 + usize::from(has_segment);
+    let head = data_at(data, at, head_bytes as u64, WHAT)?;
+    let samples = u32_at(head, head_bytes - 4).unwrap_or_default();
+    let len = u64::from(samples) * (magnitude_bytes + phase_bytes) as u64;
+    let data = data_at(data, at + head_bytes, len, WHAT)?;
+    let beam = CompressedBeam {
+        beam: u16::from_le_bytes([head[0], head[1]]),
+        segment: if has_segment { head[2] } else { 0 },
+        magnitude_bytes,
+        phase_bytes,
+        data,
+    };
+    Ok((beam, head_bytes + data.len()))
+}
+
+/// One beam to write: finished wire numbers.
+#[derive(Debug, Clone, Copy)]
+pub struct BeamSamples<'a> {
+    pub beam: u16,
+    /// Written where the flags say so.
+    pub segment: u8,
+    /// What is beyond the width that the flags say saturates.
+    pub magnitudes: &'a [u32],
+    /// As many as magnitudes, or none where the flags say so; of 8 bits the upper half is written.
+    pub phases: &'a [i16],
+}
+
+/// Appends a 7042 record. `beams` and `compressed_samples` of `rth` are not used.
+///
+/// # Panics
+/// If the flags contradict each other, phases and magnitudes of a beam differ in number, or there are more than 65535 beams.
+pub fn emit_7042(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7042,
+    beams: &[BeamSamples<'_>],
+) -> Range<usize> {
+    let (magnitude_bytes, phase_bytes) = widths(rth.flags).expect("flags of 7042");
+    let longest = beams.iter().map(|beam| beam.magnitudes.len()).max();
+    let open = OpenRecord::begin(buf, record_id::COMPRESSED_WATER_COLUMN, stamp);
+    write_fixed(
+        &Rth7042 {
+            beams: u16::try_from(beams.len()).expect("at most 65535 beams"),
+            compressed_samples: longest.unwrap_or_default() as u32,
+            ..*rth
+        },
+        buf,
+    );
+    let largest = u32::MAX >> (32 - 8 * magnitude_bytes);
+    for beam in beams {
+        buf.extend(beam.beam.to_le_bytes());
+        if rth.flags & flags_7042::SEGMENTS != 0 {
+            buf.push(beam.segment);
+        }
+        buf.extend((beam.magnitudes.len() as u32).to_le_bytes());
+        buf.reserve(beam.magnitudes.len() * (magnitude_bytes + phase_bytes));
+        if phase_bytes > 0 {
+            assert_eq!(
+                beam.phases.len(),
+                beam.magnitudes.len(),
+                "phases of beam {}",
+                beam.beam
+            );
+        }
+        for (index, &magnitude) in beam.magnitudes.iter().enumerate() {
+            buf.extend_from_slice(&magnitude.min(largest).to_le_bytes()[..magnitude_bytes]);
+            if phase_bytes > 0 {
+                buf.extend_from_slice(&beam.phases[index].to_le_bytes()[2 - phase_bytes..]);
+            }
+        }
+    }
+    open.finish(buf)
+}
+
+impl fmt::Display for WaterColumn7042<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "compressed water column: ping {} of sonar {}, {} beams, at most {} samples, flags {:#x}",
+            self.rth.ping_number,
+            self.rth.sonar_id,
+            self.rth.beams,
+            self.rth.compressed_samples,
+            self.rth.flags
+        )
+    }
+}
