@@ -298,7 +298,8 @@ mod tests {
         let fit = Curve::fit(true, slopes().map(|s| (s, law(s))));
         for s in [0.0, 0.5, 0.7, 1.1] {
             let error = (fit.at(s) - law(s)).abs();
-            assert!(error < 1e-2, "at {s}: {error:e}");
+            // Half of 1 % of the greatest value: [`RIDGE`] against slopes as alike as these.
+            assert!(error < 2.5e-2, "at {s}: {error:e}");
         }
         // Motion across: no function of the slope at all.
         let scatter = |s: f64| (1e4 * s).sin();
