@@ -470,6 +470,20 @@ fn quickstart_is_accepted_and_says_what_follows_from_it() {
     }
 }
 
+/// sin 10 deg = 0.1736, 1 - cos 10 deg = 0.0152.
+#[test]
+fn the_summary_says_what_tilting_does_to_an_array() {
+    let text = minimal().replace(
+        "[[sonar.transmit]]\nname = \"tx\"\n",
+        "[[sonar.transmit]]\nname = \"tx\"\nposition_m = [3.0, 2.0, 1.0]\n",
+    );
+    assert_ne!(text, minimal(), "the position is in");
+    let summary = config::summary(&parse(&text));
+    // Roll: y sin - z (1 - cos) = 0.347 - 0.015; pitch: -x sin - z (1 - cos) = -0.521 - 0.015.
+    let want = "at 3.000 m forward, 2.000 starboard, 1.000 down; roll +10 deg (starboard down): sinks 0.332 m; pitch +10 deg (bow up): rises 0.536 m";
+    assert!(summary.contains(want), "{summary}");
+}
+
 #[test]
 fn a_range_too_long_for_the_rate_is_a_note_and_no_error() {
     let text = minimal().replace("rate_hz = 5.0", "rate_hz = 50.0");

@@ -317,6 +317,18 @@ fn the_report_says_who_speaks_and_why_others_do_not() {
     assert_eq!((r.counters.not_taken, r.samples.len()), (300, 0));
     assert_eq!(r.sentences[0].depths, 300);
 
+    // A compass at 10 Hz between fixes at 1 Hz, in a log without stamps: its headings lie between.
+    let r = read("navlogs/zeus_1200.log");
+    let heading = &r.channels[2];
+    let interval = heading.interval_s.expect("several");
+    assert_eq!(heading.samples, 346);
+    assert!(
+        heading.backward <= 1,
+        "the first one borrowed its burst's time: {}",
+        heading.backward
+    );
+    assert!((0.05..0.2).contains(&interval.median), "{interval:?}");
+
     // Empty headings.
     let r = read("navlogs/bluerov_udp.txt");
     let hdt = r

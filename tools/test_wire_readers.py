@@ -210,6 +210,62 @@ class Wav(unittest.TestCase):
                 np.testing.assert_array_equal(data[:, channel], count(0, channel, 500) * scale)
 
 
+class PingProtocol(unittest.TestCase):
+    """brping, the makers' own client: its parser, its definitions, its checksum."""
+
+    @classmethod
+    def setUpClass(cls):
+        from brping import PingParser, definitions
+        # Numbers mean different things to different devices: 504 is longer in the list of all.
+        known = {**definitions.payload_dict_omniscan450, **definitions.payload_dict_surveyor240, **definitions.payload_dict_common}
+        parser = PingParser(payload_dict=known)
+        cls.messages = []
+        with open(sample("sample.ping"), "rb") as file:
+            for byte in file.read():
+                if parser.parse_byte(byte) == PingParser.NEW_MESSAGE:
+                    cls.messages.append(parser.rx_msg)
+        cls.errors = parser.errors
+
+    def of(self, message_id):
+        return [m for m in self.messages if m.message_id == message_id]
+
+    def test_every_frame_is_taken(self):
+        self.assertEqual((len(self.messages), self.errors), (8 + 3 * 4, 0))
+
+    def test_settings_and_answers_are_read(self):
+        info = self.of(4)[0]
+        self.assertEqual((info.device_revision, info.firmware_version_major, info.firmware_version_minor, info.firmware_version_patch), (1, 1, 2, 3))
+        self.assertEqual(self.of(1)[0].acked_id, 116)
+        self.assertEqual((self.of(2)[0].nacked_id, bytes(self.of(2)[0].nack_message)), (2197, b"out of range"))
+        params = self.of(2197)[0]
+        self.assertEqual((params.start_mm, params.length_mm, params.msec_per_ping, params.gain_index, params.num_results, params.enable), (1000, 50000, 20, -1, 1200, 1))
+        self.assertEqual(self.of(116)[0].speed_of_sound, 1500000)
+        params = self.of(3023)[0]
+        self.assertEqual((params.start_mm, params.end_mm, params.sos_mps, params.gain_index, params.msec_per_ping), (500, 30000, 1500.0, -1, 100))
+        self.assertEqual((params.ping_enable, params.enable_channel_data, params.enable_yz_point_data, params.enable_atof_data), (1, 0, 1, 1))
+        self.assertEqual((params.target_ping_hz, params.n_range_steps, params.pulse_len_steps), (240000, 400, 1.5))
+
+    def test_lines_of_the_omniscan_are_exact(self):
+        for ping, line in enumerate(self.of(2198)):
+            self.assertEqual((line.ping_number, line.num_results, line.sos_dmps, line.channel_number), (ping, 1200, 15000, 1))
+            self.assertEqual((line.min_pwr_db, line.max_pwr_db), (10.0, 90.0))
+            np.testing.assert_array_equal(np.frombuffer(bytes(line.pwr_results), "<u2"), count(ping, 0, 1200) + 20000)
+
+    def test_points_and_attitude_of_the_surveyor_are_exact(self):
+        for ping, points in enumerate(self.of(3012)):
+            self.assertEqual((points.ping_number, points.num_points, points.utc_msec), (ping, 200, UTC_S * 1000 + UTC_MS + 100 * ping))
+            got = np.frombuffer(bytes(points.atof_point_data), "<f4").reshape(200, 4)
+            np.testing.assert_array_equal(got[:, 0], count(ping, 1, 200) / 32768.0)
+            np.testing.assert_array_equal(got[:, 1], (count(ping, 2, 200) + 20000) / 1048576.0)
+        for ping, points in enumerate(self.of(3011)):
+            np.testing.assert_array_equal(np.frombuffer(bytes(points.yz_point_data), "<f4"), count(ping, 3, 200))
+            self.assertEqual((points.water_degC, points.water_bar, points.num_points), (12.5, -1000.0, 100))
+        for attitude in self.of(504):
+            up = (attitude.up_vec_x, attitude.up_vec_y, attitude.up_vec_z)
+            self.assertAlmostEqual(np.degrees(np.arcsin(up[0])), PITCH, delta=1e-4)
+            self.assertAlmostEqual(np.degrees(np.arctan2(up[1], up[2])), ROLL, delta=1e-4)
+
+
 if __name__ == "__main__":
     warnings.simplefilter("error")
     unittest.main()

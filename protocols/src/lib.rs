@@ -9,6 +9,8 @@
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
+//! - [`wbms`]: NORBIT WBMS (TCP ports 2209 to 2212); [`imagenex872`]: Imagenex 872 (TCP port 4040).
+//! - [`ping_protocol`]: Blue Robotics and Cerulean Ping protocol (Omniscan 450, Surveyor 240).
 //! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
@@ -17,13 +19,16 @@
 
 pub mod calendar;
 pub mod framing;
+pub mod imagenex872;
 pub mod jsf;
 mod layout;
+pub mod ping_protocol;
 pub mod sevenk;
 
 pub mod sigmf;
 pub mod vita49;
 pub mod wav;
+pub mod wbms;
 pub mod xtf;
 
 pub use layout::WireError;

@@ -5,11 +5,17 @@ use std::fmt::{self, Write};
 use super::check::sonar::{
     BYTES_PER_7038_SAMPLE, MAX_PLATFORM_SPEED_M_PER_S, max_doppler_hz, min_sample_rate_hz,
 };
+use glam::DVec3;
+
 use super::spec::*;
 use crate::flow::{
     ArrayGeometry, DopplerModel, PathModel, Pattern, PulseKind, Receiver, ReceiverFilter, Side,
     Synthesis, TimeVaryingGain,
 };
+use crate::frames::rotation_from_angles;
+
+/// How far the platform is tilted to show what the signs mean.
+const SIGN_TEST_DEG: f64 = 10.0;
 
 /// -3 dB width of a uniform line, in wavelengths over its length: sinc^2(0.443) = 1/2.
 const BEAMWIDTH: f64 = 0.886;
@@ -50,6 +56,10 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
             NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
         line(out, "", &format!("{}: {input}", source.name))?;
+        if source.lever_arm_m != DVec3::ZERO {
+            let text = format!("{}: antenna {}", source.name, tilted(source.lever_arm_m));
+            line(out, "  signs", &text)?;
+        }
     }
     line(out, "scene", &scene(&rig.scene))?;
     let threads = match rig.run.threads {
@@ -322,6 +332,51 @@ fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::
                 array.spacing_m / wavelength_m,
                 beamwidth_deg(wavelength_m, aperture_m(array)),
                 pattern(&array.element_pattern, wavelength_m),
+            ),
+        )?;
+    }
+    write_signs(out, sonar)
+}
+
+/// Where a point of the body goes when the platform tilts.
+fn tilted(at: DVec3) -> String {
+    let tilt_rad = SIGN_TEST_DEG.to_radians();
+    let moves = |roll_rad: f64, pitch_rad: f64| {
+        let down_m = (rotation_from_angles(roll_rad, pitch_rad, 0.0) * at).z - at.z;
+        match down_m {
+            d if d > 5e-4 => format!("sinks {d:.3} m"),
+            d if d < -5e-4 => format!("rises {:.3} m", -d),
+            _ => "keeps its depth".to_owned(),
+        }
+    };
+    format!(
+        "at {:.3} m forward, {:.3} starboard, {:.3} down; roll +{SIGN_TEST_DEG} deg (starboard down): {}; pitch +{SIGN_TEST_DEG} deg (bow up): {}",
+        at.x,
+        at.y,
+        at.z,
+        moves(tilt_rad, 0.0),
+        moves(0.0, tilt_rad)
+    )
+}
+
+/// What rolling to starboard and lifting the bow do to each array: a wrong sign or a swapped axis shows at once.
+fn write_signs(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
+    let transmit = sonar.transmit_names.iter().zip(&sonar.transmit);
+    let receive = sonar.receive_names.iter().zip(&sonar.receive);
+    let arrays = transmit
+        .map(|(name, a)| (name, a.mounting))
+        .chain(receive.map(|(name, a)| (name, a.mounting)));
+    for (name, mounting) in arrays {
+        let looks = mounting.body_from_array * DVec3::Z;
+        line(
+            out,
+            "  signs",
+            &format!(
+                "{name} faces ({:.2}, {:.2}, {:.2}) forward, starboard, down; {}",
+                looks.x,
+                looks.y,
+                looks.z,
+                tilted(mounting.position_m)
             ),
         )?;
     }

@@ -6,7 +6,10 @@
 //!
 //! - A recorder whose clock is more than [`RECORDER_TOLERANCE_NS`] off the messages is shifted as a whole: by the quarters of an hour of a
 //!   time zone or a missing date, else onto the first dated message. A source taken by arrival has only a missing date mended.
-//! - A plain log (no stamps) arrives as its message times advance; one without message times at a given rate, from 1970 on.
+//! - A plain log (no stamps) arrives as its message times advance; one without message times at a given rate, from 1970 on. Sentences without
+//!   a time that come several times between two such advances are spread evenly over the time between.
+
+use std::ops::Range;
 
 use super::capture;
 use super::decoder::{Heard, NavCounters, NavDecoder, unwatched};
@@ -138,6 +141,8 @@ pub fn read_log_watched(
     let mut raw = None;
     let mut plain_now = start.first_message.unwrap_or_default();
     let step_ns = NS_PER_S as f64 / plain_rate_hz;
+    let mut untimed = Untimed::default();
+    let spreads = !start.stamped && start.first_message.is_some();
     for (stamp, sentence) in pieces(bytes, kind) {
         counts.lines += 1;
         if let Some(stamp) = stamp {
@@ -151,15 +156,24 @@ pub fn read_log_watched(
             None => plain_now,
         };
         let first_new = samples.len();
-        decoder.push_paced(sentence, arrival, 0, &mut samples, watch);
+        let mut watch = |heard: &Heard| {
+            watch(heard);
+            if spreads {
+                untimed.hear(heard);
+            }
+        };
+        decoder.push_paced(sentence, arrival, 0, &mut samples, &mut watch);
         if kind != LogKind::Binary {
-            decoder.flush_watched(&mut samples, watch);
+            decoder.flush_watched(&mut samples, &mut watch);
         }
         if start.stamped {
             continue;
         }
         if let (Some(_), Some((message, _))) = (start.first_message, decoder.last_message_time()) {
             let forward_ns = message.0.saturating_sub(plain_now.0).max(0);
+            if forward_ns > 0 {
+                untimed.spread(first_new, forward_ns, &mut samples);
+            }
             plain_now = plain_now.plus_ns(forward_ns);
             for sample in &mut samples[first_new..] {
                 sample.arrival_utc = plain_now;
@@ -173,7 +187,49 @@ pub fn read_log_watched(
         }
     }
     decoder.flush_watched(&mut samples, watch);
+    // Nothing says how long the last stretch was: as long as the one before.
+    untimed.spread(samples.len(), untimed.last_step_ns, &mut samples);
     (samples, *decoder.counters(), counts)
+}
+
+/// Samples of a plain log without a time of their own, since the last message with one.
+#[derive(Default)]
+struct Untimed {
+    /// By sentence: where the samples lie that each of its kind gave.
+    given: Vec<(String, Vec<Range<usize>>)>,
+    /// Samples given so far.
+    samples: usize,
+    last_step_ns: i64,
+}
+
+impl Untimed {
+    fn hear(&mut self, heard: &Heard) {
+        let count = heard.taken.count_ones() as usize;
+        let new = self.samples..self.samples + count;
+        self.samples = new.end;
+        if count == 0 || heard.message_utc.is_some() {
+            return;
+        }
+        match self.given.iter_mut().find(|(name, _)| name == heard.name) {
+            Some((_, ranges)) => ranges.push(new),
+            None => self.given.push((heard.name.to_owned(), vec![new])),
+        }
+    }
+
+    /// The message time advances by `step_ns` at the sample `first_new`: the sentences before it came evenly, the first of each kind at once.
+    fn spread(&mut self, first_new: usize, step_ns: i64, samples: &mut [NavSample]) {
+        self.last_step_ns = step_ns;
+        for (_, ranges) in &mut self.given {
+            let before = ranges.partition_point(|r| r.end <= first_new);
+            for (k, range) in ranges.drain(..before).enumerate() {
+                let late_ns = (i128::from(step_ns) * k as i128 / before as i128) as i64;
+                for sample in &mut samples[range] {
+                    sample.arrival_utc = sample.arrival_utc.plus_ns(late_ns);
+                    sample.valid_utc = sample.valid_utc.plus_ns(late_ns);
+                }
+            }
+        }
+    }
 }
 
 /// A tlog's stamps are the ground station's UTC; its messages count from the vehicle's start, which `SYSTEM_TIME` ties to UTC.

@@ -6,6 +6,8 @@ mod echo;
 mod forward_looking;
 #[path = "bench/machine.rs"]
 mod machine;
+#[path = "bench/nav.rs"]
+mod nav;
 #[path = "bench/ping.rs"]
 mod ping;
 #[path = "bench/report.rs"]
@@ -66,6 +68,17 @@ enum What {
         #[arg(long, default_value = "hil-configs/quickstart.toml")]
         config: PathBuf,
     },
+    /// Navigation sentences per second, beside the crate nmea and, with --python, pynmea2, on the same lines.
+    Nav {
+        #[command(flatten)]
+        common: Common,
+        /// A text log; its sentences are repeated.
+        #[arg(long, default_value = "tests/data/nav/seapath330_90s.rvdas")]
+        log: PathBuf,
+        /// A Python that has pynmea2.
+        #[arg(long)]
+        python: Option<PathBuf>,
+    },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
         directory: PathBuf,
@@ -112,6 +125,16 @@ fn main() -> std::process::ExitCode {
             threads,
         } => echo(&common, only.as_deref(), &dialects, &threads),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
+        What::Nav {
+            common,
+            log,
+            python,
+        } => nav::run(
+            &log,
+            python.as_deref(),
+            common.quick,
+            common.json.as_deref(),
+        ),
         What::TransformDump {
             directory,
             scatterers,

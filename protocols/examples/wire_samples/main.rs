@@ -4,8 +4,10 @@
 //! one attitude.
 
 mod jsf;
+mod ping_protocol;
 mod recordings;
 mod vita49;
+mod wbms;
 mod xtf;
 
 use std::path::Path;
@@ -34,5 +36,7 @@ fn main() -> std::io::Result<()> {
     jsf::write(folder)?;
     xtf::write(folder)?;
     vita49::write(folder)?;
-    recordings::write(folder)
+    recordings::write(folder)?;
+    ping_protocol::write(folder)?;
+    wbms::write(folder)
 }

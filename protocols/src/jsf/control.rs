@@ -38,7 +38,7 @@ pub mod trigger {
     pub const COUPLED: i32 = 2;
 }
 
-/// A text of message 123 longer than this is not one.
+/// Length of the text of message 123, with the NUL that closes it.
 pub const MAX_PULSE_NAME_BYTES: usize = 256;
 
 /// What a command or an answer says.
@@ -124,7 +124,8 @@ impl Control {
                     delay_us: i32_at(body, 8)? as u32,
                 },
                 message_type::PING_SELECT => {
-                    Value::PulseName(text_of(&body[..body.len().min(MAX_PULSE_NAME_BYTES)]))
+                    // One byte of the field is its closing NUL.
+                    Value::PulseName(text_of(&body[..body.len().min(MAX_PULSE_NAME_BYTES - 1)]))
                 }
                 _ => Value::Number(i32_at(body, 0)?),
             },

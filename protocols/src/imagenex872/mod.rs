@@ -1,0 +1,153 @@
+//! Imagenex 872 YellowFin: side-scan heads that answer every switch command with one line. Source: what LSTS DUNE's `Sensors.Imagenex872` sends
+//! and reads; the bytes of the answer's header, of which it reads none, are 0 but for the letters.
+//!
+//! TCP port [`PORT`]. A client sends [`SwitchCommand`] (27 bytes) per side and ping, and gets [`ANSWER_BYTES`]: a header of 12 bytes, 1000 bytes of
+//! echo, and FC.
+
+use std::ops::Range;
+
+use crate::WireError;
+use crate::framing::{Framing, Look, Splitter};
+use crate::layout::data_at;
+
+pub const PORT: u16 = 4040;
+pub const SWITCH_BYTES: usize = 27;
+pub const ECHO_BYTES: usize = 1000;
+const ANSWER_HEADER_BYTES: usize = 12;
+pub const ANSWER_BYTES: usize = ANSWER_HEADER_BYTES + ECHO_BYTES + 1;
+/// The ranges that a head has, m.
+pub const RANGES_M: [u8; 11] = [10, 20, 30, 40, 50, 60, 80, 100, 125, 150, 200];
+/// The frequencies that a head has, by their index.
+pub const FREQUENCIES_KHZ: [u16; 3] = [260, 330, 770];
+const BEGIN: [u8; 2] = [0xFE, 0x44];
+const END: u8 = 0xFD;
+const ANSWER_MARK: [u8; 3] = *b"IMX";
+const ANSWER_END: u8 = 0xFC;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    Port,
+    Starboard,
+}
+
+/// What a client wants of one ping.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SwitchCommand {
+    /// One of [`RANGES_M`].
+    pub range_m: u8,
+    /// Index into [`FREQUENCIES_KHZ`].
+    pub frequency_index: u8,
+    /// 0 to 100.
+    pub data_gain: u8,
+    /// 0 to 60.
+    pub balance_gain: u8,
+    pub side: Side,
+}
+
+impl SwitchCommand {
+    /// Reads the command at the front of `bytes`; a range or frequency that no head has is refused.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        const WHAT: &str = "Imagenex switch command";
+        let bytes = data_at(bytes, 0, SWITCH_BYTES as u64, WHAT)?;
+        if bytes[..2] != BEGIN || bytes[SWITCH_BYTES - 1] != END {
+            return Err(WireError::Mark {
+                what: WHAT,
+                expected: 0xFE_44_FD,
+                got: u64::from(bytes[0]) << 16 | u64::from(bytes[1]) << 8 | u64::from(bytes[26]),
+            });
+        }
+        let refuse = |what, got: u8| WireError::Unsupported {
+            what,
+            got: got.into(),
+        };
+        if !RANGES_M.contains(&bytes[3]) {
+            return Err(refuse("Imagenex range", bytes[3]));
+        }
+        if usize::from(bytes[7]) >= FREQUENCIES_KHZ.len() {
+            return Err(refuse("Imagenex frequency index", bytes[7]));
+        }
+        let side = match bytes[18] {
+            0 => Side::Port,
+            2 => Side::Starboard,
+            other => return Err(refuse("Imagenex side", other)),
+        };
+        Ok(Self {
+            range_m: bytes[3],
+            frequency_index: bytes[7],
+            data_gain: bytes[8].min(100),
+            balance_gain: bytes[10].min(60),
+            side,
+        })
+    }
+
+    pub fn emit(&self, buf: &mut Vec<u8>) -> Range<usize> {
+        let start = buf.len();
+        let mut bytes = [0; SWITCH_BYTES];
+        bytes[..2].copy_from_slice(&BEGIN);
+        bytes[3] = self.range_m;
+        bytes[7] = self.frequency_index;
+        bytes[8] = self.data_gain;
+        bytes[10] = self.balance_gain;
+        bytes[18] = match self.side {
+            Side::Port => 0,
+            Side::Starboard => 2,
+        };
+        bytes[SWITCH_BYTES - 1] = END;
+        buf.extend(bytes);
+        start..buf.len()
+    }
+}
+
+/// Appends the answer: one side's echo, nearest first, over the whole range.
+pub fn emit_answer(buf: &mut Vec<u8>, echo: &[u8; ECHO_BYTES]) -> Range<usize> {
+    let start = buf.len();
+    buf.extend(ANSWER_MARK);
+    buf.resize(start + ANSWER_HEADER_BYTES, 0);
+    buf.extend(echo);
+    buf.push(ANSWER_END);
+    start..buf.len()
+}
+
+/// The echo of the answer at the front of `bytes`.
+pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
+    const WHAT: &str = "Imagenex answer";
+    let bytes = data_at(bytes, 0, ANSWER_BYTES as u64, WHAT)?;
+    if bytes[..3] != ANSWER_MARK || bytes[ANSWER_BYTES - 1] != ANSWER_END {
+        return Err(WireError::Mark {
+            what: WHAT,
+            expected: ANSWER_END.into(),
+            got: bytes[ANSWER_BYTES - 1].into(),
+        });
+    }
+    let echo = bytes[ANSWER_HEADER_BYTES..].first_chunk();
+    Ok(echo.expect("the answer has the echo's length"))
+}
+
+/// Commands as they come over a connection.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SwitchFraming;
+
+impl Framing for SwitchFraming {
+    fn max_message_bytes(&self) -> usize {
+        SWITCH_BYTES
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        let wrong = Look::Wrong(WireError::Mark {
+            what: "Imagenex switch command",
+            expected: 0xFE,
+            got: bytes[0].into(),
+        });
+        if bytes.iter().zip(BEGIN).any(|(&byte, mark)| byte != mark) {
+            return wrong;
+        }
+        match bytes.get(SWITCH_BYTES - 1) {
+            None => Look::More,
+            Some(&END) => Look::Whole(SWITCH_BYTES),
+            Some(_) => wrong,
+        }
+    }
+}
+
+/// Commands from a connection.
+pub type SwitchStream = Splitter<SwitchFraming>;

@@ -1,0 +1,73 @@
+//! What every device speaks. Source: `common.json` of bluerobotics/ping-protocol.
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{emit_frame, message_id, ping_message};
+
+/// 1: a message was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct AckMessage {
+    pub acked_id: u16,
+}
+
+ping_message!(AckMessage, 2, "Ping 1", message_id::ACK);
+
+/// Appends 2: a message was refused, and why.
+pub fn emit_nack(
+    buf: &mut Vec<u8>,
+    source: u8,
+    destination: u8,
+    refused_id: u16,
+    text: &str,
+) -> Range<usize> {
+    emit_frame(buf, message_id::NACK, source, destination, |buf| {
+        buf.extend(refused_id.to_le_bytes());
+        buf.extend(text.bytes().filter(u8::is_ascii));
+    })
+}
+
+/// 4: what a device is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct DeviceInformation {
+    /// 0 unknown.
+    pub device_type: u8,
+    pub device_revision: u8,
+    /// Major, minor, patch.
+    #[brw(pad_after = 1)]
+    pub firmware: [u8; 3],
+}
+
+ping_message!(
+    DeviceInformation,
+    6,
+    "Ping 4",
+    message_id::DEVICE_INFORMATION
+);
+
+/// 5: major, minor, patch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct ProtocolVersion {
+    #[brw(pad_after = 1)]
+    pub version: [u8; 3],
+}
+
+ping_message!(ProtocolVersion, 4, "Ping 5", message_id::PROTOCOL_VERSION);
+
+/// 6: asks for a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct GeneralRequest {
+    pub requested_id: u16,
+}
+
+ping_message!(GeneralRequest, 2, "Ping 6", message_id::GENERAL_REQUEST);
+
+/// 100
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct SetDeviceId {
+    /// 1 to 254.
+    pub device_id: u8,
+}
+
+ping_message!(SetDeviceId, 1, "Ping 100", message_id::SET_DEVICE_ID);

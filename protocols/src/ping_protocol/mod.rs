@@ -1,0 +1,269 @@
+//! The Ping protocol of Blue Robotics and Cerulean: what it is, its frame, and its messages.
+//!
+//! Source: `src/definitions/*.json` of bluerobotics/ping-protocol (MIT, public), which the makers generate their clients from; messages 169 and
+//! 170 from the client brping 0.2.5. Little endian; TCP, UDP (port [`PORT`] in the makers' examples) or a serial line.
+//!
+//! ```text
+//! 'B' 'R' | u16 payload length | u16 message | u8 source | u8 destination | payload | u16 sum of all bytes before
+//! ```
+//!
+//! - [`common`]: what every device speaks
+//! - [`omniscan450`]: side-scan, one line of dB per ping
+//! - [`surveyor240`]: multibeam, detected points
+//!
+//! Element data have no public layout in this protocol.
+
+pub mod common;
+pub mod omniscan450;
+pub mod surveyor240;
+
+use std::ops::Range;
+
+use crate::WireError;
+use crate::framing::{Framing, Look, Splitter};
+use crate::layout::{data_at, text_of};
+
+use common::{AckMessage, DeviceInformation, GeneralRequest, ProtocolVersion, SetDeviceId};
+use omniscan450::{OsMonoProfile, OsPingParams, SetSpeedOfSound, SyncChannel};
+use surveyor240::{
+    AtofPointData, AttitudeReport, SetNetInfo, SetPingParameters, UtcResponse, WaterStats,
+    YzPointData,
+};
+
+/// TCP and UDP port of Cerulean's devices in their examples.
+pub const PORT: u16 = 51_200;
+pub const HEADER_BYTES: usize = 8;
+pub const CHECKSUM_BYTES: usize = 2;
+/// Longer payloads do not exist: their length has 16 bits.
+pub const MAX_FRAME_BYTES: usize = HEADER_BYTES + u16::MAX as usize + CHECKSUM_BYTES;
+const MARK: [u8; 2] = *b"BR";
+
+/// Message numbers.
+pub mod message_id {
+    pub const ACK: u16 = 1;
+    pub const NACK: u16 = 2;
+    pub const ASCII_TEXT: u16 = 3;
+    pub const DEVICE_INFORMATION: u16 = 4;
+    pub const PROTOCOL_VERSION: u16 = 5;
+    pub const GENERAL_REQUEST: u16 = 6;
+    pub const JSON_WRAPPER: u16 = 10;
+    pub const UTC_REQUEST: u16 = 14;
+    pub const UTC_RESPONSE: u16 = 15;
+    pub const SET_NET_INFO: u16 = 17;
+    pub const SET_DEVICE_ID: u16 = 100;
+    pub const SET_SPEED_OF_SOUND: u16 = 116;
+    pub const WATER_STATS: u16 = 118;
+    pub const SYNC_CHANNEL: u16 = 169;
+    pub const SET_SYNC_CHANNEL: u16 = 170;
+    pub const ATTITUDE_REPORT: u16 = 504;
+    pub const OS_PING_PARAMS: u16 = 2197;
+    pub const OS_MONO_PROFILE: u16 = 2198;
+    pub const YZ_POINT_DATA: u16 = 3011;
+    pub const ATOF_POINT_DATA: u16 = 3012;
+    pub const SET_PING_PARAMETERS: u16 = 3023;
+}
+
+/// Sum of bytes, modulo 65536.
+pub fn checksum(bytes: &[u8]) -> u16 {
+    bytes
+        .iter()
+        .fold(0, |sum: u16, &byte| sum.wrapping_add(byte.into()))
+}
+
+/// A frame, read: its payload stays where it was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Frame<'a> {
+    pub message_id: u16,
+    pub source: u8,
+    pub destination: u8,
+    pub payload: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// Reads the frame at the front of `bytes` and holds its checksum against its bytes.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
+        const WHAT: &str = "Ping frame";
+        let head = data_at(bytes, 0, HEADER_BYTES as u64, WHAT)?;
+        if head[..2] != MARK {
+            return Err(WireError::Mark {
+                what: "Ping mark",
+                expected: u16::from_be_bytes(MARK).into(),
+                got: u16::from_be_bytes([head[0], head[1]]).into(),
+            });
+        }
+        let payload_bytes = u16::from_le_bytes([head[2], head[3]]);
+        let payload = data_at(bytes, HEADER_BYTES, payload_bytes.into(), WHAT)?;
+        let end = HEADER_BYTES + payload.len();
+        let stored = data_at(bytes, end, CHECKSUM_BYTES as u64, WHAT)?;
+        let (stored, computed) = (
+            u16::from_le_bytes([stored[0], stored[1]]),
+            checksum(&bytes[..end]),
+        );
+        if stored != computed {
+            return Err(WireError::Checksum {
+                what: WHAT,
+                stored: stored.into(),
+                computed: computed.into(),
+            });
+        }
+        Ok(Self {
+            message_id: u16::from_le_bytes([head[4], head[5]]),
+            source: head[6],
+            destination: head[7],
+            payload,
+        })
+    }
+}
+
+/// Appends a frame whose payload `write_payload` appends, and says where it lies.
+///
+/// # Panics
+/// If the payload is longer than 65535 bytes.
+pub fn emit_frame(
+    buf: &mut Vec<u8>,
+    message_id: u16,
+    source: u8,
+    destination: u8,
+    write_payload: impl FnOnce(&mut Vec<u8>),
+) -> Range<usize> {
+    let start = buf.len();
+    buf.extend(MARK);
+    buf.extend([0; 2]);
+    buf.extend(message_id.to_le_bytes());
+    buf.extend([source, destination]);
+    write_payload(buf);
+    let payload_bytes = u16::try_from(buf.len() - start - HEADER_BYTES)
+        .expect("a Ping payload of at most 65535 bytes");
+    buf[start + 2..start + 4].copy_from_slice(&payload_bytes.to_le_bytes());
+    let sum = checksum(&buf[start..]);
+    buf.extend(sum.to_le_bytes());
+    start..buf.len()
+}
+
+/// How frames show their lengths; a frame with a wrong checksum is none.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PingFraming;
+
+impl Framing for PingFraming {
+    fn max_message_bytes(&self) -> usize {
+        MAX_FRAME_BYTES
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        if bytes.iter().zip(MARK).any(|(&byte, mark)| byte != mark) {
+            return Look::Wrong(WireError::Mark {
+                what: "Ping mark",
+                expected: u16::from_be_bytes(MARK).into(),
+                got: bytes[0].into(),
+            });
+        }
+        match Frame::parse(bytes) {
+            Ok(frame) => Look::Whole(HEADER_BYTES + frame.payload.len() + CHECKSUM_BYTES),
+            Err(WireError::Truncated { .. }) => Look::More,
+            Err(error) => Look::Wrong(error),
+        }
+    }
+}
+
+/// Frames from a connection.
+pub type PingStream = Splitter<PingFraming>;
+
+/// What a frame says, in either direction.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message<'a> {
+    Ack(AckMessage),
+    Nack {
+        refused_id: u16,
+        text: String,
+    },
+    AsciiText(String),
+    DeviceInformation(DeviceInformation),
+    ProtocolVersion(ProtocolVersion),
+    GeneralRequest(GeneralRequest),
+    SetDeviceId(SetDeviceId),
+    Json(&'a [u8]),
+    SetSpeedOfSound(SetSpeedOfSound),
+    SyncChannel(SyncChannel),
+    SetSyncChannel(SyncChannel),
+    OsPingParams(OsPingParams),
+    OsMonoProfile(OsMonoProfile<'a>),
+    UtcRequest,
+    UtcResponse(UtcResponse),
+    SetNetInfo(SetNetInfo),
+    SetPingParameters(SetPingParameters),
+    AttitudeReport(AttitudeReport),
+    WaterStats(WaterStats),
+    AtofPointData(AtofPointData<'a>),
+    YzPointData(YzPointData<'a>),
+    /// A message that is none of these.
+    Other {
+        message_id: u16,
+        payload: &'a [u8],
+    },
+}
+
+impl<'a> Message<'a> {
+    pub fn parse(frame: &Frame<'a>) -> Result<Self, WireError> {
+        let payload = frame.payload;
+        Ok(match frame.message_id {
+            message_id::ACK => Self::Ack(AckMessage::parse(payload)?),
+            message_id::NACK => Self::Nack {
+                refused_id: AckMessage::parse(payload)?.acked_id,
+                text: text_of(&payload[2..]),
+            },
+            message_id::ASCII_TEXT => Self::AsciiText(text_of(payload)),
+            message_id::DEVICE_INFORMATION => {
+                Self::DeviceInformation(DeviceInformation::parse(payload)?)
+            }
+            message_id::PROTOCOL_VERSION => Self::ProtocolVersion(ProtocolVersion::parse(payload)?),
+            message_id::GENERAL_REQUEST => Self::GeneralRequest(GeneralRequest::parse(payload)?),
+            message_id::SET_DEVICE_ID => Self::SetDeviceId(SetDeviceId::parse(payload)?),
+            message_id::JSON_WRAPPER => Self::Json(payload),
+            message_id::SET_SPEED_OF_SOUND => {
+                Self::SetSpeedOfSound(SetSpeedOfSound::parse(payload)?)
+            }
+            message_id::SYNC_CHANNEL => Self::SyncChannel(SyncChannel::parse(payload)?),
+            message_id::SET_SYNC_CHANNEL => Self::SetSyncChannel(SyncChannel::parse(payload)?),
+            message_id::OS_PING_PARAMS => Self::OsPingParams(OsPingParams::parse(payload)?),
+            message_id::OS_MONO_PROFILE => Self::OsMonoProfile(OsMonoProfile::parse(payload)?),
+            message_id::UTC_REQUEST => Self::UtcRequest,
+            message_id::UTC_RESPONSE => Self::UtcResponse(UtcResponse::parse(payload)?),
+            message_id::SET_NET_INFO => Self::SetNetInfo(SetNetInfo::parse(payload)?),
+            message_id::SET_PING_PARAMETERS => {
+                Self::SetPingParameters(SetPingParameters::parse(payload)?)
+            }
+            message_id::ATTITUDE_REPORT => Self::AttitudeReport(AttitudeReport::parse(payload)?),
+            message_id::WATER_STATS => Self::WaterStats(WaterStats::parse(payload)?),
+            message_id::ATOF_POINT_DATA => Self::AtofPointData(AtofPointData::parse(payload)?),
+            message_id::YZ_POINT_DATA => Self::YzPointData(YzPointData::parse(payload)?),
+            message_id => Self::Other {
+                message_id,
+                payload,
+            },
+        })
+    }
+}
+
+/// Implements [`crate::layout::Layout`], the message number and emission as a whole frame, for messages of fixed length.
+macro_rules! ping_message {
+    ($type:ty, $size:expr, $name:literal, $id:expr) => {
+        crate::layout::layout!($type, $size, $name, Little);
+
+        impl $type {
+            pub const MESSAGE_ID: u16 = $id;
+
+            /// Appends the whole frame and says where it lies.
+            pub fn emit_frame(
+                &self,
+                buf: &mut Vec<u8>,
+                source: u8,
+                destination: u8,
+            ) -> std::ops::Range<usize> {
+                crate::ping_protocol::emit_frame(buf, $id, source, destination, |buf| {
+                    self.emit(buf);
+                })
+            }
+        }
+    };
+}
+pub(crate) use ping_message;

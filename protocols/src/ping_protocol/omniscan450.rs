@@ -1,0 +1,153 @@
+//! Omniscan 450: side-scan, one line per ping. Source: `omniscan450.json` of bluerobotics/ping-protocol; 169 and 170 from brping 0.2.5.
+//!
+//! A port and starboard pair is two devices, synchronised by 170.
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{emit_frame, message_id, ping_message};
+use crate::WireError;
+use crate::layout::{data_at, layout};
+use crate::sevenk::frame::extend_encoded;
+
+/// 116
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct SetSpeedOfSound {
+    pub speed_of_sound_mm_per_s: u32,
+}
+
+ping_message!(
+    SetSpeedOfSound,
+    4,
+    "Ping 116",
+    message_id::SET_SPEED_OF_SOUND
+);
+
+/// 169 and 170: which of the synchronised devices this one is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct SyncChannel {
+    pub channel_number: u8,
+    pub number_of_channels: u8,
+}
+
+ping_message!(SyncChannel, 2, "Ping 169", message_id::SYNC_CHANNEL);
+
+/// 2197: how to ping.
+#[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
+pub struct OsPingParams {
+    pub start_mm: u32,
+    pub length_mm: u32,
+    /// 0 as fast as it goes.
+    #[brw(pad_after = 8)]
+    pub msec_per_ping: u32,
+    /// Part of the time of a ping; 0.002 is usual.
+    pub pulse_len_percent: f32,
+    /// 0.0015 is usual.
+    pub filter_duration_percent: f32,
+    /// -1 automatic, else 0 to 7.
+    pub gain_index: i16,
+    /// 200 to 1200.
+    pub num_results: u16,
+    /// 1 pings, 0 does not.
+    #[brw(pad_after = 3)]
+    pub enable: u8,
+}
+
+ping_message!(OsPingParams, 36, "Ping 2197", message_id::OS_PING_PARAMS);
+
+/// 2198 before its results; their number is filled in when it is written.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct OsMonoProfileHead {
+    pub ping_number: u32,
+    pub start_mm: u32,
+    pub length_mm: u32,
+    /// Since the device was switched on.
+    pub timestamp_ms: u32,
+    pub ping_hz: u32,
+    pub gain_index: u16,
+    pub num_results: u16,
+    /// Speed of sound, tenths of m/s.
+    pub sos_dmps: u16,
+    #[brw(pad_after = 1)]
+    pub channel_number: u8,
+    pub pulse_duration_s: f32,
+    pub analog_gain: f32,
+    /// What 65535 and 0 stand for.
+    pub max_pwr_db: f32,
+    pub min_pwr_db: f32,
+    pub transducer_heading_deg: f32,
+    pub vehicle_heading_deg: f32,
+}
+
+layout!(OsMonoProfileHead, 52, "Ping 2198", Little);
+
+/// 2198: one line, read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OsMonoProfile<'a> {
+    pub head: OsMonoProfileHead,
+    results: &'a [u8],
+}
+
+impl<'a> OsMonoProfile<'a> {
+    pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
+        let head = OsMonoProfileHead::parse(payload)?;
+        let results = data_at(
+            payload,
+            OsMonoProfileHead::SIZE_BYTES,
+            2 * u64::from(head.num_results),
+            "Ping 2198 results",
+        )?;
+        Ok(Self { head, results })
+    }
+
+    pub fn results(&self) -> impl ExactSizeIterator<Item = u16> + 'a {
+        self.results
+            .chunks_exact(2)
+            .map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
+    }
+
+    /// The results in dB.
+    pub fn results_db(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
+        let (low, high) = (
+            f64::from(self.head.min_pwr_db),
+            f64::from(self.head.max_pwr_db),
+        );
+        self.results()
+            .map(move |result| low + f64::from(result) / 65_535.0 * (high - low))
+    }
+}
+
+/// dB as 0 to 65535 between the ends of the scale; what is beyond them saturates, NaN is the lowest.
+pub fn quantise_db(db: f32, min_pwr_db: f32, max_pwr_db: f32) -> u16 {
+    let span = f64::from(max_pwr_db) - f64::from(min_pwr_db);
+    ((f64::from(db) - f64::from(min_pwr_db)) / span * 65_535.0).round() as u16
+}
+
+/// Appends 2198 and says where it lies.
+///
+/// # Panics
+/// If there are more than 1200 results, which is what the device has at most.
+pub fn emit_2198(
+    buf: &mut Vec<u8>,
+    source: u8,
+    destination: u8,
+    head: &OsMonoProfileHead,
+    results: &[u16],
+) -> Range<usize> {
+    assert!(results.len() <= 1200, "{} results", results.len());
+    let head = OsMonoProfileHead {
+        num_results: results.len() as u16,
+        ..*head
+    };
+    emit_frame(
+        buf,
+        message_id::OS_MONO_PROFILE,
+        source,
+        destination,
+        |buf| {
+            head.emit(buf);
+            extend_encoded(buf, results, u16::to_le_bytes);
+        },
+    )
+}

@@ -1,0 +1,292 @@
+//! Types 2 (water column), 4 (snippets) and 5 (side-scan): samples under one head. Source: TN-180196, water column, snippet and side-scan data;
+//! offsets count from the start of the packet.
+//!
+//! ```text
+//! type 2   samples[M][N], f32 angle[N]
+//! type 4   samples[M][N], f32 angle[N], u16 start sample[N], u16 detection sample[N]
+//! type 5   samples[M][2], port then starboard
+//! ```
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use super::{Packet, emit_packet, packet_type};
+use crate::WireError;
+use crate::layout::{data_at, layout};
+use crate::sevenk::frame::extend_encoded;
+
+/// The samples' type. Written: i16, which a display in wide use insists on; read: all real ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DataKind {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    U64,
+    I64,
+    F32,
+    F64,
+}
+
+impl DataKind {
+    const CODES: [(u32, Self); 10] = [
+        (0, Self::U8),
+        (1, Self::I8),
+        (2, Self::U16),
+        (3, Self::I16),
+        (4, Self::U32),
+        (5, Self::I32),
+        (6, Self::U64),
+        (7, Self::I64),
+        (0x15, Self::F32),
+        (0x17, Self::F64),
+    ];
+
+    pub fn from_code(code: u32) -> Result<Self, WireError> {
+        Self::CODES
+            .iter()
+            .find(|&&(known, _)| known == code)
+            .map(|&(_, kind)| kind)
+            .ok_or(WireError::Unsupported {
+                what: "WBMS data type",
+                got: code.into(),
+            })
+    }
+
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::U64 | Self::I64 | Self::F64 => 8,
+        }
+    }
+
+    fn value(self, bytes: &[u8]) -> f64 {
+        let mut wide = [0; 8];
+        wide[..bytes.len()].copy_from_slice(bytes);
+        let bits = u64::from_le_bytes(wide);
+        match self {
+            Self::U8 | Self::U16 | Self::U32 | Self::U64 => bits as f64,
+            Self::I8 => f64::from(bits as i8),
+            Self::I16 => f64::from(bits as i16),
+            Self::I32 => f64::from(bits as i32),
+            Self::I64 => bits as i64 as f64,
+            Self::F32 => f64::from(f32::from_bits(bits as u32)),
+            Self::F64 => f64::from_bits(bits),
+        }
+    }
+}
+
+/// i16, [`DataKind::I16`] on the wire.
+const I16_CODE: u32 = 3;
+
+/// What is true of all samples; numbers of beams and samples and their type are filled in when it is written.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct BackscatterHead {
+    /// 24
+    pub sound_velocity_m_per_s: f32,
+    pub sample_rate_hz: f32,
+    /// 32: N; 2 for side-scan.
+    pub beams: u32,
+    /// 36: M, of each beam.
+    pub samples: u32,
+    /// 40: seconds since 1970.
+    pub time_s: f64,
+    /// 48: see [`DataKind`].
+    pub data_type: u32,
+    /// 52: number of the first sample.
+    pub t0_samples: i32,
+    /// 56: a display divides by it.
+    #[brw(pad_after = 4)]
+    pub gain: f32,
+    /// 64
+    pub swath_direction_rad: f32,
+    pub swath_opening_rad: f32,
+    pub tx_frequency_hz: f32,
+    pub tx_bandwidth_hz: f32,
+    pub tx_length_s: f32,
+    /// 84
+    #[brw(pad_after = 12)]
+    pub tx_amplitude: u32,
+    /// 100
+    #[brw(pad_after = 4)]
+    pub ping_rate_hz: f32,
+    /// 108
+    pub ping_number: u32,
+    /// 112: seconds since 1970, when it was sent.
+    pub time_net_s: f64,
+    /// 120
+    pub beams_of_former: u32,
+    /// 124: gain over time: `vga_g0_db` up to sample `vga_t0`, `vga_g1_db` from `vga_t1`, a straight line between.
+    pub vga_t0: i32,
+    pub vga_g0_db: f32,
+    pub vga_t1: i32,
+    #[brw(pad_after = 4)]
+    pub vga_g1_db: f32,
+    /// 144
+    pub tx_angle_rad: f32,
+    pub tx_voltage: f32,
+    /// 152
+    pub beam_distribution: u8,
+    #[brw(pad_after = 2)]
+    pub sonar_mode: u8,
+    /// 156
+    pub gate_tilt_rad: f32,
+    #[brw(pad_after = 28)]
+    pub time_uncertainty_s: f32,
+}
+
+layout!(BackscatterHead, 168, "WBMS backscatter", Little);
+
+/// What is behind the samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Tail<'a> {
+    /// Of the water column: the beams' angles.
+    WaterColumn { angles_rad: &'a [f32] },
+    Snippets {
+        angles_rad: &'a [f32],
+        start_samples: &'a [u16],
+        detection_samples: &'a [u16],
+    },
+    /// Two columns, port and starboard.
+    SideScan,
+}
+
+/// Appends a packet of i16 samples, sample by sample, and says where it lies.
+///
+/// # Panics
+/// If the numbers of angles, snippets and samples do not fit each other; side-scan has two columns.
+pub fn emit_backscatter(
+    buf: &mut Vec<u8>,
+    head: &BackscatterHead,
+    samples_by_beams: &[i16],
+    tail: Tail<'_>,
+) -> Range<usize> {
+    let (kind, beams) = match tail {
+        Tail::WaterColumn { angles_rad } => (packet_type::WATER_COLUMN, angles_rad.len()),
+        Tail::Snippets {
+            angles_rad,
+            start_samples,
+            detection_samples,
+        } => {
+            assert_eq!(angles_rad.len(), start_samples.len(), "WBMS snippets");
+            assert_eq!(angles_rad.len(), detection_samples.len(), "WBMS snippets");
+            (packet_type::SNIPPETS, angles_rad.len())
+        }
+        Tail::SideScan => (packet_type::SIDE_SCAN, 2),
+    };
+    assert!(
+        beams > 0 && samples_by_beams.len().is_multiple_of(beams),
+        "{} samples of {beams} beams",
+        samples_by_beams.len()
+    );
+    let head = BackscatterHead {
+        beams: beams as u32,
+        samples: (samples_by_beams.len() / beams) as u32,
+        data_type: I16_CODE,
+        ..*head
+    };
+    emit_packet(buf, kind, |buf| {
+        head.emit(buf);
+        extend_encoded(buf, samples_by_beams, i16::to_le_bytes);
+        match tail {
+            Tail::WaterColumn { angles_rad } => extend_encoded(buf, angles_rad, f32::to_le_bytes),
+            Tail::Snippets {
+                angles_rad,
+                start_samples,
+                detection_samples,
+            } => {
+                extend_encoded(buf, angles_rad, f32::to_le_bytes);
+                extend_encoded(buf, start_samples, u16::to_le_bytes);
+                extend_encoded(buf, detection_samples, u16::to_le_bytes);
+            }
+            Tail::SideScan => {}
+        }
+    })
+}
+
+/// Types 2, 4 and 5, read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Backscatter<'a> {
+    /// One of [`packet_type`].
+    pub packet_type: u32,
+    pub head: BackscatterHead,
+    pub kind: DataKind,
+    samples: &'a [u8],
+    angles: &'a [u8],
+    starts: &'a [u8],
+    detections: &'a [u8],
+}
+
+impl<'a> Backscatter<'a> {
+    pub fn parse(packet: &Packet<'a>) -> Result<Self, WireError> {
+        const WHAT: &str = "WBMS samples";
+        let packet_type = packet.header.packet_type;
+        let (has_angles, has_snippets) = match packet_type {
+            packet_type::WATER_COLUMN => (true, false),
+            packet_type::SNIPPETS => (true, true),
+            packet_type::SIDE_SCAN => (false, false),
+            other => {
+                return Err(WireError::Unsupported {
+                    what: "WBMS packet type",
+                    got: other.into(),
+                });
+            }
+        };
+        let head = BackscatterHead::parse(packet.payload)?;
+        let kind = DataKind::from_code(head.data_type)?;
+        let beams = u64::from(head.beams);
+        let mut at = BackscatterHead::SIZE_BYTES;
+        let mut take = |len: u64| {
+            let data = data_at(packet.payload, at, len, WHAT)?;
+            at += data.len();
+            Ok::<_, WireError>(data)
+        };
+        // Below 2^64: the product of two 32-bit numbers, times at most 8, saturates.
+        let samples = take(
+            beams
+                .saturating_mul(head.samples.into())
+                .saturating_mul(kind.bytes() as u64),
+        )?;
+        let angles = take(if has_angles { 4 * beams } else { 0 })?;
+        let starts = take(if has_snippets { 2 * beams } else { 0 })?;
+        let detections = take(if has_snippets { 2 * beams } else { 0 })?;
+        Ok(Self {
+            packet_type,
+            head,
+            kind,
+            samples,
+            angles,
+            starts,
+            detections,
+        })
+    }
+
+    /// All samples as they lie: per sample, per beam.
+    pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
+        let kind = self.kind;
+        self.samples
+            .chunks_exact(kind.bytes())
+            .map(move |bytes| kind.value(bytes))
+    }
+
+    pub fn angles_rad(&self) -> impl ExactSizeIterator<Item = f32> + 'a {
+        self.angles
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+    }
+
+    /// First sample and sample of the detection, per snippet.
+    pub fn snippets(&self) -> impl Iterator<Item = (u16, u16)> + 'a {
+        let u16s = |bytes: &'a [u8]| {
+            bytes
+                .chunks_exact(2)
+                .map(|b| u16::from_le_bytes([b[0], b[1]]))
+        };
+        u16s(self.starts).zip(u16s(self.detections))
+    }
+}

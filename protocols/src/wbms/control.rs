@@ -1,0 +1,237 @@
+//! The text commands. Source: TN-180197 and TN-180196 (commands and their limits).
+//!
+//! A line is a command and its arguments, ended by CR LF; a client in wide use leaves the end out, so that the end of a TCP segment ends a
+//! command too. A command alone asks. The answer repeats the command with its values, and may have a comment behind `#`.
+
+use std::fmt::Write as _;
+
+/// Longer lines are no commands.
+pub const MAX_LINE_BYTES: usize = 512;
+
+/// A command that could be read and is within its limits.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command {
+    /// What a setting is, by its name.
+    Query(String),
+    /// 0 to 7; 1 is bathymetry.
+    Mode(u8),
+    /// 0 off, 1 or 9.
+    SidescanMode(u8),
+    Flip(bool),
+    Default,
+    /// 0 to 2
+    GateMode(u8),
+    GateTiltDeg(f64),
+    /// First and last range, and depths if there are any.
+    RangeM {
+        start: f64,
+        stop: f64,
+        depths: Option<(f64, f64)>,
+    },
+    DirectionDeg(f64),
+    OpeningAngleDeg(f64),
+    Resolution {
+        vertical: f64,
+        horizontal: f64,
+    },
+    Tx {
+        frequency_khz: f64,
+        bandwidth_khz: f64,
+        /// 0 to 15
+        amplitude: u8,
+        length_us: f64,
+    },
+    /// -1 as fast as it goes, up to 60.
+    RateHz(f64),
+    SnippetRateHz(f64),
+    /// 0 to 5; 4 and 5 are external.
+    TriggerMode(u8),
+    /// `None` by the probe.
+    SoundVelocity(Option<f64>),
+    /// 0 to 3
+    AutogatePreset(u8),
+    Power(bool),
+    Exit,
+}
+
+/// A command that is refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CommandError {
+    #[error("unknown command {0:?}")]
+    Unknown(String),
+    #[error("{command} takes {expected} arguments, not {got}")]
+    Arguments {
+        command: &'static str,
+        expected: &'static str,
+        got: usize,
+    },
+    #[error("{command}: {text:?} is no number")]
+    Number { command: &'static str, text: String },
+    #[error("{command} takes {low} to {high}, not {got}")]
+    Range {
+        command: &'static str,
+        low: f64,
+        high: f64,
+        got: f64,
+    },
+    #[error("line of {got} bytes, at most {MAX_LINE_BYTES}")]
+    TooLong { got: usize },
+}
+
+/// The commands in a segment as it came: ended by CR, LF or the end of the segment; empty ones left out.
+pub fn commands_in(segment: &str) -> impl Iterator<Item = Result<Command, CommandError>> + '_ {
+    segment
+        .split(['\r', '\n'])
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .map(Command::parse)
+}
+
+/// What is answered: the command, its values, a comment if there is one, CR LF.
+pub fn answer(command: &str, values: &[f64], comment: &str) -> String {
+    let mut text = command.to_owned();
+    for value in values {
+        write!(text, " {value}").expect("writing to a String cannot fail");
+    }
+    if !comment.is_empty() {
+        // A comment that breaks the line would be read as another answer.
+        write!(text, " # {}", comment.replace(['\r', '\n'], " "))
+            .expect("writing to a String cannot fail");
+    }
+    text.push_str("\r\n");
+    text
+}
+
+/// The commands that set something, and what may be queried.
+const COMMANDS: [&str; 22] = [
+    "set_mode",
+    "set_sidescan_mode",
+    "set_flip",
+    "set_default",
+    "set_gate_mode",
+    "set_gate_tilt",
+    "set_range",
+    "set_direction",
+    "set_opening_angle",
+    "set_resolution",
+    "set_tx",
+    "set_rate",
+    "set_snippet_rate",
+    "set_trigger_mode",
+    "sound_velocity",
+    "set_autogate_preset",
+    "set_power",
+    "exit",
+    "temperature",
+    "revision",
+    "serial",
+    "partno",
+];
+
+impl Command {
+    /// Reads one line without its end.
+    pub fn parse(line: &str) -> Result<Self, CommandError> {
+        if line.len() > MAX_LINE_BYTES {
+            return Err(CommandError::TooLong { got: line.len() });
+        }
+        let line = line.split('#').next().unwrap_or_default();
+        let mut words = line.split_ascii_whitespace();
+        let word = words.next().unwrap_or_default();
+        let command = *COMMANDS
+            .iter()
+            .find(|&&known| known == word)
+            .ok_or_else(|| CommandError::Unknown(word.to_owned()))?;
+        let texts: Vec<&str> = words.collect();
+        match command {
+            "set_default" => return Ok(Self::Default),
+            "exit" => return Ok(Self::Exit),
+            _ if texts.is_empty() => return Ok(Self::Query(command.to_owned())),
+            _ => {}
+        }
+        let values = texts
+            .iter()
+            .map(|text| {
+                text.parse::<f64>()
+                    .ok()
+                    .filter(|value| value.is_finite())
+                    .ok_or_else(|| CommandError::Number {
+                        command,
+                        text: (*text).to_owned(),
+                    })
+            })
+            .collect::<Result<Vec<f64>, _>>()?;
+        let wrong = |expected| CommandError::Arguments {
+            command,
+            expected,
+            got: values.len(),
+        };
+        let one = |low: f64, high: f64| match values[..] {
+            [value] => within(command, value, low, high),
+            _ => Err(wrong("one")),
+        };
+        Ok(match command {
+            "set_mode" => Self::Mode(one(0.0, 7.0)? as u8),
+            "set_sidescan_mode" => Self::SidescanMode(one(0.0, 9.0)? as u8),
+            "set_flip" => Self::Flip(one(0.0, 1.0)? != 0.0),
+            "set_gate_mode" => Self::GateMode(one(0.0, 2.0)? as u8),
+            "set_gate_tilt" => Self::GateTiltDeg(one(-90.0, 90.0)?),
+            "set_range" => match values[..] {
+                [start, stop] => Self::range(start, stop, None)?,
+                [start, stop, least, most] => Self::range(start, stop, Some((least, most)))?,
+                _ => return Err(wrong("two or four")),
+            },
+            "set_direction" => Self::DirectionDeg(one(-180.0, 180.0)?),
+            "set_opening_angle" => Self::OpeningAngleDeg(one(0.0, 360.0)?),
+            "set_resolution" => match values[..] {
+                [vertical, horizontal] => Self::Resolution {
+                    vertical,
+                    horizontal,
+                },
+                _ => return Err(wrong("two")),
+            },
+            "set_tx" => match values[..] {
+                [frequency_khz, bandwidth_khz, amplitude, length_us] => Self::Tx {
+                    frequency_khz: within(command, frequency_khz, 0.0, 1e4)?,
+                    bandwidth_khz: within(command, bandwidth_khz, 0.0, 1e4)?,
+                    amplitude: within(command, amplitude, 0.0, 15.0)? as u8,
+                    length_us: within(command, length_us, 0.0, 1e6)?,
+                },
+                _ => return Err(wrong("four")),
+            },
+            "set_rate" => Self::RateHz(one(-1.0, 60.0)?),
+            "set_snippet_rate" => Self::SnippetRateHz(one(-1.0, 60.0)?),
+            "set_trigger_mode" => Self::TriggerMode(one(0.0, 5.0)? as u8),
+            "sound_velocity" => {
+                let value = one(-1.0, 3000.0)?;
+                Self::SoundVelocity((value > 0.0).then_some(value))
+            }
+            "set_autogate_preset" => Self::AutogatePreset(one(0.0, 3.0)? as u8),
+            "set_power" => Self::Power(one(0.0, 1.0)? != 0.0),
+            // What can only be asked.
+            _ => return Err(wrong("no")),
+        })
+    }
+
+    fn range(start: f64, stop: f64, depths: Option<(f64, f64)>) -> Result<Self, CommandError> {
+        within("set_range", start, 0.0, 1e4)?;
+        within("set_range", stop, start, 1e4)?;
+        Ok(Self::RangeM {
+            start,
+            stop,
+            depths,
+        })
+    }
+}
+
+fn within(command: &'static str, got: f64, low: f64, high: f64) -> Result<f64, CommandError> {
+    if (low..=high).contains(&got) {
+        Ok(got)
+    } else {
+        Err(CommandError::Range {
+            command,
+            low,
+            high,
+            got,
+        })
+    }
+}

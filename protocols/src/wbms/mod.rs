@@ -1,0 +1,203 @@
+//! NORBIT WBMS: what it is, its header, and what its packets share.
+//!
+//! Sources: TN-180196 "WBMS DFD External" (2018) and TN-180197 (control without a GUI), public in uri-ocean-robotics/norbit; the MIT licensed
+//! header of magnuan/wbms_georef for the fields that the document calls reserved. Little endian, angles in rad.
+//!
+//! Four TCP servers: text control, bathymetry, water column, side-scan or snippets; connecting is subscribing. Each packet is
+//!
+//! ```text
+//! u32 mark DEADBEEF | type | size in bytes, all of it | version | reserved | CRC-32 of what is behind these 24 bytes
+//! ```
+//!
+//! - [`bathymetry`]: type 1, detections
+//! - [`backscatter`]: types 2 water column, 4 snippets, 5 side-scan
+//! - [`control`]: the text commands
+//!
+//! There are no element data in what is public.
+
+pub mod backscatter;
+pub mod bathymetry;
+pub mod control;
+
+use std::ops::Range;
+
+use binrw::{BinRead, BinWrite};
+
+use crate::WireError;
+use crate::framing::{Framing, Look, Splitter};
+use crate::layout::{data_at, layout};
+
+pub use backscatter::{Backscatter, BackscatterHead, DataKind, Tail, emit_backscatter};
+pub use bathymetry::{Bathymetry, BathymetryHead, Detection, emit_bathymetry};
+pub use control::{Command, CommandError, answer, commands_in};
+
+pub const CONTROL_PORT: u16 = 2209;
+pub const BATHYMETRY_PORT: u16 = 2210;
+pub const WATER_COLUMN_PORT: u16 = 2211;
+/// Side-scan or snippets.
+pub const SIDE_SCAN_PORT: u16 = 2212;
+const MARK: u32 = 0xDEAD_BEEF;
+/// Of all packets written and read here.
+pub const VERSION: u32 = 4;
+/// Longest packet read: 1024 beams x 4096 samples of f64, and what is around them.
+pub const MAX_PACKET_BYTES: u32 = 1 << 26;
+
+/// Packet types.
+pub mod packet_type {
+    pub const BATHYMETRY: u32 = 1;
+    pub const WATER_COLUMN: u32 = 2;
+    pub const SNIPPETS: u32 = 4;
+    pub const SIDE_SCAN: u32 = 5;
+    pub const HEARTBEAT: u32 = 7;
+}
+
+/// The first 24 bytes of every packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
+pub struct PacketHeader {
+    pub mark: u32,
+    /// See [`packet_type`].
+    pub packet_type: u32,
+    /// All of the packet.
+    pub size_bytes: u32,
+    #[brw(pad_after = 4)]
+    pub version: u32,
+    /// Of what is behind this header.
+    pub crc: u32,
+}
+
+layout!(PacketHeader, 24, "WBMS header", Little);
+
+impl PacketHeader {
+    fn check(&self) -> Result<(), WireError> {
+        if self.mark != MARK {
+            return Err(WireError::Mark {
+                what: "WBMS mark",
+                expected: MARK.into(),
+                got: self.mark.into(),
+            });
+        }
+        if self.size_bytes < Self::SIZE_BYTES as u32 {
+            return Err(WireError::Truncated {
+                what: "WBMS packet",
+                need_bytes: Self::SIZE_BYTES as u64,
+                got_bytes: self.size_bytes.into(),
+            });
+        }
+        if self.size_bytes > MAX_PACKET_BYTES {
+            return Err(WireError::Oversized {
+                what: "WBMS packet",
+                got_bytes: self.size_bytes.into(),
+                limit_bytes: MAX_PACKET_BYTES.into(),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// A packet, read: its payload stays where it was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Packet<'a> {
+    pub header: PacketHeader,
+    pub payload: &'a [u8],
+}
+
+impl<'a> Packet<'a> {
+    /// Reads the packet at the front of `bytes` and holds its CRC against its bytes.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
+        let header = PacketHeader::parse(bytes)?;
+        header.check()?;
+        let packet = data_at(bytes, 0, header.size_bytes.into(), "WBMS packet")?;
+        let payload = &packet[PacketHeader::SIZE_BYTES..];
+        let computed = crc32(payload);
+        if header.crc != computed {
+            return Err(WireError::Checksum {
+                what: "WBMS packet",
+                stored: header.crc.into(),
+                computed: computed.into(),
+            });
+        }
+        if header.version != VERSION {
+            return Err(WireError::Unsupported {
+                what: "WBMS version",
+                got: header.version.into(),
+            });
+        }
+        Ok(Self { header, payload })
+    }
+}
+
+/// Appends a packet whose payload `write_payload` appends, and says where it lies.
+fn emit_packet(
+    buf: &mut Vec<u8>,
+    packet_type: u32,
+    write_payload: impl FnOnce(&mut Vec<u8>),
+) -> Range<usize> {
+    let start = buf.len();
+    buf.resize(start + PacketHeader::SIZE_BYTES, 0);
+    write_payload(buf);
+    let payload = start + PacketHeader::SIZE_BYTES;
+    let header = PacketHeader {
+        mark: MARK,
+        packet_type,
+        size_bytes: (buf.len() - start) as u32,
+        version: VERSION,
+        crc: crc32(&buf[payload..]),
+    };
+    let mut head = Vec::with_capacity(PacketHeader::SIZE_BYTES);
+    header.emit(&mut head);
+    buf[start..payload].copy_from_slice(&head);
+    start..buf.len()
+}
+
+const CRC_TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut value = byte as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            value = value >> 1 ^ if value & 1 == 1 { 0xEDB8_8320 } else { 0 };
+            bit += 1;
+        }
+        table[byte] = value;
+        byte += 1;
+    }
+    table
+};
+
+/// CRC-32 as zlib has it: polynomial 0xEDB88320.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &byte| {
+        crc >> 8 ^ CRC_TABLE[usize::from(crc as u8 ^ byte)]
+    })
+}
+
+/// How packets show their lengths.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct WbmsFraming;
+
+impl Framing for WbmsFraming {
+    fn max_message_bytes(&self) -> usize {
+        MAX_PACKET_BYTES as usize
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        let mark = MARK.to_le_bytes();
+        if bytes.iter().zip(mark).any(|(&byte, mark)| byte != mark) {
+            return Look::Wrong(WireError::Mark {
+                what: "WBMS mark",
+                expected: MARK.into(),
+                got: bytes[0].into(),
+            });
+        }
+        match PacketHeader::parse(bytes).map(|header| (header, header.check())) {
+            Err(_) => Look::More,
+            Ok((_, Err(error))) => Look::Wrong(error),
+            Ok((header, Ok(()))) if bytes.len() < header.size_bytes as usize => Look::More,
+            Ok((header, Ok(()))) => Look::Whole(header.size_bytes as usize),
+        }
+    }
+}
+
+/// Packets from a connection.
+pub type WbmsStream = Splitter<WbmsFraming>;
