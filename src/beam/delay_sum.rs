@@ -43,7 +43,7 @@ const TAPS: usize = 16;
 const INTERPOLATION: Shading = Shading::Kaiser { beta: 4.6 };
 /// Elements whose interpolated tile lies in the cache together.
 const BLOCK: usize = 32;
-/// Radians of a zone: no focus is nearer than this many apertures' thousandths, and no zone shorter than a sample.
+/// No point is taken for nearer than this, metres: delays stay finite on the line itself.
 const NEAREST_M: f64 = 1e-3;
 
 /// The beams of one receive array.

@@ -127,7 +127,7 @@ fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
         let side = |step: isize| {
             let mut k = peak;
             while k > 0 && k + 1 < fan.beams && levels[k] > half {
-                k = if step > 0 { k + 1 } else { k - 1 };
+                k = k.saturating_add_signed(step);
             }
             fan.angle_rad[k].sin()
         };
