@@ -73,9 +73,8 @@ impl UtmZone {
 mod tests {
     use super::*;
 
-    /// Points of Snyder's kind, from GeographicLib's GeoConvert (five decimals of a metre).
     #[test]
-    fn known_places_fall_where_others_put_them() {
+    fn the_central_meridian_is_true_to_scale() {
         let greenwich = UtmZone::of(51.4779_f64.to_radians(), 0.0);
         assert_eq!((greenwich.zone, greenwich.epsg()), (31, 32_631));
         // On the central meridian the easting is exact and the northing K0 times the meridian's arc, by Simpson's rule.
