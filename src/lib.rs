@@ -17,3 +17,4 @@ pub mod ping;
 pub mod run;
 pub mod scene;
 pub mod time;
+pub mod utm;

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 const MAY_USE: &[(&str, &[&str])] = &[
     ("time.rs", &[]),
     ("geodesy.rs", &[]),
+    ("utm.rs", &[]),
     ("frames.rs", &["time"]),
     ("flow.rs", &["frames", "time"]),
     ("config", &["flow", "frames", "time"]),
@@ -23,7 +24,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
         &["config", "flow", "frames", "time", "nav", "image", "emit"],
     ),
 ];
-const SHARED: &[&str] = &["config", "flow", "frames", "geodesy", "time"];
+const SHARED: &[&str] = &["config", "flow", "frames", "geodesy", "time", "utm"];
 
 fn rust_files(path: &Path, into: &mut Vec<PathBuf>) {
     if path.is_dir() {

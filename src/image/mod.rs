@@ -8,5 +8,4 @@ pub mod bottom;
 pub mod colour;
 pub mod line;
 pub mod mosaic;
-pub mod utm;
 pub mod waterfall;

@@ -18,8 +18,8 @@ use tiff::tags::Tag;
 
 use super::colour::ColourMap;
 use super::line::RangeAxis;
-use super::utm::UtmZone;
 use crate::flow::{Line, Side};
+use crate::utm::UtmZone;
 
 /// What a pixel keeps of several pings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

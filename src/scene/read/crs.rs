@@ -6,8 +6,9 @@
 
 use std::fmt;
 
-use super::{Fault, utm};
+use super::Fault;
 use crate::config::spec::CrsSpec;
+use crate::utm;
 
 /// Name of a system that the operator laid down.
 const CONFIGURED: &str = "as configured";

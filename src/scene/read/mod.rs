@@ -26,7 +26,6 @@ mod shapes;
 pub mod survey;
 pub(in crate::scene) mod text;
 mod triangulate;
-mod utm;
 mod xyz;
 
 pub use crs::Crs;

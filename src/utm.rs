@@ -1,4 +1,4 @@
-//! Universal transverse Mercator on WGS84 to latitude and longitude, by Krueger's series to the fourth order in the third flattening: better than a
+//! Latitude and longitude to universal transverse Mercator on WGS84 and back, by Krueger's series to the fourth order in the third flattening: better than a
 //! micrometre within 2000 km of the central meridian. Source: Karney, C. F. F. (2011), "Transverse Mercator with an accuracy of a few
 //! nanometers", J. Geodesy 85, 475-485, equations 7 to 20 and 35, 36.
 
@@ -12,7 +12,6 @@ const K0: f64 = 0.9996;
 const FALSE_EASTING_M: f64 = 500_000.0;
 const FALSE_NORTHING_SOUTH_M: f64 = 10_000_000.0;
 
-#[cfg(test)]
 const ALPHA: [f64; 4] = [
     N / 2.0 - 2.0 / 3.0 * N * N + 5.0 / 16.0 * N * N * N + 41.0 / 180.0 * N * N * N * N,
     13.0 / 48.0 * N * N - 3.0 / 5.0 * N * N * N + 557.0 / 1440.0 * N * N * N * N,
@@ -48,23 +47,46 @@ fn conformal_tangent(tangent: f64) -> f64 {
     tangent * sigma.hypot(1.0) - sigma * tangent.hypot(1.0)
 }
 
-/// The other way, which only the tests need to go: easting and northing of a latitude and longitude (radians), metres.
-#[cfg(test)]
-fn projected_m(zone: u8, north: bool, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-    let (sin, cos) = (longitude_rad - central_meridian_rad(zone)).sin_cos();
-    let tangent = conformal_tangent(latitude_rad.tan());
-    let xi = tangent.atan2(cos);
-    let eta = (sin / tangent.hypot(cos)).asinh();
-    let (mut x, mut y) = (eta, xi);
-    for (k, alpha) in ALPHA.iter().enumerate() {
-        let twice = 2.0 * (k + 1) as f64;
-        y += alpha * (twice * xi).sin() * (twice * eta).cosh();
-        x += alpha * (twice * xi).cos() * (twice * eta).sinh();
+/// One zone, on one side of the equator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UtmZone {
+    pub zone: u8,
+    pub north: bool,
+}
+
+impl UtmZone {
+    /// That a place lies in by its longitude; Norway's and Svalbard's exceptions are not made.
+    pub fn of(latitude_rad: f64, longitude_rad: f64) -> Self {
+        let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor() as i64;
+        Self {
+            zone: (zone.rem_euclid(60) + 1) as u8,
+            north: latitude_rad >= 0.0,
+        }
     }
-    (
-        FALSE_EASTING_M + K0 * RECTIFYING_M * x,
-        false_northing_m(north) + K0 * RECTIFYING_M * y,
-    )
+
+    /// EPSG's number.
+    pub fn epsg(self) -> u16 {
+        let first = if self.north { 32_600 } else { 32_700 };
+        first + u16::from(self.zone)
+    }
+
+    /// Easting and northing, metres.
+    pub fn project_m(self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
+        let (sin, cos) = (longitude_rad - central_meridian_rad(self.zone)).sin_cos();
+        let tangent = conformal_tangent(latitude_rad.tan());
+        let xi = tangent.atan2(cos);
+        let eta = (sin / tangent.hypot(cos)).asinh();
+        let (mut x, mut y) = (eta, xi);
+        for (k, alpha) in ALPHA.iter().enumerate() {
+            let twice = 2.0 * (k + 1) as f64;
+            y += alpha * (twice * xi).sin() * (twice * eta).cosh();
+            x += alpha * (twice * xi).cos() * (twice * eta).sinh();
+        }
+        (
+            FALSE_EASTING_M + K0 * RECTIFYING_M * x,
+            false_northing_m(self.north) + K0 * RECTIFYING_M * y,
+        )
+    }
 }
 
 /// Latitude and longitude (radians) of an easting and a northing.
@@ -93,6 +115,18 @@ pub fn geodetic_rad(zone: u8, north: bool, easting_m: f64, northing_m: f64) -> (
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn projected_m(zone: u8, north: bool, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
+        UtmZone { zone, north }.project_m(latitude_rad, longitude_rad)
+    }
+
+    #[test]
+    fn a_place_lies_in_its_zone() {
+        let zone = |lat: f64, lon: f64| UtmZone::of(lat.to_radians(), lon.to_radians()).epsg();
+        assert_eq!(zone(51.4779, 0.0), 32_631);
+        assert_eq!(zone(-22.0, -17.9), 32_728);
+        assert_eq!(zone(10.0, 180.0), 32_601);
+    }
 
     /// Central meridian, and the edges of a zone and beyond, from pole to pole.
     fn places() -> impl Iterator<Item = (f64, f64)> {
