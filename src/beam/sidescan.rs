@@ -5,7 +5,7 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use crate::config::spec::{FanForm, FanSpec, Former, LineSpec, Shading};
+use crate::config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading};
 use crate::flow::{
     ArrayGeometry, BeamFrame, ElementFrame, Line, PingPlan, Pulse, Side, TransmitArray,
 };
@@ -53,16 +53,18 @@ impl LineFormer {
         transmit: &TransmitArray,
         limits: RowLimits,
         pulse: &Pulse,
-        weighting: Shading,
+        beams: &BeamsSpec,
         sound_speed_m_per_s: f64,
     ) -> Self {
+        let weighting = beams.weighting;
         let broadside = FanSpec {
             array: line.array,
             beams: 1,
             sector_rad: 0.0,
-            shading: Shading::Uniform,
+            shading: beams.line_shading,
             form: FanForm {
                 former: Former::DynamicFocus,
+                f_number: beams.line_f_number,
                 ..FanForm::default()
             },
         };

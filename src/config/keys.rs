@@ -1202,6 +1202,24 @@ static BEAMS: Table = Table {
             "\"aperture\": the plain sum of the elements. \"dynamic-focus\": refocused along range, with the receiver's motion.",
         ),
         key(
+            "line_f_number",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("50.0"),
+            "Dynamic aperture: the length in use is range / line_f_number, at most the whole line. Left out: the whole line everywhere. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_shading",
+            Kind::Choice(&["uniform", "hann", "taylor", "chebyshev"], &[]),
+            Default("\"uniform\""),
+            "Along the line. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("30.0"),
+            "Of \"taylor\" and \"chebyshev\", below the main lobe.",
+        ),
+        key(
             "weighting",
             Kind::Choice(&["none", "hann", "hamming", "taylor", "kaiser"], &[]),
             Default("\"none\""),
@@ -1272,9 +1290,12 @@ static FAN: Table = Table {
         ),
         key(
             "former",
-            Kind::Choice(&["exact", "conventional", "phase", "dynamic-focus"], &[]),
+            Kind::Choice(
+                &["exact", "fft", "conventional", "phase", "dynamic-focus"],
+                &[],
+            ),
             Default("\"exact\""),
-            "Far field in f64 at every frequency; far field with time delays or with phases, or focused along range with the receiver's motion, in f32 and several times faster.",
+            "Far field in f64 at every frequency; the same by fast transforms in f32 (the fastest for a line of many elements); far field with time delays or with phases, or focused along range with the receiver's motion, in f32.",
         ),
         key(
             "bottom_detection",

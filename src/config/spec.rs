@@ -684,6 +684,10 @@ pub struct BeamsSpec {
     pub lines: Vec<LineSpec>,
     /// Lines are focused along range.
     pub focused_lines: bool,
+    /// Of focused lines: range over the length in use, at most the whole line; none uses all of it everywhere.
+    pub line_f_number: Option<f64>,
+    /// Of focused lines, along the array.
+    pub line_shading: Shading,
     pub fan: Option<FanSpec>,
     /// Along the pulse, of every matched filter.
     pub weighting: Shading,
@@ -742,6 +746,8 @@ impl Default for FanForm {
 pub enum Former {
     /// Far field, true time delays at every frequency, f64.
     Exact,
+    /// The same by fast transforms over time and line, f32.
+    Fft,
     /// Far field, true time delays to a fraction of a sample, f32.
     TimeDelay,
     /// Far field, carrier phases alone.
@@ -755,6 +761,7 @@ impl Former {
     pub fn name(self) -> &'static str {
         match self {
             Self::Exact => "exact",
+            Self::Fft => "fft",
             Self::TimeDelay => "conventional",
             Self::Phase => "phase",
             Self::DynamicFocus => "dynamic-focus",

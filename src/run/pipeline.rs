@@ -575,7 +575,7 @@ fn line_former(
     let array = &spec.receive[line.array];
     let transmit = &spec.transmit[array.transmit];
     let c = medium.sound_speed_m_per_s;
-    LineFormer::focused(line, array, transmit, limits, &spec.pulse, weighting, c)
+    LineFormer::focused(line, array, transmit, limits, &spec.pulse, &spec.beams, c)
 }
 
 fn shortest_pulse(spec: &SonarSpec) -> Pulse {

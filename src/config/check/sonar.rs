@@ -650,9 +650,27 @@ fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Opti
         lines.push(array.map(|array| LineSpec { side, array }));
     }
     let fan = table.table("fan").and_then(|t| fan(t, arrays, problems));
+    let focused = table.text("line_former").map(|f| f == "dynamic-focus");
+    only_with(
+        table,
+        &["line_f_number", "line_shading"],
+        focused,
+        "line_former = \"dynamic-focus\"",
+        problems,
+    );
     Some(BeamsSpec {
         lines: all(lines)?,
-        focused_lines: table.text("line_former")? == "dynamic-focus",
+        focused_lines: focused?,
+        line_f_number: match table.given("line_f_number") {
+            true => Some(table.number("line_f_number")?),
+            false => None,
+        },
+        line_shading: shading(
+            table,
+            "line_shading",
+            table.number("line_side_lobe_db")?,
+            0.0,
+        )?,
         weighting: shading(
             table,
             "weighting",
@@ -699,6 +717,7 @@ fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option
         );
     }
     let former = match table.text("former")? {
+        "fft" => Former::Fft,
         "conventional" => Former::TimeDelay,
         "phase" => Former::Phase,
         "dynamic-focus" => Former::DynamicFocus,
