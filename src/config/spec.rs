@@ -629,6 +629,8 @@ pub struct SonarSpec {
     pub name: String,
     pub serial: u64,
     pub pulse: Pulse,
+    /// In the water together with `pulse`.
+    pub more_pulses: Vec<MorePulseSpec>,
     pub transmit: Vec<TransmitArray>,
     pub transmit_names: Vec<String>,
     pub receive: Vec<ArrayGeometry>,
@@ -641,6 +643,17 @@ pub struct SonarSpec {
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
     pub outputs: Vec<OutputSpec>,
+}
+
+/// A pulse beside the sonar's own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MorePulseSpec {
+    /// Duration and taper are those of the sonar's own.
+    pub pulse: Pulse,
+    /// After the sonar's own.
+    pub delay_s: f64,
+    /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
+    pub transmit: Option<usize>,
 }
 
 /// How the chosen synthesis is run and watched.
@@ -691,6 +704,28 @@ pub struct BeamsSpec {
     pub fan: Option<FanSpec>,
     /// Along the pulse, of every matched filter.
     pub weighting: Shading,
+    pub synthetic_aperture: Option<SyntheticApertureSpec>,
+}
+
+/// A patch of the world that a replay's pings are back-projected on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SyntheticApertureSpec {
+    /// Receive arrays whose elements add to it.
+    pub arrays: Vec<usize>,
+    /// Southern and northern edge.
+    pub north_m: (f64, f64),
+    /// Western and eastern edge.
+    pub east_m: (f64, f64),
+    pub down_m: f64,
+    pub cell_m: f64,
+}
+
+impl SyntheticApertureSpec {
+    /// Columns (west to east) and rows.
+    pub fn size(&self) -> (usize, usize) {
+        let cells = |(from, to): (f64, f64)| ((to - from) / self.cell_m - 1e-9).ceil() as usize;
+        (cells(self.east_m).max(1), cells(self.north_m).max(1))
+    }
 }
 
 #[derive(Clone, Debug)]

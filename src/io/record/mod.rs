@@ -3,6 +3,7 @@
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
 //! - [`s7k`]: protocol records as a `.s7k` file.
+//! - [`synthetic_aperture`]: a back-projected image.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
@@ -12,6 +13,7 @@ pub mod npz;
 mod plan_text;
 pub mod png;
 pub mod s7k;
+pub mod synthetic_aperture;
 pub mod truth;
 
 use std::fs::File;

@@ -50,6 +50,7 @@ pub fn sonar() -> SonarSpec {
             baffled: true,
         },
         sensitivity_db: -180.0,
+        more_pulses: Vec::new(),
         transmit: 0,
     };
     SonarSpec {
@@ -82,6 +83,7 @@ pub fn sonar() -> SonarSpec {
         beams: BeamsSpec {
             focused_lines: false,
             line_f_number: None,
+            synthetic_aperture: None,
             line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
