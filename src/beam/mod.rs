@@ -24,6 +24,8 @@ pub mod fast;
 pub mod halves;
 mod kernel;
 pub mod matched;
+#[cfg(test)]
+mod point_images;
 pub mod sidescan;
 #[cfg(test)]
 mod test_rig;

@@ -298,3 +298,210 @@ fn grid(plan: &PingPlan, rate_hz: f64, decimator: Option<&Decimator>) -> (f64, f
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+    use crate::config;
+    use crate::flow::{PingOutput, Pulse, PulseKind, ReceiverFilter, ScatterLaw};
+    use crate::frames::Trajectory;
+    use crate::run::pipeline::SonarPipeline;
+    use crate::time::UtcNs;
+
+    const VELOCITY: DVec3 = DVec3::new(5.144, 0.0, 0.0);
+
+    /// The example's sonar, with a short window, no noise, no culling, no TVG, exact sums and rectangular weighting.
+    fn sonar() -> (SonarSpec, MediumSpec) {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/multipulse.toml");
+        let rig = config::load(&file).expect("a good configuration");
+        let mut spec = rig.sonars[0].clone();
+        spec.receiver.noise_db = None;
+        spec.receiver.tvg = crate::flow::TimeVaryingGain::None;
+        spec.receiver.filter = ReceiverFilter::None;
+        spec.model.synthesis = Synthesis::Direct;
+        spec.model.cull_db = None;
+        spec.beams.weighting = crate::config::spec::Shading::Uniform;
+        spec.settings.range_m = 40.0;
+        spec.limits.range_m = (40.0, 40.0);
+        for transmit in &mut spec.transmit {
+            transmit.pattern = crate::flow::Pattern::Omnidirectional;
+        }
+        (spec, rig.medium.clone())
+    }
+
+    /// A ping that begins `late_s` after the one at the world's zero.
+    fn plan(spec: &SonarSpec, medium: &MediumSpec, late_s: f64) -> PingPlan {
+        let mut plan = ping::blank(0, spec, medium, 0.0);
+        plan.trajectory = Trajectory::uniform(VELOCITY * late_s, VELOCITY, DQuat::IDENTITY);
+        let order = ping::PingOrder {
+            ping_number: 1,
+            transmit_utc: UtcNs(0),
+            settings: spec.settings,
+            period_s: 0.0,
+        };
+        ping::fill(&mut plan, spec, &order, Default::default(), UtcNs(0));
+        plan
+    }
+
+    /// One point, 20 m away to starboard.
+    fn point() -> Scatterers {
+        let mut points = Scatterers::default();
+        let at_m = DVec3::new(0.0, 16.0, 12.0);
+        points.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+        points
+    }
+
+    fn once(spec: &SonarSpec, medium: &MediumSpec, plan: &PingPlan) -> PingOutput {
+        let pool = crate::run::rig::pool(1).expect("a pool");
+        pool.install(|| {
+            let mut pipeline = SonarPipeline::new(spec, medium).expect("a sonar");
+            let mut output = pipeline.blank_output();
+            pipeline.compute_ping(plan, &point(), &mut output);
+            output
+        })
+    }
+
+    fn more(spec: &SonarSpec, delay_s: f64, apart_hz: f64) -> MorePulseSpec {
+        let center_frequency_hz = spec.pulse.center_frequency_hz + apart_hz;
+        MorePulseSpec {
+            pulse: Pulse {
+                kind: PulseKind::LfmDown,
+                center_frequency_hz,
+                ..spec.pulse
+            },
+            delay_s,
+            transmit: Some(1),
+        }
+    }
+
+    fn top(level: &[f32]) -> (usize, f64) {
+        let k = (0..level.len()).fold(0, |b, k| if level[k] > level[b] { k } else { b });
+        (k, f64::from(level[k]))
+    }
+
+    /// The samples are the sum of the two pulses alone, the second computed as a ping of its own, begun where the platform is by then.
+    #[test]
+    fn elements_hear_the_sum_of_the_pulses_each_sent_where_the_platform_is() {
+        for (delay_s, apart_hz) in [(0.0, 0.0), (10e-3, 0.0), (10e-3, 2e3)] {
+            let (mut spec, medium) = sonar();
+            spec.more_pulses.clear();
+            let first = once(&spec, &medium, &plan(&spec, &medium, 0.0));
+            let also = more(&spec, delay_s, apart_hz);
+            let mut alone = spec.clone();
+            alone.pulse = also.pulse;
+            alone.receive[0].transmit = 1;
+            let second = once(&alone, &medium, &plan(&alone, &medium, delay_s));
+            spec.more_pulses = vec![also];
+            let both = once(&spec, &medium, &plan(&spec, &medium, 0.0));
+            let late = (delay_s * spec.receiver.sample_rate_hz).round() as usize;
+            let (mut worst, mut most) = (0.0_f64, 0.0_f64);
+            for e in 0..2 {
+                for k in 0..first.elements[0].samples {
+                    let t = (k as f64 - late as f64) / spec.receiver.sample_rate_hz;
+                    let cycles = apart_hz * t - spec.pulse.center_frequency_hz * delay_s;
+                    let turn = Complex64::from_polar(1.0, TAU * (cycles - cycles.round()));
+                    let earlier = k.checked_sub(late);
+                    let second =
+                        earlier.map_or(Complex64::ZERO, |k| second.elements[0].element(e)[k]);
+                    let want = first.elements[0].element(e)[k] + second * turn;
+                    worst = worst.max((both.elements[0].element(e)[k] - want).norm());
+                    most = most.max(want.norm());
+                }
+            }
+            println!("{delay_s} s, {apart_hz} Hz apart: {:.1e}", worst / most);
+            assert!(
+                worst / most < 1e-9,
+                "{delay_s} {apart_hz}: {:.1e}",
+                worst / most
+            );
+        }
+    }
+
+    /// Each pulse's lines show the point at its range. What leaks of the other is the correlation of an up and a down sweep,
+    /// |1/T integral exp(j 2pi (B/T) t^2) dt|, about 1/sqrt(2 B T).
+    #[test]
+    fn lines_tell_the_pulses_apart_and_leak_what_the_correlation_of_the_sweeps_says() {
+        let (mut spec, medium) = sonar();
+        spec.pulse.taper = 0.0;
+        let delay_s = 12e-3;
+        spec.more_pulses = vec![more(&spec, delay_s, 0.0)];
+        let plan = plan(&spec, &medium, 0.0);
+        let output = once(&spec, &medium, &plan);
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let late = (delay_s * rate_hz) as usize;
+        let [first, second] = [&output.lines[0], &output.more_lines[0].lines[0]];
+        assert_eq!(output.more_lines[0].delay_s, delay_s);
+        assert_eq!(second.amplitude.len() + late, first.amplitude.len());
+        let edge = (2.0 * 20.0 / medium.sound_speed_m_per_s * rate_hz).round() as usize;
+        let (bandwidth_hz, duration_s) = (spec.pulse.bandwidth_hz, spec.pulse.duration_s);
+        let steps = 20_000;
+        let leak: Complex64 = (0..steps)
+            .map(|i| {
+                let x = (i as f64 + 0.5) / f64::from(steps) - 0.5;
+                Complex64::from_polar(1.0, TAU * bandwidth_hz * duration_s * x * x)
+            })
+            .sum::<Complex64>()
+            / f64::from(steps);
+        let rule = 1.0 / (2.0 * bandwidth_hz * duration_s).sqrt();
+        assert!((leak.norm() / rule - 1.0).abs() < 0.1);
+        for (line, other) in [(first, edge + late), (second, edge - late)] {
+            let (at, level) = top(&line.amplitude);
+            assert!(at.abs_diff(edge) <= 1, "{at} want {edge}");
+            let got = f64::from(line.amplitude[other]) / level;
+            let off_db = 20.0 * (got / leak.norm()).log10();
+            println!(
+                "leak {:.1} dB, closed form {:.1} dB",
+                20.0 * got.log10(),
+                20.0 * leak.norm().log10()
+            );
+            // Samples lie beside the peak and the Doppler stretches both.
+            assert!(off_db.abs() < 1.0, "{off_db:.2} dB");
+        }
+    }
+
+    /// Bands a bandwidth and a half apart, flanks tapered: what leaks is below the sweeps' by far.
+    #[test]
+    fn separate_bands_leak_less_than_opposite_sweeps() {
+        let (mut spec, medium) = sonar();
+        spec.receiver.sample_rate_hz = 160e3;
+        spec.pulse.taper = 0.5;
+        let delay_s = 12e-3;
+        spec.more_pulses = vec![more(&spec, delay_s, 45e3)];
+        spec.more_pulses[0].pulse.kind = PulseKind::LfmUp;
+        let output = once(&spec, &medium, &plan(&spec, &medium, 0.0));
+        let late = (delay_s * 160e3) as usize;
+        let line = &output.lines[0].amplitude;
+        let (at, level) = top(line);
+        let around = &line[at + late - 200..at + late + 200];
+        let leak_db = 20.0 * (top(around).1 / level).log10();
+        let (second_at, _) = top(&output.more_lines[0].lines[0].amplitude);
+        println!("{leak_db:.1} dB");
+        assert!(leak_db < -45.0, "{leak_db:.1} dB");
+        assert!(second_at.abs_diff(at) <= 1, "{second_at} want {at}");
+    }
+
+    /// The engine for a tolerance sums several pulses as the direct sum does.
+    #[test]
+    fn the_gridded_engine_sums_several_pulses_within_its_tolerance() {
+        let (mut spec, medium) = sonar();
+        spec.receiver.filter = ReceiverFilter::Fir;
+        spec.more_pulses = vec![more(&spec, 10e-3, 0.0)];
+        let plan_of = |spec: &SonarSpec| plan(spec, &medium, 0.0);
+        let want = once(&spec, &medium, &plan_of(&spec));
+        spec.model.synthesis = Synthesis::Gridded1d;
+        spec.synthesis.tolerance = 1e-3;
+        let got = once(&spec, &medium, &plan_of(&spec));
+        let (mut off, mut all) = (0.0, 0.0);
+        for (g, w) in got.elements[0].iq.iter().zip(&want.elements[0].iq) {
+            off += (g - w).norm_sqr();
+            all += w.norm_sqr();
+        }
+        let error = f64::sqrt(off / all);
+        println!("{error:.1e}");
+        assert!(error < 1.5e-3, "{error:.1e}");
+    }
+}

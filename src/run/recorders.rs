@@ -221,7 +221,11 @@ fn push_lines(waterfall: &mut Waterfall, plan: &PingPlan, output: &PingOutput) {
         return waterfall.push(plan, &output.lines);
     }
     let mut row = plan.clone();
-    let mut left: Vec<_> = output.more_lines.iter().map(|m| (m.delay_s, &m.lines)).collect();
+    let mut left: Vec<_> = output
+        .more_lines
+        .iter()
+        .map(|m| (m.delay_s, &m.lines))
+        .collect();
     left.push((0.0, &output.lines));
     left.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (number, (_, lines)) in (0..).zip(left) {

@@ -58,10 +58,7 @@ impl SyntheticAperture {
             self.projection
                 .add(plan, transmit, receive, &output.elements[array]);
         }
-        let at_m = plan
-            .segments
-            .first()
-            .map_or(DVec3::ZERO, |s| s.position_m);
+        let at_m = plan.segments.first().map_or(DVec3::ZERO, |s| s.position_m);
         let first_m = self.ends_m.map_or(at_m, |(first, _)| first);
         self.ends_m = Some((first_m, at_m));
         self.pings += 1;

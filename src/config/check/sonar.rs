@@ -95,7 +95,11 @@ pub fn sonar<'t>(
         .and_then(|t| model(t, filter, problems));
     let synthesis = table.table("model").and_then(|t| synthesis(t, problems));
     let sums_pulses = model.is_none_or(|m| {
-        let one_by_one = [Synthesis::Direct, Synthesis::Gridded1d, Synthesis::Reference];
+        let one_by_one = [
+            Synthesis::Direct,
+            Synthesis::Gridded1d,
+            Synthesis::Reference,
+        ];
         one_by_one.contains(&m.synthesis)
     });
     if !more_pulses.is_empty() && !sums_pulses {

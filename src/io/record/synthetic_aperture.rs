@@ -32,9 +32,10 @@ pub struct Patch {
 impl Patch {
     fn peak(&self) -> (usize, f64) {
         let level = self.image.iter().map(|x| x.norm());
-        level
-            .enumerate()
-            .fold((0, 0.0), |best, now| if now.1 > best.1 { now } else { best })
+        level.enumerate().fold(
+            (0, 0.0),
+            |best, now| if now.1 > best.1 { now } else { best },
+        )
     }
 
     /// Full -3 dB width through the peak, metres; none where an edge of the patch is nearer.

@@ -46,9 +46,10 @@ const BETA: f64 = 9.0;
 /// Beams that peers form.
 const PEER_BEAMS: usize = 8;
 
+/// Tapered, so that next to nothing of it lies outside the sampled band: there nobody knows what is between two samples.
 fn pulse() -> Pulse {
     Pulse {
-        taper: 0.1,
+        taper: 0.5,
         ..rig::lfm(30e3, 1e-3)
     }
 }
@@ -113,9 +114,9 @@ fn elements() -> ElementFrame {
             let cycles = phase - pulse.center_frequency_hz * delay_s;
             let carrier = Complex64::from_polar(1.0, TAU * cycles.fract());
             let first = (delay_s * RATE_HZ).ceil() as usize;
-            let last = ((delay_s + pulse.duration_s) * RATE_HZ).floor() as usize;
-            for k in first..=last.min(SAMPLES - 1) {
-                row[k] += carrier * pulse.envelope(k as f64 / RATE_HZ - delay_s);
+            let count = (pulse.duration_s * RATE_HZ) as usize + 2;
+            for (k, x) in row.iter_mut().enumerate().skip(first).take(count) {
+                *x += carrier * pulse.envelope(k as f64 / RATE_HZ - delay_s);
             }
         }
     }
@@ -376,10 +377,10 @@ fn together(count: usize, pings: usize, report: &mut Report) -> Result<(), Strin
     Ok(())
 }
 
-/// The fan's array in a configuration of its own: the multibeam's, with this pulse and window.
+/// The fan's array in a configuration (found from the repository's root) of its own: the multibeam's, with this pulse and window.
 fn sonar() -> Result<(SonarSpec, config::spec::MediumSpec), String> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/multibeam.toml");
-    let rig = config::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))?;
+    let file = Path::new("hil-configs/multibeam.toml");
+    let rig = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
     let mut spec = rig.sonars[0].clone();
     spec.pulse = pulse();
     spec.transmit = vec![rig::transmitter(DVec3::X * transmit_x_m())];
