@@ -198,6 +198,36 @@ fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
     move |x: f64| i0(beta * (1.0 - x * x).max(0.0).sqrt()) / middle
 }
 
+/// Times of one call of `work` on this thread, milliseconds.
+#[derive(Clone, Copy)]
+struct Took {
+    wall: f64,
+    /// On a core; as `wall` where the system does not say.
+    core: f64,
+}
+
+fn timed(work: impl FnOnce()) -> Took {
+    let on_core_ns = || -> Option<f64> {
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+        text.split_whitespace().next()?.parse().ok()
+    };
+    let (start, before) = (Instant::now(), on_core_ns());
+    work();
+    let wall = start.elapsed().as_secs_f64() * 1e3;
+    let core = before.zip(on_core_ns()).map(|(a, b)| (b - a) * 1e-6);
+    Took {
+        wall,
+        core: core.unwrap_or(wall),
+    }
+}
+
+/// The least and the median.
+fn least_and_median(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    (values[0], values[values.len() / 2])
+}
+
 struct Probe {
     beam: usize,
     sample: usize,
@@ -263,29 +293,26 @@ pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let probes = probes(&compressed(&frame));
     let runs = if quick { 3 } else { 12 };
     for former in FORMERS {
-        let (ms, error) = pool(1).map_err(|e| e.to_string())?.install(|| {
+        let (took, error) = pool(1).map_err(|e| e.to_string())?.install(|| {
             let mut fan = make(former);
             let mut out = BeamFrame::default();
-            let mut ms = Vec::new();
-            for _ in 0..=runs {
-                let start = Instant::now();
-                fan.form(&plan(), &frame, &mut out);
-                ms.push(start.elapsed().as_secs_f64() * 1e3);
-            }
+            let mut took: Vec<Took> = (0..=runs)
+                .map(|_| timed(|| fan.form(&plan(), &frame, &mut out)))
+                .collect();
             // The first grows the buffers.
-            ms.remove(0);
-            ms.sort_by(f64::total_cmp);
-            (ms, error(&probes, former == Former::DynamicFocus, &out))
+            took.remove(0);
+            (took, error(&probes, former == Former::DynamicFocus, &out))
         });
-        let (best, median) = (ms[0], ms[ms.len() / 2]);
-        let rate = TERMS / best * 1e-6;
+        let (best, median) = least_and_median(took.iter().map(|t| t.wall));
+        let (core, _) = least_and_median(took.iter().map(|t| t.core));
+        let rate = TERMS / core * 1e-6;
         let line = format!(
-            "{ELEMENTS} x {BEAMS} x {SAMPLES}, {}, 1 thread: error {error:.1e}, ms best {best:.1}, median {median:.1}; {rate:.2} G points/s",
+            "{ELEMENTS} x {BEAMS} x {SAMPLES}, {}, 1 thread: error {error:.1e}, ms best {best:.1}, median {median:.1}, on a core {core:.1}; {rate:.2} G points/s",
             former.name()
         );
         report.row(
             &line,
-            serde_json::json!({ "former": former.name(), "error": error, "ms_best": best, "ms_median": median, "points_per_s": rate * 1e9 }),
+            serde_json::json!({ "former": former.name(), "error": error, "ms_best": best, "ms_median": median, "ms_core": core, "points_per_s": rate * 1e9 }),
         );
     }
     for scatterers in if quick {
@@ -333,9 +360,9 @@ fn together(count: usize, pings: usize, report: &mut Report) -> Result<(), Strin
             synthesiser.install(move || {
                 for _ in 0..pings {
                     let Ok(mut output) = empty.recv() else { return };
-                    let start = Instant::now();
-                    pipeline.compute_ping(plan, &scatterers, &mut output);
-                    echo_ms.push(start.elapsed().as_secs_f64() * 1e3);
+                    echo_ms.push(timed(|| {
+                        pipeline.compute_ping(plan, &scatterers, &mut output)
+                    }));
                     if filled.send(output).is_err() {
                         return;
                     }
@@ -348,31 +375,29 @@ fn together(count: usize, pings: usize, report: &mut Report) -> Result<(), Strin
                 let mut fan = make(Former::DynamicFocus);
                 let mut out = BeamFrame::default();
                 while let Ok(output) = take.recv() {
-                    let start = Instant::now();
-                    fan.form(plan, &output.elements[0], &mut out);
-                    beam_ms.push(start.elapsed().as_secs_f64() * 1e3);
+                    beam_ms.push(timed(|| fan.form(plan, &output.elements[0], &mut out)));
                     ended.push(Instant::now());
                     let _ = back.send(output);
                 }
             });
         });
     });
-    let median = |ms: &[f64]| {
-        let mut ms = ms[2..].to_vec();
-        ms.sort_by(f64::total_cmp);
-        (ms[ms.len() / 2], ms[ms.len() - 1])
+    let said = |took: &[Took]| {
+        let (_, wall) = least_and_median(took[2..].iter().map(|t| t.wall));
+        let (_, core) = least_and_median(took[2..].iter().map(|t| t.core));
+        (wall, core)
     };
-    let ((echo, echo_most), (beam, beam_most)) = (median(&echo_ms), median(&beam_ms));
+    let ((echo, echo_core), (beam, beam_core)) = (said(&echo_ms), said(&beam_ms));
     let per_s = (ended.len() - 3) as f64 / (ended[ended.len() - 1] - ended[2]).as_secs_f64();
     let line = format!(
-        "{ELEMENTS} x {BEAMS} x {SAMPLES} dynamic-focus on one core, echoes of {} scatterers ({}, {:.0e}) on the other: ms median (greatest) beams {beam:.1} ({beam_most:.1}), echoes {echo:.1} ({echo_most:.1}); {per_s:.1} pings/s",
+        "{ELEMENTS} x {BEAMS} x {SAMPLES} dynamic-focus on one core, echoes of {} scatterers ({}, {:.0e}) on the other: ms median (of these on a core) beams {beam:.1} ({beam_core:.1}), echoes {echo:.1} ({echo_core:.1}); {per_s:.1} pings/s",
         count,
         spec.model.synthesis.name(),
         spec.synthesis.tolerance,
     );
     report.row(
         &line,
-        serde_json::json!({ "beams_ms_median": beam, "beams_ms_greatest": beam_most, "echo_ms_median": echo, "echo_ms_greatest": echo_most, "pings_per_s": per_s }),
+        serde_json::json!({ "beams_ms_median": beam, "beams_ms_core": beam_core, "echo_ms_median": echo, "echo_ms_core": echo_core, "pings_per_s": per_s }),
     );
     Ok(())
 }
@@ -460,7 +485,7 @@ pub fn dump(directory: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Answers one line per line of standard input: a former's name with `MILLISECONDS ERROR` of one ping of all beams, one thread; the error over
+/// Answers one line per line of standard input: a former's name with `WALL CORE ERROR` (milliseconds) of one ping of all beams, one thread; the error over
 /// the beams that peers form.
 pub fn serve() -> Result<(), String> {
     let frame = elements();
