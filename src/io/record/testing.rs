@@ -50,10 +50,10 @@ pub fn sonar() -> SonarSpec {
             baffled: true,
         },
         sensitivity_db: -180.0,
-        more_pulses: Vec::new(),
         transmit: 0,
     };
     SonarSpec {
+        more_pulses: Vec::new(),
         name: "bow".into(),
         serial: 7,
         pulse: pulse(),
