@@ -66,7 +66,10 @@ impl RunControl {
     }
 
     pub fn set_nav_lines(&self, lines: Vec<String>) {
-        *self.nav_lines.lock().unwrap_or_else(PoisonError::into_inner) = lines;
+        *self
+            .nav_lines
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = lines;
     }
 
     fn nav_lines(&self) -> Vec<String> {
@@ -237,7 +240,10 @@ impl ControlPort for RunControl {
                 true => "gauge",
                 false => "counter",
             };
-            let _ = writeln!(text, "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}");
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
+            );
             for sonar in &self.sonars {
                 if let Some((_, _, value)) = sonar.counters.all().nth(k) {
                     let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
@@ -257,7 +263,10 @@ impl ControlPort for RunControl {
                     ("1", figures.max_us),
                 ] {
                     let s = us as f64 / 1e6;
-                    let _ = writeln!(text, "{name}{{sonar=\"{who}\",quantile=\"{quantile}\"}} {s}");
+                    let _ = writeln!(
+                        text,
+                        "{name}{{sonar=\"{who}\",quantile=\"{quantile}\"}} {s}"
+                    );
                 }
                 let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
             }
@@ -288,6 +297,10 @@ impl ControlPort for RunControl {
 const STREAM_METRICS: &[(&str, &str, &str)] = &[
     ("bytes_sent", "counter", "Bytes written to a client"),
     ("records_sent", "counter", "Records written to a client"),
-    ("records_dropped", "counter", "Records that did not fit a client's queue"),
+    (
+        "records_dropped",
+        "counter",
+        "Records that did not fit a client's queue",
+    ),
     ("queued_bytes", "gauge", "Bytes that wait for a client"),
 ];

@@ -627,7 +627,8 @@ fn deliver(
             first_error.get_or_insert(error);
         }
         if let Some(deadline) = deadline {
-            way.histograms.handed_over_us(way.clock.mono().0 - deadline.0);
+            way.histograms
+                .handed_over_us(way.clock.mono().0 - deadline.0);
         }
         way.gate.delivered();
     }

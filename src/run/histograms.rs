@@ -22,7 +22,9 @@ struct Spread(Mutex<Histogram<u64>>);
 impl Spread {
     fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MOST_US, DIGITS);
-        Self(Mutex::new(histogram.expect("bounds that hdrhistogram takes")))
+        Self(Mutex::new(
+            histogram.expect("bounds that hdrhistogram takes"),
+        ))
     }
 
     fn note(&self, us: u64) {

@@ -99,7 +99,9 @@ pub fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
 pub fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
     let until = Instant::now() + PATIENCE;
     loop {
-        let now = status(control)["pings_delivered"].as_u64().expect("a count");
+        let now = status(control)["pings_delivered"]
+            .as_u64()
+            .expect("a count");
         if now >= pings {
             return now;
         }
@@ -123,7 +125,12 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
     let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
         .args(["replay", "hil-configs/points.toml", "--quiet"])
         .args(["--formats", "s7k", "--set", "sonar.model.synthesis=direct"])
-        .args(["--set", "sonar.ping.range_m=50", "--set", "sonar.ping.rate_hz=10"])
+        .args([
+            "--set",
+            "sonar.ping.range_m=50",
+            "--set",
+            "sonar.ping.rate_hz=10",
+        ])
         .arg("--out")
         .arg(folders[5].path())
         .current_dir(env!("CARGO_MANIFEST_DIR"))

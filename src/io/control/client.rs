@@ -29,12 +29,7 @@ pub fn command(address: SocketAddr, body: &Value, token: Option<&str>) -> io::Re
     exchange(address, &head, token, &body)
 }
 
-fn exchange(
-    address: SocketAddr,
-    head: &str,
-    token: Option<&str>,
-    body: &str,
-) -> io::Result<Reply> {
+fn exchange(address: SocketAddr, head: &str, token: Option<&str>, body: &str) -> io::Result<Reply> {
     let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;

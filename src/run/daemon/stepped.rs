@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{FIRST_PING_AFTER_NS, Lane, Pacer, POLL_NS};
+use super::{FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
 use crate::run::rig::PingSlot;
 use crate::time::{Clock, Timeline, UtcNs};
 
@@ -56,8 +56,7 @@ impl Pacer {
             };
             self.clock.sleep_until(timeline.mono(at));
             let settings = self.settings[sonar].clone();
-            let Some(order) =
-                self.schedules[sonar].due(at, |at| settings.at(timeline.mono(at)))
+            let Some(order) = self.schedules[sonar].due(at, |at| settings.at(timeline.mono(at)))
             else {
                 continue;
             };
