@@ -514,13 +514,9 @@ pub fn serve() -> Result<(), String> {
                     made.len() - 1
                 }
             };
-            let start = Instant::now();
-            made[place].1.form(&plan(), &frame, &mut out);
-            let ms = start.elapsed().as_secs_f64() * 1e3;
-            println!(
-                "{ms:.6} {:.6e}",
-                error(&probes, former == Former::DynamicFocus, &out)
-            );
+            let Took { wall, core } = timed(|| made[place].1.form(&plan(), &frame, &mut out));
+            let error = error(&probes, former == Former::DynamicFocus, &out);
+            println!("{wall:.6} {core:.6} {error:.6e}");
             std::io::stdout().flush().map_err(|e| e.to_string())?;
         }
         Ok(())
