@@ -2,7 +2,8 @@
 //!
 //! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
 
-pub mod check;
+pub mod chart;
+mod check;
 pub mod listen;
 pub mod nav;
 pub mod replay;
@@ -35,6 +36,8 @@ enum Command {
     Run(run::RunArgs),
     /// The same pipeline offline, as fast as it goes: files out, the same bytes every time
     Replay(replay::ReplayArgs),
+    /// Measures every method on this scene and machine: error against milliseconds, as pictures, a page and tables
+    Chart(chart::ChartArgs),
     /// Check a configuration and print what follows from it
     Check(check::CheckArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
@@ -63,6 +66,7 @@ pub fn main() -> ExitCode {
     {
         Command::Run(args) => run::main(&args),
         Command::Replay(args) => replay::main(&args),
+        Command::Chart(args) => chart::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Listen(args) => listen::main(&args),
         Command::Nav(args) => nav::main(&args),

@@ -1,5 +1,7 @@
 //! Who knows the order: one ping through the house, the rig around it, and the two ways to run it.
 pub mod certificate;
+pub mod chart;
+pub mod conditions;
 pub mod counters;
 pub mod daemon;
 pub mod engines;
@@ -7,6 +9,7 @@ mod footprints;
 pub mod line_engines;
 pub mod outputs;
 pub mod pipeline;
+pub mod recorded;
 pub mod recorders;
 pub mod replay;
 pub mod rig;

@@ -171,6 +171,27 @@ impl Rig {
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
+        self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.sonars[sonar]
+            .pipeline
+            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
+        Ok(())
+    }
+
+    /// What the ping prepared last hears of the scene.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+
+    /// The plan of a ping and its scatterers, without the ping itself.
+    pub fn prepare(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
         self.place_scene();
         let window_s = self.window_s(sonar, order);
         let nav = self.history.motion(
@@ -193,8 +214,6 @@ impl Rig {
             let seabed = slot.output.scene.scatterers as usize;
             self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
         }
-        unit.pipeline
-            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())
     }
 }
