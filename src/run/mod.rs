@@ -2,10 +2,13 @@
 pub mod certificate;
 pub mod chart;
 pub mod conditions;
+pub mod control;
 pub mod counters;
 pub mod daemon;
 pub mod engines;
 mod footprints;
+pub mod gate;
+pub mod histograms;
 pub mod line_engines;
 pub mod outputs;
 pub mod pipeline;

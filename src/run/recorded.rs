@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, NavMode, RigSpec};
+use crate::config::spec::{NavChannel, RigSpec};
 use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
-use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::rig::{Rig, RigError};
 use crate::time::VirtualClock;
@@ -76,22 +75,6 @@ impl RecordedRig {
 
     /// Reads on until the navigation covers the ping; false when the log has ended before.
     pub fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
-        let from = order.transmit_utc;
-        let to = from.plus_s(self.rig.window_s(sonar, order));
-        match self.rig.spec.nav.mode {
-            // As the daemon would have known it at the pulse.
-            NavMode::Predict => {
-                self.inputs.pull(from, &mut self.rig.history);
-                !self.inputs.finished()
-            }
-            NavMode::Settle => {
-                while self.rig.history.coverage(from, to) != Coverage::Ready {
-                    if !self.inputs.pull_next(&mut self.rig.history) {
-                        return false;
-                    }
-                }
-                true
-            }
-        }
+        self.rig.read_on(&mut self.inputs, sonar, order)
     }
 }

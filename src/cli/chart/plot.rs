@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crate::flow::Synthesis;
+use crate::run::chart::methods::Method;
 use crate::run::chart::work::{Curve, Work};
 use crate::run::chart::{Chart, Measured, Row};
 
@@ -400,8 +401,16 @@ fn legend(svg: &mut Svg, chart: &Chart) {
         svg.words((x + 10.0, y), 12.0, Anchor::Start, INK, synthesis.name());
         x += 26.0 + width_of(synthesis.name(), 12.0);
     }
-    let rest = "ring: the configuration's own; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler";
+    let rest = "ring: the configuration's own; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler, culling";
     svg.words((70.0, y + 22.0), 11.0, Anchor::Start, GREY, rest);
+}
+
+/// Of the methods in the second picture, which may share a synthesis.
+const CURVES: [&str; 3] = ["#0072b2", "#d55e00", "#009e73"];
+
+fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
+    let k = methods.iter().position(|m| *m == curve.method);
+    CURVES[k.unwrap_or(0) % CURVES.len()]
 }
 
 /// Milliseconds against four kinds of work.
@@ -420,7 +429,7 @@ pub fn work(curves: &[Curve], about: &About) -> String {
         curves.iter().flat_map(|c| c.points.iter().map(|p| p.1)),
         1e-6,
     );
-    let mut methods: Vec<_> = Vec::new();
+    let mut methods: Vec<Method> = Vec::new();
     for curve in curves {
         if !methods.contains(&curve.method) {
             methods.push(curve.method);
@@ -451,7 +460,7 @@ pub fn work(curves: &[Curve], about: &About) -> String {
             11.0,
         );
         for (row, curve) in these().enumerate() {
-            let colour = colour(curve.method.synthesis);
+            let colour = nth_colour(&methods, curve);
             let points: Vec<_> = curve.points.iter().map(|&(x, ms)| axes.at(x, ms)).collect();
             svg.polyline(&points, colour, 1.8);
             for (x, y) in points {

@@ -92,14 +92,17 @@ pub fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
                     note => format!("  <- {note}"),
                 },
             ),
-            Err(why) => writeln!(out, "{:>10} {}: {why}", "refused", row.method),
+            Err(_) => Ok(()),
         };
+    }
+    for (methods, why) in refusals(chart) {
+        let _ = writeln!(out, "   refused {methods}: {why}");
     }
     for curve in curves {
         let points: Vec<String> = curve
             .points
             .iter()
-            .map(|(x, ms)| format!("{x:.0}: {ms:.2} ms"))
+            .map(|(x, ms)| format!("{x}: {ms:.2} ms"))
             .collect();
         let exponent = curve
             .exponent
@@ -113,6 +116,31 @@ pub fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
         );
     }
     out
+}
+
+/// Methods that do not apply, by reason: the first, how many more, and why.
+fn refusals(chart: &Chart) -> Vec<(String, &str)> {
+    let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
+    for row in &chart.rows {
+        let Err(why) = &row.outcome else { continue };
+        let engine = match row.method.tolerance > 0.0 {
+            true => format!(
+                "{} {:.0e}",
+                row.method.synthesis.name(),
+                row.method.tolerance
+            ),
+            false => row.method.synthesis.name().to_owned(),
+        };
+        match reasons.iter_mut().find(|(known, _)| known == why) {
+            Some((_, engines)) if !engines.contains(&engine) => engines.push(engine),
+            Some(_) => {}
+            None => reasons.push((why, vec![engine])),
+        }
+    }
+    reasons
+        .into_iter()
+        .map(|(why, engines)| (engines.join(", "), why))
+        .collect()
 }
 
 pub fn csv(chart: &Chart) -> String {

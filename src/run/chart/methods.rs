@@ -15,6 +15,8 @@ pub struct Method {
     pub synthesis: Synthesis,
     /// What a synthesis that keeps one is made for; 0 for the others.
     pub tolerance: f64,
+    /// Scatterers whose two-way pattern is below this are left out, dB; none keeps all.
+    pub cull_db: Option<f64>,
 }
 
 /// What all others are held against.
@@ -52,34 +54,29 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
         (KSegment, SHORT_S, StretchQuadratic),
         (Continuous, 0.0, StretchQuadratic),
     ];
-    let mut methods = vec![Method::of(sonar)];
-    let mut add = |method: Method| {
-        if !methods.contains(&method) {
-            methods.push(method);
+    let own = Method::of(sonar);
+    let mut methods = vec![own];
+    // Culled as the configuration has it and, where that leaves something out, with all scatterers too.
+    let mut add = |method: Method, all_too: bool| {
+        let culled = method.culling(own.cull_db);
+        for method in [culled, method].into_iter().take(1 + usize::from(all_too)) {
+            if !methods.contains(&method) {
+                methods.push(method);
+            }
         }
     };
     for (path, segment_s, doppler) in motions {
         if !quick || segment_s != SHORT_S {
-            add(Method::new(
-                path,
-                segment_s,
-                doppler,
-                Synthesis::Direct,
-                0.0,
-            ));
+            let method = Method::new(path, segment_s, doppler, Synthesis::Direct, 0.0);
+            add(method, doppler == StretchQuadratic);
         }
     }
-    add(Method::new(
-        Polyline,
-        LONG_S,
-        PaperEq21,
-        Synthesis::Direct,
-        0.0,
-    ));
+    let printed = Method::new(Polyline, LONG_S, PaperEq21, Synthesis::Direct, 0.0);
+    add(printed, false);
     for synthesis in [Synthesis::Nearest, Synthesis::Linear, Synthesis::Spectral] {
-        add(Method::new(StopAndHop, 0.0, None, synthesis, 0.0));
+        add(Method::new(StopAndHop, 0.0, None, synthesis, 0.0), false);
         if !quick {
-            add(Method::new(KSegment, MIDDLE_S, None, synthesis, 0.0));
+            add(Method::new(KSegment, MIDDLE_S, None, synthesis, 0.0), false);
         }
     }
     let tolerances: &[f64] = if quick {
@@ -95,9 +92,9 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
             (KSegment, MIDDLE_S, StretchQuadratic),
         ] {
             let engine = |synthesis| Method::new(path, segment_s, doppler, synthesis, tolerance);
-            add(engine(Synthesis::Gridded1d));
+            add(engine(Synthesis::Gridded1d), doppler == Stretch);
             if lines {
-                add(engine(Synthesis::Gridded2d));
+                add(engine(Synthesis::Gridded2d), doppler == Stretch);
             }
         }
     }
@@ -118,7 +115,12 @@ impl Method {
             doppler,
             synthesis,
             tolerance,
+            cull_db: None,
         }
+    }
+
+    fn culling(self, cull_db: Option<f64>) -> Self {
+        Self { cull_db, ..self }
     }
 
     /// The configuration's own.
@@ -128,7 +130,7 @@ impl Method {
             doppler,
             synthesis,
             segment_s,
-            ..
+            cull_db,
         } = sonar.model;
         let segmented = matches!(path, PathModel::Polyline | PathModel::KSegment);
         Self {
@@ -140,15 +142,17 @@ impl Method {
                 true => sonar.synthesis.tolerance,
                 false => 0.0,
             },
+            cull_db,
         }
     }
 
-    /// The sonar under this choice; everything else stays, culling too.
+    /// The sonar under this choice; everything else stays.
     pub fn on(&self, sonar: &SonarSpec) -> SonarSpec {
         let mut spec = sonar.clone();
         spec.model.path = self.path;
         spec.model.doppler = self.doppler;
         spec.model.synthesis = self.synthesis;
+        spec.model.cull_db = self.cull_db;
         if self.segment_s > 0.0 {
             spec.model.segment_s = self.segment_s;
         }
@@ -173,11 +177,6 @@ impl Method {
         }
     }
 
-    /// The family that a picture gives a colour.
-    pub fn family(&self) -> &'static str {
-        self.synthesis.name()
-    }
-
     /// What moves, in words.
     pub fn motion(&self) -> String {
         let path = match self.segment_s > 0.0 {
@@ -197,6 +196,10 @@ impl fmt::Display for Method {
         if self.tolerance > 0.0 {
             write!(f, " {:.0e}", self.tolerance)?;
         }
-        write!(f, ", {}", self.motion())
+        write!(f, ", {}", self.motion())?;
+        match self.cull_db {
+            Some(db) => write!(f, ", culled at {db:.0} dB"),
+            None => Ok(()),
+        }
     }
 }

@@ -3,7 +3,7 @@
 //! In: a configuration with recorded navigation. Out: for every method the error of element samples, lines and picture, the error of the
 //! mean level and the milliseconds of a ping; or why it does not apply. Noise and converter are left out: they are the same for all.
 //!
-//! The ruler is the direct sum on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
+//! The ruler is the direct sum of all scatterers on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
 //! samples by the reference's equation and stands in the results: an error near it is only a bound.
 
 pub mod methods;
@@ -14,8 +14,10 @@ use std::time::Instant;
 
 use thiserror::Error;
 
+use crate::array::cards::synthesis_card;
 use crate::config::spec::{MediumSpec, RigSpec, SonarSpec};
-use crate::flow::{MethodCard, PingOutput, PingPlan, Scatterers};
+use crate::echo::cards::{doppler_card, path_card};
+use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
 use crate::run::chart::methods::Method;
 use crate::run::chart::metrics::{Errors, errors};
 use crate::run::conditions::conditions;
@@ -80,7 +82,7 @@ pub struct Measured {
 /// One method with what it promised and what it did.
 pub struct Row {
     pub method: Method,
-    /// Path, Doppler and synthesis, as their cards have it.
+    /// Path, Doppler and synthesis, as their cards have it; culling has none.
     pub predicted_error: f64,
     pub outcome: Result<Measured, String>,
     /// Nothing measured is both faster and better, by element samples.
@@ -129,7 +131,7 @@ pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64
         let Some((sonar, order)) = recorded.next_order(u32::MAX) else {
             return Err(ChartError::Short(options.span_pings));
         };
-        if sonar != options.sonar || !order.ping_number.is_multiple_of(step) {
+        if sonar != options.sonar || !(order.ping_number - 1).is_multiple_of(step) {
             continue;
         }
         if !recorded.settle(sonar, &order) {
@@ -262,20 +264,20 @@ pub fn measure(
     })
 }
 
-/// Path, Doppler and synthesis together.
+/// Path, Doppler and synthesis together; what culling leaves out has no card.
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
-    cards(spec, &conditions).iter().map(|card| card.error).sum()
-}
-
-/// The cards of the three families under a choice.
-pub fn cards(spec: &SonarSpec, conditions: &crate::flow::Conditions) -> [MethodCard; 3] {
     let model = &spec.model;
-    [
-        crate::echo::cards::path_card(model.path, conditions),
-        crate::echo::cards::doppler_card(model.doppler, model.path, conditions),
-        crate::array::cards::synthesis_card(model.synthesis, conditions),
-    ]
+    let synthesis = synthesis_card(model.synthesis, &conditions).error;
+    match model.synthesis {
+        // On the trajectory itself, whatever path and Doppler say.
+        Synthesis::Reference => synthesis,
+        _ => {
+            path_card(model.path, &conditions).error
+                + doppler_card(model.doppler, model.path, &conditions).error
+                + synthesis
+        }
+    }
 }
 
 /// The outputs that all others are held against, and how far they are from the reference at random samples.
