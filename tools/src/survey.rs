@@ -1,7 +1,8 @@
 //! A seabed far larger than any memory: 10 km x 1 km at 10 scatterers per 0.02 m^2, and pings 100 m apart along it.
 //!
 //! Prints, for every tenth ping, what it took: scatterers made, used and in shadow, milliseconds to gather them and to make samples of them,
-//! and the process's peak memory so far. Ends with exit code 1 where the peak is above 2 GiB.
+//! the process's peak memory so far, and the certificate: the error of random samples of the newest pings, computed again through the reference. Ends
+//! with exit code 1 where the peak is above 2 GiB or a certificate at fault.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -35,17 +36,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let folder = std::env::temp_dir().join(format!("echotank-survey-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
-    let peak = survey(&folder, pings);
+    let done = survey(&folder, pings);
     std::fs::remove_dir_all(&folder)?;
-    if peak?.is_some_and(|bytes| bytes > LIMIT_BYTES) {
+    let (peak, faults) = done?;
+    if peak.is_some_and(|bytes| bytes > LIMIT_BYTES) {
         eprintln!("above 2 GiB");
+        std::process::exit(1);
+    }
+    if faults > 0 {
+        eprintln!("{faults} certificates above 1.3 times the tolerance");
         std::process::exit(1);
     }
     Ok(())
 }
 
-/// Peak memory in bytes, where the system tells.
-fn survey(folder: &Path, pings: usize) -> Result<Option<u64>, Box<dyn std::error::Error>> {
+/// Peak memory in bytes, where the system tells, and certificates at fault.
+fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std::error::Error>> {
     std::fs::write(folder.join("ground.asc"), ground())?;
     let spec = config::parse(&configuration(), folder).map_err(|e| e.to_string())?;
     let sonar = &spec.sonars[0];
@@ -54,13 +60,17 @@ fn survey(folder: &Path, pings: usize) -> Result<Option<u64>, Box<dyn std::error
     let mut plan = ping::blank(0, sonar, &spec.medium, 0.096);
     let (mut scatterers, mut output) = (Scatterers::default(), pipeline.blank_output());
     println!(
-        "{LENGTH_M} m x {WIDTH_M} m, {:.1e} scatterers, {} threads, {:?}",
+        "{LENGTH_M} m x {WIDTH_M} m, {:.1e} scatterers, {} threads, {:?}, tolerance {:e}, culled below {:.1} dB",
         LENGTH_M * WIDTH_M * DENSITY_PER_M2,
         rayon::current_num_threads(),
         sonar.model.synthesis,
+        sonar.synthesis.tolerance,
+        sonar.model.cull_db.unwrap_or(f64::NEG_INFINITY),
     );
-    println!(" ping  north m      made      used  shadowed  gather ms  samples ms  peak MiB");
-    let mut times_ms = Vec::new();
+    println!(
+        " ping  north m      made      used  shadowed  gather ms  samples ms  peak MiB  error (95 %)"
+    );
+    let (mut times_ms, mut faults) = (Vec::new(), 0);
     for ping in 0..pings {
         let north_m = LENGTH_M * ((ping as f64 + 0.5) / pings as f64 - 0.5);
         let order = PingOrder {
@@ -82,6 +92,7 @@ fn survey(folder: &Path, pings: usize) -> Result<Option<u64>, Box<dyn std::error
         let gather_ms = (gathered - begun).as_secs_f64() * 1e3;
         let samples_ms = gathered.elapsed().as_secs_f64() * 1e3;
         times_ms.push(gather_ms + samples_ms);
+        faults += u32::from(output.certificate.is_some_and(|c| c.fault));
         if ping % (pings / 10).max(1) == 0 {
             line(ping, north_m, &output, gather_ms, samples_ms);
         }
@@ -96,18 +107,23 @@ fn survey(folder: &Path, pings: usize) -> Result<Option<u64>, Box<dyn std::error
         mean(&steady[steady.len() - third..]),
         steady.iter().copied().fold(0.0, f64::max)
     );
-    Ok(peak_bytes())
+    Ok((peak_bytes(), faults))
 }
 
 fn line(ping: usize, north_m: f64, output: &PingOutput, gather_ms: f64, samples_ms: f64) {
     let counts = &output.scene;
     println!(
-        "{:5} {north_m:8.0} {:9} {:9} {:9} {gather_ms:10.1} {samples_ms:11.1} {:9}",
+        "{:5} {north_m:8.0} {:9} {:9} {:9} {gather_ms:10.1} {samples_ms:11.1} {:9}  {}",
         ping + 1,
         counts.made,
         counts.scatterers,
         counts.shadowed,
         peak_bytes().map_or("?".to_owned(), |b| (b >> 20).to_string()),
+        output
+            .certificate
+            .map_or("too few samples yet".to_owned(), |c| {
+                format!("{:.1e} ({:.1e} to {:.1e})", c.error, c.low, c.high)
+            }),
     );
 }
 
@@ -200,8 +216,9 @@ rate_hz = 1.0
 source_level_db = 210.0
 
 [sonar.model]
-cull_db = -40.0
-tolerance = 1e-3
+synthesis = "gridded-1d"
+tolerance = 1e-2
+certificate = true
 "#
     )
 }
