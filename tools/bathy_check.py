@@ -43,7 +43,7 @@ def read_bag(path):
         text = file["BAG_root/metadata"][:].tobytes().decode("utf-8", "replace")
     # The survey's own copy of its metadata: what the depths are placed by is read from there.
     beside = path.with_suffix(".xml").read_text()
-    if beside.split() != text.rstrip("\0").split():
+    if beside.split() != text.replace("\0", "").split():
         raise SystemExit(f"{path.with_suffix('.xml').name} is not the metadata in {path.name}")
     text = beside
     corners = re.search(r"<gml:coordinates[^>]*>([^<]+)<", text).group(1)

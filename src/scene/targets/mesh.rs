@@ -12,6 +12,8 @@ use crate::scene::read::TriangleMesh;
 const LEAF: usize = 8;
 /// Least area of a triangle, as a share of the square of its longest side: thinner than the rounding of f32 coordinates.
 const SLIVER: f64 = 1e-9;
+/// A ray is let past a triangle's edge by this share of the triangle, so that it does not slip between two.
+const EDGE: f64 = 1e-9;
 /// A mesh is closed if the vectors of its triangles' areas add up to less than this share of its area: rounding of f32 coordinates.
 const CLOSED: f64 = 1e-5;
 
@@ -176,7 +178,7 @@ impl Triangle {
         let u = from.dot(p) / determinant;
         let q = from.cross(self.ab_m);
         let v = direction.dot(q) / determinant;
-        if u < 0.0 || v < 0.0 || u + v > 1.0 {
+        if u < -EDGE || v < -EDGE || u + v > 1.0 + EDGE {
             return None;
         }
         let t = self.ac_m.dot(q) / determinant;
