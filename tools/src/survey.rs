@@ -1,7 +1,7 @@
 //! A seabed far larger than any memory: 10 km x 1 km at 10 scatterers per 0.02 m^2, and pings 100 m apart along it.
 //!
 //! Prints, for every tenth ping, what it took: scatterers made, used and in shadow, milliseconds to gather them and to make samples of them,
-//! the process's peak memory so far, and a certificate: the ping once more, with 64 random samples of it computed through the reference, and the error
+//! of the whole ping also the processor's time, which another's load changes less, the process's peak memory so far, and a certificate: the ping once more, with 64 random samples of it computed through the reference, and the error
 //! of these and of the 64 before. Ends with exit code 1 where the peak is above 2 GiB or a certificate at fault.
 
 use std::fmt::Write as _;
@@ -68,9 +68,9 @@ fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std
         sonar.model.cull_db.unwrap_or(f64::NEG_INFINITY),
     );
     println!(
-        " ping  north m      made      used  shadowed  gather ms  samples ms  peak MiB  error (95 %)"
+        " ping  north m      made      used  shadowed  gather ms  samples ms    CPU ms  peak MiB  error (95 %)"
     );
-    let (mut times_ms, mut faults) = (Vec::new(), 0);
+    let (mut times_ms, mut cpu_times_ms, mut faults) = (Vec::new(), Vec::new(), 0);
     pipeline.allow_certificates(0.0);
     for ping in 0..pings {
         let north_m = LENGTH_M * ((ping as f64 + 0.5) / pings as f64 - 0.5);
@@ -86,38 +86,46 @@ fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std
             DQuat::IDENTITY,
         );
         ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
+        let cpu_begun_ms = cpu_ms();
         let begun = Instant::now();
         output.scene = scene.gather(pipeline.footprints(&plan), &mut scatterers);
         let gathered = Instant::now();
         pipeline.compute_ping(&plan, &scatterers, &mut output);
         let gather_ms = (gathered - begun).as_secs_f64() * 1e3;
         let samples_ms = gathered.elapsed().as_secs_f64() * 1e3;
+        let spent_ms = cpu_ms() - cpu_begun_ms;
         times_ms.push(gather_ms + samples_ms);
+        cpu_times_ms.push(spent_ms);
         if ping % (pings / 10).max(1) == 0 {
             pipeline.allow_certificates(f64::INFINITY);
             pipeline.compute_ping(&plan, &scatterers, &mut output);
             pipeline.allow_certificates(0.0);
             faults += u32::from(output.certificate.is_some_and(|c| c.fault));
-            line(ping, north_m, &output, gather_ms, samples_ms);
+            line(ping, north_m, &output, [gather_ms, samples_ms, spent_ms]);
         }
     }
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-    // The first ping also makes the engine.
-    let steady = &times_ms[1..];
-    let third = steady.len() / 3;
-    println!(
-        "ms per ping: first third {:.0}, last third {:.0}, worst {:.0}",
-        mean(&steady[..third]),
-        mean(&steady[steady.len() - third..]),
-        steady.iter().copied().fold(0.0, f64::max)
-    );
+    for (what, times_ms) in [
+        ("ms per ping", &times_ms),
+        ("CPU ms per ping", &cpu_times_ms),
+    ] {
+        // The first ping also makes the engine.
+        let steady = &times_ms[1..];
+        let third = steady.len() / 3;
+        println!(
+            "{what}: first third {:.0}, last third {:.0}, worst {:.0}",
+            mean(&steady[..third]),
+            mean(&steady[steady.len() - third..]),
+            steady.iter().copied().fold(0.0, f64::max)
+        );
+    }
     Ok((peak_bytes(), faults))
 }
 
-fn line(ping: usize, north_m: f64, output: &PingOutput, gather_ms: f64, samples_ms: f64) {
+fn line(ping: usize, north_m: f64, output: &PingOutput, [gather_ms, samples_ms, cpu_ms]: [f64; 3]) {
     let counts = &output.scene;
     println!(
-        "{:5} {north_m:8.0} {:9} {:9} {:9} {gather_ms:10.1} {samples_ms:11.1} {:9}  {}",
+        "{:5} {north_m:8.0} {:9} {:9} {:9} {gather_ms:10.1} {samples_ms:11.1} {cpu_ms:9.0} {:9}  {}",
         ping + 1,
         counts.made,
         counts.scatterers,
@@ -232,4 +240,15 @@ fn peak_bytes() -> Option<u64> {
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib << 10)
+}
+
+/// What all threads of the process have computed so far (Linux; 0 elsewhere), in steps of 10 ms.
+fn cpu_ms() -> f64 {
+    let ticks = || -> Option<f64> {
+        let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+        // Behind the name, which may hold blanks: fields 3 on; user and system time are 14 and 15.
+        let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+        Some(fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?)
+    };
+    10.0 * ticks().unwrap_or(0.0)
 }
