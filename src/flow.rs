@@ -459,7 +459,8 @@ pub struct ModelChoice {
     pub synthesis: Synthesis,
     /// Longest polyline segment, seconds.
     pub segment_s: f64,
-    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative); none keeps all.
+    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative);
+    /// where [`Scatterers::loud`] says so, only below less. None keeps all.
     pub cull_db: Option<f64>,
 }
 
@@ -736,6 +737,9 @@ pub struct Scatterers {
     /// Echo pressure at 1 m for unit incident pressure; for a patch of seabed sqrt(mu area) times its fixed complex reflectivity.
     pub strength: Vec<Complex64>,
     pub law: Vec<ScatterLaw>,
+    /// By which factor, 1 or more, the floor of the patterns ([`ModelChoice::cull_db`]) lies lower for this one, because it is louder than the
+    /// ground that the floor was chosen for.
+    pub loud: Vec<f32>,
     /// Of those whose law is [`ScatterLaw::Curve`]; without it they are silent.
     pub curve: Option<Arc<LawCurve>>,
 }
@@ -757,6 +761,7 @@ impl Scatterers {
         self.normal.truncate(len);
         self.strength.truncate(len);
         self.law.truncate(len);
+        self.loud.truncate(len);
     }
     /// Puts scatterer `from` in the place of scatterer `to`.
     pub fn copy_within(&mut self, from: usize, to: usize) {
@@ -766,6 +771,7 @@ impl Scatterers {
         self.normal[to] = self.normal[from];
         self.strength[to] = self.strength[from];
         self.law[to] = self.law[from];
+        self.loud[to] = self.loud[from];
     }
     /// To be written over: what is added scatters nothing.
     pub fn resize(&mut self, len: usize) {
@@ -775,6 +781,7 @@ impl Scatterers {
         self.normal.resize(len, [0.0; 3]);
         self.strength.resize(len, Complex64::ZERO);
         self.law.resize(len, ScatterLaw::Point);
+        self.loud.resize(len, 1.0);
     }
     pub fn push(
         &mut self,
@@ -789,6 +796,7 @@ impl Scatterers {
         self.normal.push(normal);
         self.strength.push(strength);
         self.law.push(law);
+        self.loud.push(1.0);
     }
     pub fn position_m(&self, i: usize) -> DVec3 {
         DVec3::new(self.north_m[i], self.east_m[i], self.down_m[i])

@@ -461,7 +461,7 @@ static SCENE: Table = Table {
             "targets",
             Kind::File,
             Optional("\"data/targets.csv\""),
-            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes) anywhere in the water.",
+            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY) anywhere in the water; hil-configs/README.md has their fields.",
         ),
         key(
             "memory_mib",
@@ -1199,7 +1199,7 @@ static MODEL: Table = Table {
             "cull_db",
             Kind::Number(from(-300.0, -1.0)),
             Optional("-60.0"),
-            "Scatterers whose two-way pattern lies below are left out, targets among them. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
+            "Scatterers whose two-way pattern lies below are left out; for targets and points it lies lower by as much as they are stronger than the ground's. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
         ),
     ],
     later: &["tolerance_image", "simd", "incidence"],

@@ -246,6 +246,13 @@ impl SonarPipeline {
         }
     }
 
+    /// How much certificates may cost from now on, as a share of a ping's predicted cost; see [`Certifier::allow`]. Nothing without certificates.
+    pub fn allow_certificates(&mut self, share: f64) {
+        if let Some(certifier) = &mut self.certifier {
+            certifier.allow(share);
+        }
+    }
+
     /// What this ping's arrays can hear of the scene: what lies outside is not asked for.
     pub fn footprints(&mut self, plan: &PingPlan) -> &[Footprint] {
         footprints(&self.spec, plan, &mut self.footprints);
