@@ -2,6 +2,8 @@
 
 #[path = "daemon/control.rs"]
 mod control;
+#[path = "daemon/faults.rs"]
+mod faults;
 #[path = "daemon/modes.rs"]
 mod modes;
 

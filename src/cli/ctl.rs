@@ -33,6 +33,14 @@ pub enum What {
     },
     /// Change settings; what is not named stays
     Set(SetArgs),
+    /// Inject a fault: a kind and its keys, as in a configuration's [[fault]], e.g. gain element=3 value=-6 for_s=10
+    Fault {
+        kind: String,
+        #[arg(value_name = "KEY=VALUE")]
+        keys: Vec<String>,
+    },
+    /// Take all faults away
+    ClearFaults,
     /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
     Send { json: String },
     /// Everything there is to know, as JSON
@@ -75,6 +83,8 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
             pulse_ms: set.pulse_ms,
             pinging: set.pinging,
         }),
+        What::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
+        What::ClearFaults => Command::ClearFaults,
         What::Send { json } => {
             let body = serde_json::from_str(json)
                 .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;
@@ -84,6 +94,20 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
         What::Metrics => return show(args, "/metrics"),
     };
     send(args, &json!(command))
+}
+
+/// `element=3` and the like as JSON: a number where it is one.
+fn fault(kind: &str, keys: &[String]) -> Result<Value, Failure> {
+    let mut body = json!({ "do": "fault", "kind": kind });
+    for pair in keys {
+        let Some((key, value)) = pair.split_once('=') else {
+            return Err(Failure::Configuration(format!(
+                "{pair}: expected KEY=VALUE"
+            )));
+        };
+        body[key] = serde_json::from_str(value).unwrap_or_else(|_| json!(value));
+    }
+    Ok(body)
 }
 
 fn send(args: &CtlArgs, body: &Value) -> Result<(), Failure> {

@@ -4,6 +4,7 @@
 
 pub mod check;
 pub mod ctl;
+pub mod doctor;
 pub mod listen;
 pub mod nav;
 pub mod replay;
@@ -40,6 +41,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Tell a running daemon: pause, step, settings; or ask how it does
     Ctl(ctl::CtlArgs),
+    /// Whether this machine lets the daemon be punctual and lose nothing
+    Doctor(doctor::DoctorArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
@@ -68,6 +71,7 @@ pub fn main() -> ExitCode {
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Ctl(args) => ctl::main(&args),
+        Command::Doctor(args) => doctor::main(&args),
         Command::Listen(args) => listen::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),

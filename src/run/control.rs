@@ -10,6 +10,7 @@ use crate::flow::{SettingChange, SonarSettings};
 use crate::io::control::{Answer, Command, ControlPort};
 use crate::io::sonar::RigTime;
 use crate::run::counters::PingCounters;
+use crate::run::faults::Faults;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
@@ -34,6 +35,7 @@ pub struct RunControl {
     /// All navigation is recorded.
     recorded: bool,
     sonars: Vec<SonarControl>,
+    faults: Arc<Faults>,
     rig_time: RigTime,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
@@ -45,6 +47,7 @@ impl RunControl {
         gate: Arc<Gate>,
         recorded: bool,
         sonars: Vec<SonarControl>,
+        faults: Arc<Faults>,
         rig_time: RigTime,
     ) -> Self {
         Self {
@@ -52,6 +55,7 @@ impl RunControl {
             gate,
             recorded,
             sonars,
+            faults,
             rig_time,
             nav_lines: Mutex::default(),
         }
@@ -136,6 +140,17 @@ impl RunControl {
                     return Err("nothing to set is named".to_owned());
                 }
                 self.set(sonar, &changes)
+            }
+            Command::Fault(request) => {
+                let id = self
+                    .faults
+                    .add(request)
+                    .map_err(|refused| refused.to_string())?;
+                Ok(json!({ "fault": id, "standing": self.faults.standing() }))
+            }
+            Command::ClearFaults => {
+                let cleared = self.faults.clear();
+                Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
             }
         }
     }
@@ -224,6 +239,11 @@ impl ControlPort for RunControl {
             "pings_delivered": self.gate.pings_delivered(),
             "rig_utc_ns": (self.rig_time)().0,
             "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
+            "faults": {
+                "standing": self.faults.standing(),
+                "injected": self.faults.injected(),
+                "unlogged": self.faults.unwritten(),
+            },
             "nav": self.nav_lines(),
         })
     }
@@ -271,6 +291,11 @@ impl ControlPort for RunControl {
                 let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
             }
         }
+        let _ = writeln!(
+            text,
+            "# HELP echotank_faults_injected Faults injected\n# TYPE echotank_faults_injected counter\nechotank_faults_injected {}",
+            self.faults.injected()
+        );
         for (key, kind, doc) in STREAM_METRICS {
             let name = format!("echotank_client_{key}");
             let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} {kind}");

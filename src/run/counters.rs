@@ -15,6 +15,8 @@ pub struct PingCounters {
     pub skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
     pub skipped_queue: AtomicU64,
+    /// A fault had the pulse missed.
+    pub triggers_missed: AtomicU64,
     /// Delivered, but after the deadline.
     pub deadline_misses: AtomicU64,
     /// Worst lateness of a delivery, microseconds.
@@ -164,6 +166,11 @@ impl PingCounters {
                 "pings_skipped_queue",
                 "Pings for which there was no room",
                 &self.skipped_queue,
+            ),
+            (
+                "triggers_missed",
+                "Pulses that a fault had missed",
+                &self.triggers_missed,
             ),
             (
                 "deadline_misses",

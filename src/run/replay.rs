@@ -12,6 +12,7 @@ use crate::io::nav::NavInputs;
 use crate::io::record::RecordError;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::counters::{PingCounters, add};
+use crate::run::faults::PingMark;
 use crate::run::recorders::Recorders;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::time::{NS_PER_S, UtcNs, VirtualClock};
@@ -92,6 +93,7 @@ impl Replay {
                 return Err(ReplayError::NoNav(rig.history.silent()));
             }
         };
+        rig.faults.begin(first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];
         let recorders = Recorders::create(&spec, &options, &rig)?;
@@ -138,6 +140,10 @@ impl Replay {
                 .collect();
             while let Some((sonar, order)) = self.next_order() {
                 if order.ping_number < self.pings.0 {
+                    continue;
+                }
+                if self.rig.faults.trigger_missed(PingMark::of(sonar, &order)) {
+                    add(&self.counters[sonar].triggers_missed, 1);
                     continue;
                 }
                 if !self.rig.read_on(&mut self.inputs, sonar, &order) {

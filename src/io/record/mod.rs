@@ -1,5 +1,6 @@
 //! Recorders: pings in, files out.
 //!
+//! - [`faults`]: what was injected, one JSON line per fault.
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
 //! - [`s7k`]: protocol records as a `.s7k` file.
@@ -8,6 +9,7 @@
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
 //! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
+pub mod faults;
 pub mod npz;
 mod plan_text;
 pub mod png;

@@ -60,6 +60,9 @@ impl Pacer {
             else {
                 continue;
             };
+            if self.is_missed(sonar, &order) {
+                continue;
+            }
             if !self.rig.read_on(&mut self.inputs, sonar, &order) {
                 return;
             }
