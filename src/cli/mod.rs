@@ -7,6 +7,7 @@ pub mod ctl;
 pub mod doctor;
 pub mod listen;
 pub mod nav;
+pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod scene;
@@ -45,6 +46,8 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
+    /// Mend records (.s7k) that were cut off; `run` does so by itself with those in its folder
+    Recover(recover::RecoverArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
     Nav(nav::NavArgs),
     /// Look at seabeds and models
@@ -68,6 +71,7 @@ pub fn main() -> ExitCode {
         .unwrap_or_else(|| Command::Run(run::RunArgs::default()))
     {
         Command::Run(args) => run::main(&args),
+        Command::Recover(args) => recover::main(&args),
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Ctl(args) => ctl::main(&args),

@@ -1,6 +1,7 @@
 //! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
 
 use std::fmt::Write as _;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::{Value, json};
@@ -15,9 +16,13 @@ use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
 use crate::run::settings::SettingsStore;
+use crate::time::{Clock, MonoNs, SystemClock};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
 const MOST_STEPS: u64 = 1_000_000;
+
+/// A pipeline that does not come round for so long is stuck: no ping takes as long.
+const LONGEST_BEAT_S: f64 = 15.0;
 
 /// One sonar as its operator sees it.
 pub struct SonarControl {
@@ -39,6 +44,9 @@ pub struct RunControl {
     rig_time: RigTime,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
+    machine: SystemClock,
+    /// When the pipeline last came round, on `machine`.
+    beat_ns: AtomicI64,
 }
 
 impl RunControl {
@@ -58,6 +66,8 @@ impl RunControl {
             faults,
             rig_time,
             nav_lines: Mutex::default(),
+            machine: SystemClock::new(),
+            beat_ns: AtomicI64::new(0),
         }
     }
 
@@ -67,6 +77,11 @@ impl RunControl {
 
     pub fn gate(&self) -> &Arc<Gate> {
         &self.gate
+    }
+
+    /// The pipeline has come round.
+    pub fn beat(&self) {
+        self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
     pub fn set_nav_lines(&self, lines: Vec<String>) {
@@ -246,6 +261,14 @@ impl ControlPort for RunControl {
             },
             "nav": self.nav_lines(),
         })
+    }
+
+    fn ailment(&self) -> Option<String> {
+        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(beat);
+        // Paused it may well stand.
+        (silent_s > LONGEST_BEAT_S && !self.gate.is_paused())
+            .then(|| format!("the pipeline has stood for {silent_s:.0} s"))
     }
 
     /// Prometheus text, version 0.0.4.

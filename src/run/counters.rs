@@ -15,6 +15,8 @@ pub struct PingCounters {
     pub skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
     pub skipped_queue: AtomicU64,
+    /// A recorder ended with an error, as of a full disk; pings go on.
+    pub recordings_stopped: AtomicU64,
     /// A fault had the pulse missed.
     pub triggers_missed: AtomicU64,
     /// Delivered, but after the deadline.
@@ -112,6 +114,10 @@ impl PingCounters {
                 read(&self.certified)
             );
         }
+        match read(&self.recordings_stopped) {
+            0 => {}
+            n => text += &format!(", RECORDING STOPPED by an error ({n})"),
+        }
         match read(&self.certificate_faults) {
             0 => {}
             n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
@@ -166,6 +172,11 @@ impl PingCounters {
                 "pings_skipped_queue",
                 "Pings for which there was no room",
                 &self.skipped_queue,
+            ),
+            (
+                "recordings_stopped",
+                "Recorders that ended with an error",
+                &self.recordings_stopped,
             ),
             (
                 "triggers_missed",

@@ -26,10 +26,12 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
 use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
-use crate::io::control::{ControlServer, OpenError as ControlOpenError};
+use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
+use crate::io::notify::Notify;
 use crate::io::priority;
 use crate::io::record::faults::FaultLog;
+use crate::io::record::recover::recover_folder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
 use crate::nav::Coverage;
@@ -153,6 +155,8 @@ pub struct Daemon {
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
     server: Option<ControlServer>,
+    /// What was mended of earlier records, and how punctual it can be, a line each.
+    remarks: Vec<String>,
 }
 
 impl Daemon {
@@ -163,6 +167,11 @@ impl Daemon {
         stop: Arc<AtomicBool>,
     ) -> Result<Self, DaemonError> {
         let (clock, gate) = clock_of(spec.run.clock);
+        let mut remarks = match &spec.record {
+            Some(record) => recover_folder(&record.directory),
+            None => Vec::new(),
+        };
+        remarks.push(punctuality(spec.run.priority));
         let pool = pool(threads)?;
         let rig = pool.install(|| Rig::open(spec))?;
         let inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
@@ -218,6 +227,7 @@ impl Daemon {
             stop,
             control,
             server,
+            remarks,
         })
     }
 
@@ -237,7 +247,7 @@ impl Daemon {
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         let control = self.server.iter();
         lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
-        lines.push(punctuality(self.rig.spec.run.priority));
+        lines.extend(self.remarks.iter().cloned());
         lines
     }
 
@@ -255,7 +265,10 @@ impl Daemon {
             stop,
             control,
             server,
+            remarks: _,
         } = self;
+        let notify = Notify::from_environment();
+        notify.ready();
         let faults = rig.faults.clone();
         let mut fault_log = FaultLogFile::new(&rig.spec);
         let latency_s = rig.spec.run.latency_s;
@@ -312,11 +325,17 @@ impl Daemon {
                 control.gate().close();
             }
             fault_log.write(&faults);
+            if control.ailment().is_none() {
+                notify.alive();
+            }
             if machine.mono() >= next_status {
-                status(&control.lines(latency_s).join("\n"));
+                let lines = control.lines(latency_s);
+                notify.status(lines.first().map_or("", String::as_str));
+                status(&lines.join("\n"));
                 next_status = next_status.plus_ns(status_interval_ns);
             }
         }
+        notify.stopping();
         pipeline.join().map_err(|_| DaemonError::Panic)?;
         let mut closed = Ok(());
         for thread in deliveries {
@@ -552,6 +571,7 @@ impl Pacer {
     }
 
     fn renew_nav_lines(&mut self) {
+        self.control.beat();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NS_PER_S);
@@ -729,6 +749,7 @@ fn deliver(
         // A recorder that fails (a full disk) is reported once; the topsides go on.
         if let Err(error) = outputs.deliver() {
             eprintln!("echotank: {error}");
+            add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
         }
         if let Some(deadline) = deadline {

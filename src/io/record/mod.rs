@@ -3,6 +3,7 @@
 //! - [`faults`]: what was injected, one JSON line per fault.
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
+//! - [`recover`]: mends a `.s7k` that was cut off.
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
@@ -13,6 +14,7 @@ pub mod faults;
 pub mod npz;
 mod plan_text;
 pub mod png;
+pub mod recover;
 pub mod s7k;
 pub mod truth;
 
