@@ -4,6 +4,8 @@
 mod control;
 #[path = "daemon/faults.rs"]
 mod faults;
+#[path = "daemon/killed.rs"]
+mod killed;
 #[path = "daemon/modes.rs"]
 mod modes;
 

@@ -33,6 +33,14 @@ pub enum What {
     },
     /// Change settings; what is not named stays
     Set(SetArgs),
+    /// Start pings of a sonar that waits for it, on its beat
+    Trigger {
+        #[arg(default_value_t = 1)]
+        pings: u64,
+        /// Which sonar, where there are several
+        #[arg(long)]
+        sonar: Option<String>,
+    },
     /// Inject a fault: a kind and its keys, as in a configuration's [[fault]], e.g. gain element=3 value=-6 for_s=10
     Fault {
         kind: String,
@@ -83,6 +91,10 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
             pulse_ms: set.pulse_ms,
             pinging: set.pinging,
         }),
+        What::Trigger { pings, sonar } => Command::Trigger {
+            sonar: sonar.clone(),
+            pings: *pings,
+        },
         What::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
         What::ClearFaults => Command::ClearFaults,
         What::Send { json } => {

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde_json::{Value, json};
 
 use crate::config::spec::ClockSpec;
-use crate::flow::{SettingChange, SonarSettings};
+use crate::flow::{Asked, Asker, SettingChange, SonarSettings};
 use crate::io::control::{Answer, Command, ControlPort};
 use crate::io::sonar::RigTime;
 use crate::run::counters::PingCounters;
@@ -156,6 +156,13 @@ impl RunControl {
                 }
                 self.set(sonar, &changes)
             }
+            Command::Trigger { sonar, pings } => {
+                let sonar = self.sonar(sonar.as_deref())?;
+                if !(1..=MOST_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
+                }
+                self.set(sonar, &[SettingChange::PingTimes(*pings as u32)])
+            }
             Command::Fault(request) => {
                 let id = self
                     .faults
@@ -181,10 +188,21 @@ impl RunControl {
         }
     }
 
+    fn asked(&self) -> Asked {
+        let by = Asker {
+            via: "control",
+            peer: None,
+        };
+        Asked {
+            utc: (self.rig_time)(),
+            by,
+        }
+    }
+
     /// One after another; what was accepted before a refusal stays.
     fn set(&self, sonar: &SonarControl, changes: &[SettingChange]) -> Result<Value, String> {
         for (done, change) in changes.iter().enumerate() {
-            if let Err(refused) = sonar.settings.apply(*change, (self.rig_time)()) {
+            if let Err(refused) = sonar.settings.apply(*change, self.asked()) {
                 return Err(match done {
                     0 => refused.to_string(),
                     _ => format!("{refused}; what stands before it was set"),

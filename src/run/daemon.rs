@@ -598,6 +598,7 @@ impl Pacer {
             while let Some(order) =
                 self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
             {
+                settings.pinged(timeline.mono(order.transmit_utc));
                 if self.is_missed(sonar, &order) {
                     continue;
                 }

@@ -103,10 +103,16 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
     let folder = tempfile::tempdir().expect("folder");
     let record = tempfile::tempdir().expect("folder");
     let log = format!("run.fault_directory={:?}", folder.path());
-    let mut daemon = rig(
-        record.path(),
-        &["run.clock=lockstep", "nav.loop=true", &log],
-    );
+    // Long enough, and without a seam at which pings would be skipped.
+    let track = record.path().join("track.csv");
+    let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+    for quarter in 0..300 {
+        let time_s = 1_793_611_200.0 + 0.25 * f64::from(quarter);
+        text += &format!("{time_s:.2},0,0,5,3,-2,35\n");
+    }
+    std::fs::write(&track, text).expect("written");
+    let track = format!("nav.source.path={track:?}");
+    let mut daemon = rig(record.path(), &["run.clock=lockstep", &track, &log]);
     let sevenk = daemon.announced("7k points", "tcp");
     let control = daemon.announced("control http", "http");
     let mut client = SevenKClient::connect(sevenk).expect("listening");

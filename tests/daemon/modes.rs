@@ -43,7 +43,7 @@ pub fn pings_of(folder: &Path) -> Pings {
     pings
 }
 
-fn pings_in(pings: &Pings) -> usize {
+pub fn pings_in(pings: &Pings) -> usize {
     pings.keys().filter(|(kind, _)| *kind == 7000).count()
 }
 

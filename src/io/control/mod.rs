@@ -33,6 +33,13 @@ pub enum Command {
         pings: u64,
     },
     Set(Settings),
+    /// Starts so many pings of a sonar, on its beat; for one whose trigger is external, or that does not ping.
+    Trigger {
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sonar: Option<String>,
+        #[serde(default = "one")]
+        pings: u64,
+    },
     /// From the next ping on, or `at_s` after the first.
     Fault(FaultRequest),
     ClearFaults,

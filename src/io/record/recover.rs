@@ -76,9 +76,8 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
             got: u64::from(first.frame.record_type_id),
         }));
     }
-    let points_at_end = |pointer: CataloguePointer| {
-        pointer.offset_bytes + u64::from(pointer.size_bytes) == length
-    };
+    let points_at_end =
+        |pointer: CataloguePointer| pointer.offset_bytes + u64::from(pointer.size_bytes) == length;
     if CataloguePointer::of_record(&first).is_some_and(points_at_end) {
         return Ok(Recovered::Whole);
     }

@@ -60,6 +60,7 @@ impl Pacer {
             else {
                 continue;
             };
+            settings.pinged(timeline.mono(order.transmit_utc));
             if self.is_missed(sonar, &order) {
                 continue;
             }
