@@ -162,9 +162,24 @@ latency_ms = 2500.0
 status_interval_s = 1.0
 queue_pings = 9
 clock = "realtime"
+priority = 0
 
 [record]
 directory = "recordings"
+
+[[fault]]
+kind = "crosstalk"
+sonar = "head"
+array = 0
+element = 1
+other = 0
+value = -20.0
+at_s = 60
+for_s = 10
+ramp_s = 5
+probability = 0.5
+burst = 3
+seed = 8
 
 [control]
 listen = "0.0.0.0:7780"
@@ -343,6 +358,27 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
     ));
     assert_eq!((rig.run.threads, rig.run.queue_pings), (3, 9));
     assert_eq!(rig.run.clock, ClockSpec::RealTime);
+    assert_eq!(rig.run.priority, 0);
+    assert_eq!(rig.faults.len(), 1);
+    let fault = rig.faults[0].checked().expect("checked");
+    assert_eq!(
+        (
+            fault.at_s,
+            fault.for_s,
+            fault.ramp_s,
+            fault.burst,
+            fault.seed
+        ),
+        (Some(60.0), 10.0, 5.0, 3, 8)
+    );
+    assert_eq!(
+        fault.kind,
+        FaultKind::Element {
+            fault: ElementFault::Crosstalk { from: 0, db: -20.0 },
+            array: Some(0),
+            element: Some(1),
+        }
+    );
     assert_eq!(rig.control.listen, Some(([0, 0, 0, 0], 7780).into()));
     assert_eq!(rig.control.token.as_deref(), Some("secret"));
     assert_eq!((rig.run.latency_s, rig.run.status_interval_s), (2.5, 1.0));

@@ -2,6 +2,10 @@
 
 #[path = "daemon/control.rs"]
 mod control;
+#[path = "daemon/faults.rs"]
+mod faults;
+#[path = "daemon/killed.rs"]
+mod killed;
 #[path = "daemon/modes.rs"]
 mod modes;
 

@@ -4,6 +4,7 @@
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
 mod culling;
+mod faults;
 mod scene;
 pub(super) mod sonar;
 
@@ -248,6 +249,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
             false => None,
         },
         control: control?,
+        faults: faults::faults(table.tables("fault"), problems),
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
 }
@@ -331,6 +333,8 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
             "lockstep" => ClockSpec::Lockstep,
             _ => ClockSpec::RealTime,
         },
+        priority: u8::try_from(table.integer("priority")?).ok()?,
+        fault_directory: table.path("fault_directory"),
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,

@@ -3,6 +3,8 @@
 //! The reader (`raw`), the template and the JSON Schema (`describe`) all walk these tables, so that they cannot disagree. Rules that
 //! need more than one key live in `check`.
 
+mod faults;
+
 /// A TOML table.
 pub struct Table {
     pub doc: &'static str,
@@ -123,8 +125,9 @@ pub static RIG: Table = Table {
         key("record", Kind::Table(&RECORD), Optional(""), ""),
         key("control", Kind::Table(&CONTROL), Default("{}"), ""),
         key("sonar", Kind::Tables(&SONAR), Required(""), ""),
+        key("fault", Kind::Tables(&faults::FAULT), Optional(""), ""),
     ],
-    later: &["web", "metrics", "faults", "trigger"],
+    later: &["web", "metrics", "trigger"],
 };
 
 static MEDIUM: Table = Table {
@@ -808,8 +811,20 @@ static RUN: Table = Table {
             Default("10.0"),
             "Only with clock = \"scaled\".",
         ),
+        key(
+            "priority",
+            Kind::Integer(0, 99),
+            Default("40"),
+            "SCHED_FIFO priority of the threads that hand pings over, and memory locked, where the system allows it (echotank doctor); 0: neither.",
+        ),
+        key(
+            "fault_directory",
+            Kind::Folder,
+            Optional("\"out\""),
+            "Where faults-TIME.jsonl goes; left out: record.directory, and without that nowhere.",
+        ),
     ],
-    later: &["priority", "cores"],
+    later: &["cores"],
 };
 
 static RECORD: Table = Table {

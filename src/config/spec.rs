@@ -2,6 +2,10 @@
 //!
 //! A value here has been validated; no stage checks it again.
 
+mod faults;
+
+pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -22,6 +26,8 @@ pub struct RigSpec {
     pub run: RunSpec,
     pub record: Option<RecordSpec>,
     pub control: ControlSpec,
+    /// The scenario of what goes wrong.
+    pub faults: Vec<FaultRequest>,
     /// At least one.
     pub sonars: Vec<SonarSpec>,
 }
@@ -624,6 +630,10 @@ pub struct RunSpec {
     /// Pings that may wait for delivery.
     pub queue_pings: usize,
     pub clock: ClockSpec,
+    /// SCHED_FIFO, 1 to 99; 0: ordinary scheduling, and memory is not locked.
+    pub priority: u8,
+    /// Where the log of injected faults goes, if not beside the records.
+    pub fault_directory: Option<PathBuf>,
 }
 
 /// How fast rig time goes. The samples do not depend on it.

@@ -15,6 +15,10 @@ pub struct PingCounters {
     pub skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
     pub skipped_queue: AtomicU64,
+    /// A recorder ended with an error, as of a full disk; pings go on.
+    pub recordings_stopped: AtomicU64,
+    /// A fault had the pulse missed.
+    pub triggers_missed: AtomicU64,
     /// Delivered, but after the deadline.
     pub deadline_misses: AtomicU64,
     /// Worst lateness of a delivery, microseconds.
@@ -110,6 +114,10 @@ impl PingCounters {
                 read(&self.certified)
             );
         }
+        match read(&self.recordings_stopped) {
+            0 => {}
+            n => text += &format!(", RECORDING STOPPED by an error ({n})"),
+        }
         match read(&self.certificate_faults) {
             0 => {}
             n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
@@ -164,6 +172,16 @@ impl PingCounters {
                 "pings_skipped_queue",
                 "Pings for which there was no room",
                 &self.skipped_queue,
+            ),
+            (
+                "recordings_stopped",
+                "Recorders that ended with an error",
+                &self.recordings_stopped,
+            ),
+            (
+                "triggers_missed",
+                "Pulses that a fault had missed",
+                &self.triggers_missed,
             ),
             (
                 "deadline_misses",

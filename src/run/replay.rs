@@ -10,6 +10,7 @@ use crate::config::spec::RigSpec;
 use crate::io::record::RecordError;
 use crate::ping::PingOrder;
 use crate::run::counters::{PingCounters, add};
+use crate::run::faults::PingMark;
 use crate::run::recorded::{RecordedError, RecordedRig};
 use crate::run::recorders::Recorders;
 use crate::run::rig::{PingSlot, pool};
@@ -69,7 +70,8 @@ impl Replay {
         // A whole replay of a looped log would never end: the loop is for those who name the last ping.
         spec.nav.loop_log &= options.pings.is_some();
         let pool = pool(options.threads)?;
-        let recorded = pool.install(|| RecordedRig::open(&spec))?;
+        let mut recorded = pool.install(|| RecordedRig::open(&spec))?;
+        recorded.rig.faults.begin(recorded.schedules[0].next_utc());
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),
@@ -119,6 +121,10 @@ impl Replay {
             let last = self.pings.1;
             while let Some((sonar, order)) = self.recorded.next_order(last) {
                 if order.ping_number < self.pings.0 {
+                    continue;
+                }
+                if self.recorded.rig.faults.trigger_missed(PingMark::of(sonar, &order)) {
+                    add(&self.counters[sonar].triggers_missed, 1);
                     continue;
                 }
                 if !self.recorded.settle(sonar, &order) {

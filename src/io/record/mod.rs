@@ -1,16 +1,20 @@
 //! Recorders: pings in, files out.
 //!
+//! - [`faults`]: what was injected, one JSON line per fault.
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
+//! - [`recover`]: mends a `.s7k` that was cut off.
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
 //! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
+pub mod faults;
 pub mod npz;
 mod plan_text;
 pub mod png;
+pub mod recover;
 pub mod s7k;
 pub mod truth;
 

@@ -10,6 +10,8 @@ use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
+use crate::run::faults::PingMark;
+use crate::run::faults::line::Line;
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
 
@@ -20,6 +22,8 @@ pub struct SevenK {
     recorder: Option<S7kRecorder>,
     /// Records of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    /// To the clients; what is recorded does not pass it.
+    line: Line,
 }
 
 impl SevenK {
@@ -59,6 +63,7 @@ impl SevenK {
             server: Arc::new(server),
             recorder,
             pending: Vec::new(),
+            line: Line::new(unit.faults.clone()),
         })
     }
 }
@@ -84,6 +89,11 @@ impl Output for SevenK {
             RecordSet::EMPTY
         };
         self.pending.clear();
+        self.line.begin(PingMark {
+            sonar: slot.plan.sonar,
+            number: slot.plan.ping_number,
+            utc: slot.plan.transmit_utc,
+        });
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
@@ -93,7 +103,7 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.server.deliver(&self.pending);
+        self.server.deliver(self.line.pass(&self.pending));
         let mut outcome = Ok(());
         if let Some(recorder) = &mut self.recorder {
             outcome = self
