@@ -1,5 +1,7 @@
 //! The daemon as its user runs it: a process, its ports, its signals.
 
+mod nav_while_pinging;
+
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;

@@ -20,6 +20,7 @@ use thiserror::Error;
 
 use crate::config::spec::{NavMode, RigSpec, StampSpec};
 use crate::io::nav::NavInputs;
+use crate::io::nav::output::{NavOutputError, NavOutputs};
 use crate::io::sonar::RigTime;
 use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
@@ -34,6 +35,8 @@ const POLL_NS: i64 = 2_000_000;
 /// With recorded navigation the first ping is due this long after the start: time to open the doors and to compute it.
 const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
+/// How often the navigation's counters and states are written down for whoever prints.
+const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
 const MOST_ORDERS: usize = 1000;
 
@@ -43,6 +46,8 @@ pub enum DaemonError {
     Rig(#[from] RigError),
     #[error(transparent)]
     Output(#[from] OutputError),
+    #[error(transparent)]
+    NavOutput(#[from] NavOutputError),
     #[error("could not start a thread: {0}")]
     Thread(std::io::Error),
     #[error("could not start the threads that compute pings: {0}")]
@@ -115,6 +120,7 @@ pub struct Daemon {
     pool: rayon::ThreadPool,
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
@@ -147,6 +153,7 @@ impl Daemon {
             .collect();
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
+        let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
         let mut outputs = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
@@ -161,6 +168,7 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             counters,
@@ -177,6 +185,7 @@ impl Daemon {
             .iter()
             .map(|(name, address)| format!("nav {name} udp {address}"))
             .collect();
+        lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         lines
     }
@@ -189,6 +198,7 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             counters,
@@ -218,6 +228,7 @@ impl Daemon {
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
             inputs,
+            nav_out,
             settings,
             counters: counters.clone(),
             clock: clock.clone(),
@@ -286,6 +297,7 @@ fn wire_time(
 struct Pacer {
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
     /// Versions of the settings that the pipelines have been told of.
     foreseen: Vec<u64>,
@@ -300,7 +312,7 @@ struct Pacer {
     lanes: Vec<Lane>,
     /// Read by whoever stamps answers.
     timeline: Arc<OnceLock<Timeline>>,
-    /// The navigation's counters as text, renewed every second for whoever prints.
+    /// The navigation's counters as text, renewed every quarter of a second for whoever prints.
     nav_lines: Arc<Mutex<Vec<String>>>,
     next_nav_lines: MonoNs,
 }
@@ -323,6 +335,7 @@ impl Pacer {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
+            self.nav_out.publish(&mut self.rig.history, now, utc);
             self.renew_nav_lines(now);
             self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
@@ -344,6 +357,7 @@ impl Pacer {
                 .schedules
                 .iter()
                 .map(|s| timeline.mono(s.next_utc()))
+                .chain([self.nav_out.next_publish()])
                 .min();
             self.clock
                 .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
@@ -403,11 +417,12 @@ impl Pacer {
 
     fn renew_nav_lines(&mut self, now: MonoNs) {
         if now >= self.next_nav_lines {
-            self.next_nav_lines = now.plus_ns(NS_PER_S);
+            self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
             *self
                 .nav_lines
                 .lock()
-                .unwrap_or_else(PoisonError::into_inner) = self.inputs.lines();
+                .unwrap_or_else(PoisonError::into_inner) =
+                [self.inputs.lines(), self.nav_out.lines()].concat();
         }
     }
 
