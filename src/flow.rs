@@ -62,6 +62,10 @@ pub enum NavQuantity {
     Heave {
         heave_down_m: f64,
     },
+    /// Of the platform's depth sensor, below the surface.
+    Depth {
+        depth_m: f64,
+    },
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +99,24 @@ pub struct NavState {
     pub attitude_age_s: f64,
     /// Some quantity had to be extrapolated.
     pub extrapolated: bool,
+    /// What must not be relied on.
+    pub invalid: NavInvalid,
+}
+
+/// Quantities older than they may be: the last known value stands in their place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NavInvalid {
+    pub position: bool,
+    pub heading: bool,
+    pub roll_pitch: bool,
+    /// Heave or depth, where it is used.
+    pub vertical: bool,
+}
+
+impl NavInvalid {
+    pub fn any(&self) -> bool {
+        self.position || self.heading || self.roll_pitch || self.vertical
+    }
 }
 
 // ---------------------------------------------------------------- the ping
@@ -1304,6 +1326,7 @@ pub mod testing {
                 position_age_s: 0.0,
                 attitude_age_s: 0.0,
                 extrapolated: false,
+                invalid: Default::default(),
             },
             trajectory,
             segments: Vec::new(),

@@ -8,6 +8,8 @@ mod faults;
 mod killed;
 #[path = "daemon/modes.rs"]
 mod modes;
+#[path = "daemon/nav_while_pinging.rs"]
+mod nav_while_pinging;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

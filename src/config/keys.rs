@@ -204,7 +204,7 @@ static NAV: Table = Table {
             "vertical",
             Kind::Choice(&["waterline", "gnss", "depth"], &[]),
             Default("\"waterline\""),
-            "What the platform's depth is made of: \"waterline\" a fixed reference_depth_m plus heave, \"gnss\" minus the antenna's height plus datum_offset_m, \"depth\" the source's own (a CSV track).",
+            "What the platform's depth is made of: \"waterline\" a fixed reference_depth_m plus heave, \"gnss\" minus the antenna's height plus datum_offset_m, \"depth\" a CSV track's own or a depth sensor's (provides \"depth\"). Heave is added only to the first.",
         ),
         key(
             "reference_depth_m",
@@ -234,7 +234,7 @@ static NAV: Table = Table {
             "max_extrapolation_ms",
             Kind::Number(from(0.0, 60_000.0)),
             Default("250.0"),
-            "A ping that would need a longer look ahead is skipped. Only with mode = \"predict\".",
+            "Longest look ahead: on_lost says what becomes of a ping that would need a longer one. Only with mode = \"predict\".",
         ),
         key(
             "history_s",
@@ -290,10 +290,121 @@ static NAV: Table = Table {
             Default("10.0"),
             "A source is lost when nothing came for so long; not below stale_s.",
         ),
+        key(
+            "on_lost",
+            Kind::Choice(&["hold", "skip"], &[]),
+            Default("\"hold\""),
+            "A ping for which something is older than max_extrapolation_ms: made with the last known motion come to rest, and flagged invalid; or skipped. Only with mode = \"predict\".",
+        ),
+        key("tow", Kind::Table(&NAV_TOW), Optional(""), ""),
         key("source", Kind::Tables(&NAV_SOURCE), Required(""), ""),
+        key("output", Kind::Tables(&NAV_OUTPUT), Optional(""), ""),
     ],
-    later: &["on_lost"],
+    later: &[],
 };
+
+static NAV_TOW: Table = Table {
+    doc: "The sonar is towed: positions are those of the ship's antennas (their lever_arm_m counts from the ship's reference point), all else is the towed body's. It follows on the heading, sqrt((cable_out_m * straightness)^2 - (its depth - the cable's height)^2) behind the point where the cable leaves the ship.",
+    keys: &[
+        key(
+            "point_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline.",
+        ),
+        key(
+            "cable_out_m",
+            Kind::Number(from(0.0, 20_000.0)),
+            Required("60.0"),
+            "",
+        ),
+        key(
+            "straightness",
+            Kind::Number(above(0.0, 1.0)),
+            Default("1.0"),
+            "Straight distance over cable length: below 1 for a cable that sags.",
+        ),
+    ],
+    later: &[],
+};
+
+static NAV_OUTPUT: Table = Table {
+    doc: "Navigation sent out, so that a device under test shares the pings' clock: at every whole second the pulse, then the ZDA that names it.",
+    keys: &[
+        key("name", Kind::Name, Required("\"clock\""), ""),
+        key(
+            "kind",
+            Kind::Choice(&["udp", "tcp", "serial"], &[]),
+            Required("\"udp\""),
+            "\"udp\" (to), \"tcp\" (listen, for any number of clients), \"serial\" (port, baud).",
+        ),
+        key(
+            "to",
+            Kind::Text,
+            Shown("\"127.0.0.1:10120\""),
+            "Address and port of a host, a broadcast address or a multicast group. Only with kind = \"udp\".",
+        ),
+        key(
+            "listen",
+            Kind::Text,
+            Optional("\"127.0.0.1:10121\""),
+            "Only with kind = \"tcp\".",
+        ),
+        key(
+            "port",
+            Kind::Text,
+            Optional("\"/dev/ttyUSB1\""),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "baud",
+            Kind::Integer(110, 4_000_000),
+            Optional("9600"),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "line",
+            Kind::Choice(SERIAL_LINES, &[]),
+            Default("\"8N1\""),
+            "Data bits, parity and stop bits. Only with kind = \"serial\".",
+        ),
+        key(
+            "sentences",
+            Kind::Choices(&["ZDA", "GGA", "HDT"]),
+            Default("[\"ZDA\", \"GGA\", \"HDT\"]"),
+            "GGA is of the platform's reference point. ZDA goes out on whole seconds only, the others at every tick.",
+        ),
+        key(
+            "talker",
+            Kind::Text,
+            Default("\"GP\""),
+            "Two capital letters.",
+        ),
+        key(
+            "rate_hz",
+            Kind::Number(from(0.01, 200.0)),
+            Default("1.0"),
+            "Ticks lie on whole seconds and between them.",
+        ),
+        key(
+            "latency_ms",
+            Kind::Number(from(0.0, 1000.0)),
+            Default("0.0"),
+            "GGA and HDT go out so long after the instant they name, as a receiver's do, so that their measurements may have come; 0 carries the motion on.",
+        ),
+        key(
+            "pulse",
+            Kind::Choice(&["none", "rts", "dtr", "byte"], &[]),
+            Default("\"none\""),
+            "What marks the whole second ahead of its ZDA: the serial port's RTS or DTR raised for 100 ms, or one byte 0x07 (over UDP a datagram of its own).",
+        ),
+    ],
+    later: &[],
+};
+
+const SERIAL_LINES: &[&str] = &[
+    "8N1", "8E1", "8O1", "8N2", "7N1", "7E1", "7O1", "7N2", "7E2", "7O2",
+];
 
 static GEODETIC_ORIGIN: Table = Table {
     doc: "A given origin, WGS84.",
@@ -367,6 +478,12 @@ static NAV_SOURCE: Table = Table {
             "Only with kind = \"serial\".",
         ),
         key(
+            "line",
+            Kind::Choice(SERIAL_LINES, &[]),
+            Default("\"8N1\""),
+            "Data bits, parity and stop bits. Only with kind = \"serial\".",
+        ),
+        key(
             "time",
             Kind::Choice(&["message", "burst", "arrival"], &[]),
             Default("\"message\""),
@@ -401,9 +518,9 @@ static NAV_SOURCE: Table = Table {
         ),
         key(
             "variants",
-            Kind::Choices(&["pashr-heave-up"]),
+            Kind::Choices(&["pashr-heave-up", "own-depth"]),
             Optional("[\"pashr-heave-up\"]"),
-            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere.",
+            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere; DPT, DBT, DBS and DBK of a depth sensor, that say how deep the platform is and not how deep the water.",
         ),
         key(
             "reverse",
@@ -421,13 +538,32 @@ static NAV_SOURCE: Table = Table {
             "lever_arm_m",
             Kind::Numbers(3, ARM_M),
             Default("[0.0, 0.0, 0.0]"),
-            "Where the antenna sits: forward, starboard, down of the reference point.",
+            "Where the antenna, or the depth sensor, sits: forward, starboard, down of the reference point.",
+        ),
+        key(
+            "heave_arm_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Where the heave is that of: forward, starboard, down of the reference point. What roll and pitch lift that point is taken off.",
+        ),
+        key(
+            "mounting_deg",
+            Kind::Numbers(3, ANGLE_DEG),
+            Default("[0.0, 0.0, 0.0]"),
+            "Roll, pitch and yaw that the motion sensor (or compass) says on a level platform heading north; taken off.",
         ),
         key(
             "provides",
-            Kind::Choices(&["position", "course-speed", "heading", "roll-pitch", "heave"]),
+            Kind::Choices(&[
+                "position",
+                "course-speed",
+                "heading",
+                "roll-pitch",
+                "heave",
+                "depth",
+            ]),
             Default("[\"position\", \"course-speed\", \"heading\", \"roll-pitch\", \"heave\"]"),
-            "What is taken from this source.",
+            "What is taken from this source; \"depth\" is the platform's own (PIXSE,DEPIN_, PIPS, MAVLink's relative altitude, and with variants = [\"own-depth\"] DPT and its kin).",
         ),
     ],
     later: &[],

@@ -80,8 +80,135 @@ pub struct NavSpec {
     /// A source without a sample for so long is stale, or lost; seconds.
     pub stale_s: f64,
     pub lost_s: f64,
+    /// In `predict`: what becomes of a ping for which something is older than `max_extrapolation_s`.
+    pub on_lost: OnLost,
+    /// The platform is towed, and positions are those of the ship.
+    pub tow: Option<TowSpec>,
     /// At least one.
     pub sources: Vec<NavSourceSpec>,
+    /// Navigation sent out.
+    pub outputs: Vec<NavOutputSpec>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnLost {
+    /// It is skipped.
+    #[default]
+    Skip,
+    /// It is made with what was last known, come to rest, and flagged invalid.
+    Hold,
+}
+
+/// A towed body on the ship's heading behind the point where its cable leaves the ship.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TowSpec {
+    /// Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline; metres.
+    pub point_m: DVec3,
+    pub cable_out_m: f64,
+    /// Straight distance over cable length: 1 for a straight cable.
+    pub straightness: f64,
+}
+
+/// Where navigation goes out, and what of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NavOutputSpec {
+    pub name: String,
+    pub target: NavTargetSpec,
+    pub sentences: Vec<NavSentence>,
+    /// Two capital letters.
+    pub talker: String,
+    pub rate_hz: f64,
+    /// GGA and HDT go out so long after the instant they name, seconds.
+    pub latency_s: f64,
+    pub pulse: PulseSpec,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum NavTargetSpec {
+    /// A host, a broadcast address or a multicast group.
+    Udp { to: SocketAddr },
+    /// A server for any number of clients.
+    TcpListen { listen: SocketAddr },
+    Serial {
+        port: String,
+        baud: u32,
+        line: SerialLine,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NavSentence {
+    Zda,
+    Gga,
+    Hdt,
+}
+
+impl NavSentence {
+    pub fn name(self) -> &'static str {
+        match self {
+            NavSentence::Zda => "ZDA",
+            NavSentence::Gga => "GGA",
+            NavSentence::Hdt => "HDT",
+        }
+    }
+}
+
+/// What marks the whole second, ahead of the sentence that names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PulseSpec {
+    #[default]
+    None,
+    /// The serial port's RTS, or DTR, for 100 ms.
+    Rts,
+    Dtr,
+    /// One byte, 0x07; over UDP a datagram of its own.
+    Byte,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SerialLine {
+    pub parity: ParitySpec,
+    /// 5 to 8.
+    pub data_bits: u8,
+    /// 1 or 2.
+    pub stop_bits: u8,
+}
+
+impl Default for SerialLine {
+    fn default() -> Self {
+        Self {
+            parity: ParitySpec::None,
+            data_bits: 8,
+            stop_bits: 1,
+        }
+    }
+}
+
+impl SerialLine {
+    /// On the wire: start bit, data, parity and stop bits.
+    pub fn bits_per_byte(&self) -> i64 {
+        1 + i64::from(self.data_bits)
+            + i64::from(self.parity != ParitySpec::None)
+            + i64::from(self.stop_bits)
+    }
+
+    /// As `8N1`.
+    pub fn name(&self) -> String {
+        let parity = match self.parity {
+            ParitySpec::None => 'N',
+            ParitySpec::Even => 'E',
+            ParitySpec::Odd => 'O',
+        };
+        format!("{}{parity}{}", self.data_bits, self.stop_bits)
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ParitySpec {
+    #[default]
+    None,
+    Even,
+    Odd,
 }
 
 impl NavSpec {
@@ -136,7 +263,7 @@ pub enum VerticalSpec {
     Waterline { reference_down_m: f64 },
     /// Minus the GNSS height (which already holds heave; heave is then not added), plus `datum_offset_m`.
     Gnss { datum_offset_m: f64 },
-    /// Given by the source itself (CSV track, or a depth sensor); heave is not added.
+    /// Given by a CSV track itself, or by a depth sensor; heave is not added.
     Depth,
 }
 
@@ -152,11 +279,22 @@ pub struct NavSourceSpec {
     pub input: NavInputSpec,
     pub time: TimePolicy,
     pub checksum: ChecksumPolicy,
-    /// Antenna in the body, metres; used with this source's positions.
+    /// Antenna, or depth sensor, in the body, metres; used with this source's positions and depths.
     pub lever_arm_m: DVec3,
+    /// How its motion sensor sits in the body.
+    pub mounting: SensorMounting,
     pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+/// A motion sensor's place and attitude in the body; by default at the reference point, along its axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SensorMounting {
+    /// Where the heave that it says is that of, metres.
+    pub heave_arm_m: DVec3,
+    /// Roll, pitch and yaw of the sensor's axes in the body: what it would say on a level platform heading north.
+    pub angles_rad: DVec3,
 }
 
 /// What is particular about the messages of one source; by default nothing.
@@ -167,6 +305,8 @@ pub struct NavDialect {
     pub ignore_checksum_for: Vec<String>,
     /// PASHR carries heave + up, against the documented + down.
     pub pashr_heave_up: bool,
+    /// DPT, DBT, DBS and DBK say how deep the platform itself is.
+    pub depth_is_own: bool,
     pub reversed: Reversed,
     /// East positive; makes magnetic headings true where the sentence does not say it.
     pub magnetic_variation_rad: Option<f64>,
@@ -209,14 +349,9 @@ impl NavFormat {
 pub enum NavInputSpec {
     /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
     /// `plain_rate_hz`.
-    Log {
-        path: PathBuf,
-        plain_rate_hz: f64,
-    },
+    Log { path: PathBuf, plain_rate_hz: f64 },
     /// CSV track: time, north, east, down, roll, pitch, heading.
-    Csv {
-        path: PathBuf,
-    },
+    Csv { path: PathBuf },
     Udp {
         listen: SocketAddr,
         multicast: Option<std::net::Ipv4Addr>,
@@ -224,15 +359,12 @@ pub enum NavInputSpec {
     Serial {
         port: String,
         baud: u32,
+        line: SerialLine,
     },
     /// A client of somebody's server, named as the configuration has it.
-    TcpConnect {
-        address: String,
-    },
+    TcpConnect { address: String },
     /// A server; its newest client speaks.
-    TcpListen {
-        listen: SocketAddr,
-    },
+    TcpListen { listen: SocketAddr },
 }
 
 /// Where a sample's validity time comes from.
@@ -260,6 +392,8 @@ pub enum NavChannel {
     Heading,
     RollPitch,
     Heave,
+    /// How deep the platform is.
+    Depth,
 }
 
 #[derive(Clone, Debug)]

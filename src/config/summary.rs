@@ -1,5 +1,7 @@
 //! What follows from a configuration, for people.
 
+mod nav;
+
 use std::fmt::{self, Write};
 
 use super::check::sonar::{
@@ -51,16 +53,24 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
                 path.display().to_string()
             }
             NavInputSpec::Udp { listen, .. } => format!("UDP {listen}"),
-            NavInputSpec::Serial { port, baud } => format!("{port} at {baud} Bd"),
+            NavInputSpec::Serial { port, baud, line } => {
+                format!("{port} at {baud} Bd {}", line.name())
+            }
             NavInputSpec::TcpConnect { address } => format!("TCP server {address}"),
             NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
         line(out, "", &format!("{}: {input}", source.name))?;
         if source.lever_arm_m != DVec3::ZERO {
-            let text = format!("{}: antenna {}", source.name, tilted(source.lever_arm_m));
+            let what = match source.provides.contains(&NavChannel::Position) {
+                true => "antenna",
+                false => "sensor",
+            };
+            let text = format!("{}: {what} {}", source.name, tilted(source.lever_arm_m));
             line(out, "  signs", &text)?;
         }
+        nav::write_mounting(out, source)?;
     }
+    nav::write_rest(out, &rig.nav)?;
     line(out, "scene", &scene(&rig.scene))?;
     let threads = match rig.run.threads {
         0 => "a thread per core".to_owned(),

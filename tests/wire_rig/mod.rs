@@ -204,6 +204,7 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
             position_age_s: 0.1,
             attitude_age_s: 0.01,
             extrapolated: false,
+            invalid: Default::default(),
         },
         trajectory,
         segments: vec![Segment {
