@@ -17,6 +17,8 @@ mod report;
 mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
+#[path = "bench/stages.rs"]
+mod stages;
 #[path = "bench/transform.rs"]
 mod transform;
 #[path = "bench/whole.rs"]
@@ -63,6 +65,9 @@ enum What {
         dialects: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
+        /// Where the time of gridded-2d goes, stage by stage.
+        #[arg(long)]
+        stages: bool,
     },
     /// Pings of a configuration through the whole pipeline, beams and lines included.
     Ping {
@@ -119,12 +124,14 @@ fn main() -> std::process::ExitCode {
             method,
             dialects,
             threads,
+            stages,
         } => {
             let selection = whole::Selection {
                 only: only.as_deref().unwrap_or(""),
                 method: method.as_deref(),
                 dialects: &dialects,
                 threads: &threads,
+                stages,
                 effort: if common.quick {
                     whole::QUICK
                 } else {
