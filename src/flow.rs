@@ -1235,6 +1235,14 @@ pub struct Line {
     pub amplitude: Vec<f32>,
 }
 
+/// The side-scan lines of one of several pulses.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PulseLines {
+    /// It left so long after the sonar's own pulse. Its lines count from its own start.
+    pub delay_s: f64,
+    pub lines: Vec<Line>,
+}
+
 /// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
 /// over the rms of the samples around it or of the element's whole ping, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -1263,6 +1271,8 @@ pub struct PingOutput {
     /// Of the fan, where it detects the bottom; a beam without a bottom has none.
     pub soundings: Vec<Sounding>,
     pub lines: Vec<Line>,
+    /// Of the further pulses in the water, one each.
+    pub more_lines: Vec<PulseLines>,
     pub counts: EchoCounts,
     pub scene: SceneCounts,
 }

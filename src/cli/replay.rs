@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use crate::config::spec::{NavInputSpec, RigSpec};
+use crate::config::spec::{NavInputSpec, RigSpec, SonarSpec};
 use crate::run::replay::{Formats, Replay, ReplayOptions};
 
 #[derive(Args, Clone, Debug)]
@@ -44,6 +44,8 @@ pub enum Format {
     Npz,
     /// Side-scan waterfall, one picture per sonar
     Png,
+    /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
+    Sas,
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
@@ -79,7 +81,15 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
         s7k: args.formats.contains(&Format::S7k),
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
+        sas: args.formats.contains(&Format::Sas),
     };
+    let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
+    if formats.sas && !spec.sonars.iter().any(has_patch) {
+        return Err(Failure::Configuration(
+            "--formats sas: no sonar of the configuration has [sonar.beams.synthetic_aperture]"
+                .into(),
+        ));
+    }
     let options = ReplayOptions {
         out: args.out.clone(),
         formats,

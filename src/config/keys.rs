@@ -999,6 +999,7 @@ static SONAR: Table = Table {
         key("name", Kind::Name, Required("\"main\""), ""),
         key("serial", Kind::Integer(0, MAX_INTEGER), Default("1"), ""),
         key("pulse", Kind::Table(&PULSE), Required(""), ""),
+        key("more_pulse", Kind::Tables(&MORE_PULSE), Optional(""), ""),
         key("transmit", Kind::Tables(&TRANSMIT), Required(""), ""),
         key("receive", Kind::Tables(&RECEIVE), Required(""), ""),
         key("receiver", Kind::Table(&RECEIVER), Required(""), ""),
@@ -1044,6 +1045,43 @@ static PULSE: Table = Table {
             Kind::Number(from(0.0, 1.0)),
             Default("0.0"),
             "Tukey taper: the part of the pulse under its two cosine flanks together.",
+        ),
+    ],
+    later: &[],
+};
+
+static MORE_PULSE: Table = Table {
+    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture; not in 7k records). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
+    keys: &[
+        key(
+            "sweep",
+            Kind::Choice(&["up", "down"], &[]),
+            Default("\"down\""),
+            "Only up against down, or another band, tells pulses apart.",
+        ),
+        key(
+            "center_frequency_khz",
+            Kind::Number(from(0.01, 10_000.0)),
+            Optional("200.0"),
+            "Left out: the pulse's own.",
+        ),
+        key(
+            "bandwidth_khz",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("20.0"),
+            "At most the pulse's own; left out: as wide.",
+        ),
+        key(
+            "delay_ms",
+            Kind::Number(from(0.0, 10_000.0)),
+            Default("0.0"),
+            "After the sonar's own pulse.",
+        ),
+        key(
+            "transmit",
+            Kind::Name,
+            Optional("\"tx\""),
+            "The transmit array that sends it to all receive arrays; left out: each one's own.",
         ),
     ],
     later: &[],
@@ -1378,6 +1416,24 @@ static BEAMS: Table = Table {
             "\"aperture\": the plain sum of the elements. \"dynamic-focus\": refocused along range, with the receiver's motion.",
         ),
         key(
+            "line_f_number",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("50.0"),
+            "Dynamic aperture: the length in use is range / line_f_number, at most the whole line. Left out: the whole line everywhere. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_shading",
+            Kind::Choice(&["uniform", "hann", "taylor", "chebyshev"], &[]),
+            Default("\"uniform\""),
+            "Along the line. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("30.0"),
+            "Of \"taylor\" and \"chebyshev\", below the main lobe.",
+        ),
+        key(
             "weighting",
             Kind::Choice(&["none", "hann", "hamming", "taylor", "kaiser"], &[]),
             Default("\"none\""),
@@ -1396,8 +1452,51 @@ static BEAMS: Table = Table {
             "Of \"kaiser\".",
         ),
         key("fan", Kind::Table(&FAN), Shown(""), ""),
+        key(
+            "synthetic_aperture",
+            Kind::Table(&SYNTHETIC_APERTURE),
+            Optional(""),
+            "",
+        ),
     ],
-    later: &["multi_pulse", "synthetic_aperture"],
+    later: &[],
+};
+
+static SYNTHETIC_APERTURE: Table = Table {
+    doc: "A patch of the world that all pings of a replay are back-projected on, by their navigation: echotank replay --formats sas writes it as picture, NumPy array and numbers. Leave the table out for none.",
+    keys: &[
+        key(
+            "arrays",
+            Kind::Names,
+            Required("[\"rx\"]"),
+            "Receive arrays; each of their elements adds a row per ping.",
+        ),
+        key(
+            "north_m",
+            Kind::Numbers(2, METRES),
+            Required("[-5.0, 5.0]"),
+            "Southern and northern edge.",
+        ),
+        key(
+            "east_m",
+            Kind::Numbers(2, METRES),
+            Required("[30.0, 40.0]"),
+            "Western and eastern edge.",
+        ),
+        key(
+            "down_m",
+            Kind::Number(METRES),
+            Required("20.0"),
+            "The depth of all its points.",
+        ),
+        key(
+            "cell_m",
+            Kind::Number(above(0.0, 100.0)),
+            Default("0.02"),
+            "Side of a pixel; below half the resolution.",
+        ),
+    ],
+    later: &[],
 };
 
 static FAN: Table = Table {
@@ -1448,9 +1547,12 @@ static FAN: Table = Table {
         ),
         key(
             "former",
-            Kind::Choice(&["exact", "conventional", "phase", "dynamic-focus"], &[]),
+            Kind::Choice(
+                &["exact", "fft", "conventional", "phase", "dynamic-focus"],
+                &[],
+            ),
             Default("\"exact\""),
-            "Far field in f64 at every frequency; far field with time delays or with phases, or focused along range with the receiver's motion, in f32 and several times faster.",
+            "Far field in f64 at every frequency; the same by fast transforms in f32 (the fastest for a line of many elements); far field with time delays or with phases, or focused along range with the receiver's motion, in f32.",
         ),
         key(
             "bottom_detection",

@@ -808,6 +808,8 @@ pub struct SonarSpec {
     pub name: String,
     pub serial: u64,
     pub pulse: Pulse,
+    /// In the water together with `pulse`.
+    pub more_pulses: Vec<MorePulseSpec>,
     pub transmit: Vec<TransmitArray>,
     pub transmit_names: Vec<String>,
     pub receive: Vec<ArrayGeometry>,
@@ -820,6 +822,17 @@ pub struct SonarSpec {
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
     pub outputs: Vec<OutputSpec>,
+}
+
+/// A pulse beside the sonar's own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MorePulseSpec {
+    /// Duration and taper are those of the sonar's own.
+    pub pulse: Pulse,
+    /// After the sonar's own.
+    pub delay_s: f64,
+    /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
+    pub transmit: Option<usize>,
 }
 
 /// How the chosen synthesis is run and watched.
@@ -855,9 +868,35 @@ pub struct BeamsSpec {
     pub lines: Vec<LineSpec>,
     /// Lines are focused along range.
     pub focused_lines: bool,
+    /// Of focused lines: range over the length in use, at most the whole line; none uses all of it everywhere.
+    pub line_f_number: Option<f64>,
+    /// Of focused lines, along the array.
+    pub line_shading: Shading,
     pub fan: Option<FanSpec>,
     /// Along the pulse, of every matched filter.
     pub weighting: Shading,
+    pub synthetic_aperture: Option<SyntheticApertureSpec>,
+}
+
+/// A patch of the world that a replay's pings are back-projected on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SyntheticApertureSpec {
+    /// Receive arrays whose elements add to it.
+    pub arrays: Vec<usize>,
+    /// Southern and northern edge.
+    pub north_m: (f64, f64),
+    /// Western and eastern edge.
+    pub east_m: (f64, f64),
+    pub down_m: f64,
+    pub cell_m: f64,
+}
+
+impl SyntheticApertureSpec {
+    /// Columns (west to east) and rows.
+    pub fn size(&self) -> (usize, usize) {
+        let cells = |(from, to): (f64, f64)| ((to - from) / self.cell_m - 1e-9).ceil() as usize;
+        (cells(self.east_m).max(1), cells(self.north_m).max(1))
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -913,6 +952,8 @@ impl Default for FanForm {
 pub enum Former {
     /// Far field, true time delays at every frequency, f64.
     Exact,
+    /// The same by fast transforms over time and line, f32.
+    Fft,
     /// Far field, true time delays to a fraction of a sample, f32.
     TimeDelay,
     /// Far field, carrier phases alone.
@@ -926,6 +967,7 @@ impl Former {
     pub fn name(self) -> &'static str {
         match self {
             Self::Exact => "exact",
+            Self::Fft => "fft",
             Self::TimeDelay => "conventional",
             Self::Phase => "phase",
             Self::DynamicFocus => "dynamic-focus",

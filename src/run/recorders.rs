@@ -8,7 +8,7 @@ use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
-use crate::flow::{Datagram, PingPlan, Target};
+use crate::flow::{Datagram, PingOutput, PingPlan, Target};
 use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::png::write_waterfall;
@@ -17,6 +17,7 @@ use crate::io::record::truth::TruthRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
+use crate::run::synthetic_aperture::SyntheticAperture;
 use crate::time::UtcNs;
 
 /// Columns of a waterfall on each side, at most: both sides fit a screen.
@@ -37,6 +38,7 @@ struct SonarFiles {
     s7k: Option<S7k>,
     npz: Option<NpzRecorder>,
     png: Option<Option<Waterfall>>,
+    sas: Option<SyntheticAperture>,
 }
 
 struct S7k {
@@ -89,7 +91,7 @@ pub struct Recorders {
 
 impl Recorders {
     pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
-        let Formats { s7k, npz, png } = options.formats;
+        let Formats { s7k, npz, png, sas } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
             // One sonar's files lie in the folder itself; several sonars have a folder each.
@@ -121,6 +123,9 @@ impl Recorders {
                     None
                 },
                 png: png.then_some(None),
+                sas: sas
+                    .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
+                    .flatten(),
                 spec: unit.spec.clone(),
                 folder,
             });
@@ -152,9 +157,11 @@ impl Recorders {
             npz.push(plan, output)?;
         }
         if let Some(waterfall) = &mut files.png {
-            waterfall
-                .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
-                .push(plan, &output.lines);
+            let waterfall = waterfall.get_or_insert_with(|| blank_waterfall(&files.spec, plan));
+            push_lines(waterfall, plan, output);
+        }
+        if let Some(sas) = &mut files.sas {
+            sas.push(&files.spec, plan, output);
         }
         Ok(())
     }
@@ -181,6 +188,9 @@ impl Recorders {
                     written.push(path);
                 }
             }
+            if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
+                written.extend(patch.write(&files.folder)?);
+            }
         }
         Ok(written)
     }
@@ -204,9 +214,31 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     })
 }
 
+/// Where there are several pulses each has rows of its own, in the order in which they left: the picture counts them as pings.
+fn push_lines(waterfall: &mut Waterfall, plan: &PingPlan, output: &PingOutput) {
+    let pulses = 1 + output.more_lines.len() as u32;
+    if pulses == 1 {
+        return waterfall.push(plan, &output.lines);
+    }
+    let mut row = plan.clone();
+    let mut left: Vec<_> = output
+        .more_lines
+        .iter()
+        .map(|m| (m.delay_s, &m.lines))
+        .collect();
+    left.push((0.0, &output.lines));
+    left.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for (number, (_, lines)) in (0..).zip(left) {
+        row.ping_number = plan.ping_number.wrapping_mul(pulses).wrapping_add(number);
+        waterfall.push(&row, lines);
+    }
+}
+
 fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
     let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
-    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
+    let pulses = 1 + spec.more_pulses.len();
+    let advance_m =
+        plan.nav.pose.velocity_m_per_s.truncate().length() / (plan.ping_rate_hz * pulses as f64);
     let picture = WaterfallSpec {
         range_m: plan.settings.range_m,
         metres_per_pixel,

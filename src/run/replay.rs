@@ -31,6 +31,8 @@ pub struct Formats {
     pub s7k: bool,
     pub npz: bool,
     pub png: bool,
+    /// Synthetic aperture, of the sonars that have one configured.
+    pub sas: bool,
 }
 
 #[derive(Clone, Debug)]

@@ -67,6 +67,7 @@ pub fn sonar() -> SonarSpec {
             duration_s: PULSE_S,
             taper: 0.1,
         },
+        more_pulses: Vec::new(),
         transmit: vec![TransmitArray {
             mounting: Mounting {
                 position_m: DVec3::new(0.5, -0.25, 0.125),
@@ -117,6 +118,9 @@ pub fn sonar() -> SonarSpec {
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             focused_lines: false,
+            line_f_number: None,
+            synthetic_aperture: None,
+            line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {

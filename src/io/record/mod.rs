@@ -5,6 +5,7 @@
 //! - [`png`]: the waterfall picture.
 //! - [`recover`]: mends a `.s7k` that was cut off.
 //! - [`s7k`]: protocol records as a `.s7k` file.
+//! - [`synthetic_aperture`]: a back-projected image.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
@@ -16,6 +17,7 @@ mod plan_text;
 pub mod png;
 pub mod recover;
 pub mod s7k;
+pub mod synthetic_aperture;
 pub mod truth;
 
 use std::fs::File;

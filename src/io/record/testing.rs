@@ -53,6 +53,7 @@ pub fn sonar() -> SonarSpec {
         transmit: 0,
     };
     SonarSpec {
+        more_pulses: Vec::new(),
         name: "bow".into(),
         serial: 7,
         pulse: pulse(),
@@ -81,6 +82,9 @@ pub fn sonar() -> SonarSpec {
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             focused_lines: false,
+            line_f_number: None,
+            synthetic_aperture: None,
+            line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
