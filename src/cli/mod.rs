@@ -4,6 +4,7 @@
 
 pub mod check;
 pub mod listen;
+pub mod mosaic;
 pub mod nav;
 pub mod replay;
 pub mod run;
@@ -39,6 +40,8 @@ enum Command {
     Check(check::CheckArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
+    /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
+    Mosaic(mosaic::MosaicArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
     Nav(nav::NavArgs),
     /// Look at seabeds and models
@@ -65,6 +68,7 @@ pub fn main() -> ExitCode {
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Listen(args) => listen::main(&args),
+        Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),
     };

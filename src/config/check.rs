@@ -4,6 +4,7 @@
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
 mod culling;
+mod picture;
 mod scene;
 pub(super) mod sonar;
 

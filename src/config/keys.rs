@@ -830,6 +830,7 @@ static SONAR: Table = Table {
         key("limits", Kind::Table(&LIMITS), Default("{}"), ""),
         key("model", Kind::Table(&MODEL), Default("{}"), ""),
         key("beams", Kind::Table(&BEAMS), Default("{}"), ""),
+        key("picture", Kind::Table(&PICTURE), Default("{}"), ""),
         key("output", Kind::Table(&OUTPUT), Default("{}"), ""),
     ],
     later: &["trigger", "stabilisation"],
@@ -1222,6 +1223,97 @@ static BEAMS: Table = Table {
         key("fan", Kind::Table(&FAN), Shown(""), ""),
     ],
     later: &["multi_pulse", "synthetic_aperture"],
+};
+
+static PICTURE: Table = Table {
+    doc: "How the pictures of `echotank replay --formats png,fan,masks,mosaic` look. Records and pings.npz do not depend on it.",
+    keys: &[
+        key(
+            "range",
+            Kind::Choice(&["slant", "ground", "ground-first-return"], &[]),
+            Default("\"slant\""),
+            "Columns of the waterfall. \"ground\": over a flat bottom as deep as the seabed under the sonar (the truth); \"ground-first-return\": as far away as the line's own first echo of the bottom.",
+        ),
+        key(
+            "gain",
+            Kind::Choice(&["received", "raw"], &[]),
+            Default("\"received\""),
+            "\"received\": as the receiver's time-varying gain left it. \"raw\": that gain taken out again.",
+        ),
+        key(
+            "colours",
+            Kind::Choice(&["copper", "grey", "blue", "rainbow"], &[]),
+            Default("\"copper\""),
+            "Of waterfall and mosaic; fans are blue.",
+        ),
+        key(
+            "contrast",
+            Kind::Choice(&["percentiles", "fixed"], &[]),
+            Default("\"percentiles\""),
+            "Darkest and brightest: shares of the picture's own pixels, or levels.",
+        ),
+        key(
+            "low_percent",
+            Kind::Number(from(0.0, 100.0)),
+            Default("28.0"),
+            "Of \"percentiles\": of the pixels are darkest.",
+        ),
+        key(
+            "high_percent",
+            Kind::Number(from(0.0, 100.0)),
+            Default("99.997"),
+            "Of \"percentiles\": of the pixels are not brightest.",
+        ),
+        key(
+            "low_db",
+            Kind::Number(from(-400.0, 400.0)),
+            Default("-80.0"),
+            "Of \"fixed\", dB re 1 V.",
+        ),
+        key(
+            "high_db",
+            Kind::Number(from(-400.0, 400.0)),
+            Default("0.0"),
+            "Of \"fixed\", dB re 1 V.",
+        ),
+        key(
+            "flatten",
+            Kind::Bool,
+            Default("false"),
+            "The mean level at each range is taken out.",
+        ),
+        key(
+            "m_per_pixel",
+            Kind::Number(above(0.0, 1000.0)),
+            Optional("0.1"),
+            "Across the waterfall. Left out: 600 pixels to a side.",
+        ),
+        key(
+            "fan_every_pings",
+            Kind::Integer(1, 1_000_000),
+            Default("100"),
+            "A picture of the fan for the first ping and then every so many.",
+        ),
+        key(
+            "mosaic_m_per_pixel",
+            Kind::Number(from(0.01, 1000.0)),
+            Default("0.25"),
+            "",
+        ),
+        key(
+            "overlap",
+            Kind::Choice(&["nearest", "mean", "last"], &[]),
+            Default("\"nearest\""),
+            "What a pixel of the mosaic keeps of several passes.",
+        ),
+        key(
+            "nadir_deg",
+            Kind::Number(from(0.0, 89.0)),
+            Default("0.0"),
+            "Directions nearer to the vertical are left out of the mosaic.",
+        ),
+    ],
+    later: &[],
 };
 
 static FAN: Table = Table {

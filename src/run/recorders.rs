@@ -8,35 +8,25 @@ use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
-use crate::flow::{Datagram, PingPlan, Target};
-use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::flow::{Datagram, Target};
 use crate::io::record::npz::NpzRecorder;
-use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::truth::TruthRecorder;
 use crate::io::record::{RecordError, make_folder};
+use crate::run::pictures::Pictures;
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: both sides fit a screen.
-const WATERFALL_COLUMNS: f64 = 600.0;
-
-/// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
-const SCALE: Scale = Scale::Percentiles {
-    low: 0.28,
-    high: 0.99997,
-};
 /// 7k device identifier of a side-scan of no particular make.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
 /// Files of one sonar.
 struct SonarFiles {
     spec: SonarSpec,
-    folder: PathBuf,
     s7k: Option<S7k>,
     npz: Option<NpzRecorder>,
-    png: Option<Option<Waterfall>>,
+    pictures: Pictures,
 }
 
 struct S7k {
@@ -89,7 +79,7 @@ pub struct Recorders {
 
 impl Recorders {
     pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
-        let Formats { s7k, npz, png } = options.formats;
+        let Formats { s7k, npz, .. } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
             // One sonar's files lie in the folder itself; several sonars have a folder each.
@@ -120,9 +110,8 @@ impl Recorders {
                 } else {
                     None
                 },
-                png: png.then_some(None),
+                pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
                 spec: unit.spec.clone(),
-                folder,
             });
         }
         Ok(Self {
@@ -131,10 +120,11 @@ impl Recorders {
         })
     }
 
-    pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
+    /// The ping that `rig` has just made.
+    pub fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
-        self.truth.push(&files.spec, plan, output, targets)?;
+        self.truth.push(&files.spec, plan, output, rig.targets())?;
         if let Some(s7k) = &mut files.s7k {
             s7k.records.clear();
             let recorder = match &mut s7k.recorder {
@@ -151,16 +141,11 @@ impl Recorders {
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
-        if let Some(waterfall) = &mut files.png {
-            waterfall
-                .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
-                .push(plan, &output.lines);
-        }
-        Ok(())
+        files.pictures.push(slot, rig)
     }
 
     /// Closes every file and names those that hold something.
-    pub fn finish(self) -> Result<Vec<PathBuf>, RecordError> {
+    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
             if let Some(S7k {
@@ -175,12 +160,7 @@ impl Recorders {
             if let Some(npz) = files.npz {
                 written.extend(npz.finish()?);
             }
-            if let Some(Some(waterfall)) = files.png {
-                let path = files.folder.join("waterfall.png");
-                if write_waterfall(&path, &waterfall)? {
-                    written.push(path);
-                }
-            }
+            written.extend(files.pictures.finish(targets)?);
         }
         Ok(written)
     }
@@ -202,17 +182,4 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
         client_queue_bytes: 0,
         max_clients: 0,
     })
-}
-
-fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
-    let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
-    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
-    let picture = WaterfallSpec {
-        range_m: plan.settings.range_m,
-        metres_per_pixel,
-        rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
-        scale: SCALE,
-        ..WaterfallSpec::default()
-    };
-    Waterfall::new(picture, spec.receiver.sample_rate_hz)
 }

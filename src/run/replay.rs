@@ -38,6 +38,9 @@ pub struct Formats {
     pub s7k: bool,
     pub npz: bool,
     pub png: bool,
+    pub fan: bool,
+    pub mosaic: bool,
+    pub masks: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -209,7 +212,7 @@ impl Replay {
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
                 counters.certificate(slot.output.certificate.as_ref());
-                self.recorders.record(slot, self.rig.targets())?;
+                self.recorders.record(slot, &self.rig)?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),
         }
@@ -217,7 +220,7 @@ impl Replay {
     }
 
     fn finish(self) -> Result<Summary, ReplayError> {
-        let files = self.recorders.finish()?;
+        let files = self.recorders.finish(self.rig.targets())?;
         let mut text = String::new();
         let mut pings_made = 0;
         for (unit, counters) in self.rig.sonars.iter().zip(&self.counters) {

@@ -124,6 +124,11 @@ impl Rig {
         ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
     }
 
+    /// What the ping made last heard.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+
     /// Named targets in the world; empty until the scene has been placed.
     pub fn targets(&self) -> &[Target] {
         if self.placed {

@@ -1,14 +1,19 @@
 //! Recorders: pings in, files out.
 //!
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
-//! - [`png`]: the waterfall picture.
+//! - [`masks`]: what each sample of each line shows.
+//! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics, and the masks beside them.
+//! - [`lines`]: a recording's lines, read again.
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
 //! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
+pub mod lines;
+pub mod masks;
 pub mod npz;
+pub mod picture;
 mod plan_text;
 pub mod png;
 pub mod s7k;
