@@ -1256,7 +1256,7 @@ static PICTURE: Table = Table {
             "low_percent",
             Kind::Number(from(0.0, 100.0)),
             Default("28.0"),
-            "Of \"percentiles\": of the pixels are darkest.",
+            "Of \"percentiles\": of the pixels are darkest (of a mosaic at most 2, since it has no water column).",
         ),
         key(
             "high_percent",

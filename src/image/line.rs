@@ -69,9 +69,11 @@ impl Projection {
 
 /// Slant range of the first echo of the bottom, from both sides of a line; none where nothing stands out.
 ///
-/// The level half way (in dB) between the line's quiet tenth and its loud tenth is first passed there, for a stretch of half a metre.
+/// A stretch of a quarter of a metre is there first within 12 dB of the line's loud tenth: above the side lobes that a compressed pulse sends
+/// ahead of itself. Where the line's quiet tenth is not so far down, half way (in dB) between the two.
 pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
-    const STRETCH_M: f64 = 0.5;
+    const STRETCH_M: f64 = 0.25;
+    const UNDER_LOUD_DB: f64 = 12.0;
     const LEAST_CONTRAST_DB: f64 = 10.0;
     let stretch = (STRETCH_M / axis.metres_per_sample).ceil().max(1.0) as usize;
     let each = lines.iter().filter_map(|line| {
@@ -88,8 +90,9 @@ pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
         if loud - quiet < LEAST_CONTRAST_DB {
             return None;
         }
-        let first = levels.iter().position(|l| *l > 0.5 * (quiet + loud))?;
-        Some(axis.slant_range_m(first * stretch))
+        let least = (loud - UNDER_LOUD_DB).max(0.5 * (quiet + loud));
+        let first = levels.iter().position(|l| *l > least)?;
+        Some(axis.slant_range_m(first * stretch + stretch / 2))
     });
     each.min_by(f64::total_cmp)
 }

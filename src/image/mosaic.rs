@@ -312,6 +312,14 @@ impl MosaicBuilder {
         for (side, cells) in ping.sides.iter().enumerate() {
             for (k, value) in cells.iter().enumerate().filter(|c| !c.1.is_nan()) {
                 let across_m = (k as f64 + 0.5) * step_m;
+                // What lies between the two sides' arrays is the bottom's first echo.
+                if k == 0 {
+                    let inward = ping.starboard_m[side] * [-1.0, 1.0][side];
+                    for back in 0..(inward / step_m).ceil().max(0.0) as usize {
+                        let here = ping.at_m(side, -(back as f64 + 0.5) * step_m);
+                        put(here, *value, ping.altitude_m as f32, ping.masks[side].first());
+                    }
+                }
                 let range_m = across_m.hypot(ping.altitude_m) as f32;
                 let here = ping.at_m(side, across_m);
                 let mask = ping.masks[side].get(k);

@@ -6,7 +6,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::array::receiver::amplify;
-use crate::config::spec::{PictureRange, SonarSpec};
+use crate::config::spec::{Contrast, PictureRange, SonarSpec};
 use crate::flow::{Line, LineTruth, PingPlan, Side, Target};
 use crate::frames::angles_from_rotation;
 use crate::image::line::{Projection, RangeAxis, first_return_m};
@@ -24,6 +24,9 @@ use crate::run::rig::{PingSlot, Rig};
 
 /// Columns of a waterfall on each side where the configuration does not say: both sides fit a screen.
 const WATERFALL_COLUMNS: f64 = 600.0;
+
+/// Darkest and brightest pixels of a mosaic, at most and at least.
+const MAP_SHARES: (f64, f64) = (0.02, 0.999);
 
 /// The pictures of one sonar.
 pub struct Pictures {
@@ -271,7 +274,15 @@ impl Pictures {
                     other => std::io::Error::other(other),
                 },
             })?;
-            if write_mosaic(&tiff, &png, &mosaic, look.colours, look.contrast)? {
+            // A map has no water column to be kept dark.
+            let contrast = match look.contrast {
+                Contrast::Percentiles { low, high } => Contrast::Percentiles {
+                    low: low.min(MAP_SHARES.0),
+                    high: high.min(MAP_SHARES.1),
+                },
+                fixed => fixed,
+            };
+            if write_mosaic(&tiff, &png, &mosaic, look.colours, contrast)? {
                 written.extend([tiff, png]);
                 if !mosaic.masks.is_empty() {
                     let size = (mosaic.width, mosaic.height);

@@ -7,6 +7,10 @@ use serde_json::Value;
 
 use super::{files, replay_file};
 
+#[path = "../../tools/src/soundings/measure.rs"]
+mod measure;
+mod soundings;
+
 /// The sonar 20 m over a flat bottom, due north; the box 2 m wide across and 4 m along, 2 m high, its middle 30 m to starboard.
 const ALTITUDE_M: f64 = 20.0;
 const BOX_EAST_M: f64 = 30.0;
@@ -75,7 +79,7 @@ baffled = true
 sensitivity_db = -190.0
 
 [sonar.receiver]
-sample_rate_khz = 12.0
+sample_rate_khz = 24.0
 rx_filter = "none"
 tvg = "30logr"
 tvg_max_db = 100.0
@@ -196,7 +200,7 @@ fn near(what: &str, got: f64, want: f64, within: f64) {
 /// What the box does to the ping abeam of it, in slant range or on the ground.
 fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water_ends_m: f64) {
     const PIXEL_M: f64 = 0.1;
-    // A sample is 6.25 cm and an echo takes its whole pixel.
+    // A sample is 3 cm, a resolution cell 9 cm, and an echo takes its whole pixel.
     const WITHIN_M: f64 = 0.2;
     let top_m = ALTITUDE_M - BOX_HEIGHT_M;
     let (wall_m, back_m) = (
