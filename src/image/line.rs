@@ -70,7 +70,7 @@ impl Projection {
 /// Slant range of the first echo of the bottom, from both sides of a line; none where nothing stands out.
 ///
 /// A stretch of a quarter of a metre is there first within 12 dB of the line's loud tenth: above the side lobes that a compressed pulse sends
-/// ahead of itself. Where the line's quiet tenth is not so far down, half way (in dB) between the two.
+/// ahead of itself. Where the line's quiet fiftieth is not so far down, half way (in dB) between the two.
 pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
     const STRETCH_M: f64 = 0.25;
     const UNDER_LOUD_DB: f64 = 12.0;
@@ -86,7 +86,7 @@ pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
         let mut sorted: Vec<f64> = levels.iter().copied().filter(|l| *l > -3000.0).collect();
         sorted.sort_by(f64::total_cmp);
         let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize);
-        let (quiet, loud) = (*at(0.1)?, *at(0.9)?);
+        let (quiet, loud) = (*at(0.02)?, *at(0.9)?);
         if loud - quiet < LEAST_CONTRAST_DB {
             return None;
         }

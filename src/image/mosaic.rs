@@ -317,7 +317,12 @@ impl MosaicBuilder {
                     let inward = ping.starboard_m[side] * [-1.0, 1.0][side];
                     for back in 0..(inward / step_m).ceil().max(0.0) as usize {
                         let here = ping.at_m(side, -(back as f64 + 0.5) * step_m);
-                        put(here, *value, ping.altitude_m as f32, ping.masks[side].first());
+                        put(
+                            here,
+                            *value,
+                            ping.altitude_m as f32,
+                            ping.masks[side].first(),
+                        );
                     }
                 }
                 let range_m = across_m.hypot(ping.altitude_m) as f32;

@@ -382,12 +382,14 @@ mod tests {
         let wide = (picture.width - left) / 3;
         let at = |ping: usize, y: usize| {
             let k = 3 * (y * picture.width + left + ping * wide);
-            [picture.rgb[k], picture.rgb[k + 1], picture.rgb[k + 2]]
+            let rgb = picture.rgb[k..k + 3].iter();
+            rgb.map(|c| u32::from(*c)).sum::<u32>()
         };
         // 15 m and 35 m at 0.1 m a pixel.
-        assert_eq!((at(0, 150), at(2, 350)), ([255; 3], [255; 3]));
-        assert_ne!(at(0, 350), [255; 3]);
-        assert_eq!(at(1, 150), NOTHING);
+        // An echo on the edge of a pixel may share it with a neighbour: 3 dB of the 60.
+        assert!(at(0, 150) > 700 && at(2, 350) > 700);
+        assert!(at(0, 350) < 100, "{}", at(0, 350));
+        assert_eq!(at(1, 150), 0);
     }
 
     #[test]

@@ -68,7 +68,9 @@ fn main() -> std::process::ExitCode {
             "17" => lake::figure_17(&out),
             "18" => lake::figure_18(&out),
             "12" | "13" | "14" | "15" | "16" => {
-                return refuse("figures 12 to 16: tools/ladder --picture FILE --json FILE, which the script tools/paper calls");
+                return refuse(
+                    "figures 12 to 16: tools/ladder --picture FILE --json FILE, which the script tools/paper calls",
+                );
             }
             other => return refuse(&format!("{other}: no such figure")),
         };

@@ -630,10 +630,14 @@ mod tests {
             ("transmit_position_m", "<f8", &[3, 3]),
             ("element_position_m", "<f8", &[3, 5, 3]),
             ("velocity_m_per_s", "<f8", &[3, 3]),
+            ("position_m", "<f8", &[3, 3]),
+            ("attitude_deg", "<f8", &[3, 3]),
+            ("geodetic_deg", "<f8", &[3, 2]),
+            ("line_position_m", "<f8", &[3, 2, 3]),
         ] {
             assert_eq!(shapes.get(name), Some(&(descr, shape)), "{name}");
         }
-        assert_eq!(a.len(), 16, "and the plan");
+        assert_eq!(a.len(), 20, "and the plan");
 
         let iq = a["iq_by_element"].numbers(f32::from_le_bytes);
         for (p, ping) in [4, 5, 7].into_iter().enumerate() {
