@@ -3,6 +3,7 @@
 //! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
 
 pub mod check;
+pub mod ctl;
 pub mod listen;
 pub mod mosaic;
 pub mod nav;
@@ -38,6 +39,8 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Check a configuration and print what follows from it
     Check(check::CheckArgs),
+    /// Tell a running daemon: pause, step, settings; or ask how it does
+    Ctl(ctl::CtlArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
     /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
@@ -67,6 +70,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::main(&args),
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
+        Command::Ctl(args) => ctl::main(&args),
         Command::Listen(args) => listen::main(&args),
         Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
