@@ -1243,6 +1243,31 @@ pub struct PulseLines {
     pub lines: Vec<Line>,
 }
 
+/// What the scene knows of each sample of one side-scan line: labels for those who teach machines to read pictures. Not made on the ping path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineTruth {
+    pub side: Side,
+    /// The target with the strongest echo in each sample: 1 is the scene's first, 0 none.
+    pub target: Vec<u16>,
+    /// Its energy, and that of all else; the same unit, which is nobody's concern.
+    pub target_energy: Vec<f32>,
+    pub other_energy: Vec<f32>,
+    pub ground: Vec<GroundSeen>,
+    /// Depth of that ground, world, metres; NaN where there is none.
+    pub down_m: Vec<f32>,
+}
+
+/// Whether the seabed on the beam's axis at the range of a sample is heard.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GroundSeen {
+    /// There is none: water, a hole, the end of the world.
+    #[default]
+    None,
+    Seen,
+    /// Something stands before all of it.
+    Hidden,
+}
+
 /// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
 /// over the rms of the samples around it or of the element's whole ping, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]

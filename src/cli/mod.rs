@@ -7,6 +7,7 @@ pub mod check;
 pub mod ctl;
 pub mod doctor;
 pub mod listen;
+pub mod mosaic;
 pub mod nav;
 pub mod recover;
 pub mod replay;
@@ -51,6 +52,8 @@ enum Command {
     Listen(listen::ListenArgs),
     /// Mend records (.s7k) that were cut off; `run` does so by itself with those in its folder
     Recover(recover::RecoverArgs),
+    /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
+    Mosaic(mosaic::MosaicArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
     Nav(nav::NavArgs),
     /// Look at seabeds and models
@@ -81,6 +84,7 @@ pub fn main() -> ExitCode {
         Command::Ctl(args) => ctl::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::Listen(args) => listen::main(&args),
+        Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),
     };

@@ -42,10 +42,16 @@ pub enum Format {
     S7k,
     /// Element samples, beams and lines as NumPy arrays, one file per sonar
     Npz,
-    /// Side-scan waterfall, one picture per sonar
+    /// Side-scan waterfall, one picture per sonar; its look is [sonar.picture] of the configuration (--set sonar.picture.range=ground)
     Png,
     /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
     Sas,
+    /// The fan of beams as polar pictures, and stacked along the track
+    Fan,
+    /// The lines laid on the ground: GeoTIFF with its coordinate system, and PNG
+    Mosaic,
+    /// What every pixel shows (target, shadow, depth) beside each picture, and every sample of the lines in masks.npz
+    Masks,
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
@@ -82,6 +88,9 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
         sas: args.formats.contains(&Format::Sas),
+        fan: args.formats.contains(&Format::Fan),
+        mosaic: args.formats.contains(&Format::Mosaic),
+        masks: args.formats.contains(&Format::Masks),
     };
     let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
     if formats.sas && !spec.sonars.iter().any(has_patch) {

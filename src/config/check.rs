@@ -6,6 +6,7 @@
 mod culling;
 mod faults;
 mod nav;
+mod picture;
 mod scene;
 pub(super) mod sonar;
 

@@ -821,6 +821,7 @@ pub struct SonarSpec {
     pub model: ModelChoice,
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
+    pub picture: PictureSpec,
     pub outputs: Vec<OutputSpec>,
 }
 
@@ -833,6 +834,97 @@ pub struct MorePulseSpec {
     pub delay_s: f64,
     /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
     pub transmit: Option<usize>,
+}
+
+/// How the pictures of a replay look.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureSpec {
+    pub range: PictureRange,
+    /// With the receiver's time-varying gain taken out again.
+    pub raw: bool,
+    pub colours: ColourMap,
+    pub contrast: Contrast,
+    /// The mean level at each range is taken out.
+    pub flatten: bool,
+    /// Of the waterfall, across; none: the range over 600 pixels.
+    pub metres_per_pixel: Option<f64>,
+    /// Of the fan's pictures.
+    pub fan_every_pings: u32,
+    pub mosaic: MosaicLook,
+}
+
+/// Pixels of a mosaic and what they keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MosaicLook {
+    pub metres_per_pixel: f64,
+    pub overlap: Overlap,
+    /// Directions nearer to the vertical than this are left out.
+    pub nadir_rad: f64,
+}
+
+/// What a pixel keeps of several pings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overlap {
+    /// The mean intensity.
+    Mean,
+    /// The ping that saw it last.
+    Last,
+    /// The pass that saw it from nearest; the mean over its pings.
+    Nearest,
+}
+
+/// What a waterfall's columns are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureRange {
+    Slant,
+    /// Over a flat bottom as deep as the seabed under the sonar.
+    Ground,
+    /// Over a flat bottom as far away as the first echo of the bottom.
+    GroundFirstReturn,
+}
+
+/// What is darkest and what is brightest in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Contrast {
+    /// Shares (0 to 1) of the picture's own pixels that lie below darkest and below brightest.
+    Percentiles { low: f64, high: f64 },
+    /// dB re 1 V; over the mean at that range where the picture is flattened.
+    Fixed { low_db: f64, high_db: f64 },
+}
+
+/// Colours from dark to bright.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColourMap {
+    Grey,
+    /// Black, brown, gold, pale yellow: side-scan paper.
+    Copper,
+    /// Dark blue to white through cyan: water columns.
+    Blue,
+    /// Blue, green, yellow, red: echo strength, and depth turned round.
+    Rainbow,
+}
+
+impl Default for PictureSpec {
+    fn default() -> Self {
+        Self {
+            range: PictureRange::Slant,
+            raw: false,
+            colours: ColourMap::Copper,
+            // The water column, about a third of a picture, is dark; the seabed fills the middle, and little is brightest.
+            contrast: Contrast::Percentiles {
+                low: 0.28,
+                high: 0.99997,
+            },
+            flatten: false,
+            metres_per_pixel: None,
+            fan_every_pings: 100,
+            mosaic: MosaicLook {
+                metres_per_pixel: 0.25,
+                overlap: Overlap::Nearest,
+                nadir_rad: 0.0,
+            },
+        }
+    }
 }
 
 /// How the chosen synthesis is run and watched.

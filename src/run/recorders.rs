@@ -8,26 +8,17 @@ use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
-use crate::flow::{Datagram, PingOutput, PingPlan, Target};
-use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::flow::{Datagram, Target};
 use crate::io::record::npz::NpzRecorder;
-use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::truth::TruthRecorder;
 use crate::io::record::{RecordError, make_folder};
+use crate::run::pictures::Pictures;
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
 use crate::run::synthetic_aperture::SyntheticAperture;
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: both sides fit a screen.
-const WATERFALL_COLUMNS: f64 = 600.0;
-
-/// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
-const SCALE: Scale = Scale::Percentiles {
-    low: 0.28,
-    high: 0.99997,
-};
 /// 7k device identifier of a side-scan of no particular make.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
@@ -37,7 +28,7 @@ struct SonarFiles {
     folder: PathBuf,
     s7k: Option<S7k>,
     npz: Option<NpzRecorder>,
-    png: Option<Option<Waterfall>>,
+    pictures: Pictures,
     sas: Option<SyntheticAperture>,
 }
 
@@ -91,7 +82,7 @@ pub struct Recorders {
 
 impl Recorders {
     pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
-        let Formats { s7k, npz, png, sas } = options.formats;
+        let Formats { s7k, npz, sas, .. } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
             // One sonar's files lie in the folder itself; several sonars have a folder each.
@@ -122,10 +113,10 @@ impl Recorders {
                 } else {
                     None
                 },
-                png: png.then_some(None),
                 sas: sas
                     .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
                     .flatten(),
+                pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
                 spec: unit.spec.clone(),
                 folder,
             });
@@ -136,10 +127,11 @@ impl Recorders {
         })
     }
 
-    pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
+    /// The ping that `rig` has just made.
+    pub fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
-        self.truth.push(&files.spec, plan, output, targets)?;
+        self.truth.push(&files.spec, plan, output, rig.targets())?;
         if let Some(s7k) = &mut files.s7k {
             s7k.records.clear();
             let recorder = match &mut s7k.recorder {
@@ -156,18 +148,14 @@ impl Recorders {
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
-        if let Some(waterfall) = &mut files.png {
-            let waterfall = waterfall.get_or_insert_with(|| blank_waterfall(&files.spec, plan));
-            push_lines(waterfall, plan, output);
-        }
         if let Some(sas) = &mut files.sas {
             sas.push(&files.spec, plan, output);
         }
-        Ok(())
+        files.pictures.push(slot, rig)
     }
 
     /// Closes every file and names those that hold something.
-    pub fn finish(self) -> Result<Vec<PathBuf>, RecordError> {
+    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
             if let Some(S7k {
@@ -182,15 +170,10 @@ impl Recorders {
             if let Some(npz) = files.npz {
                 written.extend(npz.finish()?);
             }
-            if let Some(Some(waterfall)) = files.png {
-                let path = files.folder.join("waterfall.png");
-                if write_waterfall(&path, &waterfall)? {
-                    written.push(path);
-                }
-            }
             if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
                 written.extend(patch.write(&files.folder)?);
             }
+            written.extend(files.pictures.finish(targets)?);
         }
         Ok(written)
     }
@@ -212,39 +195,4 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
         client_queue_bytes: 0,
         max_clients: 0,
     })
-}
-
-/// Where there are several pulses each has rows of its own, in the order in which they left: the picture counts them as pings.
-fn push_lines(waterfall: &mut Waterfall, plan: &PingPlan, output: &PingOutput) {
-    let pulses = 1 + output.more_lines.len() as u32;
-    if pulses == 1 {
-        return waterfall.push(plan, &output.lines);
-    }
-    let mut row = plan.clone();
-    let mut left: Vec<_> = output
-        .more_lines
-        .iter()
-        .map(|m| (m.delay_s, &m.lines))
-        .collect();
-    left.push((0.0, &output.lines));
-    left.sort_by(|a, b| a.0.total_cmp(&b.0));
-    for (number, (_, lines)) in (0..).zip(left) {
-        row.ping_number = plan.ping_number.wrapping_mul(pulses).wrapping_add(number);
-        waterfall.push(&row, lines);
-    }
-}
-
-fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
-    let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
-    let pulses = 1 + spec.more_pulses.len();
-    let advance_m =
-        plan.nav.pose.velocity_m_per_s.truncate().length() / (plan.ping_rate_hz * pulses as f64);
-    let picture = WaterfallSpec {
-        range_m: plan.settings.range_m,
-        metres_per_pixel,
-        rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
-        scale: SCALE,
-        ..WaterfallSpec::default()
-    };
-    Waterfall::new(picture, spec.receiver.sample_rate_hz)
 }

@@ -33,6 +33,9 @@ pub struct Formats {
     pub png: bool,
     /// Synthetic aperture, of the sonars that have one configured.
     pub sas: bool,
+    pub fan: bool,
+    pub mosaic: bool,
+    pub masks: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -72,7 +75,7 @@ impl Replay {
         // A whole replay of a looped log would never end: the loop is for those who name the last ping.
         spec.nav.loop_log &= options.pings.is_some();
         let pool = pool(options.threads)?;
-        let mut recorded = pool.install(|| RecordedRig::open(&spec))?;
+        let recorded = pool.install(|| RecordedRig::open(&spec))?;
         recorded.rig.faults.begin(recorded.schedules[0].next_utc());
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
@@ -125,7 +128,12 @@ impl Replay {
                 if order.ping_number < self.pings.0 {
                     continue;
                 }
-                if self.recorded.rig.faults.trigger_missed(PingMark::of(sonar, &order)) {
+                if self
+                    .recorded
+                    .rig
+                    .faults
+                    .trigger_missed(PingMark::of(sonar, &order))
+                {
                     add(&self.counters[sonar].triggers_missed, 1);
                     continue;
                 }
@@ -162,7 +170,7 @@ impl Replay {
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
                 counters.certificate(slot.output.certificate.as_ref());
-                self.recorders.record(slot, self.recorded.rig.targets())?;
+                self.recorders.record(slot, &self.recorded.rig)?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),
         }
@@ -170,7 +178,7 @@ impl Replay {
     }
 
     fn finish(self) -> Result<Summary, ReplayError> {
-        let files = self.recorders.finish()?;
+        let files = self.recorders.finish(self.recorded.rig.targets())?;
         let mut text = String::new();
         let mut pings_made = 0;
         for (unit, counters) in self.recorded.rig.sonars.iter().zip(&self.counters) {

@@ -141,6 +141,11 @@ impl Rig {
         ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
     }
 
+    /// What the ping made last heard.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+
     /// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
     pub fn read_on(&mut self, inputs: &mut NavInputs, sonar: usize, order: &PingOrder) -> bool {
         let from = order.transmit_utc;
@@ -214,11 +219,6 @@ impl Rig {
             .pipeline
             .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())
-    }
-
-    /// What the ping prepared last hears of the scene.
-    pub fn scatterers(&self) -> &Scatterers {
-        &self.scatterers
     }
 
     /// The plan of a ping and its scatterers, without the ping itself.

@@ -190,6 +190,38 @@ impl Scene {
         Some(recipe.surface().sample(own.x, own.y)?.down_m)
     }
 
+    /// As the arrays of footprint `footprint` of the gathering before see a place of the world: depth of the seabed there, and whether
+    /// nothing stands before it. None where there is no seabed.
+    pub fn ground_seen(&self, footprint: usize, north_m: f64, east_m: f64) -> Option<(f64, bool)> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        let down_m = recipe.surface().sample(own.x, own.y)?.down_m;
+        let around = Around {
+            ground: Some(recipe.surface()),
+            solids: Some(&self.own_targets),
+            on_ground: true,
+        };
+        let seen = self.occlusion.sees(footprint, own.extend(down_m), around);
+        Some((down_m, seen))
+    }
+
+    /// Which target each scatterer of the gathering before belongs to: 1 is the first, 0 none. They come last, in their own order, less those
+    /// in shadow, so that their places tell.
+    pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
+        labels.clear();
+        labels.resize(scatterers.len(), 0);
+        let own = self.own_targets.scatterers();
+        let anchor_m = self.anchor_m.extend(0.0);
+        let mut left = scatterers.len();
+        for j in (0..own.len()).rev() {
+            if left > 0 && scatterers.position_m(left - 1) == own.position_m(j) + anchor_m {
+                left -= 1;
+                let number = self.own_targets.target_of(j) + 1;
+                labels[left] = u16::try_from(number).unwrap_or(u16::MAX);
+            }
+        }
+    }
+
     /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
     /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
     /// ones), then the targets within range of any footprint.

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
 
 use echotank::config::spec::{
-    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, SevenKSpec, Shading, SonarSpec,
     SynthesisSpec,
 };
 use echotank::emit::sevenk::records::DeviceSheet;
@@ -140,6 +140,7 @@ pub fn sonar() -> SonarSpec {
                 form: FanForm::default(),
             }),
         },
+        picture: PictureSpec::default(),
         outputs: Vec::new(),
     }
 }

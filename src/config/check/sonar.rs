@@ -7,6 +7,7 @@ use glam::{DQuat, DVec3};
 
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use super::picture::picture;
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
@@ -122,6 +123,7 @@ pub fn sonar<'t>(
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
+    let picture = table.table("picture").and_then(|t| picture(t, problems));
     let outputs = table
         .table("output")
         .and_then(|t| outputs(t, &arrays, &largest, listeners, problems));
@@ -141,6 +143,7 @@ pub fn sonar<'t>(
         model: model?,
         synthesis: synthesis?,
         beams: beams?,
+        picture: picture?,
         outputs: outputs?,
     })
 }

@@ -4,6 +4,9 @@
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
 //! - [`recover`]: mends a `.s7k` that was cut off.
+//! - [`masks`]: what each sample of each line shows.
+//! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics, and the masks beside them.
+//! - [`lines`]: a recording's lines, read again.
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`synthetic_aperture`]: a back-projected image.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
@@ -12,7 +15,10 @@
 //! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
 pub mod faults;
+pub mod lines;
+pub mod masks;
 pub mod npz;
+pub mod picture;
 mod plan_text;
 pub mod png;
 pub mod recover;
