@@ -7,6 +7,8 @@ use serde_json::Value;
 
 use super::{files, replay_file};
 
+// The long form uses the rest of it.
+#[allow(dead_code)]
 #[path = "../../tools/src/soundings/measure.rs"]
 mod measure;
 mod soundings;

@@ -50,8 +50,6 @@ pub struct Found {
     pub down_m: f64,
     pub true_down_m: f64,
     pub detection: Detection,
-    /// Standard deviation that the detector itself expects, along the beam.
-    pub expected_m: f64,
 }
 
 /// Everything one case found.
@@ -180,7 +178,6 @@ fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
                     down_m: at_m.z,
                     true_down_m,
                     detection: sounding.detection,
-                    expected_m: 0.5 * sounding.error_s * slot.plan.sound_speed_m_per_s,
                 });
             }
         }
