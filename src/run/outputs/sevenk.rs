@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Opening, Output, OutputError, Report, server_lines};
 use crate::config::spec::SevenKSpec;
+use crate::emit::sevenk::kept::Kept;
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, SettingsPort};
@@ -12,12 +13,16 @@ use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
+use crate::run::settings::SettingsStore;
 
 pub struct SevenK {
     name: String,
     emitter: SevenKEmitter,
     server: Arc<SonarServer>,
     recorder: Option<S7kRecorder>,
+    settings: Arc<SettingsStore>,
+    /// Of the settings that the emitter reports.
+    kept_version: Option<u64>,
     /// Records of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
 }
@@ -58,6 +63,8 @@ impl SevenK {
             emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
             server: Arc::new(server),
             recorder,
+            settings: Arc::clone(settings),
+            kept_version: None,
             pending: Vec::new(),
         })
     }
@@ -83,6 +90,10 @@ impl Output for SevenK {
         } else {
             RecordSet::EMPTY
         };
+        if self.kept_version != Some(self.settings.version()) {
+            self.kept_version = Some(self.settings.version());
+            self.emitter.keep(Kept::of(self.settings.as_ref()));
+        }
         self.pending.clear();
         self.emitter.emit_ping(
             &slot.plan,
@@ -120,32 +131,7 @@ struct SevenKReport {
 }
 
 impl Report for SevenKReport {
-    /// A line per client, and one for those that have gone.
     fn lines(&self) -> Vec<String> {
-        let report = self.server.report();
-        let totals = report.totals();
-        let mut lines = vec![format!(
-            "7k {}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
-            self.name,
-            report.clients.len(),
-            report.admitted,
-            report.refused,
-            totals.bytes_sent as f64 / 1e6,
-            totals.commands,
-            totals.nacks,
-            totals.framing_errors,
-        )];
-        lines.extend(report.clients.iter().map(|client| {
-            format!(
-                "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
-                client.transport,
-                client.peer,
-                client.counts.bytes_sent as f64 / 1e6,
-                client.counts.records_sent,
-                client.counts.records_dropped,
-                client.queued_bytes as f64 / 1e6,
-            )
-        }));
-        lines
+        server_lines("7k", &self.name, &self.server.report())
     }
 }
