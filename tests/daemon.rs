@@ -1,5 +1,10 @@
 //! The daemon as its user runs it: a process, its ports, its signals.
 
+#[path = "daemon/control.rs"]
+mod control;
+#[path = "daemon/modes.rs"]
+mod modes;
+
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, server_lines};
+use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
 use crate::config::spec::ImagenexSpec;
 use crate::emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
 use crate::flow::Datagram;
@@ -103,5 +103,9 @@ struct ImagenexReport {
 impl Report for ImagenexReport {
     fn lines(&self) -> Vec<String> {
         server_lines("imagenex872", &self.name, &self.server.report())
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        server_streams("imagenex872", &self.server.report())
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, server_lines};
+use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
 use crate::beam::RowLimits;
 use crate::beam::matched::MatchedFilter;
 use crate::config::spec::{JsfSpec, MediumSpec, SonarSpec};
@@ -171,5 +171,11 @@ impl Report for JsfReport {
         let mut lines = server_lines("jsf", &self.name, &self.commands.report());
         lines.extend(server_lines("jsf-data", &self.name, &self.data.report()));
         lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let mut streams = server_streams("jsf", &self.commands.report());
+        streams.extend(server_streams("jsf-data", &self.data.report()));
+        streams
     }
 }

@@ -45,6 +45,22 @@ trait Output: Send {
 pub trait Report: Send + Sync {
     /// A line for the output, and one for every client.
     fn lines(&self) -> Vec<String>;
+    /// The same of every client in numbers.
+    fn streams(&self) -> Vec<StreamCounts> {
+        Vec::new()
+    }
+}
+
+/// What one client has had.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StreamCounts {
+    pub family: &'static str,
+    /// `TCP 127.0.0.1:51234`.
+    pub peer: String,
+    pub bytes_sent: u64,
+    pub records_sent: u64,
+    pub records_dropped: u64,
+    pub queued_bytes: u64,
 }
 
 /// What an output is opened with.
@@ -148,6 +164,12 @@ impl OutputReports {
     pub fn lines(&self) -> Vec<String> {
         self.all.iter().flat_map(|report| report.lines()).collect()
     }
+
+    /// Every client of every output.
+    pub fn streams(&self) -> Vec<StreamCounts> {
+        let reports = self.all.iter();
+        reports.flat_map(|report| report.streams()).collect()
+    }
 }
 
 /// A line for a server and those of its clients that have gone, and one per client.
@@ -175,4 +197,18 @@ fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> 
         )
     }));
     lines
+}
+
+/// What each client of a server was sent.
+fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
+    let clients = report.clients.iter();
+    let counts = clients.map(|client| StreamCounts {
+        family,
+        peer: format!("{} {}", client.transport, client.peer),
+        bytes_sent: client.counts.bytes_sent,
+        records_sent: client.counts.records_sent,
+        records_dropped: client.counts.records_dropped,
+        queued_bytes: client.queued_bytes as u64,
+    });
+    counts.collect()
 }

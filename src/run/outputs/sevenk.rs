@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, server_lines};
+use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
 use crate::config::spec::SevenKSpec;
 use crate::emit::sevenk::kept::Kept;
 use crate::emit::sevenk::records::DeviceSheet;
@@ -133,5 +133,9 @@ struct SevenKReport {
 impl Report for SevenKReport {
     fn lines(&self) -> Vec<String> {
         server_lines("7k", &self.name, &self.server.report())
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        server_streams("7k", &self.server.report())
     }
 }
