@@ -42,6 +42,10 @@ pub enum Format {
     S7k,
     /// Element samples, beams and lines as NumPy arrays, one file per sonar
     Npz,
+    /// EdgeTech JSF, one file per sonar
+    Jsf,
+    /// Triton XTF, one file per sonar with side-scan lines
+    Xtf,
     /// Side-scan waterfall, one picture per sonar; its look is [sonar.picture] of the configuration (--set sonar.picture.range=ground)
     Png,
     /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
@@ -85,6 +89,8 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
     }
     let formats = Formats {
         s7k: args.formats.contains(&Format::S7k),
+        jsf: args.formats.contains(&Format::Jsf),
+        xtf: args.formats.contains(&Format::Xtf),
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
         sas: args.formats.contains(&Format::Sas),

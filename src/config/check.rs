@@ -4,6 +4,7 @@
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
 mod culling;
+mod families;
 mod faults;
 mod nav;
 mod picture;
@@ -237,6 +238,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         refuse_place_without_earth(nav, t, problems);
     }
     refuse_port_clashes(&listeners, problems);
+    refuse_files_without_a_folder(table, problems);
 
     Some(RigSpec {
         source_text: text.to_owned(),
@@ -254,6 +256,28 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         faults: faults::faults(table.tables("fault"), problems),
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
+}
+
+/// Outputs that are files need a folder.
+fn refuse_files_without_a_folder(table: &RawTable, problems: &mut Problems) {
+    if table.given("record") {
+        return;
+    }
+    let outputs = table
+        .tables("sonar")
+        .iter()
+        .filter_map(|t| t.table("output"));
+    for output in outputs {
+        if output.given("xtf") {
+            problems.refuse(output.entry("xtf"), "needs a folder: [record]");
+        }
+        if let Some(jsf) = output.table("jsf")
+            && output.given("jsf")
+            && jsf.bool("record") == Some(true)
+        {
+            problems.refuse(jsf.entry("record"), "needs a folder: [record]");
+        }
+    }
 }
 
 /// A scene that lies where its file says needs to know where on the earth the platform is.

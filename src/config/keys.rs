@@ -3,6 +3,7 @@
 //! The reader (`raw`), the template and the JSON Schema (`describe`) all walk these tables, so that they cannot disagree. Rules that
 //! need more than one key live in `check`.
 
+mod families;
 mod faults;
 
 /// A TOML table.
@@ -1670,14 +1671,22 @@ static FAN: Table = Table {
 
 static OUTPUT: Table = Table {
     doc: "The protocols this sonar speaks; one table for each.",
-    keys: &[key("sevenk", Kind::Table(&SEVENK), Shown(""), "")],
-    later: &[
-        "jsf", "xtf", "norbit", "vita49", "ping", "kmall", "r2sonic", "imagenex", "sigmf",
+    keys: &[
+        key("sevenk", Kind::Table(&SEVENK), Shown(""), ""),
+        key("jsf", Kind::Table(&families::JSF), Optional(""), ""),
+        key("xtf", Kind::Table(&families::XTF), Optional(""), ""),
+        key(
+            "imagenex872",
+            Kind::Table(&families::IMAGENEX872),
+            Optional(""),
+            "",
+        ),
     ],
+    later: &["norbit", "vita49", "ping", "kmall", "r2sonic", "sigmf"],
 };
 
 static SEVENK: Table = Table {
-    doc: "Teledyne RESON 7k over TCP.",
+    doc: "Teledyne RESON 7k over TCP and UDP.",
     keys: &[
         key(
             "id",
@@ -1715,7 +1724,13 @@ static SEVENK: Table = Table {
             Default("64"),
             "What may wait for one slow client before its records are dropped.",
         ),
+        key(
+            "when_full",
+            Kind::Choice(&["skip", "disconnect"], &[]),
+            Default("\"skip\""),
+            "What becomes of a client whose queue is full: it misses whole records, or is disconnected.",
+        ),
         key("max_clients", Kind::Integer(1, 1000), Default("8"), ""),
     ],
-    later: &["udp"],
+    later: &[],
 };

@@ -2,6 +2,7 @@
 //!
 //! A value here has been validated; no stage checks it again.
 
+mod families;
 mod faults;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
@@ -953,6 +954,7 @@ impl Default for SynthesisSpec {
 }
 
 pub use crate::flow::SettingLimits as LimitsSpec;
+pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {
@@ -1123,6 +1125,9 @@ impl Shading {
 #[derive(Clone, Debug)]
 pub enum OutputSpec {
     SevenK(SevenKSpec),
+    Jsf(JsfSpec),
+    Xtf(XtfSpec),
+    Imagenex872(ImagenexSpec),
 }
 
 #[derive(Clone, Debug)]
@@ -1136,5 +1141,7 @@ pub struct SevenKSpec {
     pub max_packet: usize,
     /// Bytes that may wait for one client before its records are dropped.
     pub client_queue_bytes: usize,
+    /// A client whose queue is full is disconnected instead of missing records.
+    pub disconnect_when_full: bool,
     pub max_clients: usize,
 }

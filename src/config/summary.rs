@@ -1,5 +1,6 @@
 //! What follows from a configuration, for people.
 
+mod families;
 mod nav;
 
 use std::fmt::{self, Write};
@@ -454,7 +455,11 @@ fn model(sonar: &SonarSpec) -> String {
 }
 
 fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            families::write(out, sonar, d, output)?;
+            continue;
+        };
         let elements: usize = output
             .arrays
             .iter()
@@ -511,7 +516,10 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
             ));
         }
     }
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            continue;
+        };
         if !output.listen.ip().is_loopback() {
             notes.push(format!(
                 "{name}: {} can be reached from other computers, and 7k knows no password",

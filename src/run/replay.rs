@@ -29,6 +29,8 @@ pub enum ReplayError {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Formats {
     pub s7k: bool,
+    pub jsf: bool,
+    pub xtf: bool,
     pub npz: bool,
     pub png: bool,
     /// Synthetic aperture, of the sonars that have one configured.

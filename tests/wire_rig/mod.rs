@@ -154,6 +154,7 @@ pub fn output_spec() -> SevenKSpec {
         arrays: vec![1, 0],
         max_packet: 60_000,
         client_queue_bytes: 1 << 20,
+        disconnect_when_full: false,
         max_clients: 8,
     }
 }

@@ -9,10 +9,11 @@
 //! - [`lines`]: a recording's lines, read again.
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`synthetic_aperture`]: a back-projected image.
+//! - [`stream`]: protocol records one behind the other, as `.jsf` and `.xtf` files are.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
-//! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
+//! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k`, `.jsf`, `.xtf` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
 pub mod faults;
 pub mod lines;
@@ -23,6 +24,7 @@ mod plan_text;
 pub mod png;
 pub mod recover;
 pub mod s7k;
+pub mod stream;
 pub mod synthetic_aperture;
 pub mod truth;
 
