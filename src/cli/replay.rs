@@ -44,6 +44,10 @@ pub enum Format {
     Npz,
     /// Side-scan waterfall, one picture per sonar
     Png,
+    /// Element samples with words for every ping, two files per sonar
+    Sigmf,
+    /// What the elements hear at a converter's rate, one file per sonar
+    Wav,
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
@@ -79,6 +83,8 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
         s7k: args.formats.contains(&Format::S7k),
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
+        sigmf: args.formats.contains(&Format::Sigmf),
+        wav: args.formats.contains(&Format::Wav),
     };
     let options = ReplayOptions {
         out: args.out.clone(),

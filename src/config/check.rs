@@ -4,6 +4,8 @@
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
 mod culling;
+mod devices;
+mod samples;
 mod scene;
 pub(super) mod sonar;
 
@@ -228,6 +230,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         refuse_place_without_earth(nav, t, problems);
     }
     refuse_port_clashes(&listeners, problems);
+    refuse_recordings_without_a_folder(table, problems);
 
     Some(RigSpec {
         source_text: text.to_owned(),
@@ -244,6 +247,18 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         control: ControlSpec {},
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
+}
+
+/// Outputs that are files need a folder.
+fn refuse_recordings_without_a_folder(table: &RawTable, problems: &mut Problems) {
+    if table.given("record") {
+        return;
+    }
+    for output in table.tables("sonar").iter().filter_map(|t| t.table("output")) {
+        for key in ["sigmf", "wav"].into_iter().filter(|key| output.given(key)) {
+            problems.refuse(output.entry(key), "needs a folder: [record]");
+        }
+    }
 }
 
 /// A scene that lies where its file says needs to know where on the earth the platform is.

@@ -3,6 +3,9 @@
 //! The reader (`raw`), the template and the JSON Schema (`describe`) all walk these tables, so that they cannot disagree. Rules that
 //! need more than one key live in `check`.
 
+mod devices;
+mod samples;
+
 /// A TOML table.
 pub struct Table {
     pub doc: &'static str,
@@ -1300,10 +1303,15 @@ static FAN: Table = Table {
 
 static OUTPUT: Table = Table {
     doc: "The protocols this sonar speaks; one table for each.",
-    keys: &[key("sevenk", Kind::Table(&SEVENK), Shown(""), "")],
-    later: &[
-        "jsf", "xtf", "norbit", "vita49", "ping", "kmall", "r2sonic", "imagenex", "sigmf",
+    keys: &[
+        key("sevenk", Kind::Table(&SEVENK), Shown(""), ""),
+        key("ping", Kind::Table(&devices::PING), Optional(""), ""),
+        key("wbms", Kind::Table(&devices::WBMS), Optional(""), ""),
+        key("vita49", Kind::Table(&samples::VITA49), Optional(""), ""),
+        key("sigmf", Kind::Table(&samples::SIGMF), Optional(""), ""),
+        key("wav", Kind::Table(&samples::WAV), Optional(""), ""),
     ],
+    later: &["jsf", "xtf", "kmall", "r2sonic", "imagenex"],
 };
 
 static SEVENK: Table = Table {

@@ -2,6 +2,9 @@
 //!
 //! A value here has been validated; no stage checks it again.
 
+mod devices;
+mod samples;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -10,6 +13,9 @@ use glam::DVec3;
 use crate::flow::{
     ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
 };
+
+pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
+pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -818,6 +824,11 @@ impl Shading {
 #[derive(Clone, Debug)]
 pub enum OutputSpec {
     SevenK(SevenKSpec),
+    Vita49(Vita49Spec),
+    Sigmf(SigmfSpec),
+    Wav(WavSpec),
+    Ping(PingProtocolSpec),
+    Wbms(WbmsSpec),
 }
 
 #[derive(Clone, Debug)]

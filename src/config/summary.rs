@@ -1,5 +1,7 @@
 //! What follows from a configuration, for people.
 
+mod outputs;
+
 use std::fmt::{self, Write};
 
 use super::check::sonar::{
@@ -444,7 +446,11 @@ fn model(sonar: &SonarSpec) -> String {
 }
 
 fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            outputs::write(out, sonar, d, output)?;
+            continue;
+        };
         let elements: usize = output
             .arrays
             .iter()
@@ -501,7 +507,10 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
             ));
         }
     }
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            continue;
+        };
         if !output.listen.ip().is_loopback() {
             notes.push(format!(
                 "{name}: {} can be reached from other computers, and 7k knows no password",

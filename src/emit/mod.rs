@@ -1,5 +1,11 @@
 //! Frames to datagrams, one folder per sonar family. Sans I/O.
 //!
 //! In: the plan and the output of one ping, and what somebody wants of it. Out: whole records, stamped, in buffers from a pool.
+pub mod changes;
+pub mod elements;
+pub mod passband;
+pub mod ping_protocol;
 pub mod pool;
 pub mod sevenk;
+pub mod vita49;
+pub mod wbms;

@@ -1,5 +1,7 @@
 //! The only home of tokio, socket2, serialport and files.
+pub mod datagrams;
 pub mod nav;
 pub mod record;
+pub mod serial_line;
 pub mod signals;
 pub mod sonar;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
-use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec};
+use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, PingPlan, Target};
@@ -13,7 +13,9 @@ use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_th
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
+use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::truth::TruthRecorder;
+use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
@@ -37,6 +39,8 @@ struct SonarFiles {
     s7k: Option<S7k>,
     npz: Option<NpzRecorder>,
     png: Option<Option<Waterfall>>,
+    sigmf: Option<SigmfRecorder>,
+    wav: Option<WavRecorder>,
 }
 
 struct S7k {
@@ -89,7 +93,13 @@ pub struct Recorders {
 
 impl Recorders {
     pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
-        let Formats { s7k, npz, png } = options.formats;
+        let Formats {
+            s7k,
+            npz,
+            png,
+            sigmf,
+            wav,
+        } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
             // One sonar's files lie in the folder itself; several sonars have a folder each.
@@ -121,6 +131,14 @@ impl Recorders {
                     None
                 },
                 png: png.then_some(None),
+                sigmf: match sigmf {
+                    true => Some(begin_sigmf(&folder, &unit.spec)?),
+                    false => None,
+                },
+                wav: match wav {
+                    true => Some(begin_wav(&folder, &unit.spec)?),
+                    false => None,
+                },
                 spec: unit.spec.clone(),
                 folder,
             });
@@ -151,6 +169,12 @@ impl Recorders {
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
+        if let Some(sigmf) = &mut files.sigmf {
+            sigmf.push(plan, output)?;
+        }
+        if let Some(wav) = &mut files.wav {
+            wav.push(plan, output)?;
+        }
         if let Some(waterfall) = &mut files.png {
             waterfall
                 .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
@@ -175,6 +199,14 @@ impl Recorders {
             if let Some(npz) = files.npz {
                 written.extend(npz.finish()?);
             }
+            if let Some(sigmf) = files.sigmf {
+                written.extend(sigmf.paths().map(Path::to_path_buf));
+                sigmf.close()?;
+            }
+            if let Some(wav) = files.wav {
+                written.push(wav.path().to_path_buf());
+                wav.close()?;
+            }
             if let Some(Some(waterfall)) = files.png {
                 let path = files.folder.join("waterfall.png");
                 if write_waterfall(&path, &waterfall)? {
@@ -191,8 +223,10 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     let configured = spec
         .outputs
         .iter()
-        .map(|OutputSpec::SevenK(sevenk)| sevenk)
-        .next();
+        .find_map(|output| match output {
+            OutputSpec::SevenK(sevenk) => Some(sevenk),
+            _ => None,
+        });
     configured.cloned().unwrap_or_else(|| SevenKSpec {
         listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
         device_id: GENERIC_SIDE_SCAN,
@@ -202,6 +236,33 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
         client_queue_bytes: 0,
         max_clients: 0,
     })
+}
+
+/// The arrays of the configured output, or all.
+fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Sigmf(sigmf) => Some(sigmf.arrays.clone()),
+        _ => None,
+    });
+    let arrays = configured.unwrap_or_else(|| (0..spec.receive.len()).collect());
+    SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
+}
+
+/// The arrays and the rate of the configured output, or all and the usual rate.
+fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Wav(wav) => Some(wav.clone()),
+        _ => None,
+    });
+    let output = configured.unwrap_or_else(|| WavSpec {
+        arrays: (0..spec.receive.len()).collect(),
+        rate_hz: WavSpec::usual_rate_hz(
+            spec.pulse.center_frequency_hz + 0.5 * spec.pulse.bandwidth_hz,
+        ),
+        is_float: false,
+    });
+    let path = folder.join(format!("{}.wav", spec.name));
+    WavRecorder::create(&path, &output, spec)
 }
 
 fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {

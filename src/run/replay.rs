@@ -38,6 +38,8 @@ pub struct Formats {
     pub s7k: bool,
     pub npz: bool,
     pub png: bool,
+    pub sigmf: bool,
+    pub wav: bool,
 }
 
 #[derive(Clone, Debug)]

@@ -7,6 +7,8 @@ use glam::{DQuat, DVec3};
 
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use super::devices;
+use super::samples::{self, Source};
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
@@ -102,7 +104,7 @@ pub fn sonar<'t>(
         .and_then(|t| beams(t, &arrays, problems));
     let outputs = table
         .table("output")
-        .and_then(|t| outputs(t, &arrays, &largest, listeners, problems));
+        .and_then(|t| outputs(t, &arrays, &largest, pulse.as_ref(), beams.as_ref(), listeners, problems));
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
@@ -354,9 +356,9 @@ fn receive(
 }
 
 /// The receive arrays that beams and outputs name; those that could not be read are none.
-struct Arrays<'a> {
-    names: &'a [Option<&'a str>],
-    specs: &'a [Option<ArrayGeometry>],
+pub struct Arrays<'a> {
+    pub names: &'a [Option<&'a str>],
+    pub specs: &'a [Option<ArrayGeometry>],
 }
 
 impl Arrays<'_> {
@@ -370,6 +372,23 @@ impl Arrays<'_> {
             "receive array",
             problems,
         )
+    }
+
+    /// The arrays named under `arrays`, or all where none are.
+    pub fn chosen(&self, table: &RawTable, problems: &mut Problems) -> Option<Vec<usize>> {
+        if !table.given("arrays") {
+            return Some((0..self.specs.len()).collect());
+        }
+        let entry = table.entry("arrays");
+        let mut seen = HashSet::new();
+        let mut chosen = Vec::new();
+        for name in table.texts("arrays")? {
+            if !seen.insert(name) {
+                problems.refuse(entry, format!("names \"{name}\" twice"));
+            }
+            chosen.push(index_of(name, entry, self.names, "receive array", problems));
+        }
+        all(chosen)
     }
 
     fn body_from_array(&self, index: usize) -> Option<DQuat> {
@@ -750,6 +769,8 @@ fn outputs<'t>(
     table: &'t RawTable,
     arrays: &Arrays<'_>,
     largest: &LargestPing,
+    pulse: Option<&Pulse>,
+    beams: Option<&BeamsSpec>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<OutputSpec>> {
@@ -759,6 +780,31 @@ fn outputs<'t>(
             .table("sevenk")
             .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
         outputs.push(spec.map(OutputSpec::SevenK));
+    }
+    if table.given("ping") {
+        let spec = table
+            .table("ping")
+            .and_then(|t| devices::ping(t, beams, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Ping));
+    }
+    if table.given("wbms") {
+        let spec = table
+            .table("wbms")
+            .and_then(|t| devices::wbms(t, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Wbms));
+    }
+    let source = Source { arrays, pulse };
+    if table.given("vita49") {
+        let spec = table.table("vita49").and_then(|t| samples::vita49(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Vita49));
+    }
+    if table.given("sigmf") {
+        let spec = table.table("sigmf").and_then(|t| samples::sigmf(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Sigmf));
+    }
+    if table.given("wav") {
+        let spec = table.table("wav").and_then(|t| samples::wav(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Wav));
     }
     all(outputs)
 }
@@ -780,7 +826,7 @@ fn sevenk<'t>(
         });
     }
     let client_queue_bytes = table.count("client_queue_mib").map(|mib| mib << 20);
-    let chosen = sevenk_arrays(table, arrays, problems);
+    let chosen = arrays.chosen(table, problems);
     if let (Some(chosen), Some(samples)) = (&chosen, largest.samples()) {
         let elements: usize = chosen
             .iter()
@@ -818,31 +864,4 @@ fn sevenk<'t>(
         client_queue_bytes: client_queue_bytes?,
         max_clients: table.count("max_clients")?,
     })
-}
-
-/// The arrays named, or all where none are.
-fn sevenk_arrays(
-    table: &RawTable,
-    arrays: &Arrays<'_>,
-    problems: &mut Problems,
-) -> Option<Vec<usize>> {
-    if !table.given("arrays") {
-        return Some((0..arrays.specs.len()).collect());
-    }
-    let entry = table.entry("arrays");
-    let mut seen = HashSet::new();
-    let mut chosen = Vec::new();
-    for name in table.texts("arrays")? {
-        if !seen.insert(name) {
-            problems.refuse(entry, format!("names \"{name}\" twice"));
-        }
-        chosen.push(index_of(
-            name,
-            entry,
-            arrays.names,
-            "receive array",
-            problems,
-        ));
-    }
-    all(chosen)
 }

@@ -3,6 +3,9 @@
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
 //! - [`s7k`]: protocol records as a `.s7k` file.
+//! - [`sigmf`]: I and Q of the elements, with words for every ping.
+//! - [`wav`]: what the elements hear, for benches that play it out.
+//! - [`svlog`]: frames of the Ping protocol.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
@@ -12,7 +15,10 @@ pub mod npz;
 mod plan_text;
 pub mod png;
 pub mod s7k;
+pub mod sigmf;
+pub mod svlog;
 pub mod truth;
+pub mod wav;
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

@@ -1,6 +1,11 @@
 //! What leaves the house live: the configured outputs of one sonar, one file per family, all fed by the same pings.
 
+mod files;
+mod ping_protocol;
+mod server_lines;
 mod sevenk;
+mod vita49;
+mod wbms;
 
 use std::sync::Arc;
 
@@ -18,6 +23,17 @@ use crate::time::UtcNs;
 pub enum OutputError {
     #[error("output {name}: {source}")]
     Server { name: String, source: OpenError },
+    #[error("output {name}: cannot send: {source}")]
+    Sender {
+        name: String,
+        source: std::io::Error,
+    },
+    #[error("output {name}: serial line {path}: {source}")]
+    Line {
+        name: String,
+        path: String,
+        source: std::io::Error,
+    },
     #[error(transparent)]
     Record(#[from] RecordError),
 }
@@ -88,6 +104,13 @@ impl Outputs {
             .map(|output| -> Result<Box<dyn Output>, OutputError> {
                 Ok(match output {
                     OutputSpec::SevenK(output) => Box::new(sevenk::SevenK::open(output, &opening)?),
+                    OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, &opening)?),
+                    OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, &opening)?),
+                    OutputSpec::Ping(output) => {
+                        Box::new(ping_protocol::PingProtocol::open(output, &opening)?)
+                    }
+                    OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, &opening)?),
+                    OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
                 })
             })
             .collect::<Result<_, _>>()?;
