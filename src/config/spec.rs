@@ -674,15 +674,7 @@ impl Default for SynthesisSpec {
     }
 }
 
-/// The ranges settings may move in, inclusive; buffers are sized from the maxima.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LimitsSpec {
-    pub range_m: (f64, f64),
-    pub ping_rate_hz: (f64, f64),
-    pub source_level_db: (f64, f64),
-    pub gain_db: (f64, f64),
-    pub pulse_duration_s: (f64, f64),
-}
+pub use crate::flow::SettingLimits as LimitsSpec;
 
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {

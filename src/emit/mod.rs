@@ -6,6 +6,7 @@ pub mod elements;
 pub mod passband;
 pub mod ping_protocol;
 pub mod pool;
+pub mod session;
 pub mod sevenk;
 pub mod vita49;
 pub mod wbms;

@@ -430,6 +430,7 @@ impl Pacer {
             while let Some(order) =
                 self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
             {
+                settings.pinged(timeline.mono(order.transmit_utc));
                 if self.waiting.len() >= MOST_ORDERS {
                     add(&self.counters[sonar].skipped_queue, 1);
                     continue;

@@ -9,7 +9,7 @@ use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
-use crate::io::sonar::SonarServer;
+use crate::io::sonar::{SonarServer, start_sevenk};
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
 
@@ -37,10 +37,12 @@ impl SevenK {
             unit.absorption_db_per_m,
         ));
         let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
-        let server = SonarServer::start(output, sheet.clone(), port, Arc::clone(rig_time))
-            .map_err(|source| OutputError::Server {
-                name: unit.spec.name.clone(),
-                source,
+        let server =
+            start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time)).map_err(|source| {
+                OutputError::Server {
+                    name: unit.spec.name.clone(),
+                    source,
+                }
             })?;
         let recorder = match &spec.record {
             None => None,
@@ -85,7 +87,7 @@ impl Output for SevenK {
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
-            self.server.wanted().union(recorded),
+            RecordSet::from(self.server.wanted()).union(recorded),
             &mut self.pending,
         );
     }
