@@ -1,5 +1,8 @@
 //! The daemon as its user runs it: a process, its ports, its signals.
 
+#[path = "daemon/families.rs"]
+mod families;
+
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::Path;

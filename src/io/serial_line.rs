@@ -3,7 +3,7 @@
 //! Records that find too much waiting are dropped whole, and counted; at 115200 bits per second that is most of them for a fast sonar. A line
 //! that fails (unplugged) is opened again.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};

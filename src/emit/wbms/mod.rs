@@ -374,5 +374,3 @@ fn magnitude(v: Complex64, full_scale_v: f64, saturated: &mut u64) -> i16 {
     value
 }
 
-#[cfg(test)]
-mod tests;
