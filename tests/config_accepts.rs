@@ -423,7 +423,9 @@ fn a_sonar_means_what_it_says() {
     let fan = sonar.beams.fan.as_ref().expect("a fan");
     assert_eq!((fan.array, fan.beams, fan.sector_rad), (1, 3, FRAC_PI_2));
     assert_eq!(fan.shading, Shading::Hann);
-    let OutputSpec::SevenK(output) = &sonar.outputs[0];
+    let OutputSpec::SevenK(output) = &sonar.outputs[0] else {
+        panic!("7k")
+    };
     assert_eq!((output.device_id, output.enumerator), (13003, 2));
     assert_eq!(output.arrays, [1, 0], "in the order written");
     assert_eq!(

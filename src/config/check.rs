@@ -254,7 +254,11 @@ fn refuse_recordings_without_a_folder(table: &RawTable, problems: &mut Problems)
     if table.given("record") {
         return;
     }
-    for output in table.tables("sonar").iter().filter_map(|t| t.table("output")) {
+    for output in table
+        .tables("sonar")
+        .iter()
+        .filter_map(|t| t.table("output"))
+    {
         for key in ["sigmf", "wav"].into_iter().filter(|key| output.given(key)) {
             problems.refuse(output.entry(key), "needs a folder: [record]");
         }

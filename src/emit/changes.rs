@@ -12,7 +12,9 @@ pub fn apply_all(
     asked: Asked,
 ) -> Result<(), SettingRefused> {
     let limits = settings.limits();
-    changes.iter().try_for_each(|change| fits(&limits, change))?;
+    changes
+        .iter()
+        .try_for_each(|change| fits(&limits, change))?;
     changes
         .iter()
         .try_for_each(|&change| settings.apply(change, asked).map(|_| ()))

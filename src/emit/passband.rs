@@ -40,9 +40,7 @@ impl Passband {
         let kernel = (0..=PHASES)
             .map(|phase| {
                 let fraction = phase as f64 / PHASES as f64;
-                std::array::from_fn(|tap| {
-                    weight(tap as f64 - (TAPS / 2 - 1) as f64 - fraction)
-                })
+                std::array::from_fn(|tap| weight(tap as f64 - (TAPS / 2 - 1) as f64 - fraction))
             })
             .collect();
         Self {
@@ -134,7 +132,11 @@ fn weight(x: f64) -> f64 {
     if across.abs() >= 1.0 {
         return 0.0;
     }
-    let sinc = if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) };
+    let sinc = if x == 0.0 {
+        1.0
+    } else {
+        (PI * x).sin() / (PI * x)
+    };
     sinc * bessel_i0(BETA * (1.0 - across * across).sqrt()) / bessel_i0(BETA)
 }
 

@@ -221,15 +221,17 @@ mod tests {
     fn a_group_is_reached_on_the_interface_that_was_named() {
         let inbox = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         let group = Ipv4Addr::new(239, 255, 73, 1);
-        if inbox.join_multicast_v4(&group, &Ipv4Addr::LOCALHOST).is_err() {
+        if inbox
+            .join_multicast_v4(&group, &Ipv4Addr::LOCALHOST)
+            .is_err()
+        {
             return; // a machine whose loopback knows no groups
         }
         inbox
             .set_read_timeout(Some(Duration::from_secs(10)))
             .expect("set");
         let port = inbox.local_addr().expect("address").port();
-        let sender =
-            DatagramSender::open(route(vec![(group, port).into()], 1e9)).expect("opens");
+        let sender = DatagramSender::open(route(vec![(group, port).into()], 1e9)).expect("opens");
         sender.send(ping_of(&[b"group"]));
         drop(sender);
         let mut buffer = [0; 16];
@@ -244,9 +246,7 @@ mod tests {
         // A burst lasts half a second at this pace.
         let sender = DatagramSender::open(route(vec![to], 65_536.0)).expect("opens");
         let large = vec![0; BURST_BYTES];
-        let queued = (0..20)
-            .filter(|_| sender.send(ping_of(&[&large])))
-            .count();
+        let queued = (0..20).filter(|_| sender.send(ping_of(&[&large]))).count();
         assert!(queued < 20, "20 pings in a queue of 2");
         let dropped = sender.counts().dropped_pings.load(Ordering::Relaxed);
         assert_eq!(dropped as usize, 20 - queued);

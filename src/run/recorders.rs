@@ -220,13 +220,10 @@ impl Recorders {
 
 /// The 7k output whose device and arrays the file speaks for; a sonar without one gets all its arrays on a generic side-scan.
 fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
-    let configured = spec
-        .outputs
-        .iter()
-        .find_map(|output| match output {
-            OutputSpec::SevenK(sevenk) => Some(sevenk),
-            _ => None,
-        });
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::SevenK(sevenk) => Some(sevenk),
+        _ => None,
+    });
     configured.cloned().unwrap_or_else(|| SevenKSpec {
         listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
         device_id: GENERIC_SIDE_SCAN,

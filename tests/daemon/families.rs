@@ -131,7 +131,9 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     text.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut text = BufReader::new(text);
     assert!(line(&mut text).contains("ready"));
-    text.get_mut().write_all(b"set_range\r\nset_range 0 20").expect("connected");
+    text.get_mut()
+        .write_all(b"set_range\r\nset_range 0 20")
+        .expect("connected");
     assert_eq!(line(&mut text).trim(), "set_range 0 25");
     assert_eq!(line(&mut text).trim(), "set_range 0 20");
     next(&mut topside, &mut frames, listens_for(20.0));
@@ -161,7 +163,10 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
         _ => None,
     });
     // The one that was read first may be gone from the other's socket already; if it is not, they agree.
-    assert!(points.is_empty() || points == angles, "{points:?}, {angles:?}");
+    assert!(
+        points.is_empty() || points == angles,
+        "{points:?}, {angles:?}"
+    );
     let mut datagram = [0; 2048];
     let deadline = Instant::now() + Duration::from_secs(30);
     let said = loop {
@@ -172,13 +177,22 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
             break Context::parse(packet.payload).expect("a context");
         }
     };
-    assert_eq!((said.sample_rate_hz, said.rf_reference_hz), (Some(20e3), Some(240e3)));
+    assert_eq!(
+        (said.sample_rate_hz, said.rf_reference_hz),
+        (Some(20e3), Some(240e3))
+    );
 
     let printed = daemon.terminate();
     assert!(printed.contains("vita49 surveyor:"), "{printed}");
     let mut names: Vec<String> = std::fs::read_dir(record.path())
         .expect("folder")
-        .map(|entry| entry.expect("entry").file_name().to_string_lossy().into_owned())
+        .map(|entry| {
+            entry
+                .expect("entry")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
         .collect();
     names.sort();
     let ends: Vec<_> = names.iter().filter_map(|n| n.rsplit('.').next()).collect();
@@ -229,7 +243,10 @@ fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {
             }
         });
     }
-    assert!(answered && pings >= 3, "answered: {answered}, {pings} pings");
+    assert!(
+        answered && pings >= 3,
+        "answered: {answered}, {pings} pings"
+    );
     drop(theirs);
     daemon.terminate();
 }

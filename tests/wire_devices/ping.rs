@@ -149,7 +149,10 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));
     // A tenth of 2 x 60 m / 1500 m/s.
     assert!((settings.pulse_duration_s - 8e-3).abs() < 1e-9);
-    assert_eq!(settings.gain_db, start.gain_db, "automatic gain changes nothing");
+    assert_eq!(
+        settings.gain_db, start.gain_db,
+        "automatic gain changes nothing"
+    );
     assert_eq!(bench.os(|p| p.start_mm = 1000), Answer::Ack);
     assert_eq!(bench.settings.settings().range_m, 81.0);
     assert_eq!(bench.device.told().start_m, 1.0);
@@ -175,13 +178,21 @@ fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
     let before = (bench.settings.settings(), bench.device.told());
     let wrong: [(&str, fn(&mut OsPingParams)); 7] = [
-        ("range_m = 200.001: must be from 5 to 200", |p| p.length_mm = 200_001),
+        ("range_m = 200.001: must be from 5 to 200", |p| {
+            p.length_mm = 200_001
+        }),
         ("length_mm must be above 0", |p| p.length_mm = 0),
         ("max_ping_rate_hz = 0.05", |p| p.msec_per_ping = 20_000),
         ("gain_index must be -1 or from 0 to 7", |p| p.gain_index = 8),
-        ("num_results must be from 200 to 1200", |p| p.num_results = 199),
-        ("num_results must be from 200 to 1200", |p| p.num_results = 1201),
-        ("the length of the pulse", |p| p.pulse_len_percent = f32::NAN),
+        ("num_results must be from 200 to 1200", |p| {
+            p.num_results = 199
+        }),
+        ("num_results must be from 200 to 1200", |p| {
+            p.num_results = 1201
+        }),
+        ("the length of the pulse", |p| {
+            p.pulse_len_percent = f32::NAN
+        }),
     ];
     for (words, change) in wrong {
         // Whatever stands before the wrong value is right, and would show.
@@ -193,7 +204,11 @@ fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
             panic!("{words}: obeyed")
         };
         assert!(text.contains(words), "{text}; wanted {words}");
-        assert_eq!((bench.settings.settings(), bench.device.told()), before, "{words}");
+        assert_eq!(
+            (bench.settings.settings(), bench.device.told()),
+            before,
+            "{words}"
+        );
     }
     let counts = bench.client.counts();
     assert_eq!((counts.commands, counts.nacks), (7, 7));
@@ -210,7 +225,9 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
     // 169 asks and 170 sets.
     let set_sync = |n| {
         let mut bytes = Vec::new();
-        emit_frame(&mut bytes, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| buf.extend([n, 2]));
+        emit_frame(&mut bytes, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| {
+            buf.extend([n, 2])
+        });
         bytes
     };
     assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
@@ -219,7 +236,10 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         name: "speed_of_sound",
         place: 0,
     };
-    assert_eq!(bench.settings.kept(key), Some(KeptValue::Numbers(vec![1480.5])));
+    assert_eq!(
+        bench.settings.kept(key),
+        Some(KeptValue::Numbers(vec![1480.5]))
+    );
     assert_eq!(answer(&bench.say(&set_sync(0))), Answer::Ack);
     assert_eq!(bench.device.told().sync.channel_number, 0);
     assert!(matches!(answer(&bench.say(&set_sync(2))), Answer::Nack(_)));
@@ -233,12 +253,23 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         panic!("one answer")
     };
     let frame = Frame::parse(information).expect("a frame");
-    assert_eq!((frame.message_id, frame.source, frame.destination), (4, 9, 5));
+    assert_eq!(
+        (frame.message_id, frame.source, frame.destination),
+        (4, 9, 5)
+    );
     // The multibeam's command, and a message that it has not.
-    for (id, payload) in [(message_id::SET_PING_PARAMETERS, 36), (message_id::GENERAL_REQUEST, 2)] {
+    for (id, payload) in [
+        (message_id::SET_PING_PARAMETERS, 36),
+        (message_id::GENERAL_REQUEST, 2),
+    ] {
         let mut bytes = Vec::new();
-        emit_frame(&mut bytes, id, 0, 1, |buf| buf.resize(buf.len() + payload, 0));
-        assert!(matches!(answer(&bench.say(&bytes)), Answer::Nack(_)), "{id}");
+        emit_frame(&mut bytes, id, 0, 1, |buf| {
+            buf.resize(buf.len() + payload, 0)
+        });
+        assert!(
+            matches!(answer(&bench.say(&bytes)), Answer::Nack(_)),
+            "{id}"
+        );
     }
 }
 
@@ -257,7 +288,11 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     assert_eq!(bench.surveyor(|p| p.gain_index = 100), Answer::Ack);
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
     assert_eq!(bench.surveyor(|p| p.end_mm = 0), Answer::Ack);
-    assert_eq!(bench.settings.settings().range_m, 80.0, "automatic range changes nothing");
+    assert_eq!(
+        bench.settings.settings().range_m,
+        80.0,
+        "automatic range changes nothing"
+    );
     assert_eq!(bench.surveyor(|p| p.ping_enable = 0), Answer::Ack);
     assert!(!bench.settings.settings().pinging);
     let yz = |p: &mut SetPingParameters| (p.enable_yz_point_data, p.enable_atof_data) = (1, 0);
@@ -275,7 +310,11 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     let before = (bench.settings.settings(), bench.device.told());
     for (n, change) in wrong.into_iter().enumerate() {
         assert!(matches!(bench.surveyor(change), Answer::Nack(_)), "{n}");
-        assert_eq!((bench.settings.settings(), bench.device.told()), before, "{n}");
+        assert_eq!(
+            (bench.settings.settings(), bench.device.told()),
+            before,
+            "{n}"
+        );
     }
 }
 
@@ -331,8 +370,14 @@ fn a_profile_is_the_line_in_db_over_the_range_that_was_asked_for() {
     let frame = Frame::parse(&sent[0].bytes).expect("a frame");
     let profile = OsMonoProfile::parse(frame.payload).expect("a profile");
     let head = profile.head;
-    assert_eq!((head.start_mm, head.length_mm, head.num_results), (20_000, 60_000, 1200));
-    assert_eq!((head.timestamp_ms, head.channel_number, head.sos_dmps), (2500, 1, 15_000));
+    assert_eq!(
+        (head.start_mm, head.length_mm, head.num_results),
+        (20_000, 60_000, 1200)
+    );
+    assert_eq!(
+        (head.timestamp_ms, head.channel_number, head.sos_dmps),
+        (2500, 1, 15_000)
+    );
     assert!((head.vehicle_heading_deg - 359.9).abs() < 1e-4);
     assert!((head.transducer_heading_deg - 269.9).abs() < 1e-4);
     let results: Vec<f64> = profile.results_db().collect();
@@ -342,7 +387,11 @@ fn a_profile_is_the_line_in_db_over_the_range_that_was_asked_for() {
     assert!((loudest_m - 67.0 * 0.75).abs() <= 0.05, "{loudest_m}");
     let step_db = (100.0 - 60.0) / 65_535.0;
     assert!((results[0] - 60.0).abs() < step_db, "{}", results[0]);
-    assert!((f64::from(head.max_pwr_db) - 100.0).abs() < 0.01, "{}", head.max_pwr_db);
+    assert!(
+        (f64::from(head.max_pwr_db) - 100.0).abs() < 0.01,
+        "{}",
+        head.max_pwr_db
+    );
 }
 
 #[test]
@@ -371,19 +420,26 @@ fn points_attitude_and_sides_are_in_the_devices_axes() {
         for sent in frames(&bench.device, &plan, &output) {
             let frame = Frame::parse(&sent.bytes).expect("a frame");
             let near = |got: f32, want: f64| {
-                assert!((f64::from(got) - want).abs() < 1e-4 * want.abs().max(1.0), "{got}, {want}");
+                assert!(
+                    (f64::from(got) - want).abs() < 1e-4 * want.abs().max(1.0),
+                    "{got}, {want}"
+                );
             };
             match Message::parse(&frame).expect("a message") {
                 Message::AttitudeReport(report) => {
                     // Up has a part to port when starboard is down, and forward when the bow is up.
                     near(report.up[0], plan.nav.pitch_rad.sin());
-                    near(report.up[1], plan.nav.pitch_rad.cos() * plan.nav.roll_rad.sin());
+                    near(
+                        report.up[1],
+                        plan.nav.pitch_rad.cos() * plan.nav.roll_rad.sin(),
+                    );
                     assert_eq!(report.up[1] > 0.0, roll_deg > 0.0);
                 }
                 Message::AtofPointData(data) => {
                     for (point, angle_deg) in data.points().zip(angles_deg) {
                         near(point.angle_rad, -angle_deg.to_radians());
-                        let depth_m = 750.0 * f64::from(point.two_way_time_s)
+                        let depth_m = 750.0
+                            * f64::from(point.two_way_time_s)
                             * f64::from(point.angle_rad).cos();
                         near(depth_m as f32, 20.0);
                     }

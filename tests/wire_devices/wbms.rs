@@ -61,21 +61,43 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     assert_eq!(bench.device.told().start_m, 2.5);
     assert_eq!(bench.say("set_rate 12.5\r\n"), "set_rate 12.5\r\n");
     assert_eq!(bench.settings.settings().max_ping_rate_hz, 12.5);
-    assert_eq!(bench.say("set_rate -1\r\n"), "set_rate 20\r\n", "as fast as it goes");
+    assert_eq!(
+        bench.say("set_rate -1\r\n"),
+        "set_rate 20\r\n",
+        "as fast as it goes"
+    );
     // 160 to 220 dB in 15 steps of 4 dB.
-    assert_eq!(bench.say("set_tx 100 0.5 10 500\r\n"), "set_tx 100 0.5 10 500\r\n");
+    assert_eq!(
+        bench.say("set_tx 100 0.5 10 500\r\n"),
+        "set_tx 100 0.5 10 500\r\n"
+    );
     let settings = bench.settings.settings();
-    assert_eq!((settings.source_level_db, settings.pulse_duration_s), (200.0, 5e-4));
+    assert_eq!(
+        (settings.source_level_db, settings.pulse_duration_s),
+        (200.0, 5e-4)
+    );
     assert_eq!(bench.say("set_power 0\r\n"), "set_power 0\r\n");
     assert!(!bench.settings.settings().pinging);
     assert_eq!(bench.say("set_power 1\r\n"), "set_power 1\r\n");
     assert!(bench.settings.settings().pinging);
-    assert_eq!(bench.say("set_trigger_mode 5\r\n"), "set_trigger_mode 5\r\n");
+    assert_eq!(
+        bench.say("set_trigger_mode 5\r\n"),
+        "set_trigger_mode 5\r\n"
+    );
     assert_eq!(bench.settings.trigger(), TriggerSource::External);
-    assert_eq!(bench.say("set_trigger_mode 0\r\n"), "set_trigger_mode 0\r\n");
+    assert_eq!(
+        bench.say("set_trigger_mode 0\r\n"),
+        "set_trigger_mode 0\r\n"
+    );
     assert_eq!(bench.settings.trigger(), TriggerSource::Internal);
-    assert_eq!(bench.say("set_sidescan_mode 9\r\n"), "set_sidescan_mode 9\r\n");
-    assert_eq!(bench.say("set_snippet_rate 0\r\n"), "set_snippet_rate 0\r\n");
+    assert_eq!(
+        bench.say("set_sidescan_mode 9\r\n"),
+        "set_sidescan_mode 9\r\n"
+    );
+    assert_eq!(
+        bench.say("set_snippet_rate 0\r\n"),
+        "set_snippet_rate 0\r\n"
+    );
     // What is only kept.
     for command in [
         "set_mode 2",
@@ -88,7 +110,10 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         "set_autogate_preset 3",
         "sound_velocity 1480.5",
     ] {
-        assert_eq!(bench.say(&format!("{command}\r\n")), format!("{command}\r\n"));
+        assert_eq!(
+            bench.say(&format!("{command}\r\n")),
+            format!("{command}\r\n")
+        );
         let word = command.split(' ').next().expect("a word");
         assert_eq!(bench.say(&format!("{word}\r\n")), format!("{command}\r\n"));
     }
@@ -105,12 +130,19 @@ fn queries_say_what_is_in_force_whoever_changed_it() {
     let mut bench = bench();
     let asked = echotank::flow::Asked::from(NOW);
     let change = echotank::flow::SettingChange::RangeM(42.5);
-    bench.settings.apply(change, asked).expect("within the limits");
+    bench
+        .settings
+        .apply(change, asked)
+        .expect("within the limits");
     assert_eq!(bench.say("set_range\r\n"), "set_range 0 42.5\r\n");
     assert_eq!(bench.say("set_rate\r\n"), "set_rate 5\r\n");
     assert_eq!(bench.say("sound_velocity\r\n"), "sound_velocity 1500\r\n");
     assert_eq!(bench.say("partno\r\n"), "partno # simulator\r\n");
-    assert!(bench.say("revision\r\n").starts_with("revision # echotank "));
+    assert!(
+        bench
+            .say("revision\r\n")
+            .starts_with("revision # echotank ")
+    );
 }
 
 #[test]
@@ -119,22 +151,50 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
     let before = (bench.settings.settings(), bench.device.told());
     for (command, words) in [
         ("set_range 0 201", "set_range 0 75 # refused: range_m = 201"),
-        ("set_range 50 50", "set_range 0 75 # refused: the range must end"),
-        ("set_range 50 20", "set_range 0 75 # refused: set_range takes"),
-        ("set_range near far", "set_range 0 75 # refused: set_range: \"near\" is no number"),
-        ("set_range 1", "set_range 0 75 # refused: set_range takes two"),
-        ("set_rate 61", "set_rate 5 # refused: set_rate takes -1 to 60"),
+        (
+            "set_range 50 50",
+            "set_range 0 75 # refused: the range must end",
+        ),
+        (
+            "set_range 50 20",
+            "set_range 0 75 # refused: set_range takes",
+        ),
+        (
+            "set_range near far",
+            "set_range 0 75 # refused: set_range: \"near\" is no number",
+        ),
+        (
+            "set_range 1",
+            "set_range 0 75 # refused: set_range takes two",
+        ),
+        (
+            "set_rate 61",
+            "set_rate 5 # refused: set_rate takes -1 to 60",
+        ),
         ("set_rate 30", "set_rate 5 # refused: max_ping_rate_hz = 30"),
         // Amplitude is right and length is wrong: neither is obeyed.
-        ("set_tx 100 0.5 15 2000000", "set_tx 100 0.5 13 500000 # refused: "),
+        (
+            "set_tx 100 0.5 15 2000000",
+            "set_tx 100 0.5 13 500000 # refused: ",
+        ),
         ("set_trigger_mode 6", "set_trigger_mode 0 # refused: "),
         ("set_rage 1 2", "set_rage # refused: unknown command"),
         ("\u{1b}[A", "[A # refused: unknown command"),
     ] {
         let said = bench.say(&format!("{command}\r\n"));
-        assert!(said.starts_with(words), "{command}: {said:?}, wanted {words:?}");
-        assert!(said.ends_with("\r\n") && said.matches('\n').count() == 1, "{said:?}");
-        assert_eq!((bench.settings.settings(), bench.device.told()), before, "{command}");
+        assert!(
+            said.starts_with(words),
+            "{command}: {said:?}, wanted {words:?}"
+        );
+        assert!(
+            said.ends_with("\r\n") && said.matches('\n').count() == 1,
+            "{said:?}"
+        );
+        assert_eq!(
+            (bench.settings.settings(), bench.device.told()),
+            before,
+            "{command}"
+        );
     }
     let counts = bench.client.counts();
     assert_eq!((counts.commands, counts.nacks), (11, 11));
@@ -204,7 +264,11 @@ fn soundings(depth_m: f64) -> Vec<Sounding> {
             angle_rad,
             twtt_s: 2.0 * depth_m / angle_rad.cos() / wire_rig::SOUND_M_PER_S,
             error_s: 1e-4,
-            detection: if beam % 2 == 0 { Detection::Amplitude } else { Detection::Phase },
+            detection: if beam % 2 == 0 {
+                Detection::Amplitude
+            } else {
+                Detection::Phase
+            },
             level_v: 0.5,
         })
         .collect()
@@ -229,7 +293,10 @@ fn a_flat_bottom_comes_back_at_its_depth_within_half_a_sample() {
         for (n, d) in bathymetry.detections().enumerate() {
             let range_m = f64::from(d.sample_number) * c / (2.0 * f64::from(head.sample_rate_hz));
             let got_m = range_m * f64::from(d.angle_rad).cos();
-            assert!((got_m - depth_m).abs() <= half_sample_m, "{got_m}, {depth_m}");
+            assert!(
+                (got_m - depth_m).abs() <= half_sample_m,
+                "{got_m}, {depth_m}"
+            );
             assert_eq!((d.flags, d.quality_flags), (1 + u16::from(n % 2 == 1), 3));
         }
     }
@@ -246,20 +313,34 @@ fn water_column_and_side_scan_are_the_beams_and_the_lines_on_the_fixed_scale() {
         let data = Backscatter::parse(&packet).expect("samples");
         let values: Vec<f64> = data.values().collect();
         if data.packet_type == packet_type::WATER_COLUMN {
-            assert_eq!((data.head.beams, data.head.samples, data.head.t0_samples), (4, 200, 10));
+            assert_eq!(
+                (data.head.beams, data.head.samples, data.head.t0_samples),
+                (4, 200, 10)
+            );
             let angles: Vec<f32> = data.angles_rad().collect();
             assert_eq!(angles, [-0.75, -0.25, 0.25, 0.75], "port-most first");
             for (n, got) in values.iter().enumerate() {
                 let volts = output.beams[0].beam(n % 4)[n / 4].norm();
-                assert_eq!(*got, (volts / wire_rig::FULL_SCALE_V * 32767.0).round(), "{n}");
+                assert_eq!(
+                    *got,
+                    (volts / wire_rig::FULL_SCALE_V * 32767.0).round(),
+                    "{n}"
+                );
             }
         } else {
             assert_eq!(data.packet_type, packet_type::SIDE_SCAN);
-            assert_eq!((data.head.beams, data.head.samples, data.head.t0_samples), (2, 200, 0));
+            assert_eq!(
+                (data.head.beams, data.head.samples, data.head.t0_samples),
+                (2, 200, 0)
+            );
             for (n, got) in values.iter().enumerate() {
                 // Port, then starboard.
                 let volts = f64::from(output.lines[n % 2].amplitude[n / 2]);
-                assert_eq!(*got, (volts / wire_rig::FULL_SCALE_V * 32767.0).round(), "{n}");
+                assert_eq!(
+                    *got,
+                    (volts / wire_rig::FULL_SCALE_V * 32767.0).round(),
+                    "{n}"
+                );
             }
         }
         assert_eq!(data.head.gain, 1.0, "displays divide by it");
@@ -289,5 +370,9 @@ fn snippets_lie_around_their_detections() {
         }
     }
     bench.say("set_snippet_rate 0\r\n");
-    assert_eq!(packets(&bench, &plan, &output).len(), 2, "none at a rate of 0");
+    assert_eq!(
+        packets(&bench, &plan, &output).len(),
+        2,
+        "none at a rate of 0"
+    );
 }

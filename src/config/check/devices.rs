@@ -31,10 +31,16 @@ pub fn ping<'t>(
         let (entry, rule) = match device {
             PingDevice::Omniscan450 { side } => {
                 let has = beams.lines.iter().any(|line| line.side == side);
-                (table.entry("side"), (!has).then_some("needs that side's line: sonar.beams"))
+                (
+                    table.entry("side"),
+                    (!has).then_some("needs that side's line: sonar.beams"),
+                )
             }
             PingDevice::Surveyor240 => {
-                let has = beams.fan.as_ref().is_some_and(|fan| fan.form.bottom_detection);
+                let has = beams
+                    .fan
+                    .as_ref()
+                    .is_some_and(|fan| fan.form.bottom_detection);
                 let rule = "needs sonar.beams.fan with bottom_detection = true";
                 (table.entry("device"), (!has).then_some(rule))
             }
@@ -84,7 +90,10 @@ pub fn wbms<'t>(
 ) -> Option<WbmsSpec> {
     let listen = address(table, "listen", problems)?;
     if listen.port() > u16::MAX - WBMS_PORTS {
-        problems.refuse(table.entry("listen"), "leaves no room for three ports behind it");
+        problems.refuse(
+            table.entry("listen"),
+            "leaves no room for three ports behind it",
+        );
         return None;
     }
     let spec = WbmsSpec {

@@ -56,11 +56,7 @@ impl Source<'_> {
     }
 }
 
-pub fn vita49(
-    table: &RawTable,
-    source: Source<'_>,
-    problems: &mut Problems,
-) -> Option<Vita49Spec> {
+pub fn vita49(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<Vita49Spec> {
     let arrays = source.arrays.chosen(table, problems);
     let is_passband = table.text("samples").map(|text| text == "passband");
     let is_vector = table.text("streams").map(|text| text == "vector");
@@ -98,7 +94,10 @@ pub fn vita49(
         }
         let last = table.integer("first_stream")? + source.elements(arrays) as i64;
         if last > i64::from(u32::MAX) {
-            problems.refuse(table.entry("first_stream"), "leaves no room for all elements");
+            problems.refuse(
+                table.entry("first_stream"),
+                "leaves no room for all elements",
+            );
         }
     }
     let send_to = destinations(table, problems);
@@ -155,7 +154,9 @@ pub fn wav(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Opt
         }
     }
     let rate_hz = match table.given("rate_khz") {
-        true => source.passband_rate_hz(table, "rate_khz", problems)?.round() as u32,
+        true => source
+            .passband_rate_hz(table, "rate_khz", problems)?
+            .round() as u32,
         false => WavSpec::usual_rate_hz(source.highest_hz()?),
     };
     Some(WavSpec {

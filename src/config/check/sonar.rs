@@ -102,9 +102,17 @@ pub fn sonar<'t>(
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
-    let outputs = table
-        .table("output")
-        .and_then(|t| outputs(t, &arrays, &largest, pulse.as_ref(), beams.as_ref(), listeners, problems));
+    let outputs = table.table("output").and_then(|t| {
+        outputs(
+            t,
+            &arrays,
+            &largest,
+            pulse.as_ref(),
+            beams.as_ref(),
+            listeners,
+            problems,
+        )
+    });
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
@@ -795,15 +803,21 @@ fn outputs<'t>(
     }
     let source = Source { arrays, pulse };
     if table.given("vita49") {
-        let spec = table.table("vita49").and_then(|t| samples::vita49(t, source, problems));
+        let spec = table
+            .table("vita49")
+            .and_then(|t| samples::vita49(t, source, problems));
         outputs.push(spec.map(OutputSpec::Vita49));
     }
     if table.given("sigmf") {
-        let spec = table.table("sigmf").and_then(|t| samples::sigmf(t, source, problems));
+        let spec = table
+            .table("sigmf")
+            .and_then(|t| samples::sigmf(t, source, problems));
         outputs.push(spec.map(OutputSpec::Sigmf));
     }
     if table.given("wav") {
-        let spec = table.table("wav").and_then(|t| samples::wav(t, source, problems));
+        let spec = table
+            .table("wav")
+            .and_then(|t| samples::wav(t, source, problems));
         outputs.push(spec.map(OutputSpec::Wav));
     }
     all(outputs)

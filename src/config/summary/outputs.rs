@@ -12,15 +12,9 @@ const REAL_BYTES: f64 = 2.0;
 const BYTES_PER_DETECTION: f64 = 20.0;
 
 /// A line for an output other than 7k, which has its own.
-pub fn write(
-    out: &mut String,
-    sonar: &SonarSpec,
-    d: &Derived,
-    output: &OutputSpec,
-) -> fmt::Result {
-    let elements = |arrays: &[usize]| -> usize {
-        arrays.iter().map(|&a| sonar.receive[a].elements).sum()
-    };
+pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -> fmt::Result {
+    let elements =
+        |arrays: &[usize]| -> usize { arrays.iter().map(|&a| sonar.receive[a].elements).sum() };
     let rate_hz = sonar.receiver.sample_rate_hz;
     let on_air = d.samples / rate_hz * d.ping_rate_hz;
     let mbit_per_s = |bytes_per_s: f64| bytes_per_s * 8.0 / 1e6;
@@ -39,7 +33,11 @@ pub fn write(
                 ),
             };
             let to: Vec<_> = vita.send_to.iter().map(ToString::to_string).collect();
-            let streams = if vita.is_vector { "one stream" } else { "a stream each" };
+            let streams = if vita.is_vector {
+                "one stream"
+            } else {
+                "a stream each"
+            };
             let text = format!(
                 "UDP to {}: {n} elements, {streams}, {what}, {:.2} Mbit/s, at most {} Mbit/s",
                 to.join(", "),
@@ -53,7 +51,11 @@ pub fn write(
                 Some((path, baud)) => format!(", {path} at {baud} Bd"),
                 None => String::new(),
             };
-            let text = format!("{}, TCP and UDP {}{serial}", ping.device.name(), ping.listen);
+            let text = format!(
+                "{}, TCP and UDP {}{serial}",
+                ping.device.name(),
+                ping.listen
+            );
             line(out, "  ping", &text)
         }
         OutputSpec::Wbms(wbms) => {

@@ -223,12 +223,7 @@ impl Client {
         Ok(Obeyed::Command)
     }
 
-    fn request(
-        &mut self,
-        id: u16,
-        to: u8,
-        out: &mut Vec<Outgoing>,
-    ) -> Result<Obeyed, Refusal> {
+    fn request(&mut self, id: u16, to: u8, out: &mut Vec<Outgoing>) -> Result<Obeyed, Refusal> {
         let told = self.device.told();
         let from = told.device_id;
         let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
@@ -290,7 +285,11 @@ impl Client {
         changes.push(start_or_stop(params.enable != 0));
         apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
         let filter = f64::from(params.filter_duration_percent);
-        self.keep("filter_duration_percent", KeptValue::Numbers(vec![filter]), asked)?;
+        self.keep(
+            "filter_duration_percent",
+            KeptValue::Numbers(vec![filter]),
+            asked,
+        )?;
         let mut told = self.device.lock();
         told.start_m = start_m;
         told.num_results = params.num_results;
@@ -333,7 +332,8 @@ impl Client {
         }
         changes.push(rate(params.msec_per_ping.into(), &limits));
         changes.extend(gain(params.gain_index, GAIN_PERCENT, &limits)?);
-        let step_s = 2.0 * end_m / self.device.sound_speed_m_per_s / f64::from(params.n_range_steps);
+        let step_s =
+            2.0 * end_m / self.device.sound_speed_m_per_s / f64::from(params.n_range_steps);
         changes.push(pulse(f64::from(params.pulse_len_steps) * step_s, &limits)?);
         changes.push(start_or_stop(params.ping_enable != 0));
         apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;

@@ -6,11 +6,18 @@ fn a_stretch_of_many_samples_has_their_mean_power_and_one_between_two_is_read_be
     let line = [1.0, 3.0, 1.0, 3.0];
     mean_levels_db(&line, 0.0, 2.0, 2, &mut levels);
     for level in &levels {
-        assert!((level - (10.0 * 5.0_f64.log10() + 120.0)).abs() < 1e-9, "{level}");
+        assert!(
+            (level - (10.0 * 5.0_f64.log10() + 120.0)).abs() < 1e-9,
+            "{level}"
+        );
     }
     // Around 0.5: half of 1 and half of 9.
     mean_levels_db(&line, 0.25, 0.5, 1, &mut levels);
-    assert!((levels[0] - (10.0 * 5.0_f64.log10() + 120.0)).abs() < 1e-9, "{}", levels[0]);
+    assert!(
+        (levels[0] - (10.0 * 5.0_f64.log10() + 120.0)).abs() < 1e-9,
+        "{}",
+        levels[0]
+    );
     mean_levels_db(&line, 10.0, 1.0, 1, &mut levels);
     assert_eq!(levels[0], f64::NEG_INFINITY, "nothing is beyond the end");
 }

@@ -204,10 +204,20 @@ impl Vita49Emitter {
                 let packet = &mut self.packet;
                 if is_complex {
                     take(&self.iq, elements, rows.clone(), columns, &mut self.cut_iq);
-                    stream.emit_complex(packet, time, &self.cut_iq, trailer, |packet| into.push(packet));
+                    stream.emit_complex(packet, time, &self.cut_iq, trailer, |packet| {
+                        into.push(packet)
+                    });
                 } else {
-                    take(&self.real, elements, rows.clone(), columns, &mut self.cut_real);
-                    stream.emit_real(packet, time, &self.cut_real, trailer, |packet| into.push(packet));
+                    take(
+                        &self.real,
+                        elements,
+                        rows.clone(),
+                        columns,
+                        &mut self.cut_real,
+                    );
+                    stream.emit_real(packet, time, &self.cut_real, trailer, |packet| {
+                        into.push(packet)
+                    });
                 }
             }
         }

@@ -158,7 +158,11 @@ fn a_vector_stream_has_all_elements_of_a_moment_side_by_side() {
     assert_eq!(all.len(), 4 * SAMPLES);
     for (n, got) in all.iter().enumerate() {
         let want = iq(n % 4, n / 4) / 2.0 * 32767.0;
-        assert_eq!(*got, [want.re.round() as i16, want.im.round() as i16], "{n}");
+        assert_eq!(
+            *got,
+            [want.re.round() as i16, want.im.round() as i16],
+            "{n}"
+        );
     }
 }
 
@@ -201,7 +205,10 @@ fn passband_samples_are_the_carrier_with_the_envelope_to_a_count() {
                 let t = 2.5e-4 + k as f64 / 1.2e6;
                 let want = 0.5 * 32767.0 * (std::f64::consts::TAU * 403e3 * t).cos();
                 let inside = (1000..29_000).contains(&k);
-                assert!(!inside || (f64::from(got) - want).abs() <= 1.0, "{k}: {got}, {want}");
+                assert!(
+                    !inside || (f64::from(got) - want).abs() <= 1.0,
+                    "{k}: {got}, {want}"
+                );
                 k += 1;
             }
         }

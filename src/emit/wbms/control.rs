@@ -176,7 +176,11 @@ impl Client {
             why => format!("refused: {why}"),
         };
         // What is no word of ours is not repeated at length.
-        let word: String = word.chars().filter(char::is_ascii_graphic).take(32).collect();
+        let word: String = word
+            .chars()
+            .filter(char::is_ascii_graphic)
+            .take(32)
+            .collect();
         out.push(text(self.answer(&word, &comment)));
     }
 
@@ -295,12 +299,12 @@ impl Client {
                     .unwrap_or(0.0),
             }],
             "serial" => vec![sonar.serial as f64],
-            "set_opening_angle" => self
-                .kept(word)
-                .unwrap_or_else(|| vec![fan.map_or(0.0, |fan| fan.sector_rad.to_degrees().round())]),
-            "set_direction" => self
-                .kept(word)
-                .unwrap_or_else(|| vec![fan.map_or(0.0, |fan| fan.form.center_rad.to_degrees().round())]),
+            "set_opening_angle" => self.kept(word).unwrap_or_else(|| {
+                vec![fan.map_or(0.0, |fan| fan.sector_rad.to_degrees().round())]
+            }),
+            "set_direction" => self.kept(word).unwrap_or_else(|| {
+                vec![fan.map_or(0.0, |fan| fan.form.center_rad.to_degrees().round())]
+            }),
             "sound_velocity" => self
                 .kept(word)
                 .filter(|kept| kept.first().is_some_and(|&c| c > 0.0))

@@ -373,4 +373,3 @@ fn magnitude(v: Complex64, full_scale_v: f64, saturated: &mut u64) -> i16 {
     *saturated += u64::from(held);
     value
 }
-

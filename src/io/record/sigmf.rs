@@ -230,10 +230,7 @@ mod tests {
             .zip(words.captures.iter().zip(&words.annotations))
         {
             assert_eq!(capture.sample_start, start);
-            assert_eq!(
-                capture.utc_ns,
-                plan.stamp_utc.plus_s(plan.first_sample_s).0
-            );
+            assert_eq!(capture.utc_ns, plan.stamp_utc.plus_s(plan.first_sample_s).0);
             assert_eq!(annotation.label, format!("ping {}", plan.ping_number));
             assert_eq!(
                 (annotation.sample_start, annotation.sample_count),
@@ -251,6 +248,9 @@ mod tests {
             .err()
             .expect("no folder");
         let text = error.to_string();
-        assert!(text.contains("/no/such/folder/a.sigmf-data: cannot create"), "{text}");
+        assert!(
+            text.contains("/no/such/folder/a.sigmf-data: cannot create"),
+            "{text}"
+        );
     }
 }

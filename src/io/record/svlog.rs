@@ -112,8 +112,7 @@ mod tests {
         stream.feed(&std::fs::read(&path).expect("there"), |item| {
             let frame = Frame::parse(item.expect("whole")).expect("a frame");
             if frame.message_id == message_id::JSON_WRAPPER {
-                let words: serde_json::Value =
-                    serde_json::from_slice(frame.payload).expect("JSON");
+                let words: serde_json::Value = serde_json::from_slice(frame.payload).expect("JSON");
                 assert_eq!(words["session_devices"][0]["product_id"], "mbes24016");
                 assert_eq!(words["timestamp"], "2014-05-13T16:53:20+00:00");
             }
@@ -125,7 +124,10 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_disk_and_a_missing_folder_are_errors_that_name_the_file() {
-        for (path, action) in [("/no/such/folder/a.svlog", "create"), ("/dev/full", "write")] {
+        for (path, action) in [
+            ("/no/such/folder/a.svlog", "create"),
+            ("/dev/full", "write"),
+        ] {
             let error =
                 SvlogRecorder::create(Path::new(path), PingDevice::Surveyor240, "", UtcNs(0))
                     .err()

@@ -69,7 +69,9 @@ impl WavRecorder {
             bytes: Vec::new(),
             stopped: false,
         };
-        recorder.write_header().map_err(RecordError::io(path, "write"))?;
+        recorder
+            .write_header()
+            .map_err(RecordError::io(path, "write"))?;
         Ok(recorder)
     }
 
@@ -227,7 +229,11 @@ mod tests {
             }
         }
         let loud = sounding.iter().filter(|&&sounds| sounds).count();
-        assert!(loud > 0 && loud < sounding.len(), "{loud} of {}", sounding.len());
+        assert!(
+            loud > 0 && loud < sounding.len(),
+            "{loud} of {}",
+            sounding.len()
+        );
         for (moment, _) in sounding.iter().enumerate().filter(|(_, sounds)| !**sounds) {
             assert_eq!(at(moment, 0), 0.0, "{moment} lies between pings");
         }

@@ -88,7 +88,9 @@ impl Recording {
         match recorder.push(slot) {
             Ok(saturated) => {
                 self.counts.pings.fetch_add(1, Ordering::Relaxed);
-                self.counts.saturated.fetch_add(saturated, Ordering::Relaxed);
+                self.counts
+                    .saturated
+                    .fetch_add(saturated, Ordering::Relaxed);
             }
             Err(error) => {
                 self.recorder = None;

@@ -36,9 +36,15 @@ impl Wbms {
         let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
         let protocols: [Arc<dyn Protocol>; 4] = [
             Arc::new(ControlPort::new(Arc::clone(&device), settings)),
-            Arc::new(DataPort { name: "wbms bathymetry" }),
-            Arc::new(DataPort { name: "wbms water column" }),
-            Arc::new(DataPort { name: "wbms side-scan" }),
+            Arc::new(DataPort {
+                name: "wbms bathymetry",
+            }),
+            Arc::new(DataPort {
+                name: "wbms water column",
+            }),
+            Arc::new(DataPort {
+                name: "wbms side-scan",
+            }),
         ];
         let servers = (0..)
             .zip(protocols)
@@ -74,9 +80,7 @@ impl Output for Wbms {
         SERVERS
             .iter()
             .zip(self.servers.iter())
-            .map(|(what, server)| {
-                format!("wbms {} {what} tcp {}", self.name, server.local_addr())
-            })
+            .map(|(what, server)| format!("wbms {} {what} tcp {}", self.name, server.local_addr()))
             .collect()
     }
 
