@@ -467,7 +467,7 @@ fn a_sonar_means_what_it_says() {
     assert_eq!((fan.array, fan.beams, fan.sector_rad), (1, 3, FRAC_PI_2));
     assert_eq!(fan.shading, Shading::Hann);
     let OutputSpec::SevenK(output) = &sonar.outputs[0] else {
-        panic!("{:?}", sonar.outputs)
+        panic!("7k")
     };
     assert_eq!((output.device_id, output.enumerator), (13003, 2));
     assert_eq!(output.arrays, [1, 0], "in the order written");

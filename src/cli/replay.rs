@@ -56,6 +56,10 @@ pub enum Format {
     Mosaic,
     /// What every pixel shows (target, shadow, depth) beside each picture, and every sample of the lines in masks.npz
     Masks,
+    /// Element samples with words for every ping, two files per sonar
+    Sigmf,
+    /// What the elements hear at a converter's rate, one file per sonar
+    Wav,
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
@@ -97,6 +101,8 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
         fan: args.formats.contains(&Format::Fan),
         mosaic: args.formats.contains(&Format::Mosaic),
         masks: args.formats.contains(&Format::Masks),
+        sigmf: args.formats.contains(&Format::Sigmf),
+        wav: args.formats.contains(&Format::Wav),
     };
     let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
     if formats.sas && !spec.sonars.iter().any(has_patch) {

@@ -4,10 +4,12 @@
 //! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
 
 mod culling;
+mod devices;
 mod families;
 mod faults;
 mod nav;
 mod picture;
+mod samples;
 mod scene;
 pub(super) mod sonar;
 
@@ -268,6 +270,9 @@ fn refuse_files_without_a_folder(table: &RawTable, problems: &mut Problems) {
         .iter()
         .filter_map(|t| t.table("output"));
     for output in outputs {
+        for key in ["sigmf", "wav"].into_iter().filter(|key| output.given(key)) {
+            problems.refuse(output.entry(key), "needs a folder: [record]");
+        }
         if output.given("xtf") {
             problems.refuse(output.entry("xtf"), "needs a folder: [record]");
         }

@@ -3,8 +3,10 @@
 //! The reader (`raw`), the template and the JSON Schema (`describe`) all walk these tables, so that they cannot disagree. Rules that
 //! need more than one key live in `check`.
 
+mod devices;
 mod families;
 mod faults;
+mod samples;
 
 /// A TOML table.
 pub struct Table {
@@ -1681,8 +1683,13 @@ static OUTPUT: Table = Table {
             Optional(""),
             "",
         ),
+        key("ping", Kind::Table(&devices::PING), Optional(""), ""),
+        key("wbms", Kind::Table(&devices::WBMS), Optional(""), ""),
+        key("vita49", Kind::Table(&samples::VITA49), Optional(""), ""),
+        key("sigmf", Kind::Table(&samples::SIGMF), Optional(""), ""),
+        key("wav", Kind::Table(&samples::WAV), Optional(""), ""),
     ],
-    later: &["norbit", "vita49", "ping", "kmall", "r2sonic", "sigmf"],
+    later: &["kmall", "r2sonic"],
 };
 
 static SEVENK: Table = Table {

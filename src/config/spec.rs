@@ -2,8 +2,10 @@
 //!
 //! A value here has been validated; no stage checks it again.
 
+mod devices;
 mod families;
 mod faults;
+mod samples;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
 
@@ -15,6 +17,9 @@ use glam::DVec3;
 use crate::flow::{
     ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
 };
+
+pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
+pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -1128,6 +1133,11 @@ pub enum OutputSpec {
     Jsf(JsfSpec),
     Xtf(XtfSpec),
     Imagenex872(ImagenexSpec),
+    Vita49(Vita49Spec),
+    Sigmf(SigmfSpec),
+    Wav(WavSpec),
+    Ping(PingProtocolSpec),
+    Wbms(WbmsSpec),
 }
 
 #[derive(Clone, Debug)]

@@ -2,6 +2,7 @@
 
 mod families;
 mod nav;
+mod outputs;
 
 use std::fmt::{self, Write};
 
@@ -458,6 +459,7 @@ fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Resul
     for output in &sonar.outputs {
         let OutputSpec::SevenK(output) = output else {
             families::write(out, sonar, d, output)?;
+            outputs::write(out, sonar, d, output)?;
             continue;
         };
         let elements: usize = output

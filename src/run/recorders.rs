@@ -7,7 +7,7 @@ use echotank_protocols::jsf::subsystem;
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
 use crate::config::spec::{
-    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, XtfSpec,
+    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec, XtfSpec,
 };
 use crate::emit::jsf::{JsfEmitter, JsfSheet, file_time};
 use crate::emit::sevenk::records::DeviceSheet;
@@ -16,8 +16,10 @@ use crate::emit::xtf::XtfEmitter;
 use crate::flow::{Datagram, Target};
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::s7k::S7kRecorder;
+use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::record::truth::TruthRecorder;
+use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::run::outputs::row_filter;
 use crate::run::pictures::Pictures;
@@ -41,6 +43,8 @@ struct SonarFiles {
     npz: Option<NpzRecorder>,
     pictures: Pictures,
     sas: Option<SyntheticAperture>,
+    sigmf: Option<SigmfRecorder>,
+    wav: Option<WavRecorder>,
 }
 
 struct S7k {
@@ -114,6 +118,8 @@ impl Recorders {
             xtf,
             npz,
             sas,
+            sigmf,
+            wav,
             ..
         } = options.formats;
         let mut sonars = Vec::new();
@@ -176,6 +182,14 @@ impl Recorders {
                     .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
                     .flatten(),
                 pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
+                sigmf: match sigmf {
+                    true => Some(begin_sigmf(&folder, &unit.spec)?),
+                    false => None,
+                },
+                wav: match wav {
+                    true => Some(begin_wav(&folder, &unit.spec)?),
+                    false => None,
+                },
                 spec: unit.spec.clone(),
                 folder,
             });
@@ -234,6 +248,12 @@ impl Recorders {
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
+        if let Some(sigmf) = &mut files.sigmf {
+            sigmf.push(plan, output)?;
+        }
+        if let Some(wav) = &mut files.wav {
+            wav.push(plan, output)?;
+        }
         if let Some(sas) = &mut files.sas {
             sas.push(&files.spec, plan, output);
         }
@@ -274,6 +294,14 @@ impl Recorders {
             }
             if let Some(npz) = files.npz {
                 written.extend(npz.finish()?);
+            }
+            if let Some(sigmf) = files.sigmf {
+                written.extend(sigmf.paths().map(Path::to_path_buf));
+                sigmf.close()?;
+            }
+            if let Some(wav) = files.wav {
+                written.push(wav.path().to_path_buf());
+                wav.close()?;
             }
             if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
                 written.extend(patch.write(&files.folder)?);
@@ -351,4 +379,31 @@ fn xtf_output(spec: &SonarSpec) -> XtfSpec {
         _ => None,
     });
     configured.unwrap_or(XtfSpec { is_float: false })
+}
+
+/// The arrays of the configured output, or all.
+fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Sigmf(sigmf) => Some(sigmf.arrays.clone()),
+        _ => None,
+    });
+    let arrays = configured.unwrap_or_else(|| (0..spec.receive.len()).collect());
+    SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
+}
+
+/// The arrays and the rate of the configured output, or all and the usual rate.
+fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Wav(wav) => Some(wav.clone()),
+        _ => None,
+    });
+    let output = configured.unwrap_or_else(|| WavSpec {
+        arrays: (0..spec.receive.len()).collect(),
+        rate_hz: WavSpec::usual_rate_hz(
+            spec.pulse.center_frequency_hz + 0.5 * spec.pulse.bandwidth_hz,
+        ),
+        is_float: false,
+    });
+    let path = folder.join(format!("{}.wav", spec.name));
+    WavRecorder::create(&path, &output, spec)
 }

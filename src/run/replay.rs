@@ -38,6 +38,8 @@ pub struct Formats {
     pub fan: bool,
     pub mosaic: bool,
     pub masks: bool,
+    pub sigmf: bool,
+    pub wav: bool,
 }
 
 #[derive(Clone, Debug)]

@@ -7,8 +7,10 @@ use glam::{DQuat, DVec3};
 
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use super::devices;
 use super::families;
 use super::picture::picture;
+use super::samples::{self, Source};
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
@@ -128,9 +130,16 @@ pub fn sonar<'t>(
     let has_lines = table
         .table("beams")
         .is_some_and(|t| t.given("port") || t.given("starboard"));
+    let heard = Heard {
+        arrays: &arrays,
+        largest: &largest,
+        has_lines,
+        pulse: pulse.as_ref(),
+        beams: beams.as_ref(),
+    };
     let outputs = table
         .table("output")
-        .and_then(|t| outputs(t, &arrays, &largest, has_lines, listeners, problems));
+        .and_then(|t| outputs(t, &heard, listeners, problems));
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
@@ -932,14 +941,28 @@ fn shading(table: &RawTable, key: &str, side_lobe_db: f64, beta: f64) -> Option<
     })
 }
 
+/// What outputs can be fed with.
+struct Heard<'a, 'b> {
+    arrays: &'a Arrays<'b>,
+    largest: &'a LargestPing,
+    has_lines: bool,
+    pulse: Option<&'a Pulse>,
+    beams: Option<&'a BeamsSpec>,
+}
+
 fn outputs<'t>(
     table: &'t RawTable,
-    arrays: &Arrays<'_>,
-    largest: &LargestPing,
-    has_lines: bool,
+    heard: &Heard<'_, '_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<OutputSpec>> {
+    let &Heard {
+        arrays,
+        largest,
+        has_lines,
+        pulse,
+        beams,
+    } = heard;
     let mut outputs = Vec::new();
     if table.given("sevenk") {
         let spec = table
@@ -969,6 +992,37 @@ fn outputs<'t>(
             .table("imagenex872")
             .and_then(|t| families::imagenex872(t, &sonar, listeners, problems));
         outputs.push(spec.map(OutputSpec::Imagenex872));
+    }
+    if table.given("ping") {
+        let spec = table
+            .table("ping")
+            .and_then(|t| devices::ping(t, beams, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Ping));
+    }
+    if table.given("wbms") {
+        let spec = table
+            .table("wbms")
+            .and_then(|t| devices::wbms(t, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Wbms));
+    }
+    let source = Source { arrays, pulse };
+    if table.given("vita49") {
+        let spec = table
+            .table("vita49")
+            .and_then(|t| samples::vita49(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Vita49));
+    }
+    if table.given("sigmf") {
+        let spec = table
+            .table("sigmf")
+            .and_then(|t| samples::sigmf(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Sigmf));
+    }
+    if table.given("wav") {
+        let spec = table
+            .table("wav")
+            .and_then(|t| samples::wav(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Wav));
     }
     all(outputs)
 }

@@ -10,6 +10,9 @@
 //! - [`s7k`]: protocol records as a `.s7k` file.
 //! - [`synthetic_aperture`]: a back-projected image.
 //! - [`stream`]: protocol records one behind the other, as `.jsf` and `.xtf` files are.
+//! - [`sigmf`]: I and Q of the elements, with words for every ping.
+//! - [`wav`]: what the elements hear, for benches that play it out.
+//! - [`svlog`]: frames of the Ping protocol.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
@@ -24,9 +27,12 @@ mod plan_text;
 pub mod png;
 pub mod recover;
 pub mod s7k;
+pub mod sigmf;
 pub mod stream;
+pub mod svlog;
 pub mod synthetic_aperture;
 pub mod truth;
+pub mod wav;
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
