@@ -13,6 +13,9 @@ use super::sample::Sample;
 use super::stages::Stage;
 use super::task::Task;
 
+/// Real and imaginary sums of a part of a block's lanes, for every pair of elements.
+type PairSums<T, const PART: usize, const PAIRS: usize> = [[[T; PART]; 2]; PAIRS];
+
 /// Pairs of elements worked on together, and lanes: as many sums as there are registers for.
 const PAIRS: usize = 4;
 const PART: usize = 16;
@@ -138,7 +141,7 @@ impl<T: Sample> Task<'_, T> {
         block: usize,
         part: usize,
         x: &[T; PAIRS],
-    ) -> ([[[T; PART]; 2]; PAIRS], [[[T; PART]; 2]; PAIRS]) {
+    ) -> (PairSums<T, PART, PAIRS>, PairSums<T, PART, PAIRS>) {
         let powers = work.powers;
         let room = self.columns.next_multiple_of(LANES);
         let zero = [[[T::ZERO; PART]; 2]; PAIRS];

@@ -127,7 +127,7 @@ fn power(decade: i32) -> String {
 
 fn short(value: f64) -> String {
     match value {
-        v if v >= 1e4 || v < 1e-2 => format!("{v:.0e}"),
+        v if !(1e-2..1e4).contains(&v) => format!("{v:.0e}"),
         v if v >= 10.0 => format!("{v:.0}"),
         v => format!("{}", (v * 100.0).round() / 100.0),
     }

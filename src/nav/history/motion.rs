@@ -152,7 +152,7 @@ impl NavHistory {
             let place = self.place_at(NavChannel::Position, said(&trajectory.position));
             let arm_m = place.map_or(DVec3::ZERO, |p| p.arm_m);
             let level = !matches!(self.vertical, VerticalSpec::Gnss { .. })
-                && !(self.vertical == VerticalSpec::Depth && !self.uses_depth());
+                && (self.vertical != VerticalSpec::Depth || self.uses_depth());
             for knot in &mut trajectory.position {
                 let rotation = rotation_at(&trajectory.attitude, knot.time_s);
                 let arm = match &self.tow {

@@ -171,7 +171,8 @@ mod tests {
     #[test]
     fn silence_against_silence_is_no_error_and_sound_against_silence_is_all_wrong() {
         let silent = output(0.0);
-        assert_eq!(errors(&[silent.clone()], &[silent.clone()]).elements, 0.0);
-        assert_eq!(errors(&[output(1.0)], &[silent]).elements, 1.0);
+        let silent = std::slice::from_ref(&silent);
+        assert_eq!(errors(silent, silent).elements, 0.0);
+        assert_eq!(errors(&[output(1.0)], silent).elements, 1.0);
     }
 }
