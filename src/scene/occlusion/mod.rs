@@ -99,6 +99,8 @@ impl Occlusion {
         self.hilly = spacing_m.is_some();
         let longest_m = heard.iter().map(|f| f.max_range_m).fold(1.0, f64::max);
         let eyes_m = &self.eyes_m;
+        // For all, so that no later ping allocates.
+        self.solids.reserve(targets.len());
         self.solids.extend((0..targets.len()).filter(|&target| {
             let (center_m, radius_m) = targets.ball_m(target);
             // Twice: what a transmitter lights may lie beyond a receiver's range, never that far.
