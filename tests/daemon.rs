@@ -1,7 +1,11 @@
 //! The daemon as its user runs it: a process, its ports, its signals.
 
+#[path = "daemon/control.rs"]
+mod control;
 #[path = "daemon/families.rs"]
 mod families;
+#[path = "daemon/modes.rs"]
+mod modes;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Opening, Output, OutputError, Report, StreamCounts};
 use crate::config::spec::SevenKSpec;
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
@@ -147,5 +147,18 @@ impl Report for SevenKReport {
             )
         }));
         lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let clients = self.server.report().clients.into_iter();
+        let counts = clients.map(|client| StreamCounts {
+            family: "7k",
+            peer: format!("{} {}", client.transport, client.peer),
+            bytes_sent: client.counts.bytes_sent,
+            records_sent: client.counts.records_sent,
+            records_dropped: client.counts.records_dropped,
+            queued_bytes: client.queued_bytes as u64,
+        });
+        counts.collect()
     }
 }
