@@ -25,6 +25,10 @@ mod stages;
 mod transform;
 #[path = "bench/whole.rs"]
 mod whole;
+#[path = "bench/wire.rs"]
+mod wire;
+#[path = "../../tests/wire_rig/mod.rs"]
+mod wire_rig;
 
 use std::path::PathBuf;
 
@@ -93,6 +97,14 @@ enum What {
         /// A Python that has pynmea2.
         #[arg(long)]
         python: Option<PathBuf>,
+    },
+    /// Records of each family per second, and a load of several topsides.
+    Wire {
+        #[command(flatten)]
+        common: Common,
+        /// Deliver in real time for so many seconds.
+        #[arg(long)]
+        load: Option<u32>,
     },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
@@ -165,6 +177,7 @@ fn main() -> std::process::ExitCode {
             common.quick,
             common.json.as_deref(),
         ),
+        What::Wire { common, load } => wire::run(common.quick, load, common.json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,
