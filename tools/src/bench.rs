@@ -1,5 +1,7 @@
 //! Measures the echo engine: errors and milliseconds on one line. See `tools/bench --help`.
 
+#[path = "bench/beams.rs"]
+mod beams;
 #[path = "bench/echo.rs"]
 mod echo;
 #[path = "bench/forward_looking.rs"]
@@ -69,6 +71,11 @@ enum What {
         #[arg(long)]
         stages: bool,
     },
+    /// Fans of 128 elements, 256 beams and 8000 samples by every former, and focused beams beside echo synthesis at work.
+    Beams {
+        #[command(flatten)]
+        common: Common,
+    },
     /// Pings of a configuration through the whole pipeline, beams and lines included.
     Ping {
         #[command(flatten)]
@@ -101,6 +108,10 @@ enum What {
     },
     /// Run transforms as standard input asks, one per line.
     TransformServe { directory: PathBuf },
+    /// Write matched-filtered elements and the points of some beams for peers.
+    BeamsDump { directory: PathBuf },
+    /// Form the fan as standard input asks, one former per line.
+    BeamsServe,
 }
 
 fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
@@ -140,6 +151,9 @@ fn main() -> std::process::ExitCode {
             };
             echo(&common, &selection)
         }
+        What::Beams { common } => beams::run(common.quick, common.json.as_deref()),
+        What::BeamsDump { directory } => beams::dump(&directory),
+        What::BeamsServe => beams::serve(),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
         What::Nav {
             common,
