@@ -49,6 +49,11 @@ impl<T: Sample> Task<'_, T> {
         work.stages.lap(Stage::Templates, &mut since);
         work.moments
             .resize(self.heard() * self.columns * work.powers);
+        work.sounds
+            .resize(instants.len() * self.kept().len(), Lanes::ZERO);
+        for split in &mut work.here {
+            split.resize(work.entries.len());
+        }
         for column in 0..self.columns {
             self.template(work, column);
             for block in 0..self.engine.blocks.len() {
@@ -354,8 +359,9 @@ impl<T: Sample> Task<'_, T> {
         let s = self.slope(column);
         let pulses = self.pulses::<FUSED>(s, block, nodes);
         // Of each instant, every product as the pulse then has it.
-        work.sounds.clear();
-        for (pulse, lines) in pulses.iter().zip(lines.chunks_exact(orders.dilation)) {
+        let mut source = 0;
+        for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
+            let lines = &lines[n * orders.dilation..][..orders.dilation];
             let mut at = first;
             for kept in self.kept() {
                 let mut heard = Lanes::ZERO;
@@ -364,7 +370,8 @@ impl<T: Sample> Task<'_, T> {
                     at += heard_bins;
                     heard.add_weighted::<FUSED>(&channel, weights, r % 2 == 1);
                 }
-                work.sounds.push(heard.times::<FUSED>(pulse));
+                work.sounds[source] = heard.times::<FUSED>(pulse);
+                source += 1;
             }
         }
         let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
@@ -428,18 +435,18 @@ fn tangent_of<T: Sample, const FUSED: bool>(
     entries: usize,
     powers: usize,
     x: T,
-    value: &mut Vec<T>,
-    slope: &mut Vec<T>,
+    value: &mut [T],
+    slope: &mut [T],
 ) {
-    value.clear();
-    value.resize(entries, T::ZERO);
-    slope.clear();
-    slope.resize(entries, T::ZERO);
-    for power in (0..powers).rev() {
+    for e in 0..entries {
+        (value[e], slope[e]) = (series[(powers - 1) * entries + e], T::ZERO);
+    }
+    for power in (0..powers - 1).rev() {
         let row = &series[power * entries..][..entries];
-        for ((value, slope), &c) in value.iter_mut().zip(slope.iter_mut()).zip(row) {
-            *slope = slope.times_plus::<FUSED>(x, *value);
-            *value = value.times_plus::<FUSED>(x, c);
+        let (value, slope) = (&mut value[..entries], &mut slope[..entries]);
+        for e in 0..entries {
+            slope[e] = slope[e].times_plus::<FUSED>(x, value[e]);
+            value[e] = value[e].times_plus::<FUSED>(x, row[e]);
         }
     }
 }

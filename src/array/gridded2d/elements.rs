@@ -13,12 +13,12 @@ use super::sample::Sample;
 use super::stages::Stage;
 use super::task::Task;
 
-/// Real and imaginary sums of a part of a block's lanes, for every pair of elements.
-type PairSums<T, const PART: usize, const PAIRS: usize> = [[[T; PART]; 2]; PAIRS];
-
 /// Pairs of elements worked on together, and lanes: as many sums as there are registers for.
 const PAIRS: usize = 4;
 const PART: usize = 16;
+
+/// Real and imaginary parts, pair by pair.
+type Sums<T, const PAIRS: usize> = [[[T; PART]; 2]; PAIRS];
 
 impl<T: Sample> Task<'_, T> {
     /// From the filled grid to the samples of all elements.
@@ -96,7 +96,7 @@ impl<T: Sample> Task<'_, T> {
             *x = T::narrow(y / self.half_m());
         }
         for part in (0..BLOCK).step_by(PART) {
-            let (common, opposite) = self.sums::<PAIRS, FUSED>(work, block, part, &x);
+            let [common, opposite] = self.sums::<PAIRS, FUSED>(work, block, part, &x);
             for p in 0..PAIRS {
                 let e = first + p;
                 for (e, sign) in [(elements - 1 - e, -T::one()), (e, T::one())] {
@@ -141,7 +141,7 @@ impl<T: Sample> Task<'_, T> {
         block: usize,
         part: usize,
         x: &[T; PAIRS],
-    ) -> (PairSums<T, PART, PAIRS>, PairSums<T, PART, PAIRS>) {
+    ) -> [Sums<T, PAIRS>; 2] {
         let powers = work.powers;
         let room = self.columns.next_multiple_of(LANES);
         let zero = [[[T::ZERO; PART]; 2]; PAIRS];
@@ -190,7 +190,7 @@ impl<T: Sample> Task<'_, T> {
                 }
             }
         }
-        (common, opposite)
+        [common, opposite]
     }
 
     /// Elements back to time.
@@ -239,7 +239,7 @@ fn part_of<'a, T>(re: &'a [T], im: &'a [T], at: usize) -> [&'a [T; PART]; 2] {
 /// Polynomials of several places at once: value times square plus the next coefficient.
 #[inline(always)]
 fn horner<T: Sample, const PAIRS: usize, const FUSED: bool>(
-    value: &mut [[[T; PART]; 2]; PAIRS],
+    value: &mut Sums<T, PAIRS>,
     square: &[T; PAIRS],
     [re, im]: [&[T; PART]; 2],
 ) {

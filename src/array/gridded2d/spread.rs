@@ -389,21 +389,20 @@ impl<'a, T: Sample> Spread<'a, T> {
             let place = column * channels;
             let (first, before) = (place / PANEL, place % PANEL);
             let end = before + slope_width * channels;
-            for (line, each) in line.iter_mut().zip(&each) {
-                line[..PANEL].fill(T::ZERO);
+            for part in 0..2 {
+                let (line, each) = (&mut line[part], &each[part]);
+                *vector_mut(line, 0) = [T::ZERO; PANEL];
                 for (tap, &weight) in weights[..slope_width].iter().enumerate() {
                     let at = before + tap * channels;
                     for v in (0..channels).step_by(PANEL) {
-                        let from: &[T; PANEL] = each[v..][..PANEL].try_into().expect("a vector");
-                        line[at + v..][..PANEL].copy_from_slice(&scaled(*from, weight));
+                        *vector_mut(line, at + v) = scaled(*vector(each, v), weight);
                     }
                 }
-                line[end..][..PANEL].fill(T::ZERO);
+                *vector_mut(line, end) = [T::ZERO; PANEL];
             }
             let weights = taps::<T, FUSED>(&engine.time_taps, p.in_row[i]);
             for (panel, at) in (0..end).step_by(PANEL).enumerate() {
-                let re: &[T; PANEL] = line[0][at..][..PANEL].try_into().expect("a vector");
-                let im: &[T; PANEL] = line[1][at..][..PANEL].try_into().expect("a vector");
+                let (re, im) = (vector(&line[0], at), vector(&line[1], at));
                 let rows = &mut self.grid[(first + panel) * panel_rows + row..][..time_width];
                 for (sum, &weight) in rows.iter_mut().zip(&weights) {
                     sum.re = scaled_plus::<T, FUSED>(*re, weight, sum.re);
@@ -420,6 +419,16 @@ impl<T: Sample> LineSink for Spread<'_, T> {
         self.accept_as_can_be(chunk);
         self.spent += start.elapsed();
     }
+}
+
+#[inline(always)]
+fn vector<T>(values: &[T], at: usize) -> &[T; PANEL] {
+    values[at..][..PANEL].try_into().expect("a vector")
+}
+
+#[inline(always)]
+fn vector_mut<T>(values: &mut [T], at: usize) -> &mut [T; PANEL] {
+    (&mut values[at..][..PANEL]).try_into().expect("a vector")
 }
 
 /// By value, here and below: so the compiler knows that nothing overlaps, and takes whole vectors.
