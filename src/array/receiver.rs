@@ -62,7 +62,7 @@ pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]
 }
 
 /// Fixed gain and the time-varying law at slant range c t / 2.
-fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
+pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
     let gain_db = plan.settings.gain_db;
     let fixed = linear(gain_db);
     let range_m = |k: usize| {

@@ -32,6 +32,8 @@ pub struct PingCounters {
     pub arrivals: AtomicU64,
     pub culled: AtomicU64,
     pub extrapolated: AtomicU64,
+    /// Made with navigation that is flagged invalid.
+    pub invalid_nav: AtomicU64,
     /// Pings that carried a certificate.
     pub certified: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
@@ -131,6 +133,7 @@ impl PingCounters {
         self.nav_age_ms
             .store((age_s * 1e3) as u64, Ordering::Relaxed);
         add(&self.extrapolated, u64::from(state.extrapolated));
+        add(&self.invalid_nav, u64::from(state.invalid.any()));
     }
 
     /// For `replay`, which has no clock.
@@ -226,7 +229,7 @@ impl fmt::Display for PingCounters {
         let made = read(&self.made);
         write!(
             f,
-            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} samples saturated{}",
+            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} on invalid navigation, {} samples saturated{}",
             self.skipped(),
             read(&self.skipped_nav),
             read(&self.skipped_late),
@@ -237,6 +240,7 @@ impl fmt::Display for PingCounters {
             read(&self.worst_compute_us) as f64 / 1e3,
             read(&self.nav_age_ms),
             read(&self.extrapolated),
+            read(&self.invalid_nav),
             read(&self.samples_saturated),
             self.model_text(),
         )

@@ -28,6 +28,7 @@ use thiserror::Error;
 use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
+use crate::io::nav::output::{NavOutputError, NavOutputs};
 use crate::io::notify::Notify;
 use crate::io::priority;
 use crate::io::record::faults::FaultLog;
@@ -53,6 +54,8 @@ const POLL_NS: i64 = 2_000_000;
 /// With recorded navigation the first ping is due this long after the start: time to open the doors and to compute it.
 const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
+/// How often the navigation's counters and states are written down for whoever prints.
+const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
 const MOST_ORDERS: usize = 1000;
 
@@ -62,6 +65,8 @@ pub enum DaemonError {
     Rig(#[from] RigError),
     #[error(transparent)]
     Output(#[from] OutputError),
+    #[error(transparent)]
+    NavOutput(#[from] NavOutputError),
     #[error("could not start a thread: {0}")]
     Thread(std::io::Error),
     #[error("could not start the threads that compute pings: {0}")]
@@ -148,6 +153,7 @@ pub struct Daemon {
     pool: rayon::ThreadPool,
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
@@ -188,6 +194,7 @@ impl Daemon {
             .collect();
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
+        let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
         let mut outputs = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
@@ -221,6 +228,7 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             timeline,
@@ -244,6 +252,7 @@ impl Daemon {
             .iter()
             .map(|(name, address)| format!("nav {name} udp {address}"))
             .collect();
+        lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         let control = self.server.iter();
         lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
@@ -259,6 +268,7 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             timeline,
@@ -294,6 +304,7 @@ impl Daemon {
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
             inputs,
+            nav_out,
             settings,
             control: control.clone(),
             clock,
@@ -454,6 +465,7 @@ fn wire_time(
 struct Pacer {
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
     /// Versions of the settings that the pipelines have been told of.
     foreseen: Vec<u64>,
@@ -493,6 +505,7 @@ impl Pacer {
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
             self.renew_nav_lines();
+            self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
             if !self.inputs.finished() {
@@ -513,6 +526,7 @@ impl Pacer {
                 .schedules
                 .iter()
                 .map(|s| timeline.mono(s.next_utc()))
+                .chain([self.nav_out.next_publish()])
                 .min();
             self.clock
                 .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
@@ -574,8 +588,9 @@ impl Pacer {
         self.control.beat();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
-            self.next_nav_lines = now.plus_ns(NS_PER_S);
-            self.control.set_nav_lines(self.inputs.lines());
+            self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
+            let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
+            self.control.set_nav_lines(lines);
         }
     }
 

@@ -141,6 +141,11 @@ impl Rig {
         ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
     }
 
+    /// What the ping made last heard.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+
     /// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
     pub fn read_on(&mut self, inputs: &mut NavInputs, sonar: usize, order: &PingOrder) -> bool {
         let from = order.transmit_utc;
@@ -209,6 +214,22 @@ impl Rig {
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
+        self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.sonars[sonar]
+            .pipeline
+            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
+        Ok(())
+    }
+
+    /// The plan of a ping and its scatterers, without the ping itself.
+    pub fn prepare(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
         self.place_scene();
         let window_s = self.window_s(sonar, order);
         let nav = self.history.motion(
@@ -234,8 +255,6 @@ impl Rig {
             let seabed = slot.output.scene.scatterers as usize;
             self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
         }
-        unit.pipeline
-            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())
     }
 }
