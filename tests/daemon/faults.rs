@@ -112,7 +112,10 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
     }
     std::fs::write(&track, text).expect("written");
     let track = format!("nav.source.path={track:?}");
-    let mut daemon = rig(record.path(), &["run.clock=lockstep", &track, &log]);
+    let mut daemon = rig(
+        record.path(),
+        &["run.clock=lockstep", "sonar.ping.range_m=15", &track, &log],
+    );
     let sevenk = daemon.announced("7k points", "tcp");
     let control = daemon.announced("control http", "http");
     let mut client = SevenKClient::connect(sevenk).expect("listening");
@@ -180,7 +183,9 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
             assert_eq!(got, want, "{kind} {record_type}");
         }
         match kind {
-            "corrupt" | "truncate" => assert!(errors >= faults, "{kind}: {errors} {faults}"),
+            "corrupt" => assert_eq!(errors, faults, "{kind}"),
+            // What is cut short takes the search for the next record with it: several in a row are one error.
+            "truncate" => assert!((1..=faults).contains(&errors), "{errors} {faults}"),
             _ => assert_eq!(errors, 0, "{kind}"),
         }
     }

@@ -1,6 +1,5 @@
 //! Killed at any moment, a record holds every ping that had left, and the next start mends it.
 
-use std::io::Read;
 use std::process::Command;
 
 use echotank_protocols::sevenk::file::{CataloguePointer, FileReader};
@@ -18,9 +17,7 @@ fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
 
     let mut next = rig(folder.path(), &["run.clock=lockstep"]);
     next.announced("control http", "http");
-    let mut printed = next.printed.clone();
-    next.child.kill().expect("killed");
-    next.stdout.read_to_string(&mut printed).expect("readable");
+    let printed = next.terminate();
     assert!(printed.contains("had been cut off: mended"), "{printed}");
 
     // The second begins a record of its own; of one second it may have the first's name with another's.
