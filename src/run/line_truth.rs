@@ -170,8 +170,8 @@ impl View<'_> {
                     touched = (touched.0.min(from), touched.1.max(to));
                 }
             }
-            for k in touched.0.min(touched.1)..touched.1 {
-                let energy = std::mem::take(&mut own[k]);
+            for (k, energy) in own.iter_mut().enumerate().take(touched.1).skip(touched.0) {
+                let energy = std::mem::take(energy);
                 if energy > truth.target_energy[k] {
                     truth.other_energy[k] += truth.target_energy[k];
                     (truth.target[k], truth.target_energy[k]) = (label, energy);
