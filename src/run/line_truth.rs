@@ -170,8 +170,9 @@ impl View<'_> {
                     touched = (touched.0.min(from), touched.1.max(to));
                 }
             }
-            for (k, energy) in own.iter_mut().enumerate().take(touched.1).skip(touched.0) {
-                let energy = std::mem::take(energy);
+            let from = touched.0.min(touched.1);
+            for (k, energy) in own[from..touched.1].iter_mut().enumerate() {
+                let (k, energy) = (from + k, std::mem::take(energy));
                 if energy > truth.target_energy[k] {
                     truth.other_energy[k] += truth.target_energy[k];
                     (truth.target[k], truth.target_energy[k]) = (label, energy);

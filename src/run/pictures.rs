@@ -1,5 +1,6 @@
 //! The pictures of a replay and the masks beside them, as `[sonar.picture]` wants them.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -82,14 +83,17 @@ impl Pictures {
         if let Some(recorder) = &mut self.masks {
             recorder.push(plan.ping_number, &truths)?;
         }
-        let raw;
-        let lines = match self.spec.picture.raw {
-            true => {
-                raw = self.raw(plan, &slot.output.lines);
-                &raw[..]
+        // Of several pulses each has lines of its own, in the order in which they left.
+        let more = &slot.output.more_lines;
+        let mut pulses: Vec<(f64, Cow<[Line]>)> = vec![(0.0, (&slot.output.lines[..]).into())];
+        pulses.extend(more.iter().map(|m| (m.delay_s, (&m.lines[..]).into())));
+        if self.spec.picture.raw {
+            for (_, lines) in &mut pulses {
+                *lines = self.raw(plan, lines).into();
             }
-            false => &slot.output.lines[..],
-        };
+        }
+        let own = pulses[0].1.clone();
+        pulses.sort_by(|a, b| a.0.total_cmp(&b.0));
         let arms = self.arms(plan);
         let altitude_m = (rig.scene)
             .seabed_down_m(arms.middle_m.x, arms.middle_m.y)
@@ -103,13 +107,21 @@ impl Pictures {
                 let labels = masks.then(|| WaterfallMasks::of(&waterfall, rate_hz));
                 (waterfall, labels)
             });
-            waterfall.push_with(plan, lines, projection);
-            if let Some(labels) = labels {
-                labels.push(plan, &truths, projection);
+            // Each pulse has rows of its own: the picture counts them as pings.
+            let mut row = plan.clone();
+            for (number, (_, lines)) in (0..).zip(&pulses) {
+                if pulses.len() > 1 {
+                    let count = pulses.len() as u32;
+                    row.ping_number = plan.ping_number.wrapping_mul(count).wrapping_add(number);
+                }
+                waterfall.push_with(&row, lines, projection);
+                if let Some(labels) = labels {
+                    labels.push(&row, &truths, projection);
+                }
             }
         }
         if mosaic {
-            self.lay(rig, plan, &arms, altitude_m, lines, &truths);
+            self.lay(rig, plan, &arms, altitude_m, &own, &truths);
         }
         Ok(())
     }
@@ -308,7 +320,9 @@ fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
     let look = &spec.picture;
     let range_m = plan.settings.range_m;
     let metres_per_pixel = look.metres_per_pixel.unwrap_or(range_m / WATERFALL_COLUMNS);
-    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
+    let pulses = (1 + spec.more_pulses.len()) as f64;
+    let advance_m =
+        plan.nav.pose.velocity_m_per_s.truncate().length() / (plan.ping_rate_hz * pulses);
     let picture = WaterfallSpec {
         range_m,
         metres_per_pixel,

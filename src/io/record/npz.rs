@@ -72,6 +72,7 @@ struct PerPing {
     iq_by_element: PartialFile,
     beams: PartialFile,
     lines: PartialFile,
+    more_lines: PartialFile,
     ping_number: PartialFile,
     ping_utc_ns: PartialFile,
     transmit_position_m: PartialFile,
@@ -96,6 +97,7 @@ impl NpzRecorder {
                 iq_by_element: grow("iq_by_element")?,
                 beams: grow("beams")?,
                 lines: grow("lines")?,
+                more_lines: grow("more_lines")?,
                 ping_number: grow("ping_number")?,
                 ping_utc_ns: grow("ping_utc_ns")?,
                 transmit_position_m: grow("transmit_position_m")?,
@@ -197,6 +199,14 @@ impl NpzRecorder {
                 out.extend(a.to_le_bytes())
             })?;
         }
+        // A pulse that leaves later is heard for so much less: zeros fill its lines.
+        let line_samples = self.first.as_ref().map_or(0, |f| f.line_samples);
+        for line in output.more_lines.iter().flat_map(|more| &more.lines) {
+            let samples = (0..line_samples).map(|k| line.amplitude.get(k).copied().unwrap_or(0.0));
+            bytes.clear();
+            bytes.extend(samples.flat_map(f32::to_le_bytes));
+            to.more_lines.write(bytes)?;
+        }
         to.ping_number
             .write(&i64::from(plan.ping_number).to_le_bytes())?;
         to.ping_utc_ns.write(&plan.transmit_utc.0.to_le_bytes())?;
@@ -265,6 +275,7 @@ impl NpzRecorder {
             iq_by_element,
             beams: beam_samples,
             lines: line_samples,
+            more_lines,
             ping_number,
             ping_utc_ns,
             transmit_position_m,
@@ -303,6 +314,16 @@ impl NpzRecorder {
             &[pings, lines.len(), first.line_samples],
             line_samples,
         )?;
+        let pulses = &sonar.more_pulses;
+        if !pulses.is_empty() {
+            let shape = [pings, pulses.len(), lines.len(), first.line_samples];
+            archive.streamed("more_lines", "<f4", &shape, more_lines)?;
+            let delays: Vec<u8> = pulses
+                .iter()
+                .flat_map(|p| p.delay_s.to_le_bytes())
+                .collect();
+            archive.small("more_pulse_delay_s", "<f8", &[pulses.len()], &delays)?;
+        }
         let sides: Vec<u8> = lines
             .iter()
             .map(|l| match l.side {

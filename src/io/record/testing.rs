@@ -54,6 +54,7 @@ pub fn sonar() -> SonarSpec {
         transmit: 0,
     };
     SonarSpec {
+        more_pulses: Vec::new(),
         name: "bow".into(),
         serial: 7,
         pulse: pulse(),
@@ -82,6 +83,9 @@ pub fn sonar() -> SonarSpec {
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             focused_lines: false,
+            line_f_number: None,
+            synthetic_aperture: None,
+            line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
