@@ -103,7 +103,14 @@ pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<
     };
     match case {
         Case::Flat => spec.scene.seabed = Some(plane(0.0)),
-        Case::Slope => spec.scene.seabed = Some(plane(10f64.to_radians().tan())),
+        Case::Slope => {
+            spec.scene.seabed = Some(plane(10f64.to_radians().tan()));
+            // At 55 degrees the bottom that falls away lies 107 m off.
+            spec.sonars[0].settings.range_m = 120.0;
+            if let Some(fan) = &mut spec.sonars[0].beams.fan {
+                fan.sector_rad = 110f64.to_radians();
+            }
+        }
         Case::Survey | Case::Swell => {}
     }
     if case != Case::Swell {
