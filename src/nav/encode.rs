@@ -133,7 +133,7 @@ mod tests {
         let utc = UtcNs(T * NS_PER_S + 250_000_000);
         assert_eq!(
             text(|out| zda(out, "GP", utc)),
-            "$GPZDA,235959.25,31,07,2014,00,00*61\r\n"
+            "$GPZDA,235959.25,31,07,2014,00,00*62\r\n"
         );
         let fix = Fix {
             latitude_rad: -22.001_75_f64.to_radians(),
