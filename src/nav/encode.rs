@@ -50,8 +50,8 @@ pub fn hdt(out: &mut Vec<u8>, talker: &str, heading_rad: Option<f64>) {
     let body = match heading_rad {
         None => format!("{talker}HDT,,T"),
         Some(rad) => {
-            // 359.9996 is 0.000, not 360.000.
-            let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0);
+            // 359.9996 is 0.000, neither 360.000 nor -0.000.
+            let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0) + 0.0;
             format!("{talker}HDT,{:07.3},T", steps / 1e3)
         }
     };
