@@ -8,6 +8,7 @@
 //! Inside: SI, radians, north-east-down, f64. Degrees, kHz and dB live in the configuration and on the wire.
 //! The starting point of "the start of the pulse" is `PingPlan::transmit_utc`; every `_s` inside a ping counts from there.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
@@ -133,6 +134,26 @@ pub struct SonarSettings {
     pub pulse_duration_s: f64,
 }
 
+/// The ranges settings may move in, inclusive; buffers are sized from the maxima.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettingLimits {
+    pub range_m: (f64, f64),
+    pub ping_rate_hz: (f64, f64),
+    pub source_level_db: (f64, f64),
+    pub gain_db: (f64, f64),
+    pub pulse_duration_s: (f64, f64),
+}
+
+/// What starts a ping.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TriggerSource {
+    /// The sonar's own beat.
+    #[default]
+    Internal,
+    /// Somebody else's pulse: the sonar itself starts none but those asked for by number.
+    External,
+}
+
 /// One change of the settings, as an operator or a topside asks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SettingChange {
@@ -145,6 +166,70 @@ pub enum SettingChange {
     PulseDurationS(f64),
     Start,
     Stop,
+    /// So many pings from now on, on the sonar's beat, and then none: ends what [`Self::Start`] began.
+    PingTimes(u32),
+    Trigger(TriggerSource),
+}
+
+/// Names a setting that a device has and the model does not use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct KeptKey {
+    /// The protocol whose setting it is.
+    pub via: &'static str,
+    pub name: &'static str,
+    /// Which of several: a channel, a subsystem. 0 where there is one.
+    pub place: u32,
+}
+
+/// What such a setting was told: it is reported as it was, and changes nothing else.
+#[derive(Clone, Debug, PartialEq)]
+pub enum KeptValue {
+    Integer(i64),
+    Numbers(Vec<f64>),
+    Text(String),
+}
+
+/// Who asks for a change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Asker {
+    /// The protocol, page or command it came by.
+    pub via: &'static str,
+    pub peer: Option<SocketAddr>,
+}
+
+/// When and by whom a change was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Asked {
+    /// Rig time.
+    pub utc: UtcNs,
+    pub by: Asker,
+}
+
+impl From<UtcNs> for Asked {
+    /// By this program itself.
+    fn from(utc: UtcNs) -> Self {
+        let by = Asker {
+            via: "echotank",
+            peer: None,
+        };
+        Self { utc, by }
+    }
+}
+
+/// Something that was changed, whoever asked.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Changed {
+    Setting(SettingChange),
+    Kept(KeptKey, KeptValue),
+}
+
+/// One line of the journal of changes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JournalEntry {
+    /// The settings' version from this change on.
+    pub version: u64,
+    pub asked: Asked,
+    pub changed: Changed,
 }
 
 /// A change that was obeyed.
@@ -174,17 +259,24 @@ pub enum SettingRule {
     Between { min: f64, max: f64 },
     #[error("0 or from {min} to {max}")]
     ZeroOrBetween { min: f64, max: f64 },
+    #[error("one of at most {most} settings that are only kept")]
+    TooMany { most: usize },
 }
 
 /// The way from any protocol, page or command to the settings of one sonar; `run::settings` is behind it.
 pub trait SettingsPort: Send + Sync {
+    /// What the next ping obeys.
     fn settings(&self) -> SonarSettings;
-    /// `asked_utc`: rig time, for the list of recent changes.
-    fn apply(
-        &self,
-        change: SettingChange,
-        asked_utc: UtcNs,
-    ) -> Result<SettingApplied, SettingRefused>;
+    fn trigger(&self) -> TriggerSource;
+    fn limits(&self) -> SettingLimits;
+    /// Goes up with every change, those of kept settings included.
+    fn version(&self) -> u64;
+    fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused>;
+    /// Keeps a setting that the model does not use. Refused only when too many are kept.
+    fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused>;
+    fn kept(&self, key: KeptKey) -> Option<KeptValue>;
+    /// The changes after `version`, oldest first; of a long time ago only the newest.
+    fn changes_since(&self, version: u64) -> Vec<JournalEntry>;
 }
 
 /// The transmitted pulse: sqrt(2) Re{ a(t) exp(j 2pi f_c t) }, 0 <= t <= T.

@@ -135,3 +135,166 @@ impl Clock for VirtualClock {
             .fetch_max(deadline.0, std::sync::atomic::Ordering::AcqRel);
     }
 }
+
+/// The machine's clock made faster, slower, or stopped: `realtime` and `scaled` run on it, and pause stops it.
+pub struct PacedClock {
+    machine: SystemClock,
+    pace: std::sync::Mutex<Pace>,
+    changed: std::sync::Condvar,
+}
+
+/// This clock showed `mono_ns` when the machine's showed `machine_ns`, and has gone at `rate` since, or stood.
+#[derive(Clone, Copy)]
+struct Pace {
+    machine_ns: i64,
+    mono_ns: i64,
+    rate: f64,
+    stopped: bool,
+}
+
+impl Pace {
+    fn at(&self, machine: MonoNs) -> MonoNs {
+        if self.stopped {
+            return MonoNs(self.mono_ns);
+        }
+        let gone_ns = machine.0 - self.machine_ns;
+        // At rate 1 not through f64: after 104 days it would lose nanoseconds.
+        let shown_ns = if self.rate == 1.0 {
+            gone_ns
+        } else {
+            (gone_ns as f64 * self.rate) as i64
+        };
+        MonoNs(self.mono_ns.saturating_add(shown_ns))
+    }
+}
+
+impl PacedClock {
+    /// Goes `rate` times as fast as the machine's; 1 is real time.
+    pub fn at_rate(rate: f64) -> Self {
+        Self {
+            machine: SystemClock::new(),
+            pace: std::sync::Mutex::new(Pace {
+                machine_ns: 0,
+                mono_ns: 0,
+                rate,
+                stopped: false,
+            }),
+            changed: std::sync::Condvar::new(),
+        }
+    }
+
+    /// Stands still from now on; who sleeps sleeps on.
+    pub fn stop(&self) {
+        self.set(true);
+    }
+
+    /// Goes on from where it stood.
+    pub fn go(&self) {
+        self.set(false);
+    }
+
+    pub fn is_stopped(&self) -> bool {
+        self.lock().stopped
+    }
+
+    fn set(&self, stopped: bool) {
+        let mut pace = self.lock();
+        if pace.stopped != stopped {
+            let machine = self.machine.mono();
+            pace.mono_ns = pace.at(machine).0;
+            pace.machine_ns = machine.0;
+            pace.stopped = stopped;
+            self.changed.notify_all();
+        }
+    }
+
+    /// A pace is written in one go, with nothing in between that panics.
+    fn lock(&self) -> std::sync::MutexGuard<'_, Pace> {
+        self.pace
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+impl Clock for PacedClock {
+    fn mono(&self) -> MonoNs {
+        self.lock().at(self.machine.mono())
+    }
+    /// The host's UTC, off by as much as this clock is off the machine's.
+    fn host_utc(&self) -> UtcNs {
+        let off_ns = self.mono().0 - self.machine.mono().0;
+        self.machine.host_utc().plus_ns(off_ns)
+    }
+    fn sleep_until(&self, deadline: MonoNs) {
+        let mut pace = self.lock();
+        loop {
+            let left_ns = deadline.0 - pace.at(self.machine.mono()).0;
+            if left_ns <= 0 {
+                return;
+            }
+            // What is left is worked out anew from absolute instants after every waking, so waiting never drifts.
+            pace = if pace.stopped {
+                self.changed
+                    .wait(pace)
+                    .unwrap_or_else(std::sync::PoisonError::into_inner)
+            } else {
+                let left = Duration::from_nanos((left_ns as f64 / pace.rate).ceil() as u64);
+                self.changed
+                    .wait_timeout(pace, left)
+                    .unwrap_or_else(std::sync::PoisonError::into_inner)
+                    .0
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scaled_clock_shows_so_many_times_what_the_machine_shows() {
+        let pace = Pace {
+            machine_ns: 5,
+            mono_ns: 100,
+            rate: 10.0,
+            stopped: false,
+        };
+        assert_eq!(pace.at(MonoNs(8)), MonoNs(130));
+        let stopped = Pace {
+            stopped: true,
+            ..pace
+        };
+        assert_eq!(stopped.at(MonoNs(1_000)), MonoNs(100));
+    }
+
+    #[test]
+    fn a_stopped_clock_stands_and_goes_on_from_where_it_stood() {
+        let clock = PacedClock::at_rate(1000.0);
+        clock.stop();
+        let stood = clock.mono();
+        std::thread::sleep(Duration::from_millis(3));
+        assert_eq!(clock.mono(), stood);
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| clock.sleep_until(stood.plus_ns(NS_PER_S)));
+            std::thread::sleep(Duration::from_millis(3));
+            assert!(!sleeper.is_finished(), "a second of a clock that stands");
+            clock.go();
+            sleeper.join().expect("woken");
+        });
+        assert!(clock.mono() >= stood.plus_ns(NS_PER_S));
+    }
+
+    #[test]
+    fn a_clock_at_rate_one_keeps_the_machines_nanoseconds() {
+        let pace = Pace {
+            machine_ns: 0,
+            mono_ns: 0,
+            rate: 1.0,
+            stopped: false,
+        };
+        // A year, beyond the whole numbers of f64.
+        let late = MonoNs(31_536_000 * NS_PER_S + 1);
+        assert_eq!(pace.at(late), late);
+    }
+}

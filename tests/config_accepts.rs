@@ -161,11 +161,14 @@ threads = 3
 latency_ms = 2500.0
 status_interval_s = 1.0
 queue_pings = 9
+clock = "realtime"
 
 [record]
 directory = "recordings"
 
 [control]
+listen = "0.0.0.0:7780"
+token = "secret"
 
 [[sonar]]
 name = "head"
@@ -340,6 +343,9 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
                 && (*offset_north_m, *offset_east_m) == (5.0, -6.0)
     ));
     assert_eq!((rig.run.threads, rig.run.queue_pings), (3, 9));
+    assert_eq!(rig.run.clock, ClockSpec::RealTime);
+    assert_eq!(rig.control.listen, Some(([0, 0, 0, 0], 7780).into()));
+    assert_eq!(rig.control.token.as_deref(), Some("secret"));
     assert_eq!((rig.run.latency_s, rig.run.status_interval_s), (2.5, 1.0));
     let record = rig.record.expect("a recording");
     assert_eq!(

@@ -1,5 +1,9 @@
 //! The daemon as its user runs it: a process, its ports, its signals.
 
+#[path = "daemon/control.rs"]
+mod control;
+#[path = "daemon/modes.rs"]
+mod modes;
 mod nav_while_pinging;
 
 use std::io::{BufRead, BufReader, Read};

@@ -12,7 +12,9 @@ use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank::flow::Datagram;
 use echotank::io::sonar::client::{ClientError, OwnedRecord, SevenKClient};
 use echotank::io::sonar::verify::{PingTally, Verifier};
-use echotank::io::sonar::{ClientReport, OpenError, ServerTimes, SonarServer, Transport};
+use echotank::io::sonar::{
+    ClientReport, OpenError, ServerTimes, SonarServer, Transport, start_sevenk, start_sevenk_with,
+};
 use echotank::run::settings::SettingsStore;
 use echotank_protocols::sevenk::records::RawIq7038;
 use echotank_protocols::sevenk::{Command, ErrorCode, NetworkFrame, Reassembler};
@@ -36,7 +38,7 @@ impl Rig {
         let mut spec = output_spec();
         change(&mut spec);
         let store = store();
-        let server = SonarServer::start_with(
+        let server = start_sevenk_with(
             &spec,
             sheet(),
             store.clone(),
@@ -49,6 +51,10 @@ impl Rig {
             store,
             emitter: SevenKEmitter::new(sheet(), 4),
         }
+    }
+
+    fn wanted(&self) -> RecordSet {
+        self.server.wanted().into()
     }
 
     fn address(&self) -> SocketAddr {
@@ -66,7 +72,7 @@ impl Rig {
     /// One ping: what is wanted of it is made and handed over.
     fn ping(&mut self, number: u32, samples: usize) -> Vec<Arc<Datagram>> {
         let mut records = Vec::new();
-        let wanted = self.server.wanted();
+        let wanted = self.wanted();
         self.emitter.emit_ping(
             &plan(number, samples),
             &output(samples),
@@ -131,12 +137,9 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
     let idle_peer = idle.local_addr().expect("an address");
     eventually("the idle client's subscription", || {
         rig.report_of(idle_peer)
-            .is_some_and(|client| client.subscribed == RecordSet::of(&[7038]))
+            .is_some_and(|client| client.subscribed == RecordSet::of(&[7038]).into())
     });
-    assert_eq!(
-        rig.server.wanted(),
-        RecordSet::of(&[7000, 7038, 7007, 1012])
-    );
+    assert_eq!(rig.wanted(), RecordSet::of(&[7000, 7038, 7007, 1012]));
 
     let mut verifier = Verifier::default();
     for number in 1..=PINGS {
@@ -225,7 +228,7 @@ fn a_client_that_vanishes_in_the_middle_of_a_record_disturbs_nobody() {
         record_type_ids: vec![7038],
     };
     fleeting.write_all(&command(subscribe, 1)).expect("sent");
-    eventually("the subscription", || rig.server.wanted().contains(7038));
+    eventually("the subscription", || rig.wanted().contains(7038));
     rig.ping(1, 100_000); // 2 MB
     let mut part = vec![0; 50_000];
     fleeting.read_exact(&mut part).expect("the beginning");
@@ -237,7 +240,7 @@ fn a_client_that_vanishes_in_the_middle_of_a_record_disturbs_nobody() {
         assert_eq!(next(&mut steady).record_type(), 7007);
     }
     eventually("the client gone", || rig.server.report().clients.len() == 1);
-    assert_eq!(rig.server.wanted(), RecordSet::of(&[7007]));
+    assert_eq!(rig.wanted(), RecordSet::of(&[7007]));
     let gone = rig.server.report().gone;
     assert_eq!(gone.commands, 1, "its counts stay: {gone:?}");
     assert!(gone.records_sent >= 1, "at least the acknowledgement");
@@ -350,11 +353,11 @@ fn records_can_be_asked_for_one_at_a_time() {
             record_type_id: 7018,
         })
         .expect("promised");
-    eventually("wanted", || rig.server.wanted() == RecordSet::of(&[7018]));
+    eventually("wanted", || rig.wanted() == RecordSet::of(&[7018]));
     rig.ping(1, 10);
     let beams = next(&mut client);
     assert_eq!((beams.record_type(), u32_at(beams.body(), 8)), (7018, 1));
-    assert_eq!(rig.server.wanted(), RecordSet::EMPTY, "once");
+    assert_eq!(rig.wanted(), RecordSet::EMPTY, "once");
     assert!(rig.ping(2, 10).is_empty());
 }
 
@@ -486,7 +489,7 @@ fn packets_are_as_long_as_the_listener_says() {
             record_type_ids: vec![7038],
         };
         socket.write_all(&command(subscribe, 1)).expect("sent");
-        eventually("the subscription", || rig.server.wanted().contains(7038));
+        eventually("the subscription", || rig.wanted().contains(7038));
         let records = rig.ping(1, 5000);
         let mut ack = vec![0; 36 + 64 + 20 + 4];
         socket.read_exact(&mut ack).expect("7501");
@@ -513,7 +516,7 @@ fn a_port_in_use_and_a_packet_too_short_are_refused_in_words() {
     let open = |change: &dyn Fn(&mut SevenKSpec)| {
         let mut spec = output_spec();
         change(&mut spec);
-        SonarServer::start(&spec, sheet(), store(), Arc::new(|| TRANSMIT_UTC)).map(|_| ())
+        start_sevenk(&spec, sheet(), store(), Arc::new(|| TRANSMIT_UTC)).map(|_| ())
     };
     let taken = open(&|spec| spec.listen = rig.address()).expect_err("in use");
     assert!(matches!(taken, OpenError::Listen { .. }));
@@ -578,9 +581,7 @@ fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
         1,
     );
     assert_eq!(client.next().0, 7501);
-    eventually("wanted", || {
-        rig.server.wanted() == RecordSet::of(&[7000, 7007])
-    });
+    eventually("wanted", || rig.wanted() == RecordSet::of(&[7000, 7007]));
     for number in 1..=10 {
         let records = rig.ping(number, 2000); // 8 kB of lines: 9 datagrams
         for want in &records {
@@ -600,7 +601,7 @@ fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
     assert_eq!(client.next().0, 7000);
     client.send(Command::EndSubscriptions, 3);
     assert_eq!(client.next().0, 7501);
-    eventually("nothing wanted", || rig.server.wanted().is_empty());
+    eventually("nothing wanted", || rig.wanted().is_empty());
     client.send(Command::Range { range_m: 1e9 }, 4);
     let (record_type, bytes) = client.next();
     assert_eq!((record_type, u32_at(&bytes, 84)), (7502, 0x7001));
@@ -662,10 +663,10 @@ fn udp_clients_that_fall_silent_lose_their_seat() {
     assert_eq!(subscriber.next().0, 7501);
     eventually("the silent one gone", || {
         let report = rig.server.report();
-        report.clients.is_empty() && report.admitted == 2 && rig.server.wanted().is_empty()
+        report.clients.is_empty() && report.admitted == 2 && rig.wanted().is_empty()
     });
     // It may come back.
     subscriber.send(subscribe, 2);
     assert_eq!(subscriber.next().0, 7501);
-    assert_eq!(rig.server.wanted(), RecordSet::of(&[7000]));
+    assert_eq!(rig.wanted(), RecordSet::of(&[7000]));
 }

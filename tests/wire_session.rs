@@ -7,6 +7,7 @@ use std::sync::Arc;
 use echotank::emit::sevenk::RecordSet;
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::emit::sevenk::session::{Outgoing, Session, SessionContext};
+use echotank::flow::Asked;
 use echotank::run::settings::SettingsStore;
 use echotank::time::UtcNs;
 use echotank_protocols::sevenk::control::{Ack7501, Nack7502, PulseType, ThirdParty, Transport};
@@ -43,6 +44,7 @@ impl Rig {
             sheet: &self.sheet,
             settings: self.store.as_ref(),
             now: NOW,
+            by: Asked::from(NOW).by,
         };
         self.session.receive(bytes, &context, &mut out);
         out
@@ -54,6 +56,7 @@ impl Rig {
             sheet: &self.sheet,
             settings: self.store.as_ref(),
             now: NOW,
+            by: Asked::from(NOW).by,
         };
         self.session.give_up_waiting(&context, &mut out);
         out
@@ -74,6 +77,7 @@ fn record_types(out: &[Outgoing]) -> Vec<u32> {
                 assert_eq!(record.frame.record_type_id, datagram.record_type);
                 datagram.record_type
             }
+            other => panic!("no record: {other:?}"),
         })
         .collect()
 }
@@ -81,7 +85,7 @@ fn record_types(out: &[Outgoing]) -> Vec<u32> {
 fn reply(out: &[Outgoing], at: usize) -> &[u8] {
     match &out[at] {
         Outgoing::Reply(datagram) => &datagram.bytes,
-        Outgoing::Echo(_) => panic!("an echo at {at}"),
+        other => panic!("no reply at {at}: {other:?}"),
     }
 }
 

@@ -3,6 +3,7 @@
 //! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
 
 pub mod check;
+pub mod ctl;
 pub mod listen;
 pub mod nav;
 pub mod replay;
@@ -37,6 +38,8 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Check a configuration and print what follows from it
     Check(check::CheckArgs),
+    /// Tell a running daemon: pause, step, settings; or ask how it does
+    Ctl(ctl::CtlArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
@@ -64,6 +67,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::main(&args),
         Command::Replay(args) => replay::main(&args),
         Command::Check(args) => check::main(&args),
+        Command::Ctl(args) => ctl::main(&args),
         Command::Listen(args) => listen::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),

@@ -12,7 +12,6 @@ use super::{Failure, load};
 use crate::config::spec::{NavInputSpec, RigSpec, SeabedShape};
 use crate::io::signals;
 use crate::run::daemon::Daemon;
-use crate::time::SystemClock;
 
 /// Runs when no configuration is named: a real navigation log over a real seabed, both in the repository.
 const QUICKSTART: &str = "hil-configs/quickstart.toml";
@@ -97,8 +96,7 @@ pub fn main(args: &RunArgs) -> Result<(), Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     signals::stop_on_signals(&stop).map_err(Failure::running)?;
     let threads = args.threads.unwrap_or(spec.run.threads);
-    let daemon = Daemon::open(&spec, threads, Arc::new(SystemClock::new()), stop.clone())
-        .map_err(Failure::running)?;
+    let daemon = Daemon::open(&spec, threads, stop.clone()).map_err(Failure::running)?;
     println!("echotank {}: {}", env!("CARGO_PKG_VERSION"), path.display());
     for line in what_it_does(&spec).into_iter().chain(daemon.describe()) {
         println!("{line}");

@@ -194,7 +194,13 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     let nav = table
         .table("nav")
         .and_then(|t| nav(t, &mut listeners, problems));
-    let run = table.table("run").and_then(run);
+    let run = table.table("run").and_then(|t| run(t, problems));
+    if let (Some(nav), Some(t)) = (&nav, table.table("run")) {
+        refuse_own_time_with_live_sources(nav, t, problems);
+    }
+    let control = table
+        .table("control")
+        .and_then(|t| control(t, &mut listeners, problems));
 
     let tables = table.tables("sonar");
     unique_names(tables, problems);
@@ -242,7 +248,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
             }),
             false => None,
         },
-        control: ControlSpec {},
+        control: control?,
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
 }
@@ -281,8 +287,56 @@ fn medium(table: &RawTable) -> Option<MediumSpec> {
     })
 }
 
-fn run(table: &RawTable) -> Option<RunSpec> {
+/// Live measurements come in the machine's time; a rig with a time of its own would take them for early or late.
+fn refuse_own_time_with_live_sources(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
+    let own_time = run.text("clock").is_some_and(|clock| clock != "realtime");
+    if own_time && !nav.is_recorded() {
+        let rule = "only with recorded navigation: every nav.source of kind \"log\" or \"csv\"";
+        problems.refuse(run.entry("clock"), rule);
+    }
+    let own = matches!(run.text("clock"), Some("fast" | "lockstep"));
+    if own && !nav.outputs.is_empty() {
+        let rule = "nav.output shares the pings' clock with devices, and this one is nobody's";
+        problems.refuse(run.entry("clock"), rule);
+    }
+}
+
+fn control<'t>(
+    table: &'t RawTable,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<ControlSpec> {
+    let token = table.text("token").map(str::to_owned);
+    let listen = match table.given("listen") {
+        true => Some(address(table, "listen", problems)?),
+        false => None,
+    };
+    if let Some(address) = listen {
+        listeners.push(Listener {
+            entry: table.entry("listen"),
+            protocol: "TCP",
+            address,
+            multicast: false,
+        });
+        let abroad = !address.ip().is_loopback();
+        let condition = "a `listen` that is not this machine alone";
+        needed_with(table, "token", Some(abroad), condition, problems);
+    }
+    Some(ControlSpec { listen, token })
+}
+
+fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
+    let clock = table.text("clock");
+    let scaled = clock.map(|clock| clock == "scaled");
+    let condition = "clock = \"scaled\"";
+    only_with(table, &["clock_rate"], scaled, condition, problems);
     Some(RunSpec {
+        clock: match clock? {
+            "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
+            "fast" => ClockSpec::Fast,
+            "lockstep" => ClockSpec::Lockstep,
+            _ => ClockSpec::RealTime,
+        },
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,

@@ -932,8 +932,20 @@ static RUN: Table = Table {
             Default("\"ping-end\""),
             "",
         ),
+        key(
+            "clock",
+            Kind::Choice(&["realtime", "scaled", "fast", "lockstep"], &[]),
+            Default("\"realtime\""),
+            "\"scaled\": clock_rate times as fast; \"fast\": as fast as pings can be computed; \"lockstep\": a ping for every step that is asked for (echotank ctl step). All but \"realtime\" need recorded navigation. The samples do not depend on it.",
+        ),
+        key(
+            "clock_rate",
+            Kind::Number(from(0.1, 1000.0)),
+            Default("10.0"),
+            "Only with clock = \"scaled\".",
+        ),
     ],
-    later: &["clock", "priority", "cores"],
+    later: &["priority", "cores"],
 };
 
 static RECORD: Table = Table {
@@ -948,9 +960,22 @@ static RECORD: Table = Table {
 };
 
 static CONTROL: Table = Table {
-    doc: "Local control: no keys yet.",
-    keys: &[],
-    later: &["listen", "token"],
+    doc: "Control over HTTP: POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
+    keys: &[
+        key(
+            "listen",
+            Kind::Text,
+            Optional("\"127.0.0.1:7780\""),
+            "Address and port.",
+        ),
+        key(
+            "token",
+            Kind::Text,
+            Optional("\"a long secret\""),
+            "Asked of whoever controls, as `Authorization: Bearer TOKEN`. Needed where `listen` is not this machine alone.",
+        ),
+    ],
+    later: &[],
 };
 
 static SONAR: Table = Table {

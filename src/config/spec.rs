@@ -205,6 +205,16 @@ pub enum ParitySpec {
     Odd,
 }
 
+impl NavSpec {
+    /// Every source is recorded: the motion does not depend on the machine's time.
+    pub fn is_recorded(&self) -> bool {
+        let recorded = |s: &NavSourceSpec| {
+            matches!(s.input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
+        };
+        self.sources.iter().all(recorded)
+    }
+}
+
 /// When another source takes a quantity over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FailoverSpec {
@@ -747,6 +757,26 @@ pub struct RunSpec {
     pub status_interval_s: f64,
     /// Pings that may wait for delivery.
     pub queue_pings: usize,
+    pub clock: ClockSpec,
+}
+
+/// How fast rig time goes. The samples do not depend on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ClockSpec {
+    RealTime,
+    /// So many times as fast as the machine's clock.
+    Scaled(f64),
+    /// As fast as pings can be computed.
+    Fast,
+    /// A ping for every step that is asked for.
+    Lockstep,
+}
+
+impl ClockSpec {
+    /// Rig time is not the machine's: it goes from pulse to pulse, and nothing is ever late.
+    pub fn is_own(self) -> bool {
+        matches!(self, Self::Fast | Self::Lockstep)
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -754,9 +784,14 @@ pub struct RecordSpec {
     pub directory: PathBuf,
 }
 
-/// Nothing yet: `[control]` is accepted empty, so that files need not change when it comes.
+/// Control over HTTP.
 #[derive(Clone, Debug, Default)]
-pub struct ControlSpec {}
+pub struct ControlSpec {
+    /// None: no control.
+    pub listen: Option<SocketAddr>,
+    /// There is one wherever `listen` is not a loopback address.
+    pub token: Option<String>,
+}
 
 #[derive(Clone, Debug)]
 pub struct SonarSpec {
@@ -802,15 +837,7 @@ impl Default for SynthesisSpec {
     }
 }
 
-/// The ranges settings may move in, inclusive; buffers are sized from the maxima.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LimitsSpec {
-    pub range_m: (f64, f64),
-    pub ping_rate_hz: (f64, f64),
-    pub source_level_db: (f64, f64),
-    pub gain_db: (f64, f64),
-    pub pulse_duration_s: (f64, f64),
-}
+pub use crate::flow::SettingLimits as LimitsSpec;
 
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {

@@ -1,4 +1,5 @@
 //! The only home of tokio, socket2, serialport and files.
+pub mod control;
 pub mod nav;
 pub mod record;
 pub mod signals;

@@ -149,6 +149,58 @@ impl PingCounters {
         })
     }
 
+    /// Name, meaning, value: for whoever takes numbers rather than text.
+    pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+        [
+            ("pings_made", "Pings computed", &self.made),
+            (
+                "pings_skipped_nav",
+                "Pings whose navigation did not come in time",
+                &self.skipped_nav,
+            ),
+            (
+                "pings_skipped_late",
+                "Pings whose deadline had passed before they could be computed",
+                &self.skipped_late,
+            ),
+            (
+                "pings_skipped_queue",
+                "Pings for which there was no room",
+                &self.skipped_queue,
+            ),
+            (
+                "deadline_misses",
+                "Pings delivered after their deadline",
+                &self.deadline_misses,
+            ),
+            ("worst_late_us", "Latest delivery", &self.worst_late_us),
+            (
+                "nav_age_ms",
+                "Age of the newest navigation behind the last ping",
+                &self.nav_age_ms,
+            ),
+            ("compute_us", "Time spent computing pings", &self.compute_us),
+            (
+                "worst_compute_us",
+                "Longest time one ping took",
+                &self.worst_compute_us,
+            ),
+            (
+                "samples_saturated",
+                "Sample values that met the converter's ends",
+                &self.samples_saturated,
+            ),
+            ("arrivals", "Echoes summed", &self.arrivals),
+            (
+                "pings_extrapolated",
+                "Pings whose navigation was extrapolated",
+                &self.extrapolated,
+            ),
+        ]
+        .into_iter()
+        .map(|(name, doc, counter)| (name, doc, read(counter)))
+    }
+
     pub fn skipped(&self) -> u64 {
         read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
     }

@@ -9,26 +9,37 @@
 //! The life of a ping: ordered at its instant `t_tx` with the settings then in force; computed when the navigation covers its window (or
 //! by prediction); delivered at `t_tx + window + latency`. What comes later than that is a deadline miss; what cannot come at all is
 //! skipped, with a reason and a counter, and keeps its number.
+//!
+//! So it is where time is the machine's (`realtime`, `scaled`). In `fast` and `lockstep` the pipeline moves time itself from pulse to pulse
+//! (`stepped`): nothing is late there and nothing skipped for it. The samples are the same bits in all.
+
+mod stepped;
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{NavMode, RigSpec, StampSpec};
+use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
+use crate::io::control::{ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{NavOutputError, NavOutputs};
 use crate::io::sonar::RigTime;
 use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
+use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
-use crate::run::outputs::{OutputError, OutputReports, Outputs};
+use crate::run::gate::Gate;
+use crate::run::histograms::Histograms;
+use crate::run::outputs::{OutputError, Outputs};
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
-use crate::time::{Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
+use crate::time::{
+    Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
+};
 
 /// Longest the pipeline sleeps when it waits for something that no clock announces (a live sample, a free slot).
 const POLL_NS: i64 = 2_000_000;
@@ -52,6 +63,8 @@ pub enum DaemonError {
     Thread(std::io::Error),
     #[error("could not start the threads that compute pings: {0}")]
     Pool(#[from] rayon::ThreadPoolBuildError),
+    #[error("control: {0}")]
+    Control(#[from] ControlOpenError),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
     Panic,
 }
@@ -59,7 +72,17 @@ pub enum DaemonError {
 /// A ping on its way out.
 struct Delivery {
     slot: Box<PingSlot>,
-    deadline: MonoNs,
+    /// None where time is the pipeline's own: at once.
+    deadline: Option<MonoNs>,
+}
+
+/// What a delivery thread works with besides its outputs.
+#[derive(Clone)]
+struct Way {
+    clock: Arc<dyn Clock>,
+    counters: Arc<PingCounters>,
+    histograms: Arc<Histograms>,
+    gate: Arc<Gate>,
 }
 
 /// The pipeline's end of one sonar's way out. Each sonar has its own, with its own thread: a ping that waits for its deadline holds up no
@@ -82,8 +105,7 @@ fn open_lane(
     rig: &Rig,
     sonar: usize,
     outputs: Outputs,
-    clock: &Arc<dyn Clock>,
-    counters: &Arc<PingCounters>,
+    way: Way,
 ) -> Result<(Lane, JoinHandle<Result<(), OutputError>>), DaemonError> {
     let slots = rig.spec.run.queue_pings;
     let (to_delivery, deliveries) = bounded::<Delivery>(slots);
@@ -92,10 +114,9 @@ fn open_lane(
         // Cannot fail: the channel holds exactly this many.
         let _ = to_free.try_send(Box::new(rig.slot(sonar)));
     }
-    let (clock, counters) = (clock.clone(), counters.clone());
     let thread = thread::Builder::new()
         .name(format!("delivery {sonar}"))
-        .spawn(move || deliver(outputs, &deliveries, &to_free, &*clock, &counters))
+        .spawn(move || deliver(outputs, &deliveries, &to_free, &way))
         .map_err(DaemonError::Thread)?;
     let lane = Lane {
         free,
@@ -124,9 +145,10 @@ pub struct Daemon {
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
-    counters: Vec<Arc<PingCounters>>,
     timeline: Arc<OnceLock<Timeline>>,
     stop: Arc<AtomicBool>,
+    control: Arc<RunControl>,
+    server: Option<ControlServer>,
 }
 
 impl Daemon {
@@ -134,9 +156,9 @@ impl Daemon {
     pub fn open(
         spec: &RigSpec,
         threads: usize,
-        clock: Arc<dyn Clock>,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, DaemonError> {
+        let (clock, gate) = clock_of(spec.run.clock);
         let pool = pool(threads)?;
         let rig = pool.install(|| Rig::open(spec))?;
         let inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
@@ -158,11 +180,29 @@ impl Daemon {
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
         }
-        let counters = spec
-            .sonars
-            .iter()
-            .map(|_| Arc::new(PingCounters::default()))
-            .collect();
+        let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
+        let sonars = sonars.map(|((sonar, settings), outputs)| SonarControl {
+            name: sonar.name.clone(),
+            settings: settings.clone(),
+            counters: Arc::new(PingCounters::default()),
+            histograms: Arc::new(Histograms::new()),
+            reports: outputs.reports(),
+        });
+        let control = Arc::new(RunControl::new(
+            spec.run.clock,
+            gate,
+            spec.nav.is_recorded(),
+            sonars.collect(),
+            wire_time,
+        ));
+        let server = match spec.control.listen {
+            Some(listen) => Some(ControlServer::start(
+                listen,
+                spec.control.token.clone(),
+                control.clone(),
+            )?),
+            None => None,
+        };
         Ok(Self {
             clock,
             pool,
@@ -171,10 +211,16 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
-            counters,
             timeline,
             stop,
+            control,
+            server,
         })
+    }
+
+    /// How it is paused, stepped and told.
+    pub fn control(&self) -> Arc<RunControl> {
+        self.control.clone()
     }
 
     /// What it listens to and where to connect, a line each.
@@ -187,6 +233,8 @@ impl Daemon {
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
+        let control = self.server.iter();
+        lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
         lines
     }
 
@@ -201,27 +249,27 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
-            counters,
             timeline,
             stop,
+            control,
+            server,
         } = self;
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
-        let reports: Vec<OutputReports> = outputs.iter().map(Outputs::reports).collect();
+        let own_time = rig.spec.run.clock.is_own();
         let mut lanes = Vec::new();
         let mut deliveries = Vec::new();
         for (sonar, outputs) in outputs.into_iter().enumerate() {
-            let (lane, thread) = open_lane(&rig, sonar, outputs, &clock, &counters[sonar])?;
+            let way = Way {
+                clock: clock.clone(),
+                counters: control.sonars()[sonar].counters.clone(),
+                histograms: control.sonars()[sonar].histograms.clone(),
+                gate: control.gate().clone(),
+            };
+            let (lane, thread) = open_lane(&rig, sonar, outputs, way)?;
             lanes.push(lane);
             deliveries.push(thread);
         }
-        let nav_lines = Arc::new(Mutex::new(Vec::new()));
-        let names: Vec<String> = rig
-            .spec
-            .sonars
-            .iter()
-            .map(|sonar| sonar.name.clone())
-            .collect();
         let pacer = Pacer {
             schedules: Vec::new(),
             foreseen: vec![0; settings.len()],
@@ -230,42 +278,37 @@ impl Daemon {
             inputs,
             nav_out,
             settings,
-            counters: counters.clone(),
-            clock: clock.clone(),
+            control: control.clone(),
+            clock,
+            machine: SystemClock::new(),
             stop: stop.clone(),
             lanes,
             timeline,
-            nav_lines: nav_lines.clone(),
             next_nav_lines: MonoNs(0),
         };
         let pipeline = thread::Builder::new()
             .name("pipeline".into())
             .spawn(move || {
                 // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
-                pool.install(move || pacer.run());
+                pool.install(move || {
+                    if own_time {
+                        pacer.run_stepped();
+                    } else {
+                        pacer.run();
+                    }
+                });
             })
             .map_err(DaemonError::Thread)?;
-        let report = || {
-            let mut lines = Vec::new();
-            for (name, counters) in names.iter().zip(&counters) {
-                lines.push(format!("sonar {name}: {counters}"));
-                lines.extend(counters.advice(latency_s));
-            }
-            lines.extend(
-                nav_lines
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .iter()
-                    .cloned(),
-            );
-            lines.extend(reports.iter().flat_map(OutputReports::lines));
-            lines.join("\n")
-        };
-        let mut next_status = clock.mono().plus_ns(status_interval_ns);
+        // Whoever looks lives in the machine's time, whatever the rig's does.
+        let machine = SystemClock::new();
+        let mut next_status = machine.mono().plus_ns(status_interval_ns);
         while !pipeline.is_finished() {
-            clock.sleep_until(clock.mono().plus_ns(20_000_000).min(next_status));
-            if clock.mono() >= next_status {
-                status(&report());
+            machine.sleep_until(machine.mono().plus_ns(20_000_000).min(next_status));
+            if stop.load(Ordering::Acquire) {
+                control.gate().close();
+            }
+            if machine.mono() >= next_status {
+                status(&control.lines(latency_s).join("\n"));
                 next_status = next_status.plus_ns(status_interval_ns);
             }
         }
@@ -275,9 +318,25 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        status(&report());
+        status(&control.lines(latency_s).join("\n"));
+        drop(server);
         closed.map_err(DaemonError::Output)
     }
+}
+
+/// The clock of a mode, and the gate that stops it.
+fn clock_of(mode: ClockSpec) -> (Arc<dyn Clock>, Arc<Gate>) {
+    let rate = match mode {
+        ClockSpec::RealTime => 1.0,
+        ClockSpec::Scaled(rate) => rate,
+        ClockSpec::Fast | ClockSpec::Lockstep => {
+            let now = SystemClock::new().host_utc();
+            let gate = Gate::new(None, mode == ClockSpec::Lockstep);
+            return (Arc::new(VirtualClock::starting_at(now)), Arc::new(gate));
+        }
+    };
+    let clock = Arc::new(PacedClock::at_rate(rate));
+    (clock.clone(), Arc::new(Gate::new(Some(clock), false)))
 }
 
 /// What answers are stamped with: the same clock as the pings.
@@ -301,8 +360,10 @@ struct Pacer {
     settings: Vec<Arc<SettingsStore>>,
     /// Versions of the settings that the pipelines have been told of.
     foreseen: Vec<u64>,
-    counters: Vec<Arc<PingCounters>>,
+    control: Arc<RunControl>,
     clock: Arc<dyn Clock>,
+    /// Tells how long computing took.
+    machine: SystemClock,
     stop: Arc<AtomicBool>,
     /// One per sonar, once the first ping's instant is known.
     schedules: Vec<Schedule>,
@@ -312,8 +373,7 @@ struct Pacer {
     lanes: Vec<Lane>,
     /// Read by whoever stamps answers.
     timeline: Arc<OnceLock<Timeline>>,
-    /// The navigation's counters as text, renewed every quarter of a second for whoever prints.
-    nav_lines: Arc<Mutex<Vec<String>>>,
+    /// When the navigation's counters are next renewed for whoever looks, in the machine's time.
     next_nav_lines: MonoNs,
 }
 
@@ -336,7 +396,7 @@ impl Pacer {
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
             self.nav_out.publish(&mut self.rig.history, now, utc);
-            self.renew_nav_lines(now);
+            self.renew_nav_lines();
             self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
             if !self.inputs.finished() {
@@ -364,36 +424,37 @@ impl Pacer {
         }
     }
 
+    /// When a recorded log first holds what a ping needs; none where it never does, or the daemon is stopped.
+    fn first_recorded(&mut self) -> Option<UtcNs> {
+        loop {
+            if let Some(first) = self.rig.history.first_usable_utc() {
+                return Some(first);
+            }
+            if self.stop.load(Ordering::Acquire) || !self.inputs.pull_next(&mut self.rig.history) {
+                return None;
+            }
+        }
+    }
+
+    fn begin_schedules(&mut self, first: UtcNs) {
+        let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
+        self.schedules = vec![schedule; self.rig.sonars.len()];
+    }
+
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
     fn start(&mut self) -> Option<Timeline> {
-        let run = &self.rig.spec.run;
-        let latency_ns = (run.latency_s * NS_PER_S as f64) as i64;
-        let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
         if self.inputs.recorded_start().is_some() {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
-            let first = loop {
-                if let Some(first) = self.rig.history.first_usable_utc() {
-                    break first;
-                }
-                if self.stop.load(Ordering::Acquire)
-                    || !self.inputs.pull_next(&mut self.rig.history)
-                {
-                    return None;
-                }
-            };
-            self.schedules =
-                vec![Schedule::starting_at(first, sound_speed_m_per_s); self.rig.sonars.len()];
-            let window_ns = self
-                .rig
-                .sonars
-                .iter()
-                .map(|unit| {
-                    (crate::ping::window_s(&unit.spec.settings, sound_speed_m_per_s)
-                        * NS_PER_S as f64) as i64
-                })
-                .max()
-                .unwrap_or(0);
+            let first = self.first_recorded()?;
+            self.begin_schedules(first);
+            let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
+            let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
+            let units = self.rig.sonars.iter();
+            let window_s = units
+                .map(|unit| crate::ping::window_s(&unit.spec.settings, sound_speed_m_per_s))
+                .fold(0.0, f64::max);
+            let window_ns = (window_s * NS_PER_S as f64) as i64;
             return Some(Timeline::through(
                 self.clock.mono().plus_ns(FIRST_PING_AFTER_NS),
                 first.plus_ns(window_ns + latency_ns),
@@ -405,9 +466,7 @@ impl Pacer {
             if let (Some(timeline), Some(first)) =
                 (self.inputs.timeline(), self.rig.history.first_usable_utc())
             {
-                let first = first.max(timeline.utc(now));
-                self.schedules =
-                    vec![Schedule::starting_at(first, sound_speed_m_per_s); self.rig.sonars.len()];
+                self.begin_schedules(first.max(timeline.utc(now)));
                 return Some(timeline);
             }
             self.clock.sleep_until(now.plus_ns(POLL_NS));
@@ -415,14 +474,12 @@ impl Pacer {
         None
     }
 
-    fn renew_nav_lines(&mut self, now: MonoNs) {
+    fn renew_nav_lines(&mut self) {
+        let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
-            *self
-                .nav_lines
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner) =
-                [self.inputs.lines(), self.nav_out.lines()].concat();
+            let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
+            self.control.set_nav_lines(lines);
         }
     }
 
@@ -445,8 +502,9 @@ impl Pacer {
             while let Some(order) =
                 self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
             {
+                settings.pinged(timeline.mono(order.transmit_utc));
                 if self.waiting.len() >= MOST_ORDERS {
-                    add(&self.counters[sonar].skipped_queue, 1);
+                    add(&self.counters(sonar).skipped_queue, 1);
                     continue;
                 }
                 let window_s = self.rig.window_s(sonar, &order);
@@ -489,9 +547,9 @@ impl Pacer {
         if now >= deadline {
             add(
                 if covered {
-                    &self.counters[sonar].skipped_late
+                    &self.counters(sonar).skipped_late
                 } else {
-                    &self.counters[sonar].skipped_nav
+                    &self.counters(sonar).skipped_nav
                 },
                 1,
             );
@@ -500,38 +558,61 @@ impl Pacer {
         if !covered {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         }
-        let Some(mut slot) = self.lanes[sonar].slot() else {
+        let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
+        self.compute(sonar, &order, Some(deadline), slot, timeline);
+        Step::Done
+    }
+
+    fn counters(&self, sonar: usize) -> &PingCounters {
+        &self.control.sonars()[sonar].counters
+    }
+
+    /// Makes a ping and hands it on; false where the navigation lacked something, which is counted.
+    fn compute(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        deadline: Option<MonoNs>,
+        mut slot: Box<PingSlot>,
+        timeline: &Timeline,
+    ) -> bool {
+        let began = self.machine.mono();
+        let mode = self.rig.spec.nav.mode;
         let host_now = self.clock.host_utc();
         let host_utc = host_now.plus_ns(timeline.mono(order.transmit_utc).0 - self.clock.mono().0);
-        let counters = &self.counters[sonar];
-        match self.rig.make(sonar, &order, mode, host_utc, &mut slot) {
-            Ok(()) => {
-                let output = &slot.output;
-                let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
-                counters.ping(
-                    &output.counts,
-                    saturated,
-                    (self.clock.mono().0 - now.0).max(0) as u64 / 1000,
-                );
-                counters.scene(&output.scene);
-                counters.certificate(output.certificate.as_ref());
-                counters.nav(&slot.plan.nav);
-                // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
-                if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
-                    .to_delivery
-                    .try_send(Delivery { slot, deadline })
-                {
-                    self.stop.store(true, Ordering::Release);
-                }
-            }
-            Err(_gap) => {
-                add(&counters.skipped_nav, 1);
-                self.lanes[sonar].spare = Some(slot);
-            }
+        let made = self.rig.make(sonar, order, mode, host_utc, &mut slot);
+        let SonarControl {
+            counters,
+            histograms,
+            ..
+        } = &self.control.sonars()[sonar];
+        if made.is_err() {
+            add(&counters.skipped_nav, 1);
+            self.lanes[sonar].spare = Some(slot);
+            return false;
         }
-        Step::Done
+        let output = &slot.output;
+        let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
+        let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
+        counters.ping(&output.counts, saturated, took_us);
+        counters.scene(&output.scene);
+        counters.certificate(output.certificate.as_ref());
+        counters.nav(&slot.plan.nav);
+        if let Some(deadline) = deadline {
+            let now = self.clock.mono();
+            histograms.margin_us(deadline.0 - now.0);
+            histograms.nav_to_samples_us(now.0 - timeline.mono(order.transmit_utc).0);
+        }
+        // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
+        if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
+            .to_delivery
+            .try_send(Delivery { slot, deadline })
+        {
+            self.stop.store(true, Ordering::Release);
+        }
+        true
     }
 }
 
@@ -540,25 +621,32 @@ fn deliver(
     mut outputs: Outputs,
     deliveries: &Receiver<Delivery>,
     free: &Sender<Box<PingSlot>>,
-    clock: &dyn Clock,
-    counters: &PingCounters,
+    way: &Way,
 ) -> Result<(), OutputError> {
     let mut first_error = None;
     for Delivery { slot, deadline } in deliveries {
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.
         let _ = free.try_send(slot);
-        clock.sleep_until(deadline);
-        let late_us = (clock.mono().0 - deadline.0).max(0) as u64 / 1000;
-        worst(&counters.worst_late_us, late_us);
-        if late_us > DEADLINE_TOLERANCE_US {
-            add(&counters.deadline_misses, 1);
+        if let Some(deadline) = deadline {
+            way.clock.sleep_until(deadline);
+            let late_us = (way.clock.mono().0 - deadline.0).max(0) as u64 / 1000;
+            way.histograms.start_error_us(late_us);
+            worst(&way.counters.worst_late_us, late_us);
+            if late_us > DEADLINE_TOLERANCE_US {
+                add(&way.counters.deadline_misses, 1);
+            }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
         if let Err(error) = outputs.deliver() {
             eprintln!("echotank: {error}");
             first_error.get_or_insert(error);
         }
+        if let Some(deadline) = deadline {
+            way.histograms
+                .handed_over_us(way.clock.mono().0 - deadline.0);
+        }
+        way.gate.delivered();
     }
     outputs.close()?;
     first_error.map_or(Ok(()), Err)

@@ -6,11 +6,10 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, NavMode, RigSpec};
+use crate::config::spec::{NavChannel, RigSpec};
 use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::io::record::RecordError;
-use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::counters::{PingCounters, add};
 use crate::run::recorders::Recorders;
@@ -141,7 +140,7 @@ impl Replay {
                 if order.ping_number < self.pings.0 {
                     continue;
                 }
-                if !self.settle(sonar, &order) {
+                if !self.rig.read_on(&mut self.inputs, sonar, &order) {
                     break;
                 }
                 self.ping(sonar, &order, &mut slots[sonar])?;
@@ -167,27 +166,6 @@ impl Replay {
         };
         let order = schedule.due(schedule.next_utc(), |_| running)?;
         Some((sonar, order))
-    }
-
-    /// Reads on until the navigation covers the ping; false when the log has ended before.
-    fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
-        let from = order.transmit_utc;
-        let to = from.plus_s(self.rig.window_s(sonar, order));
-        match self.rig.spec.nav.mode {
-            // As the daemon would have known it at the pulse.
-            NavMode::Predict => {
-                self.inputs.pull(from, &mut self.rig.history);
-                !self.inputs.finished()
-            }
-            NavMode::Settle => {
-                while self.rig.history.coverage(from, to) != Coverage::Ready {
-                    if !self.inputs.pull_next(&mut self.rig.history) {
-                        return false;
-                    }
-                }
-                true
-            }
-        }
     }
 
     fn ping(

@@ -5,8 +5,8 @@ use thiserror::Error;
 use crate::config::spec::{AnchorSpec, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
-use crate::io::nav::NavOpenError;
-use crate::nav::{NavGap, NavHistory};
+use crate::io::nav::{NavInputs, NavOpenError};
+use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::view;
@@ -122,6 +122,27 @@ impl Rig {
         let c = self.spec.medium.sound_speed_m_per_s;
         let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
         ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
+    }
+
+    /// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
+    pub fn read_on(&mut self, inputs: &mut NavInputs, sonar: usize, order: &PingOrder) -> bool {
+        let from = order.transmit_utc;
+        let to = from.plus_s(self.window_s(sonar, order));
+        match self.spec.nav.mode {
+            // As it would have been known at the pulse.
+            NavMode::Predict => {
+                inputs.pull(from, &mut self.history);
+                !inputs.finished()
+            }
+            NavMode::Settle => {
+                while self.history.coverage(from, to) != Coverage::Ready {
+                    if !inputs.pull_next(&mut self.history) {
+                        return false;
+                    }
+                }
+                true
+            }
+        }
     }
 
     /// Named targets in the world; empty until the scene has been placed.

@@ -2,20 +2,28 @@
 //!
 //! In: a [`SettingChange`] from any protocol, page or command. Out: the settings that the next scheduled ping obeys, or a refusal that names
 //! key, value and rule and changes nothing. A change is in the store before its acknowledgement is written, so a ping whose settings are
-//! read after the acknowledgement obeys it. Not modelled: a settling time of the hardware.
+//! read after the acknowledgement obeys it. Settings that a device has and the model does not use are kept and reported. Every change has a
+//! line in a journal, with who asked, from which the other protocols report it. Not modelled: a settling time of the hardware.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::config::spec::LimitsSpec;
 use crate::flow::{
-    SettingApplied, SettingChange, SettingRefused, SettingRule, SettingsPort, SonarSettings,
+    Asked, Changed, JournalEntry, KeptKey, KeptValue, SettingApplied, SettingChange,
+    SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
 };
-use crate::time::{Clock, MonoNs, UtcNs};
+use crate::time::{Clock, MonoNs};
 
-/// Changes kept for the operator to look at; older ones are only counted.
+/// Changes kept for the operator and the other protocols to look at; older ones are only counted.
 pub const RECENT_CHANGES: usize = 64;
+
+/// Settings that are only kept, at most: no device has nearly as many, and a client cannot fill the memory.
+pub const MOST_KEPT: usize = 4096;
+
+/// Pings that may be asked for by number, at most.
+const MOST_PINGS_ASKED: f64 = u32::MAX as f64;
 
 /// Relative. A limit of 0.1 ms, sent as f32, comes back 2.5e-8 of itself too small: what is outside by no more than an f32 can tell is the
 /// limit itself.
@@ -32,12 +40,34 @@ pub struct SettingsStore {
 }
 
 struct State {
-    /// `pinging` here is what was asked with start and stop, whatever the rate is.
-    settings: SonarSettings,
+    asked: AskedFor,
+    kept: BTreeMap<KeptKey, KeptValue>,
     counts: SettingCounts,
     recent: VecDeque<RecentChange>,
+    journal: VecDeque<JournalEntry>,
     /// What held from when on, oldest first; the first entry stands for all time before.
     past: VecDeque<(MonoNs, SonarSettings)>,
+}
+
+/// What was asked of the sonar, whatever comes of it.
+#[derive(Clone, Copy)]
+struct AskedFor {
+    /// `pinging` here is what was asked with start and stop, whatever rate and trigger are.
+    settings: SonarSettings,
+    trigger: TriggerSource,
+    /// Pings that are still owed to somebody who asked for a number of them.
+    owed: u32,
+}
+
+impl AskedFor {
+    /// A rate of 0, or a trigger that is somebody else's, keeps a started sonar from pinging.
+    fn effective(&self) -> SonarSettings {
+        let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
+        SonarSettings {
+            pinging: (beats || self.owed > 0) && self.settings.max_ping_rate_hz > 0.0,
+            ..self.settings
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,7 +79,7 @@ pub struct SettingCounts {
 /// One line of the list of recent changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecentChange {
-    pub asked_utc: UtcNs,
+    pub asked: Asked,
     pub change: SettingChange,
     /// The version that obeys it, or why it was refused.
     pub outcome: Result<u64, SettingRefused>,
@@ -65,9 +95,15 @@ impl SettingsStore {
             clock,
             version: AtomicU64::new(0),
             state: Mutex::new(State {
-                settings: start,
+                asked: AskedFor {
+                    settings: start,
+                    trigger: TriggerSource::Internal,
+                    owed: 0,
+                },
+                kept: BTreeMap::new(),
                 counts: SettingCounts::default(),
                 recent: VecDeque::with_capacity(RECENT_CHANGES),
+                journal: VecDeque::with_capacity(RECENT_CHANGES),
                 past,
             }),
         }
@@ -77,7 +113,7 @@ impl SettingsStore {
     pub fn snapshot(&self) -> (SonarSettings, u64) {
         let state = self.lock();
         (
-            effective(state.settings),
+            state.asked.effective(),
             self.version.load(Ordering::Acquire),
         )
     }
@@ -92,7 +128,22 @@ impl SettingsStore {
             .rev()
             .find(|(since, _)| *since < instant)
             .or(state.past.front());
-        effective(held.map_or(state.settings, |&(_, settings)| settings))
+        held.map_or(state.asked.effective(), |&(_, settings)| settings)
+    }
+
+    /// Takes note of a ping that goes out at `instant`: one less is owed to whoever asked for a number of them, and after the last there is
+    /// none.
+    pub fn pinged(&self, instant: MonoNs) {
+        let mut state = self.lock();
+        if state.asked.owed == 0 {
+            return;
+        }
+        state.asked.owed -= 1;
+        if state.asked.owed == 0 {
+            let settings = state.asked.effective();
+            state.remember(instant, settings);
+            self.next_version();
+        }
     }
 
     /// Changes whenever the settings do: a plan made from an older version is out of date.
@@ -104,38 +155,38 @@ impl SettingsStore {
         &self.limits
     }
 
-    /// Obeys or refuses one change, and counts it. `asked_utc` only goes into the list of recent changes.
+    /// Obeys or refuses one change, and counts it. `asked` goes into the journal and the list of recent changes.
     pub fn apply(
         &self,
         change: SettingChange,
-        asked_utc: UtcNs,
+        asked: impl Into<Asked>,
     ) -> Result<SettingApplied, SettingRefused> {
+        let asked = asked.into();
         let mut state = self.lock();
-        let outcome = changed(state.settings, change, &self.limits).map(|settings| {
-            state.settings = settings;
-            if state.past.len() == RECENT_CHANGES {
-                state.past.pop_front();
-            }
-            state.past.push_back((self.clock.mono(), settings));
-            let version = self.version.load(Ordering::Acquire) + 1;
-            self.version.store(version, Ordering::Release);
-            SettingApplied {
-                settings: effective(settings),
+        let outcome = changed(state.asked, change, &self.limits).map(|settings| {
+            state.asked = settings;
+            let settings = settings.effective();
+            state.remember(self.clock.mono(), settings);
+            let version = self.next_version();
+            state.note(JournalEntry {
                 version,
-            }
+                asked,
+                changed: Changed::Setting(change),
+            });
+            SettingApplied { settings, version }
         });
         match outcome {
             Ok(_) => state.counts.applied += 1,
             Err(_) => state.counts.refused += 1,
         }
-        if state.recent.len() == RECENT_CHANGES {
-            state.recent.pop_front();
-        }
-        state.recent.push_back(RecentChange {
-            asked_utc,
-            change,
-            outcome: outcome.map(|applied| applied.version),
-        });
+        push_bounded(
+            &mut state.recent,
+            RecentChange {
+                asked,
+                change,
+                outcome: outcome.map(|applied| applied.version),
+            },
+        );
         outcome
     }
 
@@ -148,38 +199,88 @@ impl SettingsStore {
         self.lock().recent.iter().copied().collect()
     }
 
+    /// To be called with `state` locked.
+    fn next_version(&self) -> u64 {
+        let version = self.version.load(Ordering::Acquire) + 1;
+        self.version.store(version, Ordering::Release);
+        version
+    }
+
     /// A thread that panicked with the lock held leaves whole settings: each is written in one assignment.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
+impl State {
+    fn remember(&mut self, since: MonoNs, settings: SonarSettings) {
+        push_bounded(&mut self.past, (since, settings));
+    }
+
+    fn note(&mut self, entry: JournalEntry) {
+        push_bounded(&mut self.journal, entry);
+    }
+}
+
+fn push_bounded<T>(queue: &mut VecDeque<T>, item: T) {
+    if queue.len() == RECENT_CHANGES {
+        queue.pop_front();
+    }
+    queue.push_back(item);
+}
+
 impl SettingsPort for SettingsStore {
     fn settings(&self) -> SonarSettings {
         self.snapshot().0
     }
-    fn apply(
-        &self,
-        change: SettingChange,
-        asked_utc: UtcNs,
-    ) -> Result<SettingApplied, SettingRefused> {
-        SettingsStore::apply(self, change, asked_utc)
+    fn trigger(&self) -> TriggerSource {
+        self.lock().asked.trigger
     }
-}
-
-/// A rate of 0 keeps a started sonar from pinging.
-fn effective(settings: SonarSettings) -> SonarSettings {
-    SonarSettings {
-        pinging: settings.pinging && settings.max_ping_rate_hz > 0.0,
-        ..settings
+    fn limits(&self) -> LimitsSpec {
+        self.limits
+    }
+    fn version(&self) -> u64 {
+        SettingsStore::version(self)
+    }
+    fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused> {
+        SettingsStore::apply(self, change, asked)
+    }
+    fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused> {
+        let mut state = self.lock();
+        if state.kept.len() >= MOST_KEPT && !state.kept.contains_key(&key) {
+            state.counts.refused += 1;
+            return Err(SettingRefused {
+                key: key.name,
+                value: f64::from(key.place),
+                rule: SettingRule::TooMany { most: MOST_KEPT },
+            });
+        }
+        state.kept.insert(key, value.clone());
+        state.counts.applied += 1;
+        let version = self.next_version();
+        state.note(JournalEntry {
+            version,
+            asked,
+            changed: Changed::Kept(key, value),
+        });
+        Ok(())
+    }
+    fn kept(&self, key: KeptKey) -> Option<KeptValue> {
+        self.lock().kept.get(&key).cloned()
+    }
+    fn changes_since(&self, version: u64) -> Vec<JournalEntry> {
+        let state = self.lock();
+        let newer = state.journal.iter().filter(|entry| entry.version > version);
+        newer.cloned().collect()
     }
 }
 
 fn changed(
-    mut settings: SonarSettings,
+    mut asked: AskedFor,
     change: SettingChange,
     limits: &LimitsSpec,
-) -> Result<SonarSettings, SettingRefused> {
+) -> Result<AskedFor, SettingRefused> {
+    let settings = &mut asked.settings;
     match change {
         SettingChange::RangeM(value) => {
             settings.range_m = within("range_m", value, limits.range_m)?;
@@ -204,10 +305,15 @@ fn changed(
         SettingChange::PulseDurationS(value) => {
             settings.pulse_duration_s = within("pulse_duration_s", value, limits.pulse_duration_s)?;
         }
-        SettingChange::Start => settings.pinging = true,
-        SettingChange::Stop => settings.pinging = false,
+        SettingChange::Start => (settings.pinging, asked.owed) = (true, 0),
+        SettingChange::Stop => (settings.pinging, asked.owed) = (false, 0),
+        SettingChange::PingTimes(times) => {
+            within("ping_times", f64::from(times), (1.0, MOST_PINGS_ASKED))?;
+            (settings.pinging, asked.owed) = (false, times);
+        }
+        SettingChange::Trigger(source) => asked.trigger = source,
     }
-    Ok(settings)
+    Ok(asked)
 }
 
 /// `value` where it lies within the limits, both included, to the precision of an f32.
@@ -226,7 +332,7 @@ fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::VirtualClock;
+    use crate::time::{UtcNs, VirtualClock};
     use proptest::prelude::*;
 
     const LIMITS: LimitsSpec = LimitsSpec {
@@ -358,7 +464,7 @@ mod tests {
         assert_eq!(recent[0].change, SettingChange::GainDb(10.0));
         assert_eq!(recent[0].outcome, Ok(11));
         let last = recent.last().unwrap();
-        assert_eq!(last.asked_utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
+        assert_eq!(last.asked.utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
         assert!(last.outcome.is_err(), "73 dB is over the limit");
         assert_eq!(
             store.counts(),
@@ -415,6 +521,73 @@ mod tests {
                 prop_assert!((0.1..=20.0).contains(&s.max_ping_rate_hz) || (s.max_ping_rate_hz == 0.0 && !s.pinging));
             }
         }
+    }
+
+    #[test]
+    fn pings_asked_for_by_number_end_by_themselves_and_a_start_forgets_them() {
+        let clock = Arc::new(VirtualClock::default());
+        let store = SettingsStore::new(START, LIMITS, clock.clone());
+        store.apply(SettingChange::PingTimes(2), NOW).unwrap();
+        let at = |k: i64| MonoNs(k * 1_000_000_000);
+        assert!(store.at(at(1)).pinging);
+        store.pinged(at(1));
+        assert!(store.at(at(2)).pinging);
+        store.pinged(at(2));
+        assert!(!store.at(at(3)).pinging, "two were asked for");
+        assert!(!store.snapshot().0.pinging);
+        assert_eq!(store.version(), 2, "the end is a change too");
+        store.apply(SettingChange::PingTimes(1), NOW).unwrap();
+        store.apply(SettingChange::Start, NOW).unwrap();
+        store.pinged(at(4));
+        assert!(store.snapshot().0.pinging, "started, not counted");
+        let refused = store.apply(SettingChange::PingTimes(0), NOW).unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "ping_times = 0: must be from 1 to 4294967295"
+        );
+    }
+
+    #[test]
+    fn a_foreign_trigger_holds_the_beat_but_not_pings_asked_for() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let external = SettingChange::Trigger(TriggerSource::External);
+        assert!(!store.apply(external, NOW).unwrap().settings.pinging);
+        let once = store.apply(SettingChange::PingTimes(1), NOW).unwrap();
+        assert!(once.settings.pinging);
+        let internal = SettingChange::Trigger(TriggerSource::Internal);
+        store.apply(SettingChange::Start, NOW).unwrap();
+        assert!(store.apply(internal, NOW).unwrap().settings.pinging);
+    }
+
+    #[test]
+    fn what_the_model_does_not_use_is_kept_journaled_and_bounded() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let key = |place| KeptKey {
+            via: "jsf",
+            name: "adc_gain",
+            place,
+        };
+        let asked = Asked::from(NOW);
+        assert_eq!(store.kept(key(0)), None);
+        for place in 0..MOST_KEPT as u32 {
+            store
+                .keep(key(place), KeptValue::Integer(7), asked)
+                .unwrap();
+        }
+        let text = KeptValue::Text("a.spf".into());
+        store.keep(key(3), text.clone(), asked).unwrap();
+        assert_eq!(store.kept(key(3)), Some(text.clone()), "the newest");
+        assert!(store.keep(key(u32::MAX), text.clone(), asked).is_err());
+        let version = store.version();
+        let newest = store.changes_since(version - 1);
+        let want = JournalEntry {
+            version,
+            asked,
+            changed: Changed::Kept(key(3), text),
+        };
+        assert_eq!(newest, [want]);
+        assert_eq!(store.changes_since(0).len(), RECENT_CHANGES, "bounded");
+        assert_eq!(store.snapshot().0, START, "no ping knows of it");
     }
 
     #[test]

@@ -8,6 +8,7 @@
 //! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
 //! the time at which the state holds, the start of the pulse. Not modelled: bottom detection (7027), snippets, 7042.
 
+pub mod protocol;
 pub mod quantise;
 pub mod records;
 pub mod session;

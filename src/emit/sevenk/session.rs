@@ -20,7 +20,8 @@ use echotank_protocols::sevenk::{
 
 use super::records::DeviceSheet;
 use super::{RECORDS, RecordSet};
-use crate::flow::{Datagram, SettingChange, SettingsPort};
+pub use crate::emit::session::{Outgoing, SessionCounts};
+use crate::flow::{Asked, Asker, Datagram, SettingChange, SettingsPort};
 use crate::time::UtcNs;
 
 /// The longest record a client may send: a command with some thousands of record types.
@@ -30,15 +31,6 @@ const REMOTE_CONTROL: u32 = 7500;
 const ACK: u32 = 7501;
 const NACK: u32 = 7502;
 
-/// Whom a record that a session made is for.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Outgoing {
-    /// For this client.
-    Reply(Datagram),
-    /// An accepted command (7500), for every client subscribed to 7500.
-    Echo(Datagram),
-}
-
 /// What a session needs of the world while it answers.
 #[derive(Clone, Copy)]
 pub struct SessionContext<'a> {
@@ -46,17 +38,7 @@ pub struct SessionContext<'a> {
     pub settings: &'a dyn SettingsPort,
     /// Rig time: stamps the answers.
     pub now: UtcNs,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SessionCounts {
-    /// Commands met, refused ones included.
-    pub commands: u64,
-    pub nacks: u64,
-    /// Times that bytes were no record, or a record was wrong.
-    pub framing_errors: u64,
-    /// Whole records that are no commands.
-    pub other_records: u64,
+    pub by: Asker,
 }
 
 /// One client.
@@ -295,7 +277,11 @@ impl Client {
             | Command::CompressedWaterColumn { .. }
             | Command::SoundVelocity { .. } => return Err(ErrorCode::FeatureNotAvailable),
         };
-        match context.settings.apply(change, context.now) {
+        let asked = Asked {
+            utc: context.now,
+            by: context.by,
+        };
+        match context.settings.apply(change, asked) {
             Ok(_) => Ok(None),
             Err(_) => Err(ErrorCode::ParameterOutOfRange),
         }

@@ -1,38 +1,41 @@
 //! Servers for the sonar protocols: one thread per server, which never paces a ping.
 //!
 //! In: whole records from the delivery thread ([`SonarServer::deliver`]), commands from clients. Out: each client's own choice of records, over
-//! TCP and UDP on one port; the settings, changed. The thread runs a current-thread tokio runtime; the delivery thread only appends to queues
-//! and never waits for a socket.
+//! TCP and UDP on one port; the settings, changed. What is spoken is a [`Protocol`]; the server knows sockets, queues, counters and times. The
+//! thread runs a current-thread tokio runtime; the delivery thread only appends to queues and never waits for a socket.
 //!
-//! Each client has a bounded queue. What does not fit is dropped for that client only, by whole records, and counted; a record once begun is
-//! finished. A record that finds the queue empty always fits, or one larger than the queue could never be sent. Answers to commands go
-//! ahead of queued records; a client that does not read its answers is not read from (TCP) or loses them, counted (UDP).
+//! Each client has a bounded queue. What does not fit is dropped for that client only, by whole records, and counted, or ends the connection
+//! ([`WhenFull`]); a record once begun is finished, unless its connection is ended. A record that finds the queue empty always fits, or one
+//! larger than the queue could never be sent. Answers to commands go ahead of queued records; a client that does not read its answers is not
+//! read from (TCP) or loses them, counted (UDP).
 //!
-//! Over UDP a client lasts as long as its subscriptions: until 1052 or 1056 has ended them and it was silent for [`ServerTimes::udp_idle`], or
-//! it was silent for [`ServerTimes::udp_silence`] whatever it subscribed to (any command renews it), or its port is reported closed.
-//! UDP bursts are not paced: the DFD recommends TCP, and so do we.
+//! Over UDP a client lasts as long as its subscriptions: until it has none and was silent for [`ServerTimes::udp_idle`], or it was silent for
+//! [`ServerTimes::udp_silence`] whatever it subscribed to (any command renews it), or its port is reported closed. Records also go to
+//! addresses that were dialled ([`SonarServer::dial`], or a session's word) until they are hung up or fail. UDP bursts are not paced.
 
 pub mod client;
+mod dial;
 mod queue;
+mod sevenk;
 mod tcp;
 mod udp;
 pub mod verify;
 
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
+use tokio::time::interval;
 
-use crate::config::spec::SevenKSpec;
-use crate::emit::sevenk::RecordSet;
-use crate::emit::sevenk::records::DeviceSheet;
-use crate::emit::sevenk::session::{Outgoing, Session, SessionContext};
-use crate::flow::{Datagram, SettingsPort};
+pub use crate::emit::session::Transport;
+use crate::emit::session::{Outgoing, Protocol, Session, Wants};
+use crate::flow::Datagram;
 use crate::time::UtcNs;
-use queue::Client;
+use queue::{Client, Offer};
+pub use sevenk::{start_sevenk, start_sevenk_with};
 
 /// Tells rig time: what answers are stamped with.
 pub type RigTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
@@ -59,19 +62,36 @@ pub enum OpenError {
     Thread(std::io::Error),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Transport {
-    Tcp,
-    Udp,
+/// How often changes by others are looked for.
+const NOTICE_INTERVAL: Duration = Duration::from_millis(20);
+
+/// What becomes of a client whose queue is full.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenFull {
+    /// It misses whole records.
+    #[default]
+    Skip,
+    /// It is disconnected.
+    Disconnect,
 }
 
-impl std::fmt::Display for Transport {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Tcp => "TCP",
-            Self::Udp => "UDP",
-        })
-    }
+#[derive(Clone, Copy)]
+struct QueueLimit {
+    bytes: usize,
+    when_full: WhenFull,
+}
+
+/// Where a server listens and what it gives each client.
+#[derive(Clone, Debug)]
+pub struct ServerSpec {
+    /// Port 0 picks one that all its transports have free.
+    pub listen: SocketAddr,
+    pub tcp: bool,
+    pub udp: bool,
+    /// Bytes that may wait for one client.
+    pub client_queue_bytes: usize,
+    pub when_full: WhenFull,
+    pub max_clients: usize,
 }
 
 /// How long the server waits for what may never come.
@@ -131,7 +151,7 @@ impl std::ops::AddAssign for ClientCounts {
 pub struct ClientReport {
     pub peer: SocketAddr,
     pub transport: Transport,
-    pub subscribed: RecordSet,
+    pub subscribed: Wants,
     pub queued_bytes: usize,
     pub counts: ClientCounts,
 }
@@ -159,7 +179,7 @@ impl ServerReport {
     }
 }
 
-/// A listening 7k server. Stops when dropped.
+/// A listening server. Stops when dropped.
 pub struct SonarServer {
     shared: Arc<Shared>,
     local_addr: SocketAddr,
@@ -168,35 +188,28 @@ pub struct SonarServer {
 }
 
 impl SonarServer {
-    /// Listens on TCP and UDP at `spec.listen`; port 0 picks one that both have free.
     pub fn start(
-        spec: &SevenKSpec,
-        sheet: Arc<DeviceSheet>,
-        settings: Arc<dyn SettingsPort>,
-        rig_time: RigTime,
-    ) -> Result<Self, OpenError> {
-        Self::start_with(spec, sheet, settings, rig_time, ServerTimes::default())
-    }
-
-    pub fn start_with(
-        spec: &SevenKSpec,
-        sheet: Arc<DeviceSheet>,
-        settings: Arc<dyn SettingsPort>,
+        spec: &ServerSpec,
+        protocol: Arc<dyn Protocol>,
         rig_time: RigTime,
         times: ServerTimes,
     ) -> Result<Self, OpenError> {
-        let packet = PacketLimits::of(spec.max_packet)?;
-        let (listener, socket, local_addr) = open(spec.listen)?;
+        let doors = open(spec)?;
+        let local_addr = doors.local_addr;
+        let (dials, dialled) = mpsc::unbounded_channel();
         let shared = Arc::new(Shared {
-            sheet,
-            settings,
             rig_time,
             times,
-            packet,
-            client_queue_bytes: spec.client_queue_bytes,
+            queue: QueueLimit {
+                bytes: spec.client_queue_bytes,
+                when_full: spec.when_full,
+            },
             max_clients: spec.max_clients,
-            wanted: AtomicU32::new(0),
+            wanted: AtomicU64::new(0),
             roster: Mutex::new(Roster::default()),
+            dials,
+            local_addr,
+            protocol,
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -204,10 +217,10 @@ impl SonarServer {
             .map_err(OpenError::Thread)?;
         let (stop, stopped) = watch::channel(false);
         let thread = std::thread::Builder::new()
-            .name(format!("sevenk-{}", local_addr.port()))
+            .name(format!("{} {}", shared.protocol.name(), local_addr.port()))
             .spawn({
                 let shared = Arc::clone(&shared);
-                move || runtime.block_on(serve(listener, socket, shared, stopped))
+                move || runtime.block_on(serve(doors, shared, dialled, stopped))
             })
             .map_err(OpenError::Thread)?;
         Ok(Self {
@@ -223,8 +236,13 @@ impl SonarServer {
     }
 
     /// What clients want of the next ping. One atomic read.
-    pub fn wanted(&self) -> RecordSet {
-        RecordSet::from_bits(self.shared.wanted.load(Ordering::Acquire))
+    pub fn wanted(&self) -> Wants {
+        Wants(self.shared.wanted.load(Ordering::Acquire))
+    }
+
+    /// Sends records of these classes to an address that has not asked, from now on: a seat among the clients, if one is free.
+    pub fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
+        self.shared.dial(peer, transport, wants);
     }
 
     /// Queues records for every client that wants them. Never waits for a client.
@@ -257,35 +275,14 @@ impl Drop for SonarServer {
     }
 }
 
-/// Bytes of a packet, network frame included.
-#[derive(Clone, Copy)]
-struct PacketLimits {
-    tcp: u32,
-    udp: u32,
+/// What a server listens at.
+struct Doors {
+    tcp: Option<std::net::TcpListener>,
+    udp: Option<std::net::UdpSocket>,
+    local_addr: SocketAddr,
 }
 
-impl PacketLimits {
-    fn of(max_packet: usize) -> Result<Self, OpenError> {
-        use echotank_protocols::sevenk::packet::{MAX_DATAGRAM_BYTES, MIN_MAX_PACKET_BYTES};
-        let refused = || OpenError::MaxPacket {
-            max_packet,
-            min: MIN_MAX_PACKET_BYTES as usize,
-            max: u32::MAX as usize,
-        };
-        let tcp = u32::try_from(max_packet).map_err(|_| refused())?;
-        if tcp < MIN_MAX_PACKET_BYTES {
-            return Err(refused());
-        }
-        Ok(Self {
-            tcp,
-            udp: tcp.min(MAX_DATAGRAM_BYTES),
-        })
-    }
-}
-
-fn open(
-    address: SocketAddr,
-) -> Result<(std::net::TcpListener, std::net::UdpSocket, SocketAddr), OpenError> {
+fn open(spec: &ServerSpec) -> Result<Doors, OpenError> {
     let failed = |transport, address| {
         move |source| OpenError::Listen {
             transport,
@@ -296,37 +293,75 @@ fn open(
     let mut attempt = 0;
     loop {
         attempt += 1;
-        let listener =
-            std::net::TcpListener::bind(address).map_err(failed(Transport::Tcp, address))?;
-        let local = listener
-            .local_addr()
-            .map_err(failed(Transport::Tcp, address))?;
-        match std::net::UdpSocket::bind(local) {
-            Err(_) if address.port() == 0 && attempt < PORT_ATTEMPTS => continue,
-            Err(source) => return Err(failed(Transport::Udp, local)(source)),
-            Ok(socket) => {
-                listener
-                    .set_nonblocking(true)
-                    .map_err(failed(Transport::Tcp, local))?;
-                socket
-                    .set_nonblocking(true)
-                    .map_err(failed(Transport::Udp, local))?;
-                return Ok((listener, socket, local));
-            }
+        let mut doors = Doors {
+            tcp: None,
+            udp: None,
+            local_addr: spec.listen,
+        };
+        if spec.tcp {
+            let failed = failed(Transport::Tcp, spec.listen);
+            let listener = std::net::TcpListener::bind(spec.listen).map_err(failed)?;
+            doors.local_addr = listener.local_addr().map_err(failed)?;
+            listener.set_nonblocking(true).map_err(failed)?;
+            doors.tcp = Some(listener);
         }
+        if spec.udp {
+            let failed = failed(Transport::Udp, doors.local_addr);
+            let socket = match std::net::UdpSocket::bind(doors.local_addr) {
+                Err(_) if spec.tcp && spec.listen.port() == 0 && attempt < PORT_ATTEMPTS => {
+                    continue;
+                }
+                result => result.map_err(failed)?,
+            };
+            doors.local_addr = socket.local_addr().map_err(failed)?;
+            socket.set_nonblocking(true).map_err(failed)?;
+            doors.udp = Some(socket);
+        }
+        return Ok(doors);
     }
 }
 
 async fn serve(
-    listener: std::net::TcpListener,
-    socket: std::net::UdpSocket,
+    doors: Doors,
     shared: Arc<Shared>,
+    dialled: mpsc::UnboundedReceiver<dial::Dial>,
     stopped: watch::Receiver<bool>,
 ) {
+    let tcp = async {
+        if let Some(listener) = doors.tcp {
+            tcp::serve(listener, Arc::clone(&shared), stopped.clone()).await;
+        }
+    };
+    let udp = async {
+        if let Some(socket) = doors.udp {
+            udp::serve(socket, Arc::clone(&shared), stopped.clone()).await;
+        }
+    };
     tokio::join!(
-        tcp::serve(listener, Arc::clone(&shared), stopped.clone()),
-        udp::serve(socket, shared, stopped)
+        tcp,
+        udp,
+        dial::serve(dialled, Arc::clone(&shared), stopped.clone()),
+        notices(Arc::clone(&shared), stopped.clone()),
     );
+}
+
+/// Tells the clients what others have changed.
+async fn notices(shared: Arc<Shared>, mut stopped: watch::Receiver<bool>) {
+    let protocol = &shared.protocol;
+    let mut version = protocol.version();
+    let mut tick = interval(NOTICE_INTERVAL);
+    loop {
+        tokio::select! {
+            () = stopping(&mut stopped) => return,
+            _ = tick.tick() => {}
+        }
+        let now = protocol.version();
+        if now != version {
+            let notices = protocol.notices(version, (shared.rig_time)());
+            version = now;
+            shared.offer_all(notices.into_iter().map(Arc::new));
+        }
+    }
 }
 
 /// Resolves when the server stops.
@@ -338,16 +373,16 @@ async fn stopping(stopped: &mut watch::Receiver<bool>) {
 // ---------------------------------------------------------------- shared by the threads
 
 struct Shared {
-    sheet: Arc<DeviceSheet>,
-    settings: Arc<dyn SettingsPort>,
+    protocol: Arc<dyn Protocol>,
     rig_time: RigTime,
     times: ServerTimes,
-    packet: PacketLimits,
-    client_queue_bytes: usize,
+    queue: QueueLimit,
     max_clients: usize,
+    local_addr: SocketAddr,
     /// Union of what the clients want; written with the roster locked.
-    wanted: AtomicU32,
+    wanted: AtomicU64,
     roster: Mutex<Roster>,
+    dials: mpsc::UnboundedSender<dial::Dial>,
 }
 
 #[derive(Default)]
@@ -366,14 +401,19 @@ impl Shared {
     }
 
     /// A seat for a new client, unless all are taken.
-    fn admit(self: &Arc<Self>, peer: SocketAddr, transport: Transport) -> Option<Seat> {
+    fn admit(
+        self: &Arc<Self>,
+        peer: SocketAddr,
+        transport: Transport,
+        dialled: bool,
+    ) -> Option<Seat> {
         let mut roster = self.lock();
         if roster.clients.len() >= self.max_clients {
             roster.refused += 1;
             return None;
         }
         roster.admitted += 1;
-        let client = Arc::new(Client::new(peer, transport));
+        let client = Arc::new(Client::new(peer, transport, dialled));
         roster.clients.push(Arc::clone(&client));
         Some(Seat {
             shared: Arc::clone(self),
@@ -385,32 +425,64 @@ impl Shared {
         let wanted = roster
             .clients
             .iter()
-            .fold(RecordSet::EMPTY, |all, client| all.union(client.wants()));
-        self.wanted.store(wanted.bits(), Ordering::Release);
+            .fold(Wants::NONE, |all, client| all.union(client.wants()));
+        self.wanted.store(wanted.0, Ordering::Release);
     }
 
     fn deliver(&self, records: &[Arc<Datagram>]) {
+        self.offer_all(records.iter().cloned());
+    }
+
+    fn offer_all(&self, records: impl Iterator<Item = Arc<Datagram>>) {
+        let offers: Vec<_> = records
+            .map(|datagram| Offer {
+                class: self.protocol.class(datagram.record_type),
+                datagram,
+            })
+            .collect();
         let roster = self.lock();
         for client in &roster.clients {
-            client.offer(records, self.client_queue_bytes);
+            client.offer(&offers, self.queue);
         }
         self.update_wanted(&roster);
+    }
+
+    fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
+        // An error means that the server has stopped, and nobody is dialled any more.
+        let _ = self.dials.send(dial::Dial {
+            peer,
+            transport,
+            wants,
+        });
+    }
+
+    /// Ends what was dialled; whether there was any.
+    fn hang_up(&self, peer: SocketAddr, transport: Transport) {
+        for client in &self.lock().clients {
+            if client.dialled && client.peer == peer && client.transport == transport {
+                client.leave();
+            }
+        }
+    }
+
+    /// A session for a client that has just come.
+    fn welcome(&self, client: &Client) -> Box<dyn Session> {
+        let mut session = self.protocol.connect(client.transport, client.peer);
+        self.converse(client, &mut *session, |session, now, out| {
+            session.greet(now, out);
+        });
+        session
     }
 
     /// Lets a session work, and carries out what it decided.
     fn converse(
         &self,
         client: &Client,
-        session: &mut Session,
-        step: impl FnOnce(&mut Session, &SessionContext<'_>, &mut Vec<Outgoing>),
+        session: &mut dyn Session,
+        step: impl FnOnce(&mut dyn Session, UtcNs, &mut Vec<Outgoing>),
     ) {
-        let context = SessionContext {
-            sheet: &self.sheet,
-            settings: self.settings.as_ref(),
-            now: (self.rig_time)(),
-        };
         let mut outgoing = Vec::new();
-        step(session, &context, &mut outgoing);
+        step(session, (self.rig_time)(), &mut outgoing);
         client.note(session.counts());
         // The answer is queued before the first record that it promises can be.
         let mut echoes = Vec::new();
@@ -418,14 +490,18 @@ impl Shared {
             match item {
                 Outgoing::Reply(datagram) => client.reply(Arc::new(datagram)),
                 Outgoing::Echo(datagram) => echoes.push(Arc::new(datagram)),
+                Outgoing::Dial {
+                    peer,
+                    transport,
+                    wants,
+                } => self.dial(peer, transport, wants),
+                Outgoing::HangUp { peer, transport } => self.hang_up(peer, transport),
             }
         }
-        let requested = session.take_requested();
-        let roster = self.lock();
-        client.want(session.subscribed(), requested);
-        self.update_wanted(&roster);
-        for other in &roster.clients {
-            other.offer(&echoes, self.client_queue_bytes);
+        client.want(session.wants(), session.take_requested());
+        self.offer_all(echoes.into_iter());
+        if session.is_over() {
+            client.leave();
         }
     }
 

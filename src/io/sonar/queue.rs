@@ -2,14 +2,13 @@
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-use super::{ClientCounts, ClientReport, Transport};
-use crate::emit::sevenk::RecordSet;
-use crate::emit::sevenk::session::SessionCounts;
+use super::{ClientCounts, ClientReport, QueueLimit, Transport, WhenFull};
+use crate::emit::session::{SessionCounts, Wants};
 use crate::flow::Datagram;
 
 /// Answers that may wait for a client before it is no longer listened to (TCP) or loses them (UDP): a few dozen configurations.
@@ -17,17 +16,21 @@ const REPLY_BYTES: usize = 256 * 1024;
 
 /// All counters are statistics: relaxed ordering throughout.
 pub(super) struct Client {
-    peer: SocketAddr,
-    transport: Transport,
-    subscribed: AtomicU32,
+    pub peer: SocketAddr,
+    pub transport: Transport,
+    /// It did not come by itself: records are sent to it because somebody else said so.
+    pub dialled: bool,
+    subscribed: AtomicU64,
     /// Wanted once, of the next ping.
-    requested: AtomicU32,
+    requested: AtomicU64,
     queue: Mutex<Queue>,
     /// Something was queued, or the client is leaving.
     wake: Notify,
     /// Answers were written.
     room: Notify,
     leaving: AtomicBool,
+    /// Leaves at once, whatever waits.
+    dropped: AtomicBool,
     bytes_sent: AtomicU64,
     records_sent: AtomicU64,
     records_dropped: AtomicU64,
@@ -36,10 +39,17 @@ pub(super) struct Client {
     framing_errors: AtomicU64,
 }
 
+/// A record and the wants that it answers.
+#[derive(Clone)]
+pub(super) struct Offer {
+    pub class: Wants,
+    pub datagram: Arc<Datagram>,
+}
+
 #[derive(Default)]
 struct Queue {
     replies: VecDeque<Arc<Datagram>>,
-    records: VecDeque<Arc<Datagram>>,
+    records: VecDeque<Offer>,
     /// Queued or being written.
     reply_bytes: usize,
     record_bytes: usize,
@@ -52,16 +62,18 @@ pub(super) struct Taken {
 }
 
 impl Client {
-    pub fn new(peer: SocketAddr, transport: Transport) -> Self {
+    pub fn new(peer: SocketAddr, transport: Transport, dialled: bool) -> Self {
         Self {
             peer,
             transport,
-            subscribed: AtomicU32::new(0),
-            requested: AtomicU32::new(0),
+            dialled,
+            subscribed: AtomicU64::new(0),
+            requested: AtomicU64::new(0),
             queue: Mutex::new(Queue::default()),
             wake: Notify::new(),
             room: Notify::new(),
             leaving: AtomicBool::new(false),
+            dropped: AtomicBool::new(false),
             bytes_sent: AtomicU64::new(0),
             records_sent: AtomicU64::new(0),
             records_dropped: AtomicU64::new(0),
@@ -78,28 +90,27 @@ impl Client {
 
     // ------------------------------------------------------------ wants
 
-    pub fn wants(&self) -> RecordSet {
+    pub fn wants(&self) -> Wants {
         self.subscribed()
-            .union(RecordSet::from_bits(self.requested.load(Ordering::Acquire)))
+            .union(Wants(self.requested.load(Ordering::Acquire)))
     }
 
-    pub fn subscribed(&self) -> RecordSet {
-        RecordSet::from_bits(self.subscribed.load(Ordering::Acquire))
+    pub fn subscribed(&self) -> Wants {
+        Wants(self.subscribed.load(Ordering::Acquire))
     }
 
     /// Sets the subscriptions, adds single requests, and takes records off the queue that are no longer wanted.
-    pub fn want(&self, subscribed: RecordSet, requested: RecordSet) {
-        let before =
-            RecordSet::from_bits(self.subscribed.swap(subscribed.bits(), Ordering::AcqRel));
-        self.requested.fetch_or(requested.bits(), Ordering::AcqRel);
+    pub fn want(&self, subscribed: Wants, requested: Wants) {
+        let before = Wants(self.subscribed.swap(subscribed.0, Ordering::AcqRel));
+        self.requested.fetch_or(requested.0, Ordering::AcqRel);
         let ended = before.without(subscribed);
         if !ended.is_empty() {
             let mut queue = self.lock();
             let mut freed = 0;
-            queue.records.retain(|datagram| {
-                let stays = !ended.contains(datagram.record_type);
+            queue.records.retain(|offer| {
+                let stays = !ended.meets(offer.class);
                 if !stays {
-                    freed += datagram.bytes.len();
+                    freed += offer.datagram.bytes.len();
                 }
                 stays
             });
@@ -109,28 +120,30 @@ impl Client {
 
     // ------------------------------------------------------------ queue in
 
-    /// Queues those of `records` that the client wants and that fit.
-    pub fn offer(&self, records: &[Arc<Datagram>], limit_bytes: usize) {
+    /// Queues those of `offers` that the client wants and that fit.
+    pub fn offer(&self, offers: &[Offer], limit: QueueLimit) {
         let wants = self.wants();
         if wants.is_empty() {
             return;
         }
         let mut queue = self.lock();
         let mut queued = false;
-        for datagram in records {
-            if !wants.contains(datagram.record_type) {
-                continue;
-            }
-            let len = datagram.bytes.len();
-            let fits = queue.record_bytes == 0 || queue.record_bytes + len <= limit_bytes;
+        for offer in offers.iter().filter(|offer| wants.meets(offer.class)) {
+            let len = offer.datagram.bytes.len();
+            let fits = queue.record_bytes == 0 || queue.record_bytes + len <= limit.bytes;
             if !fits {
                 self.records_dropped.fetch_add(1, Ordering::Relaxed);
+                if limit.when_full == WhenFull::Disconnect {
+                    self.dropped.store(true, Ordering::Release);
+                    drop(queue);
+                    self.leave();
+                    return;
+                }
                 continue;
             }
             queue.record_bytes += len;
-            queue.records.push_back(Arc::clone(datagram));
-            let once = RecordSet::of(&[datagram.record_type]);
-            self.requested.fetch_and(!once.bits(), Ordering::AcqRel);
+            queue.records.push_back(offer.clone());
+            self.requested.fetch_and(!offer.class.0, Ordering::AcqRel);
             queued = true;
         }
         drop(queue);
@@ -169,9 +182,9 @@ impl Client {
                 is_reply: true,
             });
         }
-        let datagram = queue.records.pop_front()?;
+        let offer = queue.records.pop_front()?;
         Some(Taken {
-            datagram,
+            datagram: offer.datagram,
             is_reply: false,
         })
     }
@@ -219,6 +232,13 @@ impl Client {
 
     pub fn is_leaving(&self) -> bool {
         self.leaving.load(Ordering::Acquire)
+    }
+
+    /// Resolves when nothing more is to be written, not even the rest of what was begun.
+    pub async fn gone(&self) {
+        while !self.dropped.load(Ordering::Acquire) {
+            self.woken().await;
+        }
     }
 
     /// The last word on a client: its counts, with what is still queued as unsent.

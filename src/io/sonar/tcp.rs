@@ -10,11 +10,8 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 
-use echotank_protocols::sevenk::Packetiser;
-
 use super::queue::Client;
 use super::{Seat, Shared, Transport, stopping};
-use crate::emit::sevenk::session::Session;
 
 const READ_BYTES: usize = 16 * 1024;
 
@@ -33,7 +30,7 @@ pub(super) async fn serve(
             () = stopping(&mut stopped) => break,
             accepted = listener.accept() => match accepted {
                 Ok((stream, peer)) => {
-                    if let Some(seat) = shared.admit(peer, Transport::Tcp) {
+                    if let Some(seat) = shared.admit(peer, Transport::Tcp, false) {
                         clients.spawn(attend(stream, seat, stopped.clone()));
                     }
                 }
@@ -56,12 +53,7 @@ async fn attend(stream: TcpStream, seat: Seat, mut stopped: watch::Receiver<bool
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&seat.shared, &seat.client);
     let drain = shared.times.drain;
-    let mut writer = std::pin::pin!(write_records(
-        write_half,
-        client,
-        shared.packet.tcp,
-        stopped.clone()
-    ));
+    let mut writer = std::pin::pin!(write_records(write_half, shared, client, stopped.clone()));
     tokio::select! {
         () = &mut writer => {}
         () = read_commands(read_half, shared, client) => {
@@ -74,11 +66,14 @@ async fn attend(stream: TcpStream, seat: Seat, mut stopped: watch::Receiver<bool
 
 /// Returns when the client has closed.
 async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Client) {
-    let mut session = Session::stream();
+    let mut session = shared.welcome(client);
     let mut buffer = vec![0; READ_BYTES];
     // When the record that waits for its rest was begun, or something last came of the bytes.
     let mut since = Instant::now();
     loop {
+        if session.is_over() {
+            return;
+        }
         client.room_for_replies().await;
         let read = if session.is_waiting() {
             timeout_at(since + shared.times.stall, stream.read(&mut buffer)).await
@@ -90,22 +85,22 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
         let before = session.counts();
         match read {
             Ok(Ok(len)) if len > 0 => {
-                shared.converse(client, &mut session, |session, context, out| {
-                    session.receive(&buffer[..len], context, out);
+                shared.converse(client, &mut *session, |session, now, out| {
+                    session.receive(&buffer[..len], now, out);
                 });
                 if session.counts() != before {
                     since = Instant::now();
                 }
             }
             Err(_stalled) => {
-                shared.converse(client, &mut session, |session, context, out| {
-                    session.give_up_waiting(context, out);
+                shared.converse(client, &mut *session, |session, now, out| {
+                    session.give_up_waiting(now, out);
                 });
                 since = Instant::now();
             }
             Ok(Ok(_) | Err(_)) => {
-                return shared.converse(client, &mut session, |session, context, out| {
-                    session.give_up_waiting(context, out);
+                return shared.converse(client, &mut *session, |session, now, out| {
+                    session.give_up_waiting(now, out);
                 });
             }
         }
@@ -113,21 +108,25 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
 }
 
 /// Returns when the socket fails, or all is written and no more comes.
-async fn write_records(
+pub(super) async fn write_records(
     mut stream: OwnedWriteHalf,
+    shared: &Shared,
     client: &Client,
-    max_packet_bytes: u32,
     mut stopped: watch::Receiver<bool>,
 ) {
-    let mut packetiser = Packetiser::new(max_packet_bytes).expect("checked when the server opened");
-    let mut wire = Vec::new();
+    let mut framer = shared.protocol.framer(Transport::Tcp);
+    let (mut wire, mut packets) = (Vec::new(), Vec::new());
     loop {
         while let Some(taken) = client.take() {
             wire.clear();
-            packetiser.packetise(&taken.datagram.bytes, &mut wire);
-            let result = stream.write_all(&wire).await;
-            client.written(taken, result.is_ok().then_some(wire.len()));
-            if result.is_err() {
+            packets.clear();
+            framer.frame(&taken.datagram.bytes, &mut wire, &mut packets);
+            let result = tokio::select! {
+                result = stream.write_all(&wire) => result.is_ok(),
+                () = client.gone() => false,
+            };
+            client.written(taken, result.then_some(wire.len()));
+            if !result {
                 return;
             }
         }

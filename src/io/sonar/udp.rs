@@ -11,11 +11,9 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep, timeout};
 
-use echotank_protocols::sevenk::{Packetiser, Reassembler};
-
 use super::queue::Client;
 use super::{Seat, Shared, Transport, stopping};
-use crate::emit::sevenk::session::{MAX_COMMAND_BYTES, Session};
+use crate::emit::session::Session;
 
 /// How often silent clients are looked for, at most.
 const SWEEP: Duration = Duration::from_millis(500);
@@ -25,7 +23,7 @@ const RECEIVE_PAUSE: Duration = Duration::from_millis(10);
 const RECEIVE_BYTES: usize = 65_536;
 
 struct Peer {
-    session: Session,
+    session: Box<dyn Session>,
     client: Arc<Client>,
     heard: Instant,
 }
@@ -68,24 +66,20 @@ pub(super) async fn serve(
 }
 
 fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
-    shared.converse(&peer.client, &mut peer.session, |session, context, out| {
-        session.receive(datagram, context, out);
+    shared.converse(&peer.client, &mut *peer.session, |session, now, out| {
+        session.receive(datagram, now, out);
     });
 }
 
-/// A seat for whoever sent a whole record; strays only leave a count. (A command that comes in several datagrams cannot be a client's first.)
+/// A seat for whoever speaks the protocol; strays only leave a count.
 fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, Seat)> {
-    let is_record = matches!(
-        Reassembler::new(MAX_COMMAND_BYTES).push_datagram(datagram),
-        Ok(Some(_))
-    );
-    if !is_record {
+    if !shared.protocol.welcomes(datagram) {
         shared.lock().gone.framing_errors += 1;
         return None;
     }
-    let seat = shared.admit(from, Transport::Udp)?;
+    let seat = shared.admit(from, Transport::Udp, false)?;
     let peer = Peer {
-        session: Session::datagrams(),
+        session: shared.welcome(&seat.client),
         client: Arc::clone(&seat.client),
         heard: Instant::now(),
     };
@@ -107,21 +101,22 @@ fn is_over(shared: &Shared, peer: &Peer) -> bool {
 }
 
 /// Returns when the client's port is closed, or all is written and no more comes.
-async fn write_datagrams(
+pub(super) async fn write_datagrams(
     socket: Arc<UdpSocket>,
     to: SocketAddr,
     seat: Seat,
     mut stopped: watch::Receiver<bool>,
 ) {
     let client = &seat.client;
-    let mut packetiser =
-        Packetiser::new(seat.shared.packet.udp).expect("checked when the server opened");
-    let mut wire = Vec::new();
+    let mut framer = seat.shared.protocol.framer(Transport::Udp);
+    let (mut wire, mut packets) = (Vec::new(), Vec::new());
     loop {
         while let Some(taken) = client.take() {
             wire.clear();
+            packets.clear();
+            framer.frame(&taken.datagram.bytes, &mut wire, &mut packets);
             let mut sent = Ok(());
-            for packet in packetiser.packetise(&taken.datagram.bytes, &mut wire) {
+            for packet in packets.drain(..) {
                 if let Err(error) = socket.send_to(&wire[packet], to).await {
                     sent = Err(error);
                     break; // the rest of a record is no use without this part

@@ -40,6 +40,22 @@ trait Output: Send {
 pub trait Report: Send + Sync {
     /// A line for the output, and one for every client.
     fn lines(&self) -> Vec<String>;
+    /// The same of every client in numbers.
+    fn streams(&self) -> Vec<StreamCounts> {
+        Vec::new()
+    }
+}
+
+/// What one client has had.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StreamCounts {
+    pub family: &'static str,
+    /// `TCP 127.0.0.1:51234`.
+    pub peer: String,
+    pub bytes_sent: u64,
+    pub records_sent: u64,
+    pub records_dropped: u64,
+    pub queued_bytes: u64,
 }
 
 /// What an output is opened with.
@@ -137,5 +153,11 @@ impl OutputReports {
     /// A line per output and client.
     pub fn lines(&self) -> Vec<String> {
         self.all.iter().flat_map(|report| report.lines()).collect()
+    }
+
+    /// Every client of every output.
+    pub fn streams(&self) -> Vec<StreamCounts> {
+        let reports = self.all.iter();
+        reports.flat_map(|report| report.streams()).collect()
     }
 }

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Opening, Output, OutputError, Report, StreamCounts};
 use crate::config::spec::SevenKSpec;
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
-use crate::io::sonar::SonarServer;
+use crate::io::sonar::{SonarServer, start_sevenk};
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
 
@@ -37,10 +37,12 @@ impl SevenK {
             unit.absorption_db_per_m,
         ));
         let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
-        let server = SonarServer::start(output, sheet.clone(), port, Arc::clone(rig_time))
-            .map_err(|source| OutputError::Server {
-                name: unit.spec.name.clone(),
-                source,
+        let server =
+            start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time)).map_err(|source| {
+                OutputError::Server {
+                    name: unit.spec.name.clone(),
+                    source,
+                }
             })?;
         let recorder = match &spec.record {
             None => None,
@@ -85,7 +87,7 @@ impl Output for SevenK {
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
-            self.server.wanted().union(recorded),
+            RecordSet::from(self.server.wanted()).union(recorded),
             &mut self.pending,
         );
     }
@@ -145,5 +147,18 @@ impl Report for SevenKReport {
             )
         }));
         lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let clients = self.server.report().clients.into_iter();
+        let counts = clients.map(|client| StreamCounts {
+            family: "7k",
+            peer: format!("{} {}", client.transport, client.peer),
+            bytes_sent: client.counts.bytes_sent,
+            records_sent: client.counts.records_sent,
+            records_dropped: client.counts.records_dropped,
+            queued_bytes: client.queued_bytes as u64,
+        });
+        counts.collect()
     }
 }

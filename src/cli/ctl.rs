@@ -1,0 +1,110 @@
+//! `echotank ctl`: a running daemon told and asked, over its HTTP control.
+
+use std::net::SocketAddr;
+
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+
+use super::Failure;
+use crate::io::control::{Command, Settings, client};
+
+#[derive(Args, Clone, Debug)]
+pub struct CtlArgs {
+    /// Where the daemon's control listens: `control.listen` of its configuration
+    #[arg(long, default_value = "127.0.0.1:7780")]
+    pub address: SocketAddr,
+    /// `control.token` of its configuration, where it has one
+    #[arg(long, env = "ECHOTANK_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    #[command(subcommand)]
+    pub what: What,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+pub enum What {
+    /// Stop time
+    Pause,
+    /// Let time go on
+    Resume,
+    /// Let pings out, and pause
+    Step {
+        #[arg(default_value_t = 1)]
+        pings: u64,
+    },
+    /// Change settings; what is not named stays
+    Set(SetArgs),
+    /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
+    Send { json: String },
+    /// Everything there is to know, as JSON
+    Status,
+    /// Counters and quantiles as Prometheus text
+    Metrics,
+}
+
+#[derive(Args, Clone, Debug)]
+pub struct SetArgs {
+    /// Which sonar, where there are several
+    #[arg(long)]
+    pub sonar: Option<String>,
+    #[arg(long)]
+    pub range_m: Option<f64>,
+    /// 0 holds the sonar
+    #[arg(long)]
+    pub rate_hz: Option<f64>,
+    #[arg(long)]
+    pub source_level_db: Option<f64>,
+    #[arg(long)]
+    pub gain_db: Option<f64>,
+    #[arg(long)]
+    pub pulse_ms: Option<f64>,
+    #[arg(long)]
+    pub pinging: Option<bool>,
+}
+
+pub fn main(args: &CtlArgs) -> Result<(), Failure> {
+    let command = match &args.what {
+        What::Pause => Command::Pause,
+        What::Resume => Command::Resume,
+        What::Step { pings } => Command::Step { pings: *pings },
+        What::Set(set) => Command::Set(Settings {
+            sonar: set.sonar.clone(),
+            range_m: set.range_m,
+            rate_hz: set.rate_hz,
+            source_level_db: set.source_level_db,
+            gain_db: set.gain_db,
+            pulse_ms: set.pulse_ms,
+            pinging: set.pinging,
+        }),
+        What::Send { json } => {
+            let body = serde_json::from_str(json)
+                .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;
+            return send(args, &body);
+        }
+        What::Status => return show(args, "/status"),
+        What::Metrics => return show(args, "/metrics"),
+    };
+    send(args, &json!(command))
+}
+
+fn send(args: &CtlArgs, body: &Value) -> Result<(), Failure> {
+    let reply = client::command(args.address, body, args.token.as_deref());
+    print(args, reply)
+}
+
+fn show(args: &CtlArgs, path: &str) -> Result<(), Failure> {
+    print(args, client::get(args.address, path, args.token.as_deref()))
+}
+
+fn print(args: &CtlArgs, reply: std::io::Result<client::Reply>) -> Result<(), Failure> {
+    let (status, body) =
+        reply.map_err(|why| Failure::Running(format!("{}: {why}", args.address)))?;
+    let text = match serde_json::from_str::<Value>(&body) {
+        Ok(value) => serde_json::to_string_pretty(&value).unwrap_or(body),
+        Err(_) => body.trim_end().to_owned(),
+    };
+    if status != 200 {
+        return Err(Failure::Running(format!("{}: {text}", args.address)));
+    }
+    println!("{text}");
+    Ok(())
+}

@@ -1,0 +1,88 @@
+//! Clients that did not come by themselves: records are sent to them because somebody said so.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::AsyncReadExt;
+use tokio::net::{TcpStream, UdpSocket};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use super::{Seat, Shared, Transport, Wants, stopping, tcp, udp};
+
+/// How long a TCP connection is tried for.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+pub(super) struct Dial {
+    pub peer: SocketAddr,
+    pub transport: Transport,
+    pub wants: Wants,
+}
+
+pub(super) async fn serve(
+    mut dials: mpsc::UnboundedReceiver<Dial>,
+    shared: Arc<Shared>,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let mut clients = JoinSet::new();
+    loop {
+        tokio::select! {
+            () = stopping(&mut stopped) => break,
+            dial = dials.recv() => match dial {
+                Some(dial) => {
+                    // Dialled again: the new choice of records holds.
+                    shared.hang_up(dial.peer, dial.transport);
+                    if let Some(seat) = shared.admit(dial.peer, dial.transport, true) {
+                        clients.spawn(attend(dial, seat, stopped.clone()));
+                    }
+                }
+                None => break,
+            },
+            Some(_) = clients.join_next() => {}
+        }
+    }
+    let all_written = async { while clients.join_next().await.is_some() {} };
+    let _ = timeout(shared.times.drain, all_written).await;
+}
+
+async fn attend(dial: Dial, seat: Seat, mut stopped: watch::Receiver<bool>) {
+    let begin = |seat: &Seat| {
+        seat.client.want(dial.wants, Wants::NONE);
+        seat.shared.update_wanted(&seat.shared.lock());
+    };
+    match dial.transport {
+        Transport::Udp => {
+            let from = SocketAddr::new(seat.shared.local_addr.ip(), 0);
+            let Ok(socket) = UdpSocket::bind(from).await else {
+                return;
+            };
+            begin(&seat);
+            udp::write_datagrams(Arc::new(socket), dial.peer, seat, stopped).await;
+        }
+        Transport::Tcp => {
+            let connect = timeout(CONNECT_TIMEOUT, TcpStream::connect(dial.peer));
+            let stream = tokio::select! {
+                stream = connect => stream,
+                () = stopping(&mut stopped) => return,
+            };
+            let Ok(Ok(stream)) = stream else {
+                return;
+            };
+            let _ = stream.set_nodelay(true);
+            begin(&seat);
+            let (mut read_half, write_half) = stream.into_split();
+            let closed = async {
+                let mut rubbish = [0; 256];
+                while matches!(read_half.read(&mut rubbish).await, Ok(1..)) {}
+            };
+            let drain = seat.shared.times.drain;
+            tokio::select! {
+                () = tcp::write_records(write_half, &seat.shared, &seat.client, stopped.clone()) => {}
+                () = closed => {}
+                () = async { stopping(&mut stopped).await; sleep(drain).await } => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,306 @@
+//! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
+
+use std::fmt::Write as _;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde_json::{Value, json};
+
+use crate::config::spec::ClockSpec;
+use crate::flow::{SettingChange, SonarSettings};
+use crate::io::control::{Answer, Command, ControlPort};
+use crate::io::sonar::RigTime;
+use crate::run::counters::PingCounters;
+use crate::run::gate::Gate;
+use crate::run::histograms::Histograms;
+use crate::run::outputs::OutputReports;
+use crate::run::settings::SettingsStore;
+
+/// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
+const MOST_STEPS: u64 = 1_000_000;
+
+/// One sonar as its operator sees it.
+pub struct SonarControl {
+    pub name: String,
+    pub settings: Arc<SettingsStore>,
+    pub counters: Arc<PingCounters>,
+    pub histograms: Arc<Histograms>,
+    pub reports: OutputReports,
+}
+
+/// The whole daemon as its operator sees it.
+pub struct RunControl {
+    clock: ClockSpec,
+    gate: Arc<Gate>,
+    /// All navigation is recorded.
+    recorded: bool,
+    sonars: Vec<SonarControl>,
+    rig_time: RigTime,
+    /// The navigation's counters, renewed by the pipeline.
+    nav_lines: Mutex<Vec<String>>,
+}
+
+impl RunControl {
+    pub fn new(
+        clock: ClockSpec,
+        gate: Arc<Gate>,
+        recorded: bool,
+        sonars: Vec<SonarControl>,
+        rig_time: RigTime,
+    ) -> Self {
+        Self {
+            clock,
+            gate,
+            recorded,
+            sonars,
+            rig_time,
+            nav_lines: Mutex::default(),
+        }
+    }
+
+    pub fn sonars(&self) -> &[SonarControl] {
+        &self.sonars
+    }
+
+    pub fn gate(&self) -> &Arc<Gate> {
+        &self.gate
+    }
+
+    pub fn set_nav_lines(&self, lines: Vec<String>) {
+        *self
+            .nav_lines
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = lines;
+    }
+
+    fn nav_lines(&self) -> Vec<String> {
+        let lines = self.nav_lines.lock();
+        lines.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// All counters as text.
+    pub fn lines(&self, latency_s: f64) -> Vec<String> {
+        let mut lines = Vec::new();
+        for sonar in &self.sonars {
+            lines.push(format!("sonar {}: {}", sonar.name, sonar.counters));
+            lines.extend(sonar.counters.advice(latency_s));
+        }
+        lines.extend(self.nav_lines());
+        lines.extend(self.sonars.iter().flat_map(|sonar| sonar.reports.lines()));
+        lines
+    }
+
+    /// The one sonar of that name, or the only one where none is named.
+    fn sonar(&self, name: Option<&str>) -> Result<&SonarControl, String> {
+        let names = || {
+            let names: Vec<_> = self.sonars.iter().map(|s| s.name.as_str()).collect();
+            names.join(", ")
+        };
+        match (name, self.sonars.as_slice()) {
+            (None, [only]) => Ok(only),
+            (None, _) => Err(format!("`sonar` must be one of {}", names())),
+            (Some(name), all) => all
+                .iter()
+                .find(|sonar| sonar.name == name)
+                .ok_or_else(|| format!("there is no sonar {name}; there are: {}", names())),
+        }
+    }
+
+    fn answer(&self, command: &Command) -> Result<Value, String> {
+        let standing = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
+        match command {
+            Command::Pause => {
+                self.refuse_without_own_nav()?;
+                self.gate.pause();
+                Ok(standing())
+            }
+            Command::Resume if self.clock == ClockSpec::Lockstep => {
+                Err("run.clock = \"lockstep\" goes by steps".to_owned())
+            }
+            Command::Resume => {
+                self.gate.resume();
+                Ok(standing())
+            }
+            Command::Step { pings } => {
+                self.refuse_without_own_nav()?;
+                if !(1..=MOST_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
+                }
+                let before = self.gate.pings_delivered();
+                self.gate.step(*pings);
+                Ok(json!({ "paused": true, "pings_delivered": before }))
+            }
+            Command::Set(wanted) => {
+                let sonar = self.sonar(wanted.sonar.as_deref())?;
+                let changes = wanted.changes();
+                if changes.is_empty() {
+                    return Err("nothing to set is named".to_owned());
+                }
+                self.set(sonar, &changes)
+            }
+        }
+    }
+
+    /// With live navigation rig time cannot stand still.
+    fn refuse_without_own_nav(&self) -> Result<(), String> {
+        match self.recorded {
+            true => Ok(()),
+            false => Err(
+                "only with recorded navigation: live measurements do not wait; {\"do\": \"set\", \"pinging\": false} holds the pings"
+                    .to_owned(),
+            ),
+        }
+    }
+
+    /// One after another; what was accepted before a refusal stays.
+    fn set(&self, sonar: &SonarControl, changes: &[SettingChange]) -> Result<Value, String> {
+        for (done, change) in changes.iter().enumerate() {
+            if let Err(refused) = sonar.settings.apply(*change, (self.rig_time)()) {
+                return Err(match done {
+                    0 => refused.to_string(),
+                    _ => format!("{refused}; what stands before it was set"),
+                });
+            }
+        }
+        let (settings, version) = sonar.settings.snapshot();
+        Ok(json!({ "sonar": sonar.name, "settings": settings_json(&settings), "version": version }))
+    }
+
+    fn sonar_status(&self, sonar: &SonarControl) -> Value {
+        let (settings, version) = sonar.settings.snapshot();
+        let counts = sonar.settings.counts();
+        let counters: serde_json::Map<_, _> = sonar
+            .counters
+            .all()
+            .map(|(name, _, value)| (name.to_owned(), value.into()))
+            .collect();
+        let histograms: serde_json::Map<_, _> = sonar
+            .histograms
+            .all()
+            .map(|(name, _, figures)| (name.to_owned(), json!(figures)))
+            .into_iter()
+            .collect();
+        json!({
+            "name": sonar.name,
+            "settings": settings_json(&settings),
+            "settings_version": version,
+            "changes": { "applied": counts.applied, "refused": counts.refused },
+            "counters": counters,
+            "microseconds": histograms,
+            "outputs": sonar.reports.lines(),
+        })
+    }
+}
+
+fn settings_json(settings: &SonarSettings) -> Value {
+    json!({
+        "pinging": settings.pinging,
+        "range_m": settings.range_m,
+        "rate_hz": settings.max_ping_rate_hz,
+        "source_level_db": settings.source_level_db,
+        "gain_db": settings.gain_db,
+        "pulse_ms": settings.pulse_duration_s * 1e3,
+    })
+}
+
+impl ControlPort for RunControl {
+    fn command(&self, command: &Command) -> Answer {
+        match self.answer(command) {
+            Ok(result) => Answer::accepted(command, result),
+            Err(why) => Answer::refused(command, why),
+        }
+    }
+
+    fn status(&self) -> Value {
+        let clock = match self.clock {
+            ClockSpec::RealTime => json!("realtime"),
+            ClockSpec::Scaled(rate) => json!({ "scaled": rate }),
+            ClockSpec::Fast => json!("fast"),
+            ClockSpec::Lockstep => json!("lockstep"),
+        };
+        json!({
+            "echotank": env!("CARGO_PKG_VERSION"),
+            "clock": clock,
+            "paused": self.gate.is_paused(),
+            "pings_delivered": self.gate.pings_delivered(),
+            "rig_utc_ns": (self.rig_time)().0,
+            "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
+            "nav": self.nav_lines(),
+        })
+    }
+
+    /// Prometheus text, version 0.0.4.
+    fn metrics(&self) -> String {
+        let mut text = String::new();
+        // A name's kind and meaning are said once, ahead of all its values.
+        let Some(first) = self.sonars.first() else {
+            return text;
+        };
+        for (k, (name, doc, _)) in first.counters.all().enumerate() {
+            let kind = match name.starts_with("worst_") || name == "nav_age_ms" {
+                true => "gauge",
+                false => "counter",
+            };
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
+            );
+            for sonar in &self.sonars {
+                if let Some((_, _, value)) = sonar.counters.all().nth(k) {
+                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
+                }
+            }
+        }
+        for (k, (name, doc, _)) in first.histograms.all().into_iter().enumerate() {
+            let name = format!("echotank_{name}_seconds");
+            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} summary");
+            for sonar in &self.sonars {
+                let figures = sonar.histograms.all()[k].2;
+                let who = &sonar.name;
+                for (quantile, us) in [
+                    ("0.5", figures.p50_us),
+                    ("0.99", figures.p99_us),
+                    ("0.999", figures.p999_us),
+                    ("1", figures.max_us),
+                ] {
+                    let s = us as f64 / 1e6;
+                    let _ = writeln!(
+                        text,
+                        "{name}{{sonar=\"{who}\",quantile=\"{quantile}\"}} {s}"
+                    );
+                }
+                let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
+            }
+        }
+        for (key, kind, doc) in STREAM_METRICS {
+            let name = format!("echotank_client_{key}");
+            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} {kind}");
+            for sonar in &self.sonars {
+                for stream in sonar.reports.streams() {
+                    let value = match *key {
+                        "bytes_sent" => stream.bytes_sent,
+                        "records_sent" => stream.records_sent,
+                        "records_dropped" => stream.records_dropped,
+                        _ => stream.queued_bytes,
+                    };
+                    let _ = writeln!(
+                        text,
+                        "{name}{{sonar=\"{}\",family=\"{}\",peer=\"{}\"}} {value}",
+                        sonar.name, stream.family, stream.peer
+                    );
+                }
+            }
+        }
+        text
+    }
+}
+
+const STREAM_METRICS: &[(&str, &str, &str)] = &[
+    ("bytes_sent", "counter", "Bytes written to a client"),
+    ("records_sent", "counter", "Records written to a client"),
+    (
+        "records_dropped",
+        "counter",
+        "Records that did not fit a client's queue",
+    ),
+    ("queued_bytes", "gauge", "Bytes that wait for a client"),
+];

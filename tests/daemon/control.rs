@@ -1,0 +1,121 @@
+//! `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
+
+use std::process::Command;
+
+use echotank::io::control::client;
+use serde_json::json;
+
+use super::Daemon;
+use super::modes::{status, tell, wait_delivered};
+
+fn quick(more: &[&str]) -> Daemon {
+    let mut arguments = vec!["hil-configs/points.toml"];
+    let common = [
+        "nav.loop=true",
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "control.listen=127.0.0.1:0",
+        "sonar.model.synthesis=direct",
+        "sonar.ping.range_m=50",
+        "sonar.ping.rate_hz=10",
+        "sonar.limits.range_m=[10.0, 60.0]",
+        "sonar.limits.gain_db=[0.0, 10.0]",
+        "sonar.limits.source_level_db=[0.0, 10.0]",
+    ];
+    for set in common.iter().chain(more) {
+        arguments.extend(["--set", set]);
+    }
+    Daemon::start(&arguments)
+}
+
+fn ctl(arguments: &[&str]) -> (bool, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .arg("ctl")
+        .args(arguments)
+        .output()
+        .expect("echotank runs");
+    let said = [done.stdout, done.stderr].concat();
+    let said = String::from_utf8_lossy(&said).into_owned();
+    (done.status.success(), said)
+}
+
+#[test]
+fn settings_are_obeyed_refused_and_told_over_http_and_ctl() {
+    let mut daemon = quick(&[]);
+    let at = daemon.announced("control http", "http");
+    let (code, answer) = tell(at, &json!({ "do": "set", "range_m": 40.0, "gain_db": 3.0 }));
+    assert_eq!(code, 200, "{answer}");
+    assert_eq!(answer["asked"]["range_m"], 40.0);
+    assert_eq!(answer["now"]["settings"]["gain_db"], 3.0);
+    let (code, answer) = tell(at, &json!({ "do": "set", "range_m": 1e6 }));
+    assert_eq!((code, &answer["accepted"]), (409, &json!(false)));
+    let why = answer["why"].as_str().expect("a reason");
+    assert!(why.starts_with("range_m = 1000000: must be from"), "{why}");
+    for bad in [
+        json!({ "do": "explode" }),
+        json!({ "do": "set", "rang_m": 40.0 }),
+        json!({ "do": "set", "sonar": "other", "range_m": 40.0 }),
+        json!({ "do": "set" }),
+        json!({ "do": "step", "pings": 0 }),
+        json!([1, 2]),
+    ] {
+        let (code, answer) = tell(at, &bad);
+        assert!((400..500).contains(&code), "{bad}: {code} {answer}");
+        assert_eq!(answer["accepted"], false, "{bad}");
+        assert!(answer["why"].is_string(), "{bad}: {answer}");
+    }
+    let long = json!({ "do": "set", "sonar": "x".repeat(70_000) });
+    assert_eq!(tell(at, &long).0, 413);
+
+    let address = at.to_string();
+    let (well, said) = ctl(&["--address", &address, "set", "--source-level-db", "3"]);
+    let shown = status(at);
+    assert!(well, "{said}");
+    assert_eq!(shown["sonars"][0]["settings"]["source_level_db"], 3.0);
+    let (well, said) = ctl(&["--address", &address, "set", "--range-m", "1e6"]);
+    assert!(!well && said.contains("range_m"), "{said}");
+    wait_delivered(at, 2);
+    let (well, said) = ctl(&["--address", &address, "status"]);
+    assert!(well && said.contains("\"compute_margin\""), "{said}");
+    assert!(shown["sonars"][0]["changes"]["refused"].as_u64() >= Some(1));
+
+    let (code, text) = client::get(at, "/metrics", None).expect("answers");
+    assert_eq!(code, 200);
+    let made = text
+        .lines()
+        .find_map(|line| line.strip_prefix("echotank_pings_made{sonar=\"points\"} "))
+        .expect("the counter");
+    assert!(made.parse::<u64>().expect("a count") >= 2, "{made}");
+    // Every sample line belongs to a name whose kind was said.
+    for line in text.lines().filter(|line| !line.starts_with('#')) {
+        let name = line.split(['{', ' ']).next().expect("a name");
+        let name = name.trim_end_matches("_count");
+        assert!(text.contains(&format!("# TYPE {name} ")), "{line}");
+    }
+    assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
+    assert_eq!(client::get(at, "/nothing", None).expect("answers").0, 404);
+    daemon.terminate();
+}
+
+#[test]
+fn a_token_keeps_strangers_out() {
+    let mut daemon = quick(&["control.token=open-sesame"]);
+    let at = daemon.announced("control http", "http");
+    for path in ["/status", "/metrics"] {
+        let code = |token| client::get(at, path, token).expect("answers").0;
+        assert_eq!(
+            (code(None), code(Some("open")), code(Some("open-sesame"))),
+            (401, 401, 200)
+        );
+    }
+    let pause = json!({ "do": "pause" });
+    assert_eq!(client::command(at, &pause, None).expect("answers").0, 401);
+    assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
+    assert_eq!(status_paused(at), json!(false));
+    daemon.terminate();
+}
+
+fn status_paused(at: std::net::SocketAddr) -> serde_json::Value {
+    let (_, body) = client::get(at, "/status", Some("open-sesame")).expect("answers");
+    let status: serde_json::Value = serde_json::from_str(&body).expect("JSON");
+    status["paused"].clone()
+}

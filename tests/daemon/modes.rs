@@ -1,0 +1,218 @@
+//! However time goes, the same pings leave: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a stop in the middle.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use echotank::io::control::client;
+use echotank_protocols::sevenk::file::FileReader;
+use serde_json::{Value, json};
+
+use super::{Daemon, PATIENCE};
+
+/// Records of pings by type and time stamp: what says when a file was begun stays out.
+type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
+
+/// Where year, day, seconds, hours and minutes stand in a record's frame.
+const TIME: std::ops::Range<usize> = 20..30;
+
+fn pings_of(folder: &Path) -> Pings {
+    let files = std::fs::read_dir(folder).expect("folder");
+    let paths = files.map(|e| e.expect("entry").path());
+    let path = paths
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|e| e == "s7k"))
+        .expect("a record");
+    let bytes = std::fs::read(path).expect("readable");
+    let mut at = 0;
+    let mut pings = Pings::new();
+    for read in FileReader::new(&bytes) {
+        let record = read.expect("sound").record;
+        let size = record.frame.size_bytes as usize;
+        let whole = &bytes[at..at + size];
+        at += size;
+        let kind = record.frame.record_type_id;
+        if !matches!(kind, 7200 | 7300 | 7001) {
+            let other = pings.insert((kind, whole[TIME].to_vec()), whole.to_vec());
+            assert!(other.is_none(), "two records {kind} of one instant");
+        }
+    }
+    pings
+}
+
+fn pings_in(pings: &Pings) -> usize {
+    pings.keys().filter(|(kind, _)| *kind == 7000).count()
+}
+
+/// What both made is the same; how many records were compared.
+fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
+    let mut compared = 0;
+    for (key, bytes) in got {
+        let Some(other) = want.get(key) else {
+            panic!("{what}: replay has no record {} of that instant", key.0);
+        };
+        let differing = bytes.iter().zip(other).position(|(a, b)| a != b);
+        assert!(
+            bytes.len() == other.len() && differing.is_none(),
+            "{what}: record {} of {} bytes differs at {differing:?}",
+            key.0,
+            bytes.len()
+        );
+        compared += 1;
+    }
+    compared
+}
+
+/// A small, quick rig: points in still water, ten pings a second.
+fn rig(folder: &Path, more: &[&str]) -> Daemon {
+    let record = format!("record.directory={folder:?}");
+    let mut arguments = vec!["hil-configs/points.toml"];
+    let common = [
+        record.as_str(),
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "control.listen=127.0.0.1:0",
+        "sonar.model.synthesis=direct",
+        "sonar.ping.range_m=50",
+        "sonar.ping.rate_hz=10",
+    ];
+    for set in common.iter().chain(more) {
+        arguments.extend(["--set", set]);
+    }
+    Daemon::start(&arguments)
+}
+
+pub fn status(control: SocketAddr) -> Value {
+    let (code, body) = client::get(control, "/status", None).expect("answers");
+    assert_eq!(code, 200, "{body}");
+    serde_json::from_str(&body).expect("JSON")
+}
+
+pub fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
+    let (code, body) = client::command(control, command, None).expect("answers");
+    (code, serde_json::from_str(&body).expect("JSON"))
+}
+
+/// Waits until so many pings have left.
+pub fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let now = status(control)["pings_delivered"]
+            .as_u64()
+            .expect("a count");
+        if now >= pings {
+            return now;
+        }
+        assert!(Instant::now() < until, "{now} of {pings} pings");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn signal(daemon: &Daemon, name: &str) {
+    let told = Command::new("kill")
+        .args([name, &daemon.child.id().to_string()])
+        .status();
+    assert!(told.expect("kill").success());
+}
+
+#[test]
+fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
+    let folders: Vec<_> = (0..6)
+        .map(|_| tempfile::tempdir().expect("folder"))
+        .collect();
+    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["replay", "hil-configs/points.toml", "--quiet"])
+        .args(["--formats", "s7k", "--set", "sonar.model.synthesis=direct"])
+        .args([
+            "--set",
+            "sonar.ping.range_m=50",
+            "--set",
+            "sonar.ping.rate_hz=10",
+        ])
+        .arg("--out")
+        .arg(folders[5].path())
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("echotank runs");
+    let said = String::from_utf8_lossy(&replayed.stderr);
+    assert!(replayed.status.success(), "{said}");
+    let want = pings_of(folders[5].path());
+    assert!(pings_in(&want) > 20, "{} pings", pings_in(&want));
+
+    // All at once: most of the time they wait.
+    let mut realtime = rig(folders[0].path(), &["run.clock=realtime"]);
+    let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
+    let mut scaled = rig(
+        folders[2].path(),
+        &["run.clock=scaled", "run.clock_rate=10"],
+    );
+    let mut fast = rig(folders[3].path(), &["run.clock=fast"]);
+    let mut lockstep = rig(folders[4].path(), &["run.clock=lockstep"]);
+
+    let at = stopped.announced("control http", "http");
+    wait_delivered(at, 3);
+    signal(&stopped, "-STOP");
+    let at = lockstep.announced("control http", "http");
+    let (code, answer) = tell(at, &json!({ "do": "step", "pings": 4 }));
+    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
+    assert_eq!(wait_delivered(at, 4), 4);
+    // Nobody asks: time stands.
+    let before = status(at)["rig_utc_ns"].clone();
+    thread::sleep(Duration::from_millis(300));
+    assert_eq!(status(at)["pings_delivered"], 4);
+    assert_eq!(status(at)["rig_utc_ns"], before);
+    tell(at, &json!({ "do": "step" }));
+    assert_eq!(wait_delivered(at, 5), 5);
+    signal(&stopped, "-CONT");
+
+    // Two of them go to the end of the log by themselves.
+    for daemon in [&mut scaled, &mut fast] {
+        let status = daemon.child.wait().expect("ended");
+        assert!(status.success(), "{status}");
+    }
+    let at = realtime.announced("control http", "http");
+    wait_delivered(at, 8);
+    realtime.terminate();
+    stopped.terminate();
+    lockstep.terminate();
+
+    for (k, what, least) in [
+        (0, "realtime", 8),
+        (1, "stopped", 3),
+        (2, "scaled", 3),
+        (3, "fast", pings_in(&want)),
+        (4, "lockstep", 5),
+    ] {
+        let got = pings_of(folders[k].path());
+        let records = assert_same(&got, &want, what);
+        let pings = pings_in(&got);
+        assert!(pings >= least, "{what}: {pings} pings, {records} records");
+    }
+}
+
+#[test]
+fn paused_time_stands_and_a_step_lets_one_ping_out() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = rig(folder.path(), &["nav.loop=true"]);
+    let at = daemon.announced("control http", "http");
+    wait_delivered(at, 2);
+    let (code, answer) = tell(at, &json!({ "do": "pause" }));
+    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
+    let paused = status(at);
+    thread::sleep(Duration::from_millis(300));
+    let later = status(at);
+    assert_eq!(later["rig_utc_ns"], paused["rig_utc_ns"], "time stands");
+    // A ping that was being handed over may have left since.
+    let before = later["pings_delivered"].as_u64().expect("a count");
+    tell(at, &json!({ "do": "step", "pings": 2 }));
+    assert_eq!(wait_delivered(at, before + 2), before + 2);
+    thread::sleep(Duration::from_millis(300));
+    assert_eq!(status(at)["pings_delivered"], before + 2);
+    tell(at, &json!({ "do": "resume" }));
+    wait_delivered(at, before + 4);
+    // Stopped while it stands, it ends all the same.
+    tell(at, &json!({ "do": "pause" }));
+    daemon.terminate();
+}
