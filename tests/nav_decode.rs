@@ -2,7 +2,8 @@
 
 use echotank::config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
 use echotank::flow::{NavQuantity, NavSample};
-use echotank::nav::log::{read_log, split_line};
+use echotank::nav::log::read_log;
+use echotank::nav::stamp::split_line;
 use echotank::nav::{NavCounters, NavDecoder};
 use echotank::time::{NS_PER_S, UtcNs};
 use glam::DVec3;

@@ -326,6 +326,11 @@ fn refuse_own_time_with_live_sources(nav: &NavSpec, run: &RawTable, problems: &m
         let rule = "only with recorded navigation: every nav.source of kind \"log\" or \"csv\"";
         problems.refuse(run.entry("clock"), rule);
     }
+    let own = matches!(run.text("clock"), Some("fast" | "lockstep"));
+    if own && !nav.outputs.is_empty() {
+        let rule = "nav.output shares the pings' clock with devices, and this one is nobody's";
+        problems.refuse(run.entry("clock"), rule);
+    }
 }
 
 fn control<'t>(

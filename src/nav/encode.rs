@@ -50,8 +50,8 @@ pub fn hdt(out: &mut Vec<u8>, talker: &str, heading_rad: Option<f64>) {
     let body = match heading_rad {
         None => format!("{talker}HDT,,T"),
         Some(rad) => {
-            // 359.9996 is 0.000, not 360.000.
-            let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0);
+            // 359.9996 is 0.000, neither 360.000 nor -0.000.
+            let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0) + 0.0;
             format!("{talker}HDT,{:07.3},T", steps / 1e3)
         }
     };
@@ -133,7 +133,7 @@ mod tests {
         let utc = UtcNs(T * NS_PER_S + 250_000_000);
         assert_eq!(
             text(|out| zda(out, "GP", utc)),
-            "$GPZDA,235959.25,31,07,2014,00,00*61\r\n"
+            "$GPZDA,235959.25,31,07,2014,00,00*62\r\n"
         );
         let fix = Fix {
             latitude_rad: -22.001_75_f64.to_radians(),

@@ -17,7 +17,7 @@ use echotank::nav::framing::{Checksum, Framing};
 use echotank::nav::reading::{Kind, Reading};
 use echotank::nav::sentence::decode_own;
 use echotank::run::daemon::Daemon;
-use echotank::time::{SystemClock, UtcNs};
+use echotank::time::UtcNs;
 use echotank_protocols::sevenk::RecordBody;
 use serialport::{SerialPort, TTYPort};
 
@@ -256,8 +256,7 @@ fn pings_keep_their_rate_whatever_the_navigation_does_and_say_what_is_invalid() 
     let spec = rig(folder.path(), &name, board.local_addr().expect("bound"));
     let faults = Arc::new(Faults::default());
     let daemon_stop = Arc::new(AtomicBool::new(false));
-    let daemon = Daemon::open(&spec, 1, Arc::new(SystemClock::new()), daemon_stop.clone())
-        .unwrap_or_else(|e| panic!("{e}"));
+    let daemon = Daemon::open(&spec, 1, daemon_stop.clone()).unwrap_or_else(|e| panic!("{e}"));
     let address = |start: &str| -> SocketAddr {
         let lines = daemon.describe();
         let line = lines.iter().find(|l| l.starts_with(start));

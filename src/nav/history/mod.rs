@@ -36,8 +36,9 @@ use crate::time::{NS_PER_S, UtcNs};
 
 /// Below this speed, metres per second, course is noise: the last one is kept.
 const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
-/// A sample cannot hold so much later than it came, seconds: it would push the whole past out of the rings.
-const FUTURE_S: f64 = 60.0;
+/// A sample that holds so much later than it came, seconds, is of another clock; it would push the whole past out of the rings. Less may be a
+/// log that somebody feeds in faster than it was recorded.
+const FUTURE_S: f64 = 600.0;
 /// Seams remembered; a loop shorter than a sixteenth of the history forgets its oldest.
 const MAX_SEAMS: usize = 16;
 

@@ -151,8 +151,11 @@ impl NavHistory {
         if self.has_arm() {
             let place = self.place_at(NavChannel::Position, said(&trajectory.position));
             let arm_m = place.map_or(DVec3::ZERO, |p| p.arm_m);
-            let level = !matches!(self.vertical, VerticalSpec::Gnss { .. })
-                && (self.vertical != VerticalSpec::Depth || self.uses_depth());
+            let level = match self.vertical {
+                VerticalSpec::Waterline { .. } => true,
+                VerticalSpec::Gnss { .. } => false,
+                VerticalSpec::Depth => self.uses_depth(),
+            };
             for knot in &mut trajectory.position {
                 let rotation = rotation_at(&trajectory.attitude, knot.time_s);
                 let arm = match &self.tow {

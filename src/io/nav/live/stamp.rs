@@ -84,7 +84,7 @@ mod system {
             while let Some(h) = header.as_ref() {
                 let is_stamp = h.cmsg_level == libc::SOL_SOCKET
                     && h.cmsg_type == libc::SCM_TIMESTAMPNS
-                    && h.cmsg_len >= libc::CMSG_LEN(size_of::<libc::timespec>() as u32) as usize;
+                    && h.cmsg_len >= libc::CMSG_LEN(size_of::<libc::timespec>() as u32) as _;
                 if is_stamp {
                     // The data need not be aligned.
                     let time = libc::CMSG_DATA(header)
