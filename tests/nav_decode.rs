@@ -2,7 +2,8 @@
 
 use echotank::config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
 use echotank::flow::{NavQuantity, NavSample};
-use echotank::nav::log::{read_log, split_line};
+use echotank::nav::log::read_log;
+use echotank::nav::stamp::split_line;
 use echotank::nav::{NavCounters, NavDecoder};
 use echotank::time::{NS_PER_S, UtcNs};
 use glam::DVec3;
@@ -32,6 +33,7 @@ fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -
         time,
         checksum,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: Default::default(),
         provides: provides.to_vec(),
     }
@@ -187,6 +189,7 @@ fn as_degrees(sample: &NavSample) -> Vec<(&'static str, Vec<f64>)> {
             vec![roll_rad.to_degrees(), pitch_rad.to_degrees()],
         )],
         NavQuantity::Heave { heave_down_m } => vec![("heave", vec![heave_down_m])],
+        NavQuantity::Depth { depth_m } => vec![("depth", vec![depth_m])],
         NavQuantity::LocalPosition { .. } => vec![],
     }
 }

@@ -42,10 +42,24 @@ pub enum Format {
     S7k,
     /// Element samples, beams and lines as NumPy arrays, one file per sonar
     Npz,
-    /// Side-scan waterfall, one picture per sonar
+    /// EdgeTech JSF, one file per sonar
+    Jsf,
+    /// Triton XTF, one file per sonar with side-scan lines
+    Xtf,
+    /// Side-scan waterfall, one picture per sonar; its look is [sonar.picture] of the configuration (--set sonar.picture.range=ground)
     Png,
     /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
     Sas,
+    /// The fan of beams as polar pictures, and stacked along the track
+    Fan,
+    /// The lines laid on the ground: GeoTIFF with its coordinate system, and PNG
+    Mosaic,
+    /// What every pixel shows (target, shadow, depth) beside each picture, and every sample of the lines in masks.npz
+    Masks,
+    /// Element samples with words for every ping, two files per sonar
+    Sigmf,
+    /// What the elements hear at a converter's rate, one file per sonar
+    Wav,
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
@@ -79,9 +93,16 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
     }
     let formats = Formats {
         s7k: args.formats.contains(&Format::S7k),
+        jsf: args.formats.contains(&Format::Jsf),
+        xtf: args.formats.contains(&Format::Xtf),
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
         sas: args.formats.contains(&Format::Sas),
+        fan: args.formats.contains(&Format::Fan),
+        mosaic: args.formats.contains(&Format::Mosaic),
+        masks: args.formats.contains(&Format::Masks),
+        sigmf: args.formats.contains(&Format::Sigmf),
+        wav: args.formats.contains(&Format::Wav),
     };
     let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
     if formats.sas && !spec.sonars.iter().any(has_patch) {

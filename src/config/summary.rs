@@ -1,5 +1,9 @@
 //! What follows from a configuration, for people.
 
+mod families;
+mod nav;
+mod outputs;
+
 use std::fmt::{self, Write};
 
 use super::check::sonar::{
@@ -51,16 +55,24 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
                 path.display().to_string()
             }
             NavInputSpec::Udp { listen, .. } => format!("UDP {listen}"),
-            NavInputSpec::Serial { port, baud } => format!("{port} at {baud} Bd"),
+            NavInputSpec::Serial { port, baud, line } => {
+                format!("{port} at {baud} Bd {}", line.name())
+            }
             NavInputSpec::TcpConnect { address } => format!("TCP server {address}"),
             NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
         line(out, "", &format!("{}: {input}", source.name))?;
         if source.lever_arm_m != DVec3::ZERO {
-            let text = format!("{}: antenna {}", source.name, tilted(source.lever_arm_m));
+            let what = match source.provides.contains(&NavChannel::Position) {
+                true => "antenna",
+                false => "sensor",
+            };
+            let text = format!("{}: {what} {}", source.name, tilted(source.lever_arm_m));
             line(out, "  signs", &text)?;
         }
+        nav::write_mounting(out, source)?;
     }
+    nav::write_rest(out, &rig.nav)?;
     line(out, "scene", &scene(&rig.scene))?;
     let threads = match rig.run.threads {
         0 => "a thread per core".to_owned(),
@@ -444,7 +456,12 @@ fn model(sonar: &SonarSpec) -> String {
 }
 
 fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            families::write(out, sonar, d, output)?;
+            outputs::write(out, sonar, d, output)?;
+            continue;
+        };
         let elements: usize = output
             .arrays
             .iter()
@@ -501,7 +518,10 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
             ));
         }
     }
-    for OutputSpec::SevenK(output) in &sonar.outputs {
+    for output in &sonar.outputs {
+        let OutputSpec::SevenK(output) = output else {
+            continue;
+        };
         if !output.listen.ip().is_loopback() {
             notes.push(format!(
                 "{name}: {} can be reached from other computers, and 7k knows no password",

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::array::direct::Direct;
+use crate::array::faults::{ActiveFault, spoil};
 use crate::array::filter::{self, Decimator, FilterError};
 use crate::array::gridded::{DopplerSpan, GriddedError};
 use crate::array::gridded2d::Refusal;
@@ -106,6 +107,9 @@ pub struct SonarPipeline {
     more_pulses: Vec<MorePulse>,
     fan: Option<Fan>,
     bottom: Option<Bottom>,
+    /// Of the next ping.
+    faults: Vec<ActiveFault>,
+    spoiling: Vec<Complex64>,
 }
 
 /// What finds the bottom in the fan's beams.
@@ -218,6 +222,8 @@ impl SonarPipeline {
                 .map(|line| line_former(spec, medium, line, limits))
                 .collect(),
             bottom: bottom(spec, medium, limits),
+            faults: Vec::new(),
+            spoiling: Vec::new(),
             more_pulses,
             fan,
             spec: spec.clone(),
@@ -266,6 +272,18 @@ impl SonarPipeline {
         }
     }
 
+    /// How much certificates may cost from now on, as a share of a ping's predicted cost; see [`Certifier::allow`]. Nothing without certificates.
+    pub fn allow_certificates(&mut self, share: f64) {
+        if let Some(certifier) = &mut self.certifier {
+            certifier.allow(share);
+        }
+    }
+
+    /// What is wrong with the elements in the next ping.
+    pub fn faults_mut(&mut self) -> &mut Vec<ActiveFault> {
+        &mut self.faults
+    }
+
     /// What this ping's arrays can hear of the scene: what lies outside is not asked for.
     pub fn footprints(&mut self, plan: &PingPlan) -> &[Footprint] {
         footprints(&self.spec, plan, &mut self.footprints);
@@ -296,6 +314,11 @@ impl SonarPipeline {
         }
         if let Some(certifier) = &mut self.certifier {
             output.certificate = certifier.certify(plan, &self.spec, scatterers);
+        }
+        for fault in &self.faults {
+            for frame in &mut output.elements {
+                spoil(fault, plan, &self.spec.receiver, frame, &mut self.spoiling);
+            }
         }
         for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
             let array = former.array();

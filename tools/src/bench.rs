@@ -19,10 +19,16 @@ mod report;
 mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
+#[path = "bench/stages.rs"]
+mod stages;
 #[path = "bench/transform.rs"]
 mod transform;
 #[path = "bench/whole.rs"]
 mod whole;
+#[path = "bench/wire.rs"]
+mod wire;
+#[path = "../../tests/wire_rig/mod.rs"]
+mod wire_rig;
 
 use std::path::PathBuf;
 
@@ -65,6 +71,9 @@ enum What {
         dialects: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
+        /// Where the time of gridded-2d goes, stage by stage.
+        #[arg(long)]
+        stages: bool,
     },
     /// Fans of 128 elements, 256 beams and 8000 samples by every former, and focused beams beside echo synthesis at work.
     Beams {
@@ -88,6 +97,14 @@ enum What {
         /// A Python that has pynmea2.
         #[arg(long)]
         python: Option<PathBuf>,
+    },
+    /// Records of each family per second, and a load of several topsides.
+    Wire {
+        #[command(flatten)]
+        common: Common,
+        /// Deliver in real time for so many seconds.
+        #[arg(long)]
+        load: Option<u32>,
     },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
@@ -130,12 +147,14 @@ fn main() -> std::process::ExitCode {
             method,
             dialects,
             threads,
+            stages,
         } => {
             let selection = whole::Selection {
                 only: only.as_deref().unwrap_or(""),
                 method: method.as_deref(),
                 dialects: &dialects,
                 threads: &threads,
+                stages,
                 effort: if common.quick {
                     whole::QUICK
                 } else {
@@ -158,6 +177,7 @@ fn main() -> std::process::ExitCode {
             common.quick,
             common.json.as_deref(),
         ),
+        What::Wire { common, load } => wire::run(common.quick, load, common.json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,

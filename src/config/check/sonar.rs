@@ -7,6 +7,10 @@ use glam::{DQuat, DVec3};
 
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use super::devices;
+use super::families;
+use super::picture::picture;
+use super::samples::{self, Source};
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
@@ -122,9 +126,20 @@ pub fn sonar<'t>(
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
+    let picture = table.table("picture").and_then(|t| picture(t, problems));
+    let has_lines = table
+        .table("beams")
+        .is_some_and(|t| t.given("port") || t.given("starboard"));
+    let heard = Heard {
+        arrays: &arrays,
+        largest: &largest,
+        has_lines,
+        pulse: pulse.as_ref(),
+        beams: beams.as_ref(),
+    };
     let outputs = table
         .table("output")
-        .and_then(|t| outputs(t, &arrays, &largest, listeners, problems));
+        .and_then(|t| outputs(t, &heard, listeners, problems));
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
@@ -141,6 +156,7 @@ pub fn sonar<'t>(
         model: model?,
         synthesis: synthesis?,
         beams: beams?,
+        picture: picture?,
         outputs: outputs?,
     })
 }
@@ -426,9 +442,9 @@ fn receive(
 }
 
 /// The receive arrays that beams and outputs name; those that could not be read are none.
-struct Arrays<'a> {
-    names: &'a [Option<&'a str>],
-    specs: &'a [Option<ArrayGeometry>],
+pub struct Arrays<'a> {
+    pub names: &'a [Option<&'a str>],
+    pub specs: &'a [Option<ArrayGeometry>],
 }
 
 impl Arrays<'_> {
@@ -442,6 +458,23 @@ impl Arrays<'_> {
             "receive array",
             problems,
         )
+    }
+
+    /// The arrays named under `arrays`, or all where none are.
+    pub fn chosen(&self, table: &RawTable, problems: &mut Problems) -> Option<Vec<usize>> {
+        if !table.given("arrays") {
+            return Some((0..self.specs.len()).collect());
+        }
+        let entry = table.entry("arrays");
+        let mut seen = HashSet::new();
+        let mut chosen = Vec::new();
+        for name in table.texts("arrays")? {
+            if !seen.insert(name) {
+                problems.refuse(entry, format!("names \"{name}\" twice"));
+            }
+            chosen.push(index_of(name, entry, self.names, "receive array", problems));
+        }
+        all(chosen)
     }
 
     fn body_from_array(&self, index: usize) -> Option<DQuat> {
@@ -908,19 +941,88 @@ fn shading(table: &RawTable, key: &str, side_lobe_db: f64, beta: f64) -> Option<
     })
 }
 
+/// What outputs can be fed with.
+struct Heard<'a, 'b> {
+    arrays: &'a Arrays<'b>,
+    largest: &'a LargestPing,
+    has_lines: bool,
+    pulse: Option<&'a Pulse>,
+    beams: Option<&'a BeamsSpec>,
+}
+
 fn outputs<'t>(
     table: &'t RawTable,
-    arrays: &Arrays<'_>,
-    largest: &LargestPing,
+    heard: &Heard<'_, '_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<OutputSpec>> {
+    let &Heard {
+        arrays,
+        largest,
+        has_lines,
+        pulse,
+        beams,
+    } = heard;
     let mut outputs = Vec::new();
     if table.given("sevenk") {
         let spec = table
             .table("sevenk")
             .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
         outputs.push(spec.map(OutputSpec::SevenK));
+    }
+    let sonar = families::Sonar {
+        arrays,
+        samples: largest.samples(),
+        has_lines,
+    };
+    if table.given("jsf") {
+        let spec = table
+            .table("jsf")
+            .and_then(|t| families::jsf(t, &sonar, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Jsf));
+    }
+    if table.given("xtf") {
+        let spec = table
+            .table("xtf")
+            .and_then(|t| families::xtf(t, &sonar, problems));
+        outputs.push(spec.map(OutputSpec::Xtf));
+    }
+    if table.given("imagenex872") {
+        let spec = table
+            .table("imagenex872")
+            .and_then(|t| families::imagenex872(t, &sonar, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Imagenex872));
+    }
+    if table.given("ping") {
+        let spec = table
+            .table("ping")
+            .and_then(|t| devices::ping(t, beams, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Ping));
+    }
+    if table.given("wbms") {
+        let spec = table
+            .table("wbms")
+            .and_then(|t| devices::wbms(t, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Wbms));
+    }
+    let source = Source { arrays, pulse };
+    if table.given("vita49") {
+        let spec = table
+            .table("vita49")
+            .and_then(|t| samples::vita49(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Vita49));
+    }
+    if table.given("sigmf") {
+        let spec = table
+            .table("sigmf")
+            .and_then(|t| samples::sigmf(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Sigmf));
+    }
+    if table.given("wav") {
+        let spec = table
+            .table("wav")
+            .and_then(|t| samples::wav(t, source, problems));
+        outputs.push(spec.map(OutputSpec::Wav));
     }
     all(outputs)
 }
@@ -942,7 +1044,7 @@ fn sevenk<'t>(
         });
     }
     let client_queue_bytes = table.count("client_queue_mib").map(|mib| mib << 20);
-    let chosen = sevenk_arrays(table, arrays, problems);
+    let chosen = arrays.chosen(table, problems);
     if let (Some(chosen), Some(samples)) = (&chosen, largest.samples()) {
         let elements: usize = chosen
             .iter()
@@ -978,33 +1080,7 @@ fn sevenk<'t>(
         arrays: chosen?,
         max_packet: table.count("max_packet_bytes")?,
         client_queue_bytes: client_queue_bytes?,
+        disconnect_when_full: table.text("when_full")? == "disconnect",
         max_clients: table.count("max_clients")?,
     })
-}
-
-/// The arrays named, or all where none are.
-fn sevenk_arrays(
-    table: &RawTable,
-    arrays: &Arrays<'_>,
-    problems: &mut Problems,
-) -> Option<Vec<usize>> {
-    if !table.given("arrays") {
-        return Some((0..arrays.specs.len()).collect());
-    }
-    let entry = table.entry("arrays");
-    let mut seen = HashSet::new();
-    let mut chosen = Vec::new();
-    for name in table.texts("arrays")? {
-        if !seen.insert(name) {
-            problems.refuse(entry, format!("names \"{name}\" twice"));
-        }
-        chosen.push(index_of(
-            name,
-            entry,
-            arrays.names,
-            "receive array",
-            problems,
-        ));
-    }
-    all(chosen)
 }

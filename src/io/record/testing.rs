@@ -4,7 +4,8 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::config::spec::{
-    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec, SynthesisSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, Shading, SonarSpec,
+    SynthesisSpec,
 };
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{
@@ -104,6 +105,7 @@ pub fn sonar() -> SonarSpec {
                 form: FanForm::default(),
             }),
         },
+        picture: PictureSpec::default(),
         outputs: Vec::new(),
     }
 }
