@@ -585,7 +585,17 @@ fn a_default_in_the_template_may_be_uncommented_and_changes_nothing() {
             .rev()
             .take_while(|l| l.starts_with("# ") && !l.contains(" = ") || l.contains("Only with"))
             .any(|l| l.contains("Only with"));
-        if !is_default || !assignment.contains(" = ") || only_beside {
+        // A key of a table that is commented out itself belongs nowhere.
+        let is_header = |l: &&&str| {
+            let name = l.trim_start_matches("# ");
+            name.starts_with('[')
+                && name
+                    .chars()
+                    .all(|c| c.is_alphanumeric() || "[]._".contains(c))
+        };
+        let header = lines[..i].iter().rev().find(is_header);
+        let is_homeless = header.is_some_and(|l| l.starts_with('#'));
+        if !is_default || !assignment.contains(" = ") || only_beside || is_homeless {
             continue;
         }
         let mut changed = lines.clone();

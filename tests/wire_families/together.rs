@@ -218,10 +218,7 @@ fn contradictory_commands_from_both_end_in_one_truth_that_both_tell() {
     let refused = ROUNDS.div_ceil(3) as u64;
     assert_eq!(counts.refused, refused);
     // Every accepted command once, and what JSF keeps beside it.
-    assert_eq!(
-        counts.applied,
-        ROUNDS as u64 - refused + 2 * ROUNDS as u64
-    );
+    assert_eq!(counts.applied, ROUNDS as u64 - refused + 2 * ROUNDS as u64);
     let last = rig.store.recent().pop().expect("a change");
     assert!(["7k", "jsf"].contains(&last.asked.by.via), "{last:?}");
     assert!(last.asked.by.peer.is_some());
