@@ -7,6 +7,9 @@ use std::process::Command;
 
 use serde_json::Value;
 
+#[path = "replay_pictures/mod.rs"]
+mod pictures;
+
 fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs")
@@ -275,4 +278,65 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
         );
     }
     assert!(seen >= 3, "{seen} targets were passed");
+}
+
+/// The rigs that imitate devices: every one pings, offline, and hears the flat bottom of 12 m. What else they show stands at their heads.
+#[test]
+fn every_rig_that_imitates_a_device_pings() {
+    for rig in ["seabat", "wbms", "surveyor240", "omniscan450", "board"] {
+        let out = replay(
+            &["--pings", "1..2", "--formats", "npz"],
+            &format!("{rig}.toml"),
+        );
+        let truth = fs::read_dir(out.path()).expect("folder");
+        assert!(truth.count() > 0, "{rig}");
+        let text = fs::read_to_string(out.path().join("truth.jsonl")).expect("truth");
+        let pings: Vec<Value> = text
+            .lines()
+            .map(|line| serde_json::from_str(line).expect("JSON"))
+            .collect();
+        let heads = if rig == "omniscan450" { 2 } else { 1 };
+        assert_eq!(pings.len(), 2 * heads, "{rig}");
+        for ping in &pings {
+            let heard = ping["scene"]["scatterers"].as_u64().unwrap_or(0);
+            assert!(heard > 100, "{rig}: {heard} scatterers\n{ping}");
+        }
+    }
+}
+
+/// What a bench plays out, and what goes with it, from a rig whose configuration names neither.
+#[test]
+fn sigmf_and_wav_hold_the_same_pings() {
+    let out = replay(&["--pings", "1..2", "--formats", "sigmf,wav"], "board.toml");
+    let meta = fs::read_to_string(out.path().join("board.sigmf-meta")).expect("words");
+    let words = echotank_protocols::sigmf::Recording::parse(&meta).expect("SigMF");
+    assert_eq!(
+        (
+            words.channels,
+            words.captures.len(),
+            words.annotations.len()
+        ),
+        (8, 2, 2)
+    );
+    let data = fs::metadata(out.path().join("board.sigmf-data")).expect("samples");
+    let last = words.annotations.last().expect("two");
+    assert_eq!(data.len(), (last.sample_start + last.sample_count) * 8 * 4);
+    let wav = fs::read(out.path().join("board.wav")).expect("a WAV");
+    let header = echotank_protocols::wav::WavHeader::parse(&wav).expect("a WAV");
+    // 2.5 times 105 kHz, at the next usual rate.
+    assert_eq!(
+        (header.format.channels, header.format.sample_rate_hz),
+        (8, 384_000)
+    );
+    // The second ping begins a quarter of a second after the first and lasts 2 x 40 m / 1480 m/s and a pulse.
+    let lasts_s = header.moments() as f64 / 384e3;
+    assert!(
+        (lasts_s - (0.25 + 80.0 / 1480.0 + 2e-3)).abs() < 1e-3,
+        "{lasts_s}"
+    );
+    let loudest = wav[header.data_at..]
+        .chunks_exact(2)
+        .map(|b| i16::from_le_bytes([b[0], b[1]]).unsigned_abs())
+        .max();
+    assert!(loudest.is_some_and(|counts| counts > 10), "{loudest:?}");
 }

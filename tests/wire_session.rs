@@ -1,5 +1,9 @@
 //! One client's session over bytes in memory: settings, subscriptions, refusals, and rubbish.
 
+#[path = "wire_devices/ping.rs"]
+mod ping;
+#[path = "wire_devices/wbms.rs"]
+mod wbms;
 mod wire_rig;
 
 use std::sync::Arc;

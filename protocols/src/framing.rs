@@ -53,6 +53,11 @@ impl<F: Framing> Splitter<F> {
         self.messages
     }
 
+    /// Bytes that wait for the rest of their message.
+    pub fn held_bytes(&self) -> usize {
+        self.buf.len() - self.head
+    }
+
     /// Bytes passed over because no message began at them.
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped_bytes

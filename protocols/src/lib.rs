@@ -14,6 +14,8 @@
 //! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
+//!
+//! [`words`] prints any of them.
 
 #![forbid(unsafe_code)]
 
@@ -29,6 +31,7 @@ pub mod sigmf;
 pub mod vita49;
 pub mod wav;
 pub mod wbms;
+pub mod words;
 pub mod xtf;
 
 pub use layout::WireError;

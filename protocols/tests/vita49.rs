@@ -33,6 +33,7 @@ fn context() -> Context {
             kind: SampleKind::Fixed { bits: 16 },
             vector_size: 8,
         }),
+        ..Context::default()
     }
 }
 
@@ -307,13 +308,14 @@ proptest! {
 
     #[test]
     fn contexts_come_back(
-        is_change: bool, numbers in any::<[Option<u32>; 3]>(), level in any::<Option<i16>>(), bits in 1..=64_u8, elements in 1..=65_536_u32, is_complex: bool
+        is_change: bool, numbers in any::<[Option<u32>; 4]>(), level in any::<Option<i16>>(), bits in 1..=64_u8, elements in 1..=65_536_u32, is_complex: bool
     ) {
-        let [bandwidth, frequency, rate] = numbers.map(|n| n.map(|n| f64::from(n) / 1024.0));
+        let [bandwidth, frequency, intermediate, rate] = numbers.map(|n| n.map(|n| f64::from(n) / 1024.0));
         let context = Context {
             is_change,
             bandwidth_hz: bandwidth,
             rf_reference_hz: frequency,
+            if_reference_hz: intermediate,
             reference_level_dbm: level.map(|l| f64::from(l) / 128.0),
             sample_rate_hz: rate,
             payload_format: Some(PayloadFormat { is_complex, kind: SampleKind::Fixed { bits }, vector_size: elements }),

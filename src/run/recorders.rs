@@ -7,33 +7,27 @@ use echotank_protocols::jsf::subsystem;
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
 use crate::config::spec::{
-    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, XtfSpec,
+    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec, XtfSpec,
 };
 use crate::emit::jsf::{JsfEmitter, JsfSheet, file_time};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::emit::xtf::XtfEmitter;
-use crate::flow::{Datagram, PingPlan, Target};
-use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::flow::{Datagram, Target};
 use crate::io::record::npz::NpzRecorder;
-use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
+use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::record::truth::TruthRecorder;
+use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::run::outputs::row_filter;
+use crate::run::pictures::Pictures;
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
+use crate::run::synthetic_aperture::SyntheticAperture;
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: both sides fit a screen.
-const WATERFALL_COLUMNS: f64 = 600.0;
-
-/// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
-const SCALE: Scale = Scale::Percentiles {
-    low: 0.28,
-    high: 0.99997,
-};
 /// JSF counts channels in 8 bits.
 const MAX_JSF_CHANNELS: usize = 256;
 /// 7k device identifier of a side-scan of no particular make.
@@ -47,7 +41,10 @@ struct SonarFiles {
     jsf: Option<Jsf>,
     xtf: Option<Xtf>,
     npz: Option<NpzRecorder>,
-    png: Option<Option<Waterfall>>,
+    pictures: Pictures,
+    sas: Option<SyntheticAperture>,
+    sigmf: Option<SigmfRecorder>,
+    wav: Option<WavRecorder>,
 }
 
 struct S7k {
@@ -120,7 +117,10 @@ impl Recorders {
             jsf,
             xtf,
             npz,
-            png,
+            sas,
+            sigmf,
+            wav,
+            ..
         } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
@@ -178,7 +178,18 @@ impl Recorders {
                 } else {
                     None
                 },
-                png: png.then_some(None),
+                sas: sas
+                    .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
+                    .flatten(),
+                pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
+                sigmf: match sigmf {
+                    true => Some(begin_sigmf(&folder, &unit.spec)?),
+                    false => None,
+                },
+                wav: match wav {
+                    true => Some(begin_wav(&folder, &unit.spec)?),
+                    false => None,
+                },
                 spec: unit.spec.clone(),
                 folder,
             });
@@ -189,10 +200,11 @@ impl Recorders {
         })
     }
 
-    pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
+    /// The ping that `rig` has just made.
+    pub fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
-        self.truth.push(&files.spec, plan, output, targets)?;
+        self.truth.push(&files.spec, plan, output, rig.targets())?;
         if let Some(s7k) = &mut files.s7k {
             s7k.records.clear();
             let recorder = match &mut s7k.recorder {
@@ -236,16 +248,20 @@ impl Recorders {
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
-        if let Some(waterfall) = &mut files.png {
-            waterfall
-                .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
-                .push(plan, &output.lines);
+        if let Some(sigmf) = &mut files.sigmf {
+            sigmf.push(plan, output)?;
         }
-        Ok(())
+        if let Some(wav) = &mut files.wav {
+            wav.push(plan, output)?;
+        }
+        if let Some(sas) = &mut files.sas {
+            sas.push(&files.spec, plan, output);
+        }
+        files.pictures.push(slot, rig)
     }
 
     /// Closes every file and names those that hold something.
-    pub fn finish(self) -> Result<Vec<PathBuf>, RecordError> {
+    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
             if let Some(S7k {
@@ -279,12 +295,18 @@ impl Recorders {
             if let Some(npz) = files.npz {
                 written.extend(npz.finish()?);
             }
-            if let Some(Some(waterfall)) = files.png {
-                let path = files.folder.join("waterfall.png");
-                if write_waterfall(&path, &waterfall)? {
-                    written.push(path);
-                }
+            if let Some(sigmf) = files.sigmf {
+                written.extend(sigmf.paths().map(Path::to_path_buf));
+                sigmf.close()?;
             }
+            if let Some(wav) = files.wav {
+                written.push(wav.path().to_path_buf());
+                wav.close()?;
+            }
+            if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
+                written.extend(patch.write(&files.folder)?);
+            }
+            written.extend(files.pictures.finish(targets)?);
         }
         Ok(written)
     }
@@ -359,15 +381,29 @@ fn xtf_output(spec: &SonarSpec) -> XtfSpec {
     configured.unwrap_or(XtfSpec { is_float: false })
 }
 
-fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
-    let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
-    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
-    let picture = WaterfallSpec {
-        range_m: plan.settings.range_m,
-        metres_per_pixel,
-        rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
-        scale: SCALE,
-        ..WaterfallSpec::default()
-    };
-    Waterfall::new(picture, spec.receiver.sample_rate_hz)
+/// The arrays of the configured output, or all.
+fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Sigmf(sigmf) => Some(sigmf.arrays.clone()),
+        _ => None,
+    });
+    let arrays = configured.unwrap_or_else(|| (0..spec.receive.len()).collect());
+    SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
+}
+
+/// The arrays and the rate of the configured output, or all and the usual rate.
+fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Wav(wav) => Some(wav.clone()),
+        _ => None,
+    });
+    let output = configured.unwrap_or_else(|| WavSpec {
+        arrays: (0..spec.receive.len()).collect(),
+        rate_hz: WavSpec::usual_rate_hz(
+            spec.pulse.center_frequency_hz + 0.5 * spec.pulse.bandwidth_hz,
+        ),
+        is_float: false,
+    });
+    let path = folder.join(format!("{}.wav", spec.name));
+    WavRecorder::create(&path, &output, spec)
 }

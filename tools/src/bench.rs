@@ -1,5 +1,7 @@
 //! Measures the echo engine: errors and milliseconds on one line. See `tools/bench --help`.
 
+#[path = "bench/beams.rs"]
+mod beams;
 #[path = "bench/echo.rs"]
 mod echo;
 #[path = "bench/forward_looking.rs"]
@@ -17,6 +19,8 @@ mod report;
 mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
+#[path = "bench/stages.rs"]
+mod stages;
 #[path = "bench/transform.rs"]
 mod transform;
 #[path = "bench/whole.rs"]
@@ -67,6 +71,14 @@ enum What {
         dialects: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
+        /// Where the time of gridded-2d goes, stage by stage.
+        #[arg(long)]
+        stages: bool,
+    },
+    /// Fans of 128 elements, 256 beams and 8000 samples by every former, and focused beams beside echo synthesis at work.
+    Beams {
+        #[command(flatten)]
+        common: Common,
     },
     /// Pings of a configuration through the whole pipeline, beams and lines included.
     Ping {
@@ -108,6 +120,10 @@ enum What {
     },
     /// Run transforms as standard input asks, one per line.
     TransformServe { directory: PathBuf },
+    /// Write matched-filtered elements and the points of some beams for peers.
+    BeamsDump { directory: PathBuf },
+    /// Form the fan as standard input asks, one former per line.
+    BeamsServe,
 }
 
 fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
@@ -131,12 +147,14 @@ fn main() -> std::process::ExitCode {
             method,
             dialects,
             threads,
+            stages,
         } => {
             let selection = whole::Selection {
                 only: only.as_deref().unwrap_or(""),
                 method: method.as_deref(),
                 dialects: &dialects,
                 threads: &threads,
+                stages,
                 effort: if common.quick {
                     whole::QUICK
                 } else {
@@ -145,6 +163,9 @@ fn main() -> std::process::ExitCode {
             };
             echo(&common, &selection)
         }
+        What::Beams { common } => beams::run(common.quick, common.json.as_deref()),
+        What::BeamsDump { directory } => beams::dump(&directory),
+        What::BeamsServe => beams::serve(),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
         What::Nav {
             common,

@@ -65,8 +65,10 @@ pub struct Context {
     /// Something differs from the stream's last context packet.
     pub is_change: bool,
     pub bandwidth_hz: Option<f64>,
-    /// What 0 Hz of complex samples is at the transducer.
+    /// What the middle of the band is at the transducer; what 0 Hz of complex samples is.
     pub rf_reference_hz: Option<f64>,
+    /// Where that frequency lies in the samples; 0, or not stated, for complex ones.
+    pub if_reference_hz: Option<f64>,
     /// Of a full-scale sample, in dBm, to 1/128 dB.
     pub reference_level_dbm: Option<f64>,
     pub sample_rate_hz: Option<f64>,
@@ -76,6 +78,7 @@ pub struct Context {
 /// Bits of indicator field 0 that we write.
 const CHANGE: u32 = 31;
 const BANDWIDTH: u32 = 29;
+const IF_REFERENCE: u32 = 28;
 const RF_REFERENCE: u32 = 27;
 const REFERENCE_LEVEL: u32 = 24;
 const SAMPLE_RATE: u32 = 21;
@@ -136,6 +139,7 @@ impl Context {
             word_at(payload, word + words - 1, WHAT)?;
             match bit {
                 BANDWIDTH => context.bandwidth_hz = Some(hz(word)?),
+                IF_REFERENCE => context.if_reference_hz = Some(hz(word)?),
                 RF_REFERENCE => context.rf_reference_hz = Some(hz(word)?),
                 SAMPLE_RATE => context.sample_rate_hz = Some(hz(word)?),
                 REFERENCE_LEVEL => {
@@ -176,6 +180,7 @@ impl Context {
         let bits = [
             (CHANGE, self.is_change),
             (BANDWIDTH, self.bandwidth_hz.is_some()),
+            (IF_REFERENCE, self.if_reference_hz.is_some()),
             (RF_REFERENCE, self.rf_reference_hz.is_some()),
             (REFERENCE_LEVEL, self.reference_level_dbm.is_some()),
             (SAMPLE_RATE, self.sample_rate_hz.is_some()),
@@ -187,7 +192,11 @@ impl Context {
         // A cast saturates, and makes NaN 0.
         let hz = |value: f64| ((value * RADIX_20).round() as i64).to_be_bytes();
         buf.extend(indicators.to_be_bytes());
-        for value in [self.bandwidth_hz, self.rf_reference_hz] {
+        for value in [
+            self.bandwidth_hz,
+            self.if_reference_hz,
+            self.rf_reference_hz,
+        ] {
             buf.extend(value.into_iter().flat_map(hz));
         }
         if let Some(level) = self.reference_level_dbm {

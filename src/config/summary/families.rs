@@ -54,7 +54,7 @@ pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSp
             "  imagenex",
             &format!("TCP {}, 1000 points per side and command", output.listen),
         ),
-        // Written by the caller.
-        OutputSpec::SevenK(_) => Ok(()),
+        // Written elsewhere.
+        _ => Ok(()),
     }
 }

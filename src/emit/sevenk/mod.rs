@@ -423,6 +423,9 @@ impl SevenKEmitter {
                     position.emit(buf, &nav_stamp);
                 }))
             }
+            // Records of sensors have no flag: where the sensor says nothing, neither do they.
+            1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
+            1013 if plan.nav.invalid.heading => None,
             1012 => {
                 let attitude = records::roll_pitch_heave_1012(&plan.nav);
                 exact(pool.write(|buf| {

@@ -419,7 +419,8 @@ pub fn position_1003(nav: &NavState) -> Position1003 {
         height_m: nav.height_m,
         position_type: Position1003::GEOGRAPHIC,
         utm_zone: 0,
-        quality_flag: u8::from(nav.fix == FixQuality::DeadReckoning),
+        // 1: dead reckoning. It is the only flag that navigation records of 7k have.
+        quality_flag: u8::from(nav.invalid.position || nav.fix == FixQuality::DeadReckoning),
         positioning_method: match nav.fix {
             FixQuality::None | FixQuality::Autonomous | FixQuality::DeadReckoning => 0,
             FixQuality::Differential => 1,

@@ -1,8 +1,13 @@
 //! What leaves the house live: the configured outputs of one sonar, one file per family, all fed by the same pings.
 
+mod files;
 mod imagenex872;
 mod jsf;
+mod ping_protocol;
+mod server_lines;
 mod sevenk;
+mod vita49;
+mod wbms;
 mod xtf;
 
 use std::sync::Arc;
@@ -23,6 +28,17 @@ pub(super) use jsf::row_filter;
 pub enum OutputError {
     #[error("output {name}: {source}")]
     Server { name: String, source: OpenError },
+    #[error("output {name}: cannot send: {source}")]
+    Sender {
+        name: String,
+        source: std::io::Error,
+    },
+    #[error("output {name}: serial line {path}: {source}")]
+    Line {
+        name: String,
+        path: String,
+        source: std::io::Error,
+    },
     #[error(transparent)]
     Record(#[from] RecordError),
 }
@@ -114,6 +130,13 @@ impl Outputs {
                     OutputSpec::Imagenex872(output) => {
                         Box::new(imagenex872::Imagenex872::open(output, &opening)?)
                     }
+                    OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, &opening)?),
+                    OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, &opening)?),
+                    OutputSpec::Ping(output) => {
+                        Box::new(ping_protocol::PingProtocol::open(output, &opening)?)
+                    }
+                    OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, &opening)?),
+                    OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
                 })
             })
             .collect::<Result<_, _>>()?;

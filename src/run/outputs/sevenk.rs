@@ -11,6 +11,8 @@ use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
+use crate::run::faults::PingMark;
+use crate::run::faults::line::Line;
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
 use crate::run::settings::SettingsStore;
@@ -25,6 +27,8 @@ pub struct SevenK {
     kept_version: Option<u64>,
     /// Records of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    /// To the clients; what is recorded does not pass it.
+    line: Line,
 }
 
 impl SevenK {
@@ -66,6 +70,7 @@ impl SevenK {
             settings: Arc::clone(settings),
             kept_version: None,
             pending: Vec::new(),
+            line: Line::new(unit.faults.clone()),
         })
     }
 }
@@ -95,6 +100,11 @@ impl Output for SevenK {
             self.emitter.keep(Kept::of(self.settings.as_ref()));
         }
         self.pending.clear();
+        self.line.begin(PingMark {
+            sonar: slot.plan.sonar,
+            number: slot.plan.ping_number,
+            utc: slot.plan.transmit_utc,
+        });
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
@@ -104,7 +114,7 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.server.deliver(&self.pending);
+        self.server.deliver(self.line.pass(&self.pending));
         let mut outcome = Ok(());
         if let Some(recorder) = &mut self.recorder {
             outcome = self

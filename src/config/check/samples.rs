@@ -1,0 +1,167 @@
+//! Outputs of samples.
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+use super::only_with;
+use super::sonar::Arrays;
+use crate::flow::Pulse;
+
+/// What stands around the samples of a VITA 49 packet.
+const VRT_AROUND_BYTES: usize = 24;
+/// WAV counts channels in 16 bits, and bytes of a moment too.
+const MAX_WAV_CHANNELS: usize = 16_383;
+/// VITA 49 counts a vector's elements in 16 bits.
+const MAX_VECTOR: usize = 65_536;
+
+/// What samples are made from.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    pub arrays: &'a Arrays<'a>,
+    pub pulse: Option<&'a Pulse>,
+}
+
+impl Source<'_> {
+    fn elements(&self, chosen: &[usize]) -> usize {
+        chosen
+            .iter()
+            .filter_map(|&array| self.arrays.specs.get(array)?.as_ref())
+            .map(|array| array.elements)
+            .sum()
+    }
+
+    fn highest_hz(&self) -> Option<f64> {
+        self.pulse
+            .map(|pulse| pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz)
+    }
+
+    /// A rate that passband samples can have, Hz.
+    fn passband_rate_hz(
+        &self,
+        table: &RawTable,
+        key: &str,
+        problems: &mut Problems,
+    ) -> Option<f64> {
+        let rate_hz = table.scaled(key, 3)?;
+        if let Some(highest_hz) = self.highest_hz()
+            && rate_hz <= 2.0 * highest_hz
+        {
+            let rule = format!(
+                "must be above twice the highest frequency, {} kHz",
+                highest_hz / 1e3
+            );
+            problems.refuse(table.entry(key), rule);
+            return None;
+        }
+        Some(rate_hz)
+    }
+}
+
+pub fn vita49(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<Vita49Spec> {
+    let arrays = source.arrays.chosen(table, problems);
+    let is_passband = table.text("samples").map(|text| text == "passband");
+    let is_vector = table.text("streams").map(|text| text == "vector");
+    only_with(
+        table,
+        &["passband_rate_khz"],
+        is_passband,
+        "samples = \"passband\"",
+        problems,
+    );
+    super::needed_with(
+        table,
+        "passband_rate_khz",
+        is_passband,
+        "samples = \"passband\"",
+        problems,
+    );
+    let passband_rate_hz = match is_passband? {
+        true => Some(source.passband_rate_hz(table, "passband_rate_khz", problems)?),
+        false => None,
+    };
+    let max_packet = table.count("max_packet_bytes")? / 4 * 4;
+    if let Some(arrays) = &arrays {
+        let side_by_side = match is_vector? {
+            true => source.elements(arrays),
+            false => 1,
+        };
+        // Two moments of 2-byte samples fill the same words as one moment of I and Q.
+        let needed = VRT_AROUND_BYTES + 4 * side_by_side;
+        if max_packet < needed || side_by_side > MAX_VECTOR {
+            problems.refuse(
+                table.entry("max_packet_bytes"),
+                format!("must hold a moment of {side_by_side} elements: at least {needed}"),
+            );
+        }
+        let last = table.integer("first_stream")? + source.elements(arrays) as i64;
+        if last > i64::from(u32::MAX) {
+            problems.refuse(
+                table.entry("first_stream"),
+                "leaves no room for all elements",
+            );
+        }
+    }
+    let send_to = destinations(table, problems);
+    let interface = table.text("multicast_interface")?.parse();
+    if interface.is_err() {
+        problems.refuse(
+            table.entry("multicast_interface"),
+            "must be an address, such as \"192.168.1.10\"",
+        );
+    }
+    Some(Vita49Spec {
+        send_to: send_to?,
+        arrays: arrays?,
+        passband_rate_hz,
+        is_vector: is_vector?,
+        first_stream: u32::try_from(table.integer("first_stream")?).ok()?,
+        max_packet,
+        pace_bytes_per_s: table.number("pace_mbit_per_s")? * 1e6 / 8.0,
+        multicast_interface: interface.ok()?,
+        multicast_ttl: u32::try_from(table.integer("multicast_ttl")?).ok()?,
+    })
+}
+
+fn destinations(table: &RawTable, problems: &mut Problems) -> Option<Vec<std::net::SocketAddr>> {
+    let parsed: Result<Vec<_>, _> = table
+        .text("send_to")?
+        .split(',')
+        .map(|word| word.trim().parse())
+        .collect();
+    if parsed.is_err() {
+        problems.refuse(
+            table.entry("send_to"),
+            "must be addresses and ports with commas between them, such as \"127.0.0.1:4991, 239.1.2.3:4991\"",
+        );
+    }
+    parsed.ok()
+}
+
+pub fn sigmf(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<SigmfSpec> {
+    Some(SigmfSpec {
+        arrays: source.arrays.chosen(table, problems)?,
+    })
+}
+
+pub fn wav(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<WavSpec> {
+    let arrays = source.arrays.chosen(table, problems);
+    if let Some(arrays) = &arrays {
+        let channels = source.elements(arrays);
+        if channels > MAX_WAV_CHANNELS {
+            problems.refuse(
+                table.entry("arrays"),
+                format!("{channels} elements; a WAV takes {MAX_WAV_CHANNELS}"),
+            );
+        }
+    }
+    let rate_hz = match table.given("rate_khz") {
+        true => source
+            .passband_rate_hz(table, "rate_khz", problems)?
+            .round() as u32,
+        false => WavSpec::usual_rate_hz(source.highest_hz()?),
+    };
+    Some(WavSpec {
+        arrays: arrays?,
+        rate_hz,
+        is_float: table.text("sample")? == "f32",
+    })
+}

@@ -1,0 +1,57 @@
+//! Outputs that imitate one maker's device.
+
+use std::net::SocketAddr;
+
+use crate::flow::Side;
+
+/// What a device of the Ping protocol is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PingDevice {
+    /// Side-scan: one line, of this side.
+    Omniscan450 { side: Side },
+    /// Multibeam: the soundings of the fan.
+    Surveyor240,
+}
+
+impl PingDevice {
+    /// As the configuration spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Omniscan450 { .. } => "omniscan450",
+            Self::Surveyor240 => "surveyor240",
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct PingProtocolSpec {
+    pub device: PingDevice,
+    /// TCP and UDP.
+    pub listen: SocketAddr,
+    /// A serial line's name and bits per second.
+    pub serial: Option<(String, u32)>,
+    /// Which of how many synchronised devices this is.
+    pub channel: (u8, u8),
+    pub client_queue_bytes: usize,
+    pub max_clients: usize,
+}
+
+/// Four TCP servers: control, bathymetry, water column, side-scan or snippets.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WbmsSpec {
+    /// Of the control; the others are on the ports behind it. Port 0 takes any four.
+    pub listen: SocketAddr,
+    pub client_queue_bytes: usize,
+    pub max_clients: usize,
+}
+
+impl WbmsSpec {
+    /// Where the server `number`, from 0, listens.
+    pub fn address(&self, number: u16) -> SocketAddr {
+        let mut address = self.listen;
+        if address.port() != 0 {
+            address.set_port(address.port() + number);
+        }
+        address
+    }
+}

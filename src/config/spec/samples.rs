@@ -1,0 +1,50 @@
+//! Outputs of samples.
+
+use std::net::{Ipv4Addr, SocketAddr};
+
+/// Packets for boards.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Vita49Spec {
+    pub send_to: Vec<SocketAddr>,
+    pub arrays: Vec<usize>,
+    /// What a converter of so many samples per second would have seen; none is I and Q at the receiver's rate.
+    pub passband_rate_hz: Option<f64>,
+    /// One stream whose samples are vectors of all elements.
+    pub is_vector: bool,
+    pub first_stream: u32,
+    pub max_packet: usize,
+    pub pace_bytes_per_s: f64,
+    pub multicast_interface: Ipv4Addr,
+    pub multicast_ttl: u32,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct SigmfSpec {
+    pub arrays: Vec<usize>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct WavSpec {
+    pub arrays: Vec<usize>,
+    /// Whole Hz.
+    pub rate_hz: u32,
+    /// 32-bit floats instead of 16-bit integers.
+    pub is_float: bool,
+}
+
+impl WavSpec {
+    /// What converters of benches run at, Hz.
+    const USUAL_RATES_HZ: [u32; 12] = [
+        48_000, 96_000, 192_000, 384_000, 500_000, 768_000, 1_000_000, 2_000_000, 2_500_000,
+        5_000_000, 10_000_000, 20_000_000,
+    ];
+
+    /// The lowest usual rate that is 2.5 times the highest frequency.
+    pub fn usual_rate_hz(highest_hz: f64) -> u32 {
+        let wanted_hz = 2.5 * highest_hz;
+        Self::USUAL_RATES_HZ
+            .into_iter()
+            .find(|&rate| f64::from(rate) >= wanted_hz)
+            .unwrap_or((wanted_hz / 1e6).ceil() as u32 * 1_000_000)
+    }
+}

@@ -1,0 +1,421 @@
+//! The commands of the Ping protocol: bytes in, answers out.
+//!
+//! - A request for a message is answered with it (4, 5, 169), or it comes with the next ping, as those of a ping do anyway; what the device does
+//!   not have is refused (2) with words.
+//! - A command is acknowledged (1), or refused (2) with words, and then nothing of it is obeyed. The rate is the highest to be kept, so that one
+//!   beyond the sonar's own is held at that; so is the length of the pulse, which the range sets. Everything else must lie within the limits.
+//! - Automatic gain (-1) and automatic range (0) leave the sonar's as they are: neither is modelled. Speed of sound, filter, frequency and
+//!   network settings are kept and change nothing.
+//! - Who connects, or sends a whole frame over UDP, gets everything.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use echotank_protocols::ping_protocol::common::{
+    AckMessage, DeviceInformation, ProtocolVersion, emit_nack,
+};
+use echotank_protocols::ping_protocol::omniscan450::OsPingParams;
+use echotank_protocols::ping_protocol::surveyor240::{SetPingParameters, emit_utc_request};
+use echotank_protocols::ping_protocol::{Frame, Message, PingFraming, PingStream, message_id};
+
+use super::{Device, GAIN_PERCENT, GAIN_STEPS};
+use crate::config::spec::PingDevice;
+use crate::emit::changes::{apply_all, at_part};
+use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use crate::flow::{
+    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
+};
+use crate::time::UtcNs;
+
+/// How it signs what it changes.
+pub const VIA: &str = "ping";
+
+/// Major and minor of this program, as the firmware's.
+const FIRMWARE: [u8; 3] = [0, 1, 0];
+const PROTOCOL_VERSION: [u8; 3] = [1, 0, 0];
+
+/// One device on one port.
+pub struct PingPort {
+    device: Arc<Device>,
+    settings: Arc<dyn SettingsPort>,
+}
+
+impl PingPort {
+    pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
+        Self { device, settings }
+    }
+
+    /// A client that is no network's.
+    pub fn connect_line(&self) -> Box<dyn Session> {
+        self.client(false, None)
+    }
+
+    fn client(&self, datagrams: bool, peer: Option<SocketAddr>) -> Box<dyn Session> {
+        Box::new(Client {
+            device: Arc::clone(&self.device),
+            settings: Arc::clone(&self.settings),
+            by: Asker { via: VIA, peer },
+            stream: PingStream::new(PingFraming),
+            datagrams,
+            counts: SessionCounts::default(),
+        })
+    }
+}
+
+impl Protocol for PingPort {
+    fn name(&self) -> &'static str {
+        VIA
+    }
+    fn connect(&self, transport: Transport, peer: SocketAddr) -> Box<dyn Session> {
+        self.client(transport == Transport::Udp, Some(peer))
+    }
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::ALL
+    }
+    fn welcomes(&self, datagram: &[u8]) -> bool {
+        Frame::parse(datagram).is_ok()
+    }
+}
+
+struct Client {
+    device: Arc<Device>,
+    settings: Arc<dyn SettingsPort>,
+    by: Asker,
+    stream: PingStream,
+    /// Every datagram begins with a frame.
+    datagrams: bool,
+    counts: SessionCounts,
+}
+
+impl Session for Client {
+    /// The Surveyor asks for the time.
+    fn greet(&mut self, _now: UtcNs, out: &mut Vec<Outgoing>) {
+        if self.device.spec.device == PingDevice::Surveyor240 {
+            let id = self.device.told().device_id;
+            out.push(reply(message_id::UTC_REQUEST, |buf| {
+                emit_utc_request(buf, id, 0);
+            }));
+        }
+    }
+
+    fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>) {
+        let mut stream = std::mem::replace(&mut self.stream, PingStream::new(PingFraming));
+        if self.datagrams {
+            stream = PingStream::new(PingFraming);
+        }
+        stream.feed(bytes, |item| self.item(item, now, out));
+        self.stream = stream;
+        if self.datagrams {
+            self.give_up_waiting(now, out);
+        }
+    }
+
+    fn is_waiting(&self) -> bool {
+        self.stream.held_bytes() > 0
+    }
+
+    fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
+        let mut stream = std::mem::replace(&mut self.stream, PingStream::new(PingFraming));
+        stream.finish();
+        stream.feed(&[], |item| self.item(item, now, out));
+        self.stream = stream;
+    }
+
+    fn wants(&self) -> Wants {
+        Wants::ALL
+    }
+
+    fn counts(&self) -> SessionCounts {
+        self.counts
+    }
+}
+
+/// Why a command is refused.
+type Refusal = String;
+
+impl Client {
+    fn item(
+        &mut self,
+        item: Result<&[u8], echotank_protocols::WireError>,
+        now: UtcNs,
+        out: &mut Vec<Outgoing>,
+    ) {
+        let Ok(frame) = item.and_then(Frame::parse) else {
+            self.counts.framing_errors += 1;
+            return;
+        };
+        let id = frame.message_id;
+        let outcome = match Message::parse(&frame) {
+            Ok(message) => self.obey(&message, frame.source, now, out),
+            Err(error) => Err(error.to_string()),
+        };
+        let (from, to) = (self.device.told().device_id, frame.source);
+        match outcome {
+            Ok(Obeyed::Command) => {
+                self.counts.commands += 1;
+                out.push(reply(message_id::ACK, |buf| {
+                    AckMessage { acked_id: id }.emit_frame(buf, from, to);
+                }));
+            }
+            Ok(Obeyed::Answered) => self.counts.commands += 1,
+            Ok(Obeyed::NoCommand) => self.counts.other_records += 1,
+            Err(words) => {
+                self.counts.commands += 1;
+                self.counts.nacks += 1;
+                out.push(reply(message_id::NACK, |buf| {
+                    emit_nack(buf, from, to, id, &words);
+                }));
+            }
+        }
+    }
+
+    fn obey(
+        &mut self,
+        message: &Message<'_>,
+        to: u8,
+        now: UtcNs,
+        out: &mut Vec<Outgoing>,
+    ) -> Result<Obeyed, Refusal> {
+        let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
+        let asked = Asked {
+            utc: now,
+            by: self.by,
+        };
+        match message {
+            Message::GeneralRequest(request) => {
+                return self.request(request.requested_id, to, out);
+            }
+            Message::SetDeviceId(set) => {
+                if set.device_id == 0 || set.device_id == u8::MAX {
+                    return Err("device_id must be from 1 to 254".into());
+                }
+                self.device.lock().device_id = set.device_id;
+            }
+            Message::OsPingParams(params) if is_omniscan => self.os_ping_params(params, asked)?,
+            Message::SetSpeedOfSound(set) if is_omniscan => {
+                let m_per_s = f64::from(set.speed_of_sound_mm_per_s) / 1e3;
+                self.keep("speed_of_sound", KeptValue::Numbers(vec![m_per_s]), asked)?;
+            }
+            Message::SetSyncChannel(sync) if is_omniscan => {
+                if sync.channel_number >= sync.number_of_channels {
+                    return Err("channel_number must be below number_of_channels".into());
+                }
+                self.device.lock().sync = *sync;
+            }
+            Message::SetPingParameters(params) if !is_omniscan => {
+                self.set_ping_parameters(params, asked)?;
+            }
+            Message::SetNetInfo(info) if !is_omniscan => {
+                let numbers = [info.ntp_ip_address, info.subnet_mask, info.gateway_ip];
+                let value = KeptValue::Numbers(numbers.map(f64::from).into());
+                self.keep("net_info", value, asked)?;
+            }
+            // The device has the rig's time.
+            Message::UtcResponse(_)
+            | Message::Ack(_)
+            | Message::Nack { .. }
+            | Message::AsciiText(_)
+            | Message::Json(_)
+            | Message::DeviceInformation(_)
+            | Message::ProtocolVersion(_) => return Ok(Obeyed::NoCommand),
+            _ => return Err("not a command of this device".into()),
+        }
+        Ok(Obeyed::Command)
+    }
+
+    fn request(&mut self, id: u16, to: u8, out: &mut Vec<Outgoing>) -> Result<Obeyed, Refusal> {
+        let told = self.device.told();
+        let from = told.device_id;
+        let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
+        match id {
+            message_id::DEVICE_INFORMATION => {
+                let information = DeviceInformation {
+                    // The makers publish no number for either.
+                    device_type: 0,
+                    device_revision: 1,
+                    firmware: FIRMWARE,
+                };
+                out.push(reply(id, |buf| {
+                    information.emit_frame(buf, from, to);
+                }));
+            }
+            message_id::PROTOCOL_VERSION => {
+                let version = ProtocolVersion {
+                    version: PROTOCOL_VERSION,
+                };
+                out.push(reply(id, |buf| {
+                    version.emit_frame(buf, from, to);
+                }));
+            }
+            message_id::SYNC_CHANNEL if is_omniscan => out.push(reply(id, |buf| {
+                told.sync.emit_frame(buf, from, to);
+            })),
+            // They come with every ping.
+            message_id::OS_MONO_PROFILE if is_omniscan => {}
+            message_id::ATTITUDE_REPORT if !is_omniscan => {}
+            message_id::ATOF_POINT_DATA if !is_omniscan => self.device.lock().wants_atof = true,
+            message_id::YZ_POINT_DATA if !is_omniscan => self.device.lock().wants_yz = true,
+            _ => return Err(format!("this device has no message {id}")),
+        }
+        Ok(Obeyed::Answered)
+    }
+
+    /// 2197
+    fn os_ping_params(&mut self, params: &OsPingParams, asked: Asked) -> Result<(), Refusal> {
+        let (start_m, length_m) = (
+            f64::from(params.start_mm) / 1e3,
+            f64::from(params.length_mm) / 1e3,
+        );
+        if !(200..=1200).contains(&params.num_results) {
+            return Err("num_results must be from 200 to 1200".into());
+        }
+        if length_m == 0.0 {
+            return Err("length_mm must be above 0".into());
+        }
+        let limits = self.settings.limits();
+        let range_m = start_m + length_m;
+        let mut changes = vec![SettingChange::RangeM(range_m)];
+        changes.push(rate(i64::from(params.msec_per_ping), &limits));
+        changes.extend(gain(params.gain_index, GAIN_STEPS, &limits)?);
+        let c = self.device.sound_speed_m_per_s;
+        changes.push(pulse(
+            f64::from(params.pulse_len_percent) * 2.0 * length_m / c,
+            &limits,
+        )?);
+        changes.push(start_or_stop(params.enable != 0));
+        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
+        let filter = f64::from(params.filter_duration_percent);
+        self.keep(
+            "filter_duration_percent",
+            KeptValue::Numbers(vec![filter]),
+            asked,
+        )?;
+        let mut told = self.device.lock();
+        told.start_m = start_m;
+        told.num_results = params.num_results;
+        Ok(())
+    }
+
+    /// 3023
+    fn set_ping_parameters(
+        &mut self,
+        params: &SetPingParameters,
+        asked: Asked,
+    ) -> Result<(), Refusal> {
+        if !(200..=800).contains(&params.n_range_steps) {
+            return Err("n_range_steps must be from 200 to 800".into());
+        }
+        if params.reserved_for_raw_data != 0 {
+            return Err("reserved_for_raw_data must be false".into());
+        }
+        if params.enable_channel_data != 0 {
+            return Err("channel data have no public layout".into());
+        }
+        if params.diagnostic_injected_signal != 0 {
+            return Err("diagnostic_injected_signal must be 0".into());
+        }
+        if params.end_mm < 0 || params.start_mm < 0 {
+            return Err("start_mm and end_mm must not be below 0".into());
+        }
+        let limits = self.settings.limits();
+        let mut changes = Vec::new();
+        let end_m = match params.end_mm {
+            // Following the bottom is not modelled.
+            0 => self.settings.settings().range_m,
+            mm => f64::from(mm) / 1e3,
+        };
+        if params.end_mm > 0 {
+            if params.start_mm >= params.end_mm {
+                return Err("start_mm must be below end_mm".into());
+            }
+            changes.push(SettingChange::RangeM(end_m));
+        }
+        changes.push(rate(params.msec_per_ping.into(), &limits));
+        changes.extend(gain(params.gain_index, GAIN_PERCENT, &limits)?);
+        let step_s =
+            2.0 * end_m / self.device.sound_speed_m_per_s / f64::from(params.n_range_steps);
+        changes.push(pulse(f64::from(params.pulse_len_steps) * step_s, &limits)?);
+        changes.push(start_or_stop(params.ping_enable != 0));
+        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
+        let numbers = |value: f64| KeptValue::Numbers(vec![value]);
+        self.keep("sos_mps", numbers(f64::from(params.sos_mps)), asked)?;
+        let frequency = KeptValue::Integer(params.target_ping_hz.into());
+        self.keep("target_ping_hz", frequency, asked)?;
+        let mut told = self.device.lock();
+        // 5 % of the range at least, as the device has it; none in automatic range.
+        told.start_m = match params.end_mm {
+            0 => 0.0,
+            _ => (f64::from(params.start_mm) / 1e3).max(0.05 * end_m),
+        };
+        told.num_results = params.n_range_steps;
+        told.wants_atof = params.enable_atof_data != 0;
+        told.wants_yz = params.enable_yz_point_data != 0;
+        Ok(())
+    }
+
+    fn keep(&self, name: &'static str, value: KeptValue, asked: Asked) -> Result<(), Refusal> {
+        let key = KeptKey {
+            via: VIA,
+            name,
+            place: 0,
+        };
+        self.settings
+            .keep(key, value, asked)
+            .map_err(|refused| refused.to_string())
+    }
+}
+
+/// What became of a message that was not refused.
+enum Obeyed {
+    /// To be acknowledged.
+    Command,
+    Answered,
+    NoCommand,
+}
+
+/// The highest rate to be kept; 0 and below is as fast as it goes.
+fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
+    let (_, most_hz) = limits.ping_rate_hz;
+    SettingChange::MaxPingRateHz(match msec_per_ping {
+        ..=0 => most_hz,
+        msec => (1e3 / msec as f64).min(most_hz),
+    })
+}
+
+/// -1, automatic, changes nothing.
+fn gain(index: i16, steps: f64, limits: &SettingLimits) -> Result<Option<SettingChange>, Refusal> {
+    match f64::from(index) {
+        -1.0 => Ok(None),
+        index if (0.0..=steps).contains(&index) => Ok(Some(SettingChange::GainDb(at_part(
+            limits.gain_db,
+            index / steps,
+        )))),
+        _ => Err(format!("gain_index must be -1 or from 0 to {steps}")),
+    }
+}
+
+fn pulse(duration_s: f64, limits: &SettingLimits) -> Result<SettingChange, Refusal> {
+    if !(duration_s >= 0.0 && duration_s.is_finite()) {
+        return Err("the length of the pulse must be a number from 0 on".into());
+    }
+    let (shortest_s, longest_s) = limits.pulse_duration_s;
+    Ok(SettingChange::PulseDurationS(
+        duration_s.clamp(shortest_s, longest_s),
+    ))
+}
+
+fn start_or_stop(enable: bool) -> SettingChange {
+    match enable {
+        true => SettingChange::Start,
+        false => SettingChange::Stop,
+    }
+}
+
+fn reply(id: u16, write: impl FnOnce(&mut Vec<u8>)) -> Outgoing {
+    let mut bytes = Vec::new();
+    write(&mut bytes);
+    Outgoing::Reply(Datagram {
+        record_type: id.into(),
+        bytes,
+    })
+}

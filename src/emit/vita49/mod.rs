@@ -1,0 +1,266 @@
+//! ANSI/VITA 49.2 packets of a ping: what each stream is (context), then the samples of all streams side by side in time.
+//!
+//! The time of a packet is that of its first sample, in UTC and picoseconds, counted from the stamp of the ping. Frequencies are those at the
+//! transducer; for passband samples the intermediate frequency says that they are where they were. Full scale in dBm is across 50 ohm.
+
+use echotank_protocols::vita49::{Context, SignalStream, Trailer, VrtTime};
+
+use super::elements::{counts, elements_of, interleave_iq};
+use super::passband::Passband;
+use super::sevenk::EmitCounts;
+use crate::config::spec::{SonarSpec, Vita49Spec};
+use crate::flow::{PingOutput, PingPlan};
+
+/// The packets of one ping, one after the other.
+#[derive(Debug, Default)]
+pub struct Packets {
+    bytes: Vec<u8>,
+    ends: Vec<usize>,
+}
+
+impl Packets {
+    pub fn clear(&mut self) {
+        self.bytes.clear();
+        self.ends.clear();
+    }
+    pub(crate) fn push(&mut self, packet: &[u8]) {
+        self.bytes.extend_from_slice(packet);
+        self.ends.push(self.bytes.len());
+    }
+    pub fn len_bytes(&self) -> usize {
+        self.bytes.len()
+    }
+    pub fn iter(&self) -> impl Iterator<Item = &[u8]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts
+            .zip(&self.ends)
+            .map(|(start, &end)| &self.bytes[start..end])
+    }
+}
+
+/// Turns pings into packets. Holds its buffers and the streams' counts; one thread's.
+pub struct Vita49Emitter {
+    arrays: Vec<usize>,
+    full_scale_v: f64,
+    streams: Vec<SignalStream>,
+    passband: Option<Passband>,
+    /// What the streams' contexts said last.
+    said: Option<Context>,
+    iq: Vec<[i16; 2]>,
+    real: Vec<i16>,
+    /// What one packet takes of them.
+    cut_iq: Vec<[i16; 2]>,
+    cut_real: Vec<i16>,
+    packet: Vec<u8>,
+    totals: EmitCounts,
+}
+
+impl Vita49Emitter {
+    pub fn new(output: &Vita49Spec, sonar: &SonarSpec) -> Self {
+        let elements: usize = output
+            .arrays
+            .iter()
+            .map(|&array| sonar.receive[array].elements)
+            .sum();
+        let (streams, vector) = if output.is_vector {
+            (1, elements)
+        } else {
+            (elements, 1)
+        };
+        let sample_rate_hz = sonar.receiver.sample_rate_hz;
+        let streams = (0..streams as u32)
+            .map(|stream| {
+                SignalStream::new(
+                    output.first_stream + stream,
+                    output.passband_rate_hz.is_none(),
+                    vector as u32,
+                    output.passband_rate_hz.unwrap_or(sample_rate_hz),
+                    output.max_packet,
+                )
+            })
+            .collect();
+        Self {
+            arrays: output.arrays.clone(),
+            full_scale_v: sonar.receiver.full_scale_v,
+            streams,
+            passband: output
+                .passband_rate_hz
+                .map(|hz| Passband::new(sample_rate_hz, hz, sonar.pulse.center_frequency_hz)),
+            said: None,
+            iq: Vec::new(),
+            real: Vec::new(),
+            cut_iq: Vec::new(),
+            cut_real: Vec::new(),
+            packet: Vec::new(),
+            totals: EmitCounts::default(),
+        }
+    }
+
+    pub fn totals(&self) -> EmitCounts {
+        self.totals
+    }
+
+    /// Fills `into` with the packets of one ping. `lost`: packets before these were not sent.
+    pub fn emit_ping(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        lost: bool,
+        into: &mut Packets,
+    ) -> EmitCounts {
+        into.clear();
+        let elements = elements_of(output, &self.arrays).count();
+        if elements == 0 || plan.sample_count == 0 {
+            return EmitCounts::default();
+        }
+        let saturated = match &mut self.passband {
+            None => interleave_iq(
+                output,
+                &self.arrays,
+                plan.sample_count,
+                self.full_scale_v,
+                &mut self.iq,
+            ),
+            Some(passband) => {
+                // An even number fills whole words.
+                let samples = passband.samples_of(plan.sample_count) / 2 * 2;
+                passband.begin(plan.first_sample_s, samples, plan.first_sample_s);
+                interleave_real(
+                    passband,
+                    output,
+                    &self.arrays,
+                    elements,
+                    self.full_scale_v,
+                    &mut self.real,
+                )
+            }
+        };
+        let start = VrtTime::from_utc_ns(plan.stamp_utc.0)
+            .plus_ps((plan.first_sample_s.max(0.0) * 1e12).round() as u128);
+        self.emit_contexts(plan, start, into);
+        let trailer = Trailer {
+            calibrated_time: Some(true),
+            valid_data: Some(true),
+            over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
+            sample_loss: Some(lost),
+        };
+        self.emit_samples(start, elements, trailer, into);
+        let counts = EmitCounts {
+            records: into.ends.len() as u64,
+            bytes: into.len_bytes() as u64,
+            saturated,
+        };
+        self.totals += counts;
+        counts
+    }
+
+    fn emit_contexts(&mut self, plan: &PingPlan, time: VrtTime, into: &mut Packets) {
+        let pulse = &plan.pulse;
+        let mut context = Context {
+            bandwidth_hz: Some(pulse.bandwidth_hz.max(1.0 / pulse.duration_s)),
+            rf_reference_hz: Some(pulse.center_frequency_hz),
+            if_reference_hz: self.passband.is_some().then_some(pulse.center_frequency_hz),
+            reference_level_dbm: Some(
+                10.0 * (self.full_scale_v * self.full_scale_v / 50.0 * 1e3).log10(),
+            ),
+            ..self.streams[0].context()
+        };
+        context.is_change = self.said.is_some_and(|said| said != context);
+        self.said = Some(Context {
+            is_change: false,
+            ..context
+        });
+        for stream in &mut self.streams {
+            self.packet.clear();
+            stream.emit_context(&mut self.packet, time, &context);
+            into.push(&self.packet);
+        }
+    }
+
+    /// Packet by packet, all streams of a time together.
+    fn emit_samples(
+        &mut self,
+        start: VrtTime,
+        elements: usize,
+        trailer: Trailer,
+        into: &mut Packets,
+    ) {
+        let streams = self.streams.len();
+        let side_by_side = elements / streams;
+        let is_complex = self.passband.is_none();
+        let moments = match is_complex {
+            true => self.iq.len(),
+            false => self.real.len(),
+        } / elements;
+        let per_packet = self.streams[0].moments_per_packet();
+        let rate_hz = self.streams[0].sample_rate_hz;
+        for first in (0..moments).step_by(per_packet) {
+            let rows = first..(first + per_packet).min(moments);
+            // From the ping's start every time, so that rounding does not add up.
+            let time = start.plus_ps((first as f64 / rate_hz * 1e12).round() as u128);
+            for (s, stream) in self.streams.iter_mut().enumerate() {
+                let columns = s * side_by_side..(s + 1) * side_by_side;
+                let trailer = Some(trailer);
+                let packet = &mut self.packet;
+                if is_complex {
+                    take(&self.iq, elements, rows.clone(), columns, &mut self.cut_iq);
+                    stream.emit_complex(packet, time, &self.cut_iq, trailer, |packet| {
+                        into.push(packet)
+                    });
+                } else {
+                    take(
+                        &self.real,
+                        elements,
+                        rows.clone(),
+                        columns,
+                        &mut self.cut_real,
+                    );
+                    stream.emit_real(packet, time, &self.cut_real, trailer, |packet| {
+                        into.push(packet)
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// Some columns of some rows, row by row.
+fn take<T: Copy>(
+    all: &[T],
+    width: usize,
+    rows: std::ops::Range<usize>,
+    columns: std::ops::Range<usize>,
+    into: &mut Vec<T>,
+) {
+    into.clear();
+    for row in rows {
+        into.extend_from_slice(&all[row * width + columns.start..row * width + columns.end]);
+    }
+}
+
+/// Passband samples of all elements, moment by moment; returns how many did not fit.
+fn interleave_real(
+    passband: &mut Passband,
+    output: &PingOutput,
+    arrays: &[usize],
+    elements: usize,
+    full_scale_v: f64,
+    into: &mut Vec<i16>,
+) -> u64 {
+    let mut saturated = 0;
+    into.clear();
+    into.resize(passband.samples() * elements, 0);
+    for (e, envelope) in elements_of(output, arrays).enumerate() {
+        let mut at = e;
+        passband.element(envelope, |volts| {
+            let (value, held) = counts(volts / full_scale_v);
+            saturated += u64::from(held);
+            into[at] = value;
+            at += elements;
+        });
+    }
+    saturated
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,363 @@
+//! The text control, and the three ports of data, which only send.
+//!
+//! A line is a command; what has no end is taken as a command when it is a whole one, or when nothing more comes: a client in wide use sends no
+//! ends of lines. Every answer repeats the command with the values now in force; what was refused says why behind `#`. The rate, the range's
+//! far end, the pulse's amplitude (0 to 15, evenly over the limits of the source level) and length, power and trigger change the sonar; the
+//! others are kept and change nothing.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use echotank_protocols::wbms::control::{Command, answer};
+
+use super::{Device, Told};
+use crate::emit::changes::{apply_all, at_part, part_of};
+use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use crate::flow::{
+    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
+    TriggerSource,
+};
+use crate::time::UtcNs;
+
+/// How it signs what it changes.
+pub const VIA: &str = "wbms";
+/// The greatest amplitude.
+const MOST_AMPLITUDE: f64 = 15.0;
+/// An unended line longer than this is no command.
+const MOST_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
+const READY: &str = "# Echotank, simulated WBMS, ready\r\n";
+
+/// A source level as the device's amplitude.
+pub fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
+    (part_of(limits.source_level_db, source_level_db) * MOST_AMPLITUDE).round() as u8
+}
+
+/// One of the three ports of data: who connects gets everything.
+pub struct DataPort {
+    pub name: &'static str,
+}
+
+impl Protocol for DataPort {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+    fn connect(&self, _transport: Transport, _peer: SocketAddr) -> Box<dyn Session> {
+        Box::new(Listener::default())
+    }
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::ALL
+    }
+}
+
+#[derive(Default)]
+struct Listener {
+    counts: SessionCounts,
+}
+
+impl Session for Listener {
+    fn receive(&mut self, _bytes: &[u8], _now: UtcNs, _out: &mut Vec<Outgoing>) {
+        self.counts.other_records += 1;
+    }
+    fn wants(&self) -> Wants {
+        Wants::ALL
+    }
+    fn counts(&self) -> SessionCounts {
+        self.counts
+    }
+}
+
+/// The control's port.
+pub struct ControlPort {
+    device: Arc<Device>,
+    settings: Arc<dyn SettingsPort>,
+}
+
+impl ControlPort {
+    pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
+        Self { device, settings }
+    }
+}
+
+impl Protocol for ControlPort {
+    fn name(&self) -> &'static str {
+        "wbms control"
+    }
+    fn connect(&self, _transport: Transport, peer: SocketAddr) -> Box<dyn Session> {
+        Box::new(Client {
+            device: Arc::clone(&self.device),
+            settings: Arc::clone(&self.settings),
+            by: Asker {
+                via: VIA,
+                peer: Some(peer),
+            },
+            held: String::new(),
+            is_over: false,
+            counts: SessionCounts::default(),
+        })
+    }
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::NONE
+    }
+}
+
+struct Client {
+    device: Arc<Device>,
+    settings: Arc<dyn SettingsPort>,
+    by: Asker,
+    /// A line without its end.
+    held: String,
+    is_over: bool,
+    counts: SessionCounts,
+}
+
+impl Session for Client {
+    fn greet(&mut self, _now: UtcNs, out: &mut Vec<Outgoing>) {
+        out.push(text(READY.into()));
+    }
+
+    fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>) {
+        self.held.push_str(&String::from_utf8_lossy(bytes));
+        let held = std::mem::take(&mut self.held);
+        let (lines, tail) = match held.rfind(['\r', '\n']) {
+            Some(end) => held.split_at(end + 1),
+            None => ("", held.as_str()),
+        };
+        for line in lines.split(['\r', '\n']) {
+            self.line(line, now, out);
+        }
+        if Command::parse(tail.trim()).is_ok() || tail.len() > MOST_HELD_BYTES {
+            self.line(tail, now, out);
+        } else {
+            self.held = tail.to_owned();
+        }
+    }
+
+    fn is_waiting(&self) -> bool {
+        !self.held.trim().is_empty()
+    }
+
+    fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
+        let held = std::mem::take(&mut self.held);
+        self.line(&held, now, out);
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_over
+    }
+
+    fn wants(&self) -> Wants {
+        Wants::NONE
+    }
+
+    fn counts(&self) -> SessionCounts {
+        self.counts
+    }
+}
+
+impl Client {
+    fn line(&mut self, line: &str, now: UtcNs, out: &mut Vec<Outgoing>) {
+        let line = line.trim();
+        if line.is_empty() {
+            return;
+        }
+        self.counts.commands += 1;
+        let word = line.split_ascii_whitespace().next().unwrap_or_default();
+        let asked = Asked {
+            utc: now,
+            by: self.by,
+        };
+        let outcome = Command::parse(line)
+            .map_err(|error| error.to_string())
+            .and_then(|command| self.obey(word, command, asked));
+        let comment = outcome.err().unwrap_or_default();
+        self.counts.nacks += u64::from(!comment.is_empty());
+        let comment = match comment.as_str() {
+            "" => String::new(),
+            why => format!("refused: {why}"),
+        };
+        // What is no word of ours is not repeated at length.
+        let word: String = word
+            .chars()
+            .filter(char::is_ascii_graphic)
+            .take(32)
+            .collect();
+        out.push(text(self.answer(&word, &comment)));
+    }
+
+    fn obey(&mut self, word: &str, command: Command, asked: Asked) -> Result<(), String> {
+        let limits = self.settings.limits();
+        let changes: Vec<SettingChange> = match command {
+            Command::Query(_) => return Ok(()),
+            Command::Exit => {
+                self.is_over = true;
+                return Ok(());
+            }
+            Command::RangeM { start, stop, .. } if start >= stop => {
+                return Err(format!("the range must end beyond its start, {start}"));
+            }
+            Command::RangeM { stop, .. } => vec![SettingChange::RangeM(stop)],
+            Command::RateHz(-1.0) => vec![SettingChange::MaxPingRateHz(limits.ping_rate_hz.1)],
+            Command::RateHz(hz) => vec![SettingChange::MaxPingRateHz(hz)],
+            Command::Tx {
+                amplitude,
+                length_us,
+                ..
+            } => vec![
+                SettingChange::SourceLevelDb(at_part(
+                    limits.source_level_db,
+                    f64::from(amplitude) / MOST_AMPLITUDE,
+                )),
+                SettingChange::PulseDurationS(length_us * 1e-6),
+            ],
+            Command::Power(true) => vec![SettingChange::Start],
+            Command::Power(false) => vec![SettingChange::Stop],
+            Command::TriggerMode(4 | 5) => vec![SettingChange::Trigger(TriggerSource::External)],
+            Command::TriggerMode(_) => vec![SettingChange::Trigger(TriggerSource::Internal)],
+            Command::Default => {
+                let start = self.device.sonar.settings;
+                vec![
+                    SettingChange::RangeM(start.range_m),
+                    SettingChange::MaxPingRateHz(start.max_ping_rate_hz),
+                    SettingChange::SourceLevelDb(start.source_level_db),
+                    SettingChange::GainDb(start.gain_db),
+                    SettingChange::PulseDurationS(start.pulse_duration_s),
+                ]
+            }
+            _ => Vec::new(),
+        };
+        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
+        let mut told = self.device.lock();
+        match command {
+            Command::RangeM { start, .. } => told.start_m = start,
+            Command::SidescanMode(mode) => told.sidescan_mode = mode,
+            Command::SnippetRateHz(hz) => told.snippet_rate_hz = hz,
+            Command::Default => *told = Told::of(&self.device.sonar),
+            _ => {}
+        }
+        drop(told);
+        self.keep(word, &command, asked)
+    }
+
+    /// Keeps what the model has no use for.
+    fn keep(&self, word: &str, command: &Command, asked: Asked) -> Result<(), String> {
+        let numbers = match *command {
+            Command::Mode(value)
+            | Command::GateMode(value)
+            | Command::AutogatePreset(value)
+            | Command::TriggerMode(value) => vec![f64::from(value)],
+            Command::Flip(value) => vec![f64::from(u8::from(value))],
+            Command::GateTiltDeg(value)
+            | Command::DirectionDeg(value)
+            | Command::OpeningAngleDeg(value) => vec![value],
+            Command::Resolution {
+                vertical,
+                horizontal,
+            } => vec![vertical, horizontal],
+            Command::SoundVelocity(value) => vec![value.unwrap_or(-1.0)],
+            Command::Tx {
+                frequency_khz,
+                bandwidth_khz,
+                ..
+            } => vec![frequency_khz, bandwidth_khz],
+            _ => return Ok(()),
+        };
+        let Some(key) = key_of(word) else {
+            return Ok(());
+        };
+        self.settings
+            .keep(key, KeptValue::Numbers(numbers), asked)
+            .map_err(|refused| refused.to_string())
+    }
+
+    /// The command with the values now in force.
+    fn answer(&self, word: &str, comment: &str) -> String {
+        let settings = self.settings.settings();
+        let told = self.device.told();
+        let sonar = &self.device.sonar;
+        let limits = self.settings.limits();
+        let pulse = &sonar.pulse;
+        let fan = sonar.beams.fan.as_ref();
+        let values = match word {
+            "set_range" => vec![told.start_m, settings.range_m],
+            "set_rate" => vec![settings.max_ping_rate_hz],
+            "set_tx" => vec![
+                pulse.center_frequency_hz / 1e3,
+                pulse.bandwidth_hz / 1e3,
+                f64::from(amplitude_of(&limits, settings.source_level_db)),
+                // To a nanosecond: no digits that only the change of units makes.
+                (settings.pulse_duration_s * 1e9).round() / 1e3,
+            ],
+            "set_power" => vec![f64::from(u8::from(settings.pinging))],
+            "set_sidescan_mode" => vec![f64::from(told.sidescan_mode)],
+            "set_snippet_rate" => vec![told.snippet_rate_hz],
+            "set_trigger_mode" => vec![match (self.settings.trigger(), self.kept(word)) {
+                (TriggerSource::External, Some(kept)) => kept.first().copied().unwrap_or(4.0),
+                (TriggerSource::External, None) => 4.0,
+                (TriggerSource::Internal, kept) => kept
+                    .and_then(|kept| kept.first().copied())
+                    .filter(|&mode| mode < 4.0)
+                    .unwrap_or(0.0),
+            }],
+            "serial" => vec![sonar.serial as f64],
+            "set_opening_angle" => self.kept(word).unwrap_or_else(|| {
+                vec![fan.map_or(0.0, |fan| fan.sector_rad.to_degrees().round())]
+            }),
+            "set_direction" => self.kept(word).unwrap_or_else(|| {
+                vec![fan.map_or(0.0, |fan| fan.form.center_rad.to_degrees().round())]
+            }),
+            "sound_velocity" => self
+                .kept(word)
+                .filter(|kept| kept.first().is_some_and(|&c| c > 0.0))
+                .unwrap_or_else(|| vec![self.device.sound_speed_m_per_s]),
+            "set_mode" => self.kept(word).unwrap_or_else(|| vec![1.0]),
+            "set_resolution" => self.kept(word).unwrap_or_else(|| vec![0.0, 0.0]),
+            _ if key_of(word).is_some() => self.kept(word).unwrap_or_else(|| vec![0.0]),
+            _ => Vec::new(),
+        };
+        let comment = match (word, comment) {
+            ("revision", "") => concat!("echotank ", env!("CARGO_PKG_VERSION")),
+            ("partno", "") => "simulator",
+            ("temperature", "") => "not modelled",
+            (_, comment) => comment,
+        };
+        answer(word, &values, comment)
+    }
+
+    fn kept(&self, word: &str) -> Option<Vec<f64>> {
+        match self.settings.kept(key_of(word)?) {
+            Some(KeptValue::Numbers(numbers)) => Some(numbers),
+            _ => None,
+        }
+    }
+}
+
+/// Commands whose values are only kept, wholly or in part.
+const KEPT: [&str; 11] = [
+    "set_mode",
+    "set_flip",
+    "set_gate_mode",
+    "set_gate_tilt",
+    "set_direction",
+    "set_opening_angle",
+    "set_resolution",
+    "set_tx",
+    "set_trigger_mode",
+    "sound_velocity",
+    "set_autogate_preset",
+];
+
+fn key_of(word: &str) -> Option<KeptKey> {
+    let name = KEPT.into_iter().find(|&known| known == word)?;
+    Some(KeptKey {
+        via: VIA,
+        name,
+        place: 0,
+    })
+}
+
+fn text(line: String) -> Outgoing {
+    Outgoing::Reply(Datagram {
+        record_type: 0,
+        bytes: line.into_bytes(),
+    })
+}

@@ -1,0 +1,106 @@
+//! VITA 49.2: element samples to boards, sent whether or not anybody listens.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::{Opening, Output, OutputError, Report};
+use crate::config::spec::Vita49Spec;
+use crate::emit::vita49::{Packets, Vita49Emitter};
+use crate::io::datagrams::{DatagramCounts, DatagramSender, Route};
+use crate::run::rig::PingSlot;
+
+pub struct Vita49 {
+    name: String,
+    send_to: Vec<std::net::SocketAddr>,
+    emitter: Vita49Emitter,
+    sender: DatagramSender,
+    saturated: Arc<AtomicU64>,
+    /// The ping that waits for its deadline.
+    pending: Option<Packets>,
+    /// Pings before the next one were not sent.
+    lost: bool,
+}
+
+impl Vita49 {
+    pub fn open(output: &Vita49Spec, opening: &Opening) -> Result<Self, OutputError> {
+        let unit = opening.unit;
+        let route = Route {
+            send_to: output.send_to.clone(),
+            multicast_interface: output.multicast_interface,
+            multicast_ttl: output.multicast_ttl,
+            pace_bytes_per_s: output.pace_bytes_per_s,
+            queue: opening.spec.run.queue_pings,
+        };
+        let sender = DatagramSender::open(route).map_err(|source| OutputError::Sender {
+            name: unit.spec.name.clone(),
+            source,
+        })?;
+        Ok(Self {
+            name: unit.spec.name.clone(),
+            send_to: output.send_to.clone(),
+            emitter: Vita49Emitter::new(output, &unit.spec),
+            sender,
+            saturated: Arc::default(),
+            pending: None,
+            lost: false,
+        })
+    }
+}
+
+impl Output for Vita49 {
+    fn addresses(&self) -> Vec<String> {
+        self.send_to
+            .iter()
+            .map(|to| format!("vita49 {} udp {to}", self.name))
+            .collect()
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(Vita49Report {
+            name: self.name.clone(),
+            counts: Arc::clone(self.sender.counts()),
+            saturated: Arc::clone(&self.saturated),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        let mut packets = self.pending.take().unwrap_or_else(|| self.sender.buffer());
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
+        self.saturated
+            .store(self.emitter.totals().saturated, Ordering::Relaxed);
+        self.pending = Some(packets);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        if let Some(packets) = self.pending.take() {
+            self.lost = !self.sender.send(packets);
+        }
+        Ok(())
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(())
+    }
+}
+
+struct Vita49Report {
+    name: String,
+    counts: Arc<DatagramCounts>,
+    saturated: Arc<AtomicU64>,
+}
+
+impl Report for Vita49Report {
+    fn lines(&self) -> Vec<String> {
+        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        vec![format!(
+            "vita49 {}: {} packets, {:.1} MB sent, {} failed, {} pings dropped, {} values held at full scale",
+            self.name,
+            read(&self.counts.packets),
+            read(&self.counts.bytes) as f64 / 1e6,
+            read(&self.counts.failed),
+            read(&self.counts.dropped_pings),
+            read(&self.saturated),
+        )]
+    }
+}

@@ -1,0 +1,215 @@
+//! tools/wiredump: any of our protocols in words, a line a message, from a file, a capture or a socket.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use echotank::nav::capture;
+use echotank_protocols::words::{Format, Words, datagram};
+
+#[derive(Parser)]
+#[command(about = "Any of our protocols in words, a line a message")]
+struct Args {
+    /// A file; a capture (pcap, pcapng) of UDP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, groups (multicast) too; `-` for the standard input
+    source: String,
+    /// What it is: sevenk, s7k, jsf, vita49, ping, wbms, wbms-text, xtf, imagenex872, sigmf, wav (default: told by its first bytes or its port)
+    #[arg(long, value_parser = format_of)]
+    format: Option<Format>,
+    /// Sent to a tcp: source first, in hexadecimal, for servers that want to be asked
+    #[arg(long, default_value = "")]
+    send: String,
+    /// Sockets are read for so long, 0 for ever
+    #[arg(long, default_value_t = 0.0)]
+    seconds: f64,
+    /// Stops after so many lines, 0 never
+    #[arg(long, default_value_t = 0)]
+    lines: u64,
+}
+
+fn format_of(name: &str) -> Result<Format, String> {
+    Format::of_name(name).ok_or_else(|| {
+        let names: Vec<_> = Format::ALL.iter().map(|f| f.name()).collect();
+        format!("none of {}", names.join(", "))
+    })
+}
+
+/// Prints lines until there have been enough.
+struct Printer {
+    left: Option<u64>,
+}
+
+impl Printer {
+    fn print(&mut self, line: &str) {
+        if let Some(left) = &mut self.left {
+            if *left == 0 {
+                return;
+            }
+            *left -= 1;
+        }
+        // Whoever reads us may have gone.
+        let _ = writeln!(std::io::stdout(), "{line}");
+    }
+    fn is_done(&self) -> bool {
+        self.left == Some(0)
+    }
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    let mut printer = Printer {
+        left: (args.lines > 0).then_some(args.lines),
+    };
+    let outcome = match args.source.split_once(':') {
+        Some(("tcp", address)) => tcp(address, &args, &mut printer),
+        Some(("udp", address)) => udp(address, &args, &mut printer),
+        _ => file(&args, &mut printer),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(why) => {
+            eprintln!("wiredump: {}: {why}", args.source);
+            ExitCode::FAILURE
+        }
+    }
+}
+
+const UNKNOWN: &str = "its first bytes are none that we know; say what it is with --format";
+
+fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
+    let bytes = if args.source == "-" {
+        let mut bytes = Vec::new();
+        std::io::stdin().read_to_end(&mut bytes).map(|_| bytes)
+    } else {
+        std::fs::read(&args.source)
+    };
+    let bytes = bytes.map_err(|error| error.to_string())?;
+    if capture::is_capture(&bytes) {
+        for packet in capture::packets(&bytes) {
+            let Some(payload) = packet.payload else {
+                continue;
+            };
+            let told = args.format.or(Format::of_port(packet.port));
+            match told.or(Format::of_bytes(payload)) {
+                Some(format) => datagram(format, payload, &mut |line| {
+                    printer.print(&format!("{} to {}: {line}", packet.arrival.0, packet.port));
+                }),
+                None => printer.print(&format!(
+                    "{} to {}: {} B of no format that we know",
+                    packet.arrival.0,
+                    packet.port,
+                    payload.len()
+                )),
+            }
+            if printer.is_done() {
+                break;
+            }
+        }
+        return Ok(());
+    }
+    let format = args.format.or(Format::of_bytes(&bytes)).ok_or(UNKNOWN)?;
+    let mut words = Words::new(format);
+    words.push(&bytes, &mut |line| printer.print(&line));
+    words.finish(&mut |line| printer.print(&line));
+    Ok(())
+}
+
+/// When to stop.
+fn end(args: &Args) -> Option<Instant> {
+    (args.seconds > 0.0).then(|| Instant::now() + Duration::from_secs_f64(args.seconds.min(1e9)))
+}
+
+/// How long a read may take before the clock is looked at.
+const LOOK: Duration = Duration::from_millis(100);
+
+fn is_silence(error: &std::io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+    )
+}
+
+fn tcp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> {
+    let say = |error: std::io::Error| error.to_string();
+    let mut stream = TcpStream::connect(address).map_err(say)?;
+    stream.set_read_timeout(Some(LOOK)).map_err(say)?;
+    stream.write_all(&bytes_of(&args.send)?).map_err(say)?;
+    let port = stream.peer_addr().map_err(say)?.port();
+    let mut words = None;
+    let mut buffer = vec![0; 1 << 16];
+    let end = end(args);
+    while !printer.is_done() && end.is_none_or(|end| Instant::now() < end) {
+        let len = match stream.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(len) => len,
+            Err(error) if is_silence(&error) => continue,
+            Err(error) => return Err(error.to_string()),
+        };
+        let bytes = &buffer[..len];
+        let words = match &mut words {
+            Some(words) => words,
+            none => {
+                let told = args.format.or(Format::of_port(port));
+                let format = told.or(Format::of_bytes(bytes)).ok_or(UNKNOWN)?;
+                none.insert(Words::new(format))
+            }
+        };
+        words.push(bytes, &mut |line| printer.print(&line));
+    }
+    if let Some(words) = words {
+        words.finish(&mut |line| printer.print(&line));
+    }
+    Ok(())
+}
+
+fn bytes_of(hexadecimal: &str) -> Result<Vec<u8>, String> {
+    let digits: Vec<u8> = hexadecimal
+        .bytes()
+        .filter(|b| !b.is_ascii_whitespace())
+        .collect();
+    if !digits.len().is_multiple_of(2) {
+        return Err("--send takes two digits a byte".into());
+    }
+    digits
+        .chunks(2)
+        .map(|pair| {
+            let text = String::from_utf8_lossy(pair);
+            u8::from_str_radix(&text, 16).map_err(|error| format!("--send: {text}: {error}"))
+        })
+        .collect()
+}
+
+fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> {
+    let say = |error: std::io::Error| error.to_string();
+    let address: SocketAddr = address
+        .parse()
+        .map_err(|error| format!("{address}: {error}"))?;
+    let socket = match address {
+        SocketAddr::V4(v4) if v4.ip().is_multicast() => {
+            let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, v4.port())).map_err(say)?;
+            for interface in [Ipv4Addr::UNSPECIFIED, Ipv4Addr::LOCALHOST] {
+                // A machine may lack one of them.
+                let _ = socket.join_multicast_v4(v4.ip(), &interface);
+            }
+            socket
+        }
+        address => UdpSocket::bind(address).map_err(say)?,
+    };
+    socket.set_read_timeout(Some(LOOK)).map_err(say)?;
+    let mut buffer = vec![0; 1 << 16];
+    let end = end(args);
+    while !printer.is_done() && end.is_none_or(|end| Instant::now() < end) {
+        let len = match socket.recv(&mut buffer) {
+            Ok(len) => len,
+            Err(error) if is_silence(&error) => continue,
+            Err(error) => return Err(error.to_string()),
+        };
+        let told = args.format.or(Format::of_port(address.port()));
+        match told.or(Format::of_bytes(&buffer[..len])) {
+            Some(format) => datagram(format, &buffer[..len], &mut |line| printer.print(&line)),
+            None => printer.print(&format!("{len} B of no format that we know")),
+        }
+    }
+    Ok(())
+}

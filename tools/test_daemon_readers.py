@@ -1,0 +1,248 @@
+"""The daemon's sockets and files, read by programs that nobody here wrote (tools/requirements.txt): the makers' own client on both devices of the
+Ping protocol over TCP and UDP, tshark on every VITA 49 packet, sigmf, libsndfile.
+
+The rigs are those of hil-configs, with ports of their own. The program is target/release/echotank, or what ECHOTANK names.
+"""
+
+import glob
+import os
+import re
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+import warnings
+
+import numpy as np
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+PATIENCE_S = 60.0
+SOUND_M_PER_S = 1480.0
+
+needs_310 = unittest.skipIf(sys.version_info < (3, 10), "the reader needs Python 3.10")
+
+
+def program():
+    named = os.environ.get("ECHOTANK")
+    if named:
+        return named
+    path = os.path.join(os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target")), "release", "echotank")
+    if not os.path.exists(path):
+        subprocess.run(["cargo", "build", "--quiet", "--release"], cwd=ROOT, check=True)
+    return path
+
+
+class Daemon:
+    """A running daemon and what it announced."""
+
+    def __init__(self, rig, *settings):
+        command = [program(), "run", os.path.join(ROOT, "hil-configs", rig)]
+        for setting in settings:
+            command += ["--set", setting]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
+        self.lines = []
+
+    def address(self, pattern):
+        """Host and port at the end of the first line that matches."""
+        while True:
+            for line in self.lines:
+                if re.match(pattern, line):
+                    host, port = line.split()[-1].rsplit(":", 1)
+                    return host, int(port)
+            line = self.process.stdout.readline()
+            if not line:
+                raise AssertionError("the daemon ended:\n" + "".join(self.lines))
+            self.lines.append(line)
+
+    def stop(self):
+        self.process.terminate()
+        text, _ = self.process.communicate(timeout=PATIENCE_S)
+        if self.process.returncode != 0:
+            raise AssertionError("the daemon ended with %s:\n%s%s" % (self.process.returncode, "".join(self.lines), text))
+        return "".join(self.lines) + text
+
+
+def wait_for(device, message_ids, wanted):
+    """The first message that is as wanted."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        message = device.wait_message(message_ids)
+        if message is not None and wanted(message):
+            return message
+    raise AssertionError("no such message in %g s" % PATIENCE_S)
+
+
+class PingProtocol(unittest.TestCase):
+    """brping: Blue Robotics' and Cerulean's own Python client, generated from their definitions."""
+
+    def connect(self, kind, transport, address):
+        device = kind()
+        (device.connect_tcp if transport == "tcp" else device.connect_udp)(*address)
+        self.addCleanup(device.iodev.close)
+        until = time.monotonic() + PATIENCE_S
+        while not device.initialize():
+            self.assertLess(time.monotonic(), until, "no device_information")
+        return device
+
+    def test_omniscan_pings_and_obeys_range_rate_and_gain_over_tcp_and_udp(self):
+        from brping import Omniscan450, definitions
+        profile = [definitions.OMNISCAN450_OS_MONO_PROFILE]
+        daemon = Daemon("omniscan450.toml", "sonar.0.output.ping.listen=127.0.0.1:0", "sonar.1.output.ping.listen=127.0.0.1:0")
+        try:
+            for transport in ("tcp", "udp"):
+                device = self.connect(Omniscan450, transport, daemon.address("ping port %s" % transport))
+                for length_m, msec, gain, results in ((30, 250, 7, 1200), (60, 500, 0, 600), (20, 200, 3, 200)):
+                    device.control_os_ping_params(start_mm=0, length_mm=length_m * 1000, msec_per_ping=msec, gain_index=gain, num_results=results, pulse_len_percent=0.02)
+                    obeyed = wait_for(device, profile, lambda m: (m.length_mm, m.gain_index, m.num_results) == (length_m * 1000, gain, results))
+                    self.assertEqual(len(obeyed.pwr_results), results)
+                    self.assertEqual((obeyed.ping_hz, obeyed.sos_dmps, obeyed.channel_number), (450000, 14800, 0))
+                    following = [wait_for(device, profile, lambda m: True) for _ in range(4)]
+                    times = [m.timestamp_ms for m in [obeyed] + following]
+                    numbers = [m.ping_number for m in [obeyed] + following]
+                    self.assertEqual(numbers, list(range(numbers[0], numbers[0] + 5)), transport)
+                    self.assertLess(abs((times[-1] - times[0]) / 4.0 - msec), 2.0, "asked for a ping every %d ms" % msec)
+                # The bottom lies 12 m under the waterline and the head 0.6 m: nothing comes from nearer, and sand beyond.
+                db = np.array(Omniscan450.scale_power(wait_for(device, profile, lambda m: True)))
+                metres = (np.arange(200) + 0.5) * 0.1
+                water, sand = db[(metres > 3.0) & (metres < 9.5)].mean(), db[(metres > 14.0)].mean()
+                self.assertGreater(sand - water, 6.0, "%.1f dB in the water, %.1f on the sand" % (water, sand))
+                device.control_os_ping_params(start_mm=0, length_mm=81000, num_results=200)
+                refused = wait_for(device, [definitions.COMMON_NACK], lambda m: True)
+                self.assertEqual(refused.nacked_id, definitions.OMNISCAN450_OS_PING_PARAMS)
+                self.assertIn(b"range_m = 81", bytes(refused.nack_message))
+        finally:
+            daemon.stop()
+
+    def test_surveyor_finds_the_bottom_and_obeys_over_tcp_and_udp(self):
+        from brping import Surveyor240, definitions
+        atof = [definitions.SURVEYOR240_ATOF_POINT_DATA]
+        daemon = Daemon("surveyor240.toml", "sonar.output.ping.listen=127.0.0.1:0")
+        try:
+            for transport in ("tcp", "udp"):
+                device = self.connect(Surveyor240, transport, daemon.address("ping surveyor %s" % transport))
+                for end_m, msec in ((25, 250), (40, 500)):
+                    device.control_set_ping_parameters(start_mm=0, end_mm=end_m * 1000, sos_mps=SOUND_M_PER_S, msec_per_ping=msec, ping_enable=True, enable_atof_data=True, pulse_len_steps=5.0, gain_index=20)
+                    pulse_s = max(5.0 * 2.0 * end_m / SOUND_M_PER_S / 400, 2e-4)
+                    listens_s = 2.0 * end_m / SOUND_M_PER_S + pulse_s
+                    obeyed = wait_for(device, atof, lambda m: abs(m.listening_sec - listens_s) < 1e-3)
+                    self.assertAlmostEqual(obeyed.pulse_sec, pulse_s, delta=1e-6)
+                    following = [wait_for(device, atof, lambda m: True) for _ in range(4)]
+                    times = [m.pwr_up_msec for m in [obeyed] + following]
+                    self.assertLess(abs((times[-1] - times[0]) / 4.0 - msec), 2.0, "asked for a ping every %d ms" % msec)
+                    for message in [obeyed] + following:
+                        points = Surveyor240.create_atof_list(message)
+                        self.assertGreater(len(points), 20)
+                        depths = [0.5 * SOUND_M_PER_S * p.tof * np.cos(p.angle) for p in points]
+                        # 12 m less the head's 0.8 m; heave and roll of the launch move single points.
+                        self.assertAlmostEqual(float(np.median(depths)), 11.2, delta=0.5)
+                device.control_set_ping_parameters(end_mm=61000, enable_atof_data=True, ping_enable=True)
+                refused = wait_for(device, [definitions.COMMON_NACK], lambda m: True)
+                self.assertEqual(refused.nacked_id, definitions.SURVEYOR240_SET_PING_PARAMETERS)
+                device.control_set_ping_parameters(end_mm=25000, ping_enable=False, enable_atof_data=True)
+                time.sleep(1.5)
+                while device.wait_message(atof, timeout=0.2) is not None:
+                    pass
+                self.assertIsNone(device.wait_message(atof, timeout=1.5), "told not to ping")
+                device.control_set_ping_parameters(end_mm=25000, ping_enable=True, enable_atof_data=True)
+                wait_for(device, atof, lambda m: True)
+        finally:
+            daemon.stop()
+
+
+@unittest.skipUnless(shutil.which("tshark"), "tshark is not installed")
+class Vita49(unittest.TestCase):
+    """tshark, on every packet that the daemon sends; its own arithmetic of times."""
+
+    def test_every_packet_is_decoded_and_none_is_missing(self):
+        inbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        inbox.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        inbox.bind(("127.0.0.1", 0))
+        inbox.settimeout(PATIENCE_S)
+        daemon = Daemon("board.toml", "sonar.output.vita49.send_to=127.0.0.1:%d" % inbox.getsockname()[1], "sonar.output.vita49.pace_mbit_per_s=100")
+        packets = []
+        try:
+            until = time.monotonic() + PATIENCE_S
+            contexts = 0
+            # Three pings of eight streams, whole: the fourth has begun.
+            while contexts <= 24 and time.monotonic() < until:
+                packet = inbox.recv(65536)
+                packets.append(packet)
+                contexts += packet[0] >> 4 == 4
+        finally:
+            daemon.stop()
+            inbox.close()
+        with tempfile.TemporaryDirectory() as folder:
+            capture = os.path.join(folder, "vita.pcap")
+            with open(capture, "wb") as file:
+                # Raw IPv4.
+                file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 101))
+                for packet in packets:
+                    length = 28 + len(packet)
+                    head = struct.pack(">BBHHHBBHII", 0x45, 0, length, 0, 0, 64, 17, 0, 0x7F000001, 0x7F000001) + struct.pack(">HHHH", 50000, 4991, 8 + len(packet), 0)
+                    file.write(struct.pack("<IIII", 0, 0, length, length) + head + packet)
+            fields = ["type", "sid", "seq", "ts_int", "ts_frac_picosecond", "len"]
+            command = ["tshark", "-r", capture, "-Y", "vrt", "-T", "fields", "-E", "separator=,"]
+            for field in fields:
+                command += ["-e", "vrt." + field]
+            done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, text=True)
+        decoded = [dict(zip(fields, line.split(","))) for line in done.stdout.splitlines()]
+        self.assertEqual(len(decoded), len(packets), "tshark decodes every packet")
+        for stream in range(1, 9):
+            mine = [p for p in decoded if int(p["sid"], 0) == stream]
+            data = [int(p["seq"]) for p in mine if int(p["type"]) == 1]
+            self.assertEqual(data, [n % 16 for n in range(len(data))], "stream %d" % stream)
+            self.assertGreater(len(data), 50)
+            times = [int(p["ts_int"]) * 10**12 + int(p["ts_frac_picosecond"]) for p in mine]
+            self.assertEqual(times, sorted(times))
+            # 724 real samples of 2 us in a packet of 1472 bytes.
+            steps = {b - a for a, b in zip(times, times[1:]) if 0 < b - a < 10**10}
+            self.assertEqual(steps, {1448 * 10**6}, "picoseconds between packets")
+
+
+@needs_310
+class Recordings(unittest.TestCase):
+    """sigmf's schema and reading, and libsndfile, on what the daemon records while it pings."""
+
+    def test_sigmf_validates_and_libsndfile_reads_the_same_echo(self):
+        import sigmf
+        import soundfile
+        with tempfile.TemporaryDirectory() as folder:
+            daemon = Daemon("board.toml", "record.directory=%s" % folder, "sonar.output.sigmf={}", "sonar.output.wav={}", "sonar.output.vita49.send_to=127.0.0.1:9")
+            daemon.address("vita49 board udp")
+            time.sleep(5.0)
+            daemon.stop()
+            meta, = glob.glob(os.path.join(folder, "*.sigmf-meta"))
+            recording = sigmf.sigmffile.fromfile(meta, autoscale=False)
+            recording.validate()
+            pings = recording.get_annotations()
+            self.assertGreater(len(pings), 4)
+            self.assertEqual(recording.get_global_field("core:num_channels"), 8)
+            self.assertEqual([p["core:label"] for p in pings], ["ping %d" % (n + 1) for n in range(len(pings))])
+            wav, = glob.glob(os.path.join(folder, "*.wav"))
+            about = soundfile.info(wav)
+            self.assertEqual((about.samplerate, about.channels, about.subtype), (384000, 8, "PCM_16"))
+            sound, _ = soundfile.read(wav, dtype="int16")
+            # The second ping's envelope, from the passband samples and from I and Q: the same energy, and at the same moments.
+            first = recording.get_captures()[0]
+            second = recording.get_captures()[1]
+            moment = lambda c: np.datetime64(c["core:datetime"].rstrip("Z"), "ns")
+            begins = (moment(second) - moment(first)) / np.timedelta64(1, "s")
+            iq = recording.read_samples(start_index=second["core:sample_start"], count=pings[1]["core:sample_count"])
+            start = int(np.ceil(begins * 384000))
+            played = sound[start : start + int(len(iq) / 20e3 * 384000), 3].astype(float)
+            # Mean power in milliseconds; a carrier's is half its envelope's.
+            heard = (np.abs(iq[:, 3]) ** 2)[: len(iq) // 20 * 20].reshape(-1, 20).mean(axis=1)
+            power = 2.0 * (played**2)[: len(heard) * 384].reshape(-1, 384).mean(axis=1)
+            loud = heard[: len(power)] > 100.0
+            self.assertGreater(loud.sum(), 5)
+            ratio = power[loud] / heard[: len(power)][loud]
+            self.assertLess(np.abs(10 * np.log10(ratio)).max(), 1.0, "dB between the two")
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("error")
+    unittest.main()
