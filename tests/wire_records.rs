@@ -101,7 +101,7 @@ fn ping_records_carry_the_end_of_the_transmission_and_navigation_its_own_time() 
     for record in &records {
         let time = Record::parse(&record.bytes).expect("a record").frame.time;
         let after_stamp = match record.record_type {
-            1003 | 1012 | 1013 => 0.25,
+            1003 | 1012 | 1013 | 1015 | 1016 => 0.25,
             _ => PULSE_S,
         };
         let got = time.to_utc_ns().expect("a time");

@@ -476,7 +476,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
         ),
         Ok(())
     );
-    let first = RecordSet::of(&[1003, 1012, 1013, 7000, 7004]);
+    let first = RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004]);
     assert_eq!(rig.session.subscribed(), first);
     let more = Command::Subscribe {
         record_type_ids: ids(&[7038, 7500]),
@@ -492,7 +492,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     assert_eq!(rig.ask(fewer, 2), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
-        RecordSet::of(&[1012, 1013, 7000, 7038, 7500])
+        RecordSet::of(&[1012, 1013, 1015, 1016, 7000, 7038, 7500])
     );
     assert_eq!(rig.ask(Command::EndSubscriptions, 3), Ok(()));
     assert!(rig.session.subscribed().is_empty());
@@ -503,7 +503,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     assert_eq!(rig.ask(range, 4), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
-        RecordSet::of(&[1003, 1012, 1013, 7000, 7004])
+        RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004])
     );
 }
 
