@@ -62,6 +62,10 @@ pub enum NavQuantity {
     Heave {
         heave_down_m: f64,
     },
+    /// Of the platform's depth sensor, below the surface.
+    Depth {
+        depth_m: f64,
+    },
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +99,24 @@ pub struct NavState {
     pub attitude_age_s: f64,
     /// Some quantity had to be extrapolated.
     pub extrapolated: bool,
+    /// What must not be relied on.
+    pub invalid: NavInvalid,
+}
+
+/// Quantities older than they may be: the last known value stands in their place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NavInvalid {
+    pub position: bool,
+    pub heading: bool,
+    pub roll_pitch: bool,
+    /// Heave or depth, where it is used.
+    pub vertical: bool,
+}
+
+impl NavInvalid {
+    pub fn any(&self) -> bool {
+        self.position || self.heading || self.roll_pitch || self.vertical
+    }
 }
 
 // ---------------------------------------------------------------- the ping
@@ -459,7 +481,8 @@ pub struct ModelChoice {
     pub synthesis: Synthesis,
     /// Longest polyline segment, seconds.
     pub segment_s: f64,
-    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative); none keeps all.
+    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative);
+    /// where [`Scatterers::loud`] says so, only below less. None keeps all.
     pub cull_db: Option<f64>,
 }
 
@@ -736,6 +759,9 @@ pub struct Scatterers {
     /// Echo pressure at 1 m for unit incident pressure; for a patch of seabed sqrt(mu area) times its fixed complex reflectivity.
     pub strength: Vec<Complex64>,
     pub law: Vec<ScatterLaw>,
+    /// By which factor, 1 or more, the floor of the patterns ([`ModelChoice::cull_db`]) lies lower for this one, because it is louder than the
+    /// ground that the floor was chosen for.
+    pub loud: Vec<f32>,
     /// Of those whose law is [`ScatterLaw::Curve`]; without it they are silent.
     pub curve: Option<Arc<LawCurve>>,
 }
@@ -757,6 +783,7 @@ impl Scatterers {
         self.normal.truncate(len);
         self.strength.truncate(len);
         self.law.truncate(len);
+        self.loud.truncate(len);
     }
     /// Puts scatterer `from` in the place of scatterer `to`.
     pub fn copy_within(&mut self, from: usize, to: usize) {
@@ -766,6 +793,7 @@ impl Scatterers {
         self.normal[to] = self.normal[from];
         self.strength[to] = self.strength[from];
         self.law[to] = self.law[from];
+        self.loud[to] = self.loud[from];
     }
     /// To be written over: what is added scatters nothing.
     pub fn resize(&mut self, len: usize) {
@@ -775,6 +803,7 @@ impl Scatterers {
         self.normal.resize(len, [0.0; 3]);
         self.strength.resize(len, Complex64::ZERO);
         self.law.resize(len, ScatterLaw::Point);
+        self.loud.resize(len, 1.0);
     }
     pub fn push(
         &mut self,
@@ -789,6 +818,7 @@ impl Scatterers {
         self.normal.push(normal);
         self.strength.push(strength);
         self.law.push(law);
+        self.loud.push(1.0);
     }
     pub fn position_m(&self, i: usize) -> DVec3 {
         DVec3::new(self.north_m[i], self.east_m[i], self.down_m[i])
@@ -1205,6 +1235,39 @@ pub struct Line {
     pub amplitude: Vec<f32>,
 }
 
+/// The side-scan lines of one of several pulses.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PulseLines {
+    /// It left so long after the sonar's own pulse. Its lines count from its own start.
+    pub delay_s: f64,
+    pub lines: Vec<Line>,
+}
+
+/// What the scene knows of each sample of one side-scan line: labels for those who teach machines to read pictures. Not made on the ping path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineTruth {
+    pub side: Side,
+    /// The target with the strongest echo in each sample: 1 is the scene's first, 0 none.
+    pub target: Vec<u16>,
+    /// Its energy, and that of all else; the same unit, which is nobody's concern.
+    pub target_energy: Vec<f32>,
+    pub other_energy: Vec<f32>,
+    pub ground: Vec<GroundSeen>,
+    /// Depth of that ground, world, metres; NaN where there is none.
+    pub down_m: Vec<f32>,
+}
+
+/// Whether the seabed on the beam's axis at the range of a sample is heard.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GroundSeen {
+    /// There is none: water, a hole, the end of the world.
+    #[default]
+    None,
+    Seen,
+    /// Something stands before all of it.
+    Hidden,
+}
+
 /// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
 /// over the rms of the samples around it or of the element's whole ping, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -1233,6 +1296,8 @@ pub struct PingOutput {
     /// Of the fan, where it detects the bottom; a beam without a bottom has none.
     pub soundings: Vec<Sounding>,
     pub lines: Vec<Line>,
+    /// Of the further pulses in the water, one each.
+    pub more_lines: Vec<PulseLines>,
     pub counts: EchoCounts,
     pub scene: SceneCounts,
 }
@@ -1296,6 +1361,7 @@ pub mod testing {
                 position_age_s: 0.0,
                 attitude_age_s: 0.0,
                 extrapolated: false,
+                invalid: Default::default(),
             },
             trajectory,
             segments: Vec::new(),

@@ -93,12 +93,16 @@ fn wrap_pi(angle_rad: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Origins: the log's, a pole's neighbourhood, the antimeridian, the equator.
-    const ORIGINS_DEG: [(f64, f64); 5] = [
+    /// Origins: the log's, the poles and a neighbourhood, the antimeridian from both sides, the equator.
+    const ORIGINS_DEG: [(f64, f64); 9] = [
         (-22.0, -17.9),
         (53.2, 5.4),
         (89.5, 30.0),
+        (90.0, 0.0),
+        (-90.0, 135.0),
+        (-89.999_99, -120.0),
         (10.0, 179.99),
+        (-60.0, -180.0),
         (0.0, 0.0),
     ];
 

@@ -162,9 +162,24 @@ latency_ms = 2500.0
 status_interval_s = 1.0
 queue_pings = 9
 clock = "realtime"
+priority = 0
 
 [record]
 directory = "recordings"
+
+[[fault]]
+kind = "crosstalk"
+sonar = "head"
+array = 0
+element = 1
+other = 0
+value = -20.0
+at_s = 60
+for_s = 10
+ramp_s = 5
+probability = 0.5
+burst = 3
+seed = 8
 
 [control]
 listen = "0.0.0.0:7780"
@@ -304,7 +319,8 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
         tty.input,
         NavInputSpec::Serial {
             port: "/dev/ttyUSB0".into(),
-            baud: 38400
+            baud: 38400,
+            line: SerialLine::default()
         }
     );
     assert_eq!(
@@ -343,6 +359,27 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
     ));
     assert_eq!((rig.run.threads, rig.run.queue_pings), (3, 9));
     assert_eq!(rig.run.clock, ClockSpec::RealTime);
+    assert_eq!(rig.run.priority, 0);
+    assert_eq!(rig.faults.len(), 1);
+    let fault = rig.faults[0].checked().expect("checked");
+    assert_eq!(
+        (
+            fault.at_s,
+            fault.for_s,
+            fault.ramp_s,
+            fault.burst,
+            fault.seed
+        ),
+        (Some(60.0), 10.0, 5.0, 3, 8)
+    );
+    assert_eq!(
+        fault.kind,
+        FaultKind::Element {
+            fault: ElementFault::Crosstalk { from: 0, db: -20.0 },
+            array: Some(0),
+            element: Some(1),
+        }
+    );
     assert_eq!(rig.control.listen, Some(([0, 0, 0, 0], 7780).into()));
     assert_eq!(rig.control.token.as_deref(), Some("secret"));
     assert_eq!((rig.run.latency_s, rig.run.status_interval_s), (2.5, 1.0));
@@ -559,6 +596,99 @@ fn the_points_and_their_track_are_what_their_comments_say() {
 // ---------------------------------------------------------------- template and schema
 
 #[test]
+fn mounting_towing_and_what_goes_out_mean_what_they_say() {
+    let text = EVERYTHING_ELSE
+        .replace("vertical = \"gnss\"\ndatum_offset_m = -3.5", "vertical = \"depth\"")
+        .replace("mode = \"settle\"", "mode = \"predict\"\non_lost = \"skip\"")
+        .replace("provides = [\"roll-pitch\", \"heave\"]", "provides = [\"roll-pitch\", \"depth\"]\nline = \"7E2\"\nvariants = [\"own-depth\"]\nheave_arm_m = [1, 2, 3]\nmounting_deg = [30, 0, -90]")
+        .replace("[scene]\nseed", r#"[nav.tow]
+point_m = [-10, 1, -3]
+cable_out_m = 120
+straightness = 0.9
+
+[[nav.output]]
+name = "board"
+kind = "serial"
+port = "/dev/ttyS0"
+baud = 9600
+line = "8N2"
+sentences = ["ZDA"]
+pulse = "rts"
+
+[[nav.output]]
+name = "bridge"
+kind = "udp"
+to = "239.192.0.2:60002"
+talker = "IN"
+rate_hz = 0.5
+latency_ms = 150
+
+[scene]
+seed"#);
+    let nav = parse(&text).nav;
+    assert_eq!(
+        (nav.on_lost, nav.vertical),
+        (OnLost::Skip, VerticalSpec::Depth)
+    );
+    let tow = TowSpec {
+        point_m: DVec3::new(-10.0, 1.0, -3.0),
+        cable_out_m: 120.0,
+        straightness: 0.9,
+    };
+    assert_eq!(nav.tow, Some(tow));
+    let tty = &nav.sources[1];
+    assert_eq!(tty.mounting.heave_arm_m, DVec3::new(1.0, 2.0, 3.0));
+    assert_eq!(
+        tty.mounting.angles_rad,
+        DVec3::new(FRAC_PI_2 / 3.0, 0.0, -FRAC_PI_2)
+    );
+    assert!(tty.dialect.depth_is_own && tty.provides == [NavChannel::RollPitch, NavChannel::Depth]);
+    let NavInputSpec::Serial { line, .. } = &tty.input else {
+        panic!("serial")
+    };
+    assert_eq!((line.name().as_str(), line.bits_per_byte()), ("7E2", 11));
+    let board = NavOutputSpec {
+        name: "board".into(),
+        target: NavTargetSpec::Serial {
+            port: "/dev/ttyS0".into(),
+            baud: 9600,
+            line: SerialLine {
+                stop_bits: 2,
+                ..SerialLine::default()
+            },
+        },
+        sentences: vec![NavSentence::Zda],
+        talker: "GP".into(),
+        rate_hz: 1.0,
+        latency_s: 0.0,
+        pulse: PulseSpec::Rts,
+    };
+    let bridge = NavOutputSpec {
+        name: "bridge".into(),
+        target: NavTargetSpec::Udp {
+            to: "239.192.0.2:60002".parse().expect("address"),
+        },
+        sentences: vec![NavSentence::Zda, NavSentence::Gga, NavSentence::Hdt],
+        talker: "IN".into(),
+        rate_hz: 0.5,
+        latency_s: 0.15,
+        pulse: PulseSpec::None,
+    };
+    assert_eq!(nav.outputs, [board, bridge]);
+    let said = config::summary(&parse(&text));
+    for words in [
+        "tty: heave of a point at 1.000 m forward, 2.000 starboard, 3.000 down",
+        "tty: on a level platform says roll +30.000",
+        "120.0 m of cable",
+        "the depth sensor's",
+        "board: GPZDA to /dev/ttyS0 at 9600 Bd 8N2, 1 a second, RTS at each second ahead of its ZDA",
+        "bridge: INZDA INGGA INHDT to UDP 239.192.0.2:60002, 0.5 a second",
+    ] {
+        assert!(said.contains(words), "no `{words}` in\n{said}");
+    }
+}
+
+#[test]
 fn the_template_is_accepted_as_it_stands() {
     let rig = config::parse(config::template(), Path::new("/nonexistent"))
         .unwrap_or_else(|errors| panic!("{errors}"));
@@ -585,7 +715,14 @@ fn a_default_in_the_template_may_be_uncommented_and_changes_nothing() {
             .rev()
             .take_while(|l| l.starts_with("# ") && !l.contains(" = ") || l.contains("Only with"))
             .any(|l| l.contains("Only with"));
-        if !is_default || !assignment.contains(" = ") || only_beside {
+        // So are those of a table that is itself commented out.
+        let is_header = |l: &&&str| {
+            let text = l.trim_start_matches("# ");
+            text.starts_with('[') && text.ends_with(']') && !text.contains(' ')
+        };
+        let header = lines[..i].iter().rev().find(is_header);
+        let table_is_out = header.is_some_and(|h| h.starts_with("# "));
+        if !is_default || !assignment.contains(" = ") || only_beside || table_is_out {
             continue;
         }
         let mut changed = lines.clone();

@@ -4,8 +4,14 @@
 mod control;
 #[path = "daemon/families.rs"]
 mod families;
+#[path = "daemon/faults.rs"]
+mod faults;
+#[path = "daemon/killed.rs"]
+mod killed;
 #[path = "daemon/modes.rs"]
 mod modes;
+#[path = "daemon/nav_while_pinging.rs"]
+mod nav_while_pinging;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

@@ -33,6 +33,8 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         slab_samples: 2048,
         time_width: 4,
         slope_width: 4,
+        time_oversampling: 2.0,
+        slope_oversampling: 2.0,
         moments: 8,
         series: 2e-4,
         far: 1e-9,

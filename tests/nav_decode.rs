@@ -32,6 +32,7 @@ fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -
         time,
         checksum,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: Default::default(),
         provides: provides.to_vec(),
     }
@@ -187,6 +188,7 @@ fn as_degrees(sample: &NavSample) -> Vec<(&'static str, Vec<f64>)> {
             vec![roll_rad.to_degrees(), pitch_rad.to_degrees()],
         )],
         NavQuantity::Heave { heave_down_m } => vec![("heave", vec![heave_down_m])],
+        NavQuantity::Depth { depth_m } => vec![("depth", vec![depth_m])],
         NavQuantity::LocalPosition { .. } => vec![],
     }
 }

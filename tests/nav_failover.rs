@@ -21,6 +21,7 @@ fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSource
         time: TimePolicy::Arrival { latency_s: 0.0 },
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: NavDialect::default(),
         provides: provides.to_vec(),
     }
@@ -55,6 +56,9 @@ fn spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         jump_gate: None,
         stale_s: 2.0,
         lost_s: 10.0,
+        on_lost: OnLost::Skip,
+        tow: None,
+        outputs: Vec::new(),
         sources,
     }
 }

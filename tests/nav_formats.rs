@@ -37,6 +37,7 @@ fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
         time,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect,
         provides: ALL.to_vec(),
     }
@@ -605,7 +606,9 @@ fn check(name: &str, sample: &NavSample, steps: &Steps) {
             near("north speed", speed_m_per_s * cos, want.north_m_s, 1.5e-3);
             near("east speed", speed_m_per_s * sin, want.east_m_s, 1.5e-3);
         }
-        NavQuantity::LocalPosition { .. } => panic!("{name}: local position"),
+        NavQuantity::LocalPosition { .. } | NavQuantity::Depth { .. } => {
+            panic!("{name}: {:?}", sample.quantity)
+        }
     }
 }
 
@@ -688,6 +691,7 @@ fn channel_of(q: &NavQuantity) -> NavChannel {
         NavQuantity::Heading { .. } => NavChannel::Heading,
         NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
         NavQuantity::Heave { .. } => NavChannel::Heave,
+        NavQuantity::Depth { .. } => NavChannel::Depth,
     }
 }
 

@@ -1,11 +1,12 @@
 //! Samples to motion: against analytic motions, across wraps, gaps and seams.
 
 mod counting;
+mod nav_mounting;
 
 use std::f64::consts::TAU;
 
 use echotank::config::spec::{
-    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OriginSpec,
+    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
 use echotank::flow::{FixQuality, NavQuantity, NavSample, NavState};
@@ -26,6 +27,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
         time: TimePolicy::Message,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: Default::default(),
         provides: provides.to_vec(),
     }
@@ -54,6 +56,9 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         jump_gate: None,
         stale_s: 2.0,
         lost_s: 10.0,
+        on_lost: OnLost::Skip,
+        tow: None,
+        outputs: Vec::new(),
         sources,
     }
 }
@@ -664,6 +669,61 @@ fn without_roll_and_pitch_the_platform_is_level() {
     );
     assert_eq!(history.counts().not_owned, 18);
     assert_eq!(state.heave_down_m, 0.0);
+}
+
+/// Straight on at 5 m/s, over the antimeridian and 3 m beside either pole: longitudes jump by any amount, the track does not.
+#[test]
+fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
+    for (latitude_deg, longitude_deg) in [
+        (0.0, 180.0),
+        (65.0, -180.0),
+        (90.0, 0.0),
+        (-90.0, 77.0),
+        (-16.0, 179.9999),
+    ] {
+        let plane = LocalTangentPlane::new(
+            f64::to_radians(latitude_deg),
+            f64::to_radians(longitude_deg),
+        );
+        let mut history = NavHistory::new(&nav_spec(vec![log_source(&FULL)]));
+        let mut longitudes = Vec::new();
+        for k in 0..=100 {
+            let t = f64::from(k) * 0.1;
+            // From 25 m on one side of it to 25 m on the other.
+            let (latitude_rad, longitude_rad) = plane.geodetic_rad(3.0, 5.0 * t - 25.0);
+            longitudes.push(longitude_rad);
+            let position = NavQuantity::Position {
+                latitude_rad,
+                longitude_rad,
+                height_m: None,
+                fix: FixQuality::Autonomous,
+            };
+            for quantity in [position, heading(0.0), roll_pitch(0.0, 0.0), heave(0.0)] {
+                history.insert(&sample(0, t, quantity));
+            }
+        }
+        let turns = longitudes.windows(2).map(|w| (w[1] - w[0]).abs());
+        let most_deg = turns.fold(0.0, f64::max).to_degrees();
+        assert!(most_deg > 1.0, "it does pass an edge: {most_deg} deg");
+        let start = settle(&mut history, 1.0, 0.1).expect("settled");
+        for t in [2.0, 4.95, 5.0, 5.05, 9.0] {
+            let state = settle(&mut history, t, 0.1).expect("settled");
+            let way = (state.pose.position_m - start.pose.position_m).length();
+            let speed = state.pose.velocity_m_per_s.length();
+            // The plane of the first fix lies 25 m from that of the edge: 4e-6 rad.
+            assert!(
+                (way - 5.0 * (t - 1.0)).abs() < 1e-5 && (speed - 5.0).abs() < 1e-5,
+                "({latitude_deg}, {longitude_deg}) at {t}: {way} m, {speed} m/s"
+            );
+            let (latitude, longitude) = plane.geodetic_rad(3.0, 5.0 * t - 25.0);
+            let east_m = (longitude - state.longitude_rad).sin() * 6.4e6 * latitude.cos();
+            let north_m = (latitude - state.latitude_rad) * 6.4e6;
+            assert!(
+                east_m.hypot(north_m) < 1e-4,
+                "({latitude_deg}, {longitude_deg}) at {t}: {north_m} m north, {east_m} m east"
+            );
+        }
+    }
 }
 
 #[test]

@@ -8,13 +8,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use echotank::config::spec::{
-    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OriginSpec,
+    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
 use echotank::flow::NavState;
 use echotank::frames::Trajectory;
 use echotank::io::nav::{LiveCounters, NavInputs, NavOpenError};
-use echotank::nav::log::split_line;
+use echotank::nav::stamp::split_line;
 use echotank::nav::{Coverage, NavGap, NavHistory};
 use echotank::time::{Clock, MonoNs, NS_PER_S, SystemClock, Timeline, UtcNs};
 use glam::DVec3;
@@ -38,6 +38,7 @@ fn source(name: &str, input: NavInputSpec) -> NavSourceSpec {
         time: TimePolicy::Burst,
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::new(2.0, 1.0, -15.0),
+        mounting: Default::default(),
         dialect: Default::default(),
         provides: vec![
             NavChannel::Position,
@@ -79,6 +80,9 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         jump_gate: None,
         stale_s: 2.0,
         lost_s: 10.0,
+        on_lost: OnLost::Skip,
+        tow: None,
+        outputs: Vec::new(),
         sources,
     }
 }
@@ -208,6 +212,7 @@ fn a_serial_port_gives_the_states_of_the_file() {
         NavInputSpec::Serial {
             port: port.name().expect("a name"),
             baud: 115_200,
+            line: Default::default(),
         },
     )]);
     let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
@@ -258,6 +263,7 @@ fn a_vanished_serial_port_is_looked_for_and_found_again() {
         NavInputSpec::Serial {
             port: path.display().to_string(),
             baud: 9600,
+            line: Default::default(),
         },
     )]);
     let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
@@ -548,6 +554,7 @@ fn errors_name_the_source_the_place_and_the_reason() {
         NavInputSpec::Serial {
             port: "/no/tty".into(),
             baud: 9600,
+            line: Default::default(),
         },
     ));
     assert!(

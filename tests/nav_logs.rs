@@ -32,6 +32,7 @@ fn spec(checksum: ChecksumPolicy, time: TimePolicy) -> NavSourceSpec {
         time,
         checksum,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: NavDialect::default(),
         provides: CHANNELS.to_vec(),
     }
@@ -456,4 +457,78 @@ fn a_second_of_extrapolation_at_1_hz_is_as_bad_as_an_independent_computation_say
     for (got, want) in [(hold, HOLD_DEG), (line, LINE_DEG), (between, BETWEEN_DEG)] {
         assert!((got - want).abs() < 0.001, "got {got} want {want}");
     }
+}
+
+/// As OpenRVDAS writes it with an older time format, from a log of 2014 that was played again in 2017 at four lines a second, with CR for a
+/// line end and a byte order mark at the front.
+#[test]
+fn a_log_played_again_slowly_in_another_year_keeps_its_bursts_and_dates() {
+    let sum = |body: &str| body.bytes().fold(0, |a, b| a ^ b);
+    let mut text = String::from("\u{feff}");
+    let mut lines = 0;
+    for k in 0..20 {
+        let clock = format!("0000{k:02}.16");
+        for body in [
+            format!("INZDA,{clock},07,08,2014,,"),
+            format!("INGGA,{clock},3934.831698,S,03727.695242,W,1,11,0.9,-5.30,M,,M,,"),
+            format!("INHDT,{}.18,T", 200 + k),
+            "PSXN,20,1,0,0,0".to_owned(),
+            format!("PSXN,23,-2.{k:02},1.00,235.18,-1.66"),
+        ] {
+            let at = 0.255 * f64::from(lines);
+            let (minute, second) = ((at / 60.0) as i32, at % 60.0);
+            text += &format!(
+                "seap 2017-11-04:05:{minute:02}:{second:09.6} ${body}*{:02X}\r",
+                sum(&body)
+            );
+            lines += 1;
+        }
+    }
+    let spec = spec(ChecksumPolicy::Require, TimePolicy::Burst);
+    let r = report(text.as_bytes(), &spec, 10.0);
+    assert_eq!(
+        (r.log.lines, r.log.stamped, r.log.no_sentence),
+        (100, 100, 0)
+    );
+    assert_eq!(
+        (r.counters.used, r.counters.undated, r.counters.time_jumps),
+        (100, 0, 0)
+    );
+    let (first, second) = (1_407_369_600.16, 1_407_369_601.16);
+    for (channel, count) in [(NavChannel::Position, 20), (NavChannel::RollPitch, 20)] {
+        let of = |s: &&echotank::flow::NavSample| match s.quantity {
+            NavQuantity::Position { .. } => channel == NavChannel::Position,
+            NavQuantity::RollPitch { .. } => channel == NavChannel::RollPitch,
+            _ => false,
+        };
+        let times: Vec<f64> = r
+            .samples
+            .iter()
+            .filter(of)
+            .map(|s| s.valid_utc.0 as f64 / 1e9)
+            .collect();
+        assert_eq!(times.len(), count, "{channel:?}");
+        for (got, want) in times.iter().zip([first, second]) {
+            assert!((got - want).abs() < 1e-6, "{channel:?}: {got} {want}");
+        }
+    }
+}
+
+#[test]
+fn lines_of_json_and_ais_are_counted_and_passed_over() {
+    let text = concat!(
+        "{\"class\":\"TPV\",\"mode\":3,\"lat\":54.1,\"lon\":10.2}\n",
+        "{\"updates\":[{\"source\":{\"talker\":\"GP\"},\"values\":[{\"path\":\"navigation.headingTrue\",\"value\":1.2}]}]}\r\n",
+        "$HEHDT,218.19,T*1C\n",
+        "!AIVDM,1,1,,A,13aGmP0P00PD;88MD5MTDww@2<0L,0*23\n",
+        "no sentence at all\n",
+    );
+    let spec = spec(ChecksumPolicy::Require, TimePolicy::Burst);
+    let r = report(text.as_bytes(), &spec, 10.0);
+    assert_eq!((r.log.lines, r.log.no_sentence, r.log.json), (5, 3, 2));
+    let c = &r.counters;
+    assert_eq!(
+        (c.sentences, c.used, c.unsupported + c.refused_checksum),
+        (2, 1, 1)
+    );
 }

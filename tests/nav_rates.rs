@@ -43,12 +43,16 @@ fn spec(input: NavInputSpec) -> NavSpec {
         jump_gate: None,
         stale_s: 2.0,
         lost_s: 10.0,
+        on_lost: OnLost::Skip,
+        tow: None,
+        outputs: Vec::new(),
         sources: vec![NavSourceSpec {
             name: "ins".into(),
             input,
             time: TimePolicy::Arrival { latency_s: 0.0 },
             checksum: ChecksumPolicy::Require,
             lever_arm_m: DVec3::ZERO,
+            mounting: Default::default(),
             dialect: NavDialect::default(),
             provides: vec![
                 NavChannel::Position,
@@ -170,6 +174,7 @@ fn nothing_is_lost_over_a_serial_line() {
     let spec = spec(NavInputSpec::Serial {
         port: port.name().expect("a name"),
         baud: BAUD,
+        line: Default::default(),
     });
     check("921600 Bd", &spec, move |_| {
         std::thread::spawn(move || {

@@ -14,7 +14,9 @@ use echotank::emit::sevenk::session::{Outgoing, Session, SessionContext};
 use echotank::flow::Asked;
 use echotank::run::settings::SettingsStore;
 use echotank::time::UtcNs;
-use echotank_protocols::sevenk::control::{Ack7501, Nack7502, PulseType, ThirdParty, Transport};
+use echotank_protocols::sevenk::control::{
+    Ack7501, GainType, Nack7502, PulseEnvelope, PulseType, ThirdParty, Transport,
+};
 use echotank_protocols::sevenk::records::RemoteSettings7503;
 use echotank_protocols::sevenk::{
     Command, ControlRequest, ErrorCode, Packetiser, Record, RecordBody,
@@ -196,7 +198,7 @@ fn every_refusal_has_its_code_and_changes_nothing() {
         (Command::Range { range_m: f32::NAN }, 0x7008),
         (single(7027), 0x7002),
         (single(7500), 0x700A),
-        (subscribe(&[7027, 1015]), 0x7002),
+        (subscribe(&[7027, 7070]), 0x7002),
         (subscribe(&[]), 0x7008),
         (Command::SubscribeRange { first: 9, last: 1 }, 0x7008),
         (
@@ -206,11 +208,46 @@ fn every_refusal_has_its_code_and_changes_nothing() {
             },
             0x7002,
         ),
-        (Command::PulseType(PulseType::LinearChirp), 0x7006),
-        (Command::SinglePing, 0x7006),
-        (Command::PingTimes { count: 3 }, 0x7006),
-        (Command::ExternalTrigger, 0x7006),
-        (Command::DisconnectThirdParty { party }, 0x7006),
+        (Command::PulseType(PulseType::ContinuousWave), 0x7006),
+        (Command::CenterFrequency { frequency_hz: 99e3 }, 0x7006),
+        (
+            Command::ChirpBand {
+                start_hz: 99e3,
+                stop_hz: 101e3,
+            },
+            0x7006,
+        ),
+        (Command::PingTimes { count: 0 }, 0x7001),
+        (
+            Command::SnippetControl {
+                flags: 6,
+                min_window_samples: 9,
+                max_window_samples: 8,
+            },
+            0x7001,
+        ),
+        (
+            Command::CoverageSector {
+                sector_rad: -1.0,
+                rx_steering_rad: 0.0,
+            },
+            0x7001,
+        ),
+        // A compression factor, and 8 and 32 bits at once.
+        (Command::CompressedWaterColumn { flags: 1 << 13 }, 0x7006),
+        (
+            Command::CompressedWaterColumn {
+                flags: 1 << 12 | 1 << 2,
+            },
+            0x7006,
+        ),
+        (
+            Command::ConnectThirdParty {
+                party,
+                record_type_ids: vec![7027],
+            },
+            0x7002,
+        ),
         (Command::Unknown(4242), 0x7007),
     ] {
         let mut rig = Rig::tcp();
@@ -221,6 +258,175 @@ fn every_refusal_has_its_code_and_changes_nothing() {
         let counts = rig.session.counts();
         assert_eq!((counts.commands, counts.nacks), (1, 1), "{command}");
     }
+}
+
+#[test]
+fn what_the_model_does_not_use_is_acknowledged_and_reported_in_7503() {
+    let mut rig = Rig::tcp();
+    for (ticket, command) in [
+        Command::BottomDetectionMask { flags: 3 << 8 },
+        Command::BottomDetectionFilter {
+            min_range_m: 2.0,
+            max_range_m: 90.0,
+            min_depth_m: 1.0,
+            max_depth_m: 80.0,
+            gate_tilt_rad: Some(0.125),
+        },
+        Command::PulseEnvelope {
+            envelope: PulseEnvelope::Tukey,
+            shading: 0.5,
+        },
+        Command::ProjectorSteering {
+            vertical_rad: 0.25,
+            horizontal_rad: -0.5,
+        },
+        Command::ProjectorBeamWidths {
+            vertical_rad: 0.03,
+            horizontal_rad: 2.0,
+        },
+        Command::MotionCompensation { roll: 1, pitch: 1 },
+        Command::CoverageSector {
+            sector_rad: 2.5,
+            rx_steering_rad: 0.25,
+        },
+        Command::TriggerOut {
+            flags: 1,
+            length_s: 0.001,
+            offset_s: 0.0005,
+        },
+        Command::SoundVelocity {
+            flags: 1,
+            sound_velocity_m_per_s: 1480.0,
+            filter: 0,
+        },
+        Command::GainType(GainType::Fixed),
+        Command::MatchFilter {
+            window: 1,
+            shading: 0.5,
+        },
+        Command::PpsEdge { edge: 1 },
+        Command::SnippetControl {
+            flags: 1,
+            min_window_samples: 3,
+            max_window_samples: 80,
+        },
+        Command::CompressedWaterColumn { flags: 1 << 2 },
+        // What the configuration says already.
+        Command::PulseType(PulseType::LinearChirp),
+        Command::CenterFrequency { frequency_hz: 1e5 },
+        Command::ChirpBand {
+            start_hz: 99_750.0,
+            stop_hz: 100_250.0,
+        },
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let text = command.to_string();
+        assert_eq!(rig.ask(command, ticket as u32), Ok(()), "{text}");
+    }
+    assert_eq!(rig.store.snapshot().0, SETTINGS, "no ping knows of them");
+    let out = rig.send(&command(
+        Command::SingleRecord {
+            record_type_id: 7503,
+        },
+        99,
+    ));
+    let record = Record::parse(reply(&out, 1)).expect("a 7503");
+    let s = RemoteSettings7503::parse(record.body()).expect("settings");
+    assert_eq!(
+        (s.bottom_filter_min_range_m, s.bottom_filter_max_range_m),
+        (2.0, 90.0)
+    );
+    assert_eq!(
+        (s.bottom_filter_min_depth_m, s.bottom_filter_max_depth_m),
+        (1.0, 80.0)
+    );
+    assert_eq!(s.depth_gate_tilt_rad, 0.125);
+    assert_eq!(
+        (s.tx_pulse_envelope, s.tx_pulse_envelope_parameter),
+        (1, 0.5)
+    );
+    assert_eq!(
+        (
+            s.projector_steer_vertical_rad,
+            s.projector_steer_horizontal_rad
+        ),
+        (0.25, -0.5)
+    );
+    assert_eq!(s.projector_beam_width_horizontal_rad, 2.0);
+    assert_eq!((s.receive_flags & 1, s.transmit_flags & 1), (1, 1));
+    assert_eq!(
+        (s.coverage_angle_rad, s.rx_horizontal_steering_rad),
+        (2.5, 0.25)
+    );
+    assert_eq!(
+        (s.trigger_out_width_s, s.trigger_out_offset_s),
+        (0.001, 0.0005)
+    );
+    assert_eq!(s.sound_velocity_m_per_s, 1480.0);
+}
+
+#[test]
+fn pings_by_number_and_by_a_foreign_trigger_are_asked_for_and_ended() {
+    use echotank::time::MonoNs;
+    let mut rig = Rig::tcp();
+    assert_eq!(rig.ask(Command::SinglePing, 1), Ok(()));
+    assert!(rig.store.snapshot().0.pinging, "one is owed");
+    rig.store.pinged(MonoNs(1));
+    assert!(!rig.store.snapshot().0.pinging, "continuous pinging ended");
+    assert_eq!(rig.ask(Command::PingTimes { count: 2 }, 2), Ok(()));
+    rig.store.pinged(MonoNs(2));
+    assert!(rig.store.snapshot().0.pinging);
+    rig.store.pinged(MonoNs(3));
+    assert!(!rig.store.snapshot().0.pinging);
+    assert_eq!(rig.ask(Command::StartPinging, 3), Ok(()));
+    assert_eq!(rig.ask(Command::ExternalTrigger, 4), Ok(()));
+    assert!(!rig.store.snapshot().0.pinging, "it waits for a trigger");
+    let out = rig.send(&command(
+        Command::SingleRecord {
+            record_type_id: 7503,
+        },
+        5,
+    ));
+    let record = Record::parse(reply(&out, 1)).expect("a 7503");
+    let s = RemoteSettings7503::parse(record.body()).expect("settings");
+    assert_eq!(s.ping_state, RemoteSettings7503::PING_EXTERNAL_TRIGGER);
+    assert_eq!(rig.ask(Command::StartPinging, 6), Ok(()));
+    assert!(
+        rig.store.snapshot().0.pinging,
+        "1100 ends the foreign trigger"
+    );
+}
+
+#[test]
+fn a_third_party_is_dialled_and_hung_up() {
+    use echotank::emit::session as seam;
+    let mut rig = Rig::tcp();
+    let party = ThirdParty {
+        ipv4: u32::from_le_bytes([127, 0, 0, 1]),
+        port: 4000,
+        transport: Transport::Tcp,
+    };
+    let out = rig.send(&command(
+        Command::ConnectThirdParty {
+            party,
+            record_type_ids: vec![7000, 7027, 7018],
+        },
+        1,
+    ));
+    assert_eq!(answer(&out, 1), Ok(()));
+    let peer = "127.0.0.1:4000".parse().expect("an address");
+    let want = Outgoing::Dial {
+        peer,
+        transport: seam::Transport::Tcp,
+        wants: RecordSet::of(&[7000, 7018]).into(),
+    };
+    assert_eq!(out[1], want);
+    let out = rig.send(&command(Command::DisconnectThirdParty { party }, 2));
+    assert_eq!(answer(&out, 2), Ok(()));
+    let transport = seam::Transport::Tcp;
+    assert_eq!(out[1], Outgoing::HangUp { peer, transport });
 }
 
 #[test]
@@ -270,7 +476,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
         ),
         Ok(())
     );
-    let first = RecordSet::of(&[1003, 1012, 1013, 7000, 7004]);
+    let first = RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004]);
     assert_eq!(rig.session.subscribed(), first);
     let more = Command::Subscribe {
         record_type_ids: ids(&[7038, 7500]),
@@ -286,7 +492,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     assert_eq!(rig.ask(fewer, 2), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
-        RecordSet::of(&[1012, 1013, 7000, 7038, 7500])
+        RecordSet::of(&[1012, 1013, 1015, 1016, 7000, 7038, 7500])
     );
     assert_eq!(rig.ask(Command::EndSubscriptions, 3), Ok(()));
     assert!(rig.session.subscribed().is_empty());
@@ -297,7 +503,7 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     assert_eq!(rig.ask(range, 4), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
-        RecordSet::of(&[1003, 1012, 1013, 7000, 7004])
+        RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004])
     );
 }
 

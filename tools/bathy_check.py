@@ -3,7 +3,7 @@
 
     bathy_check.py ECHOTANK [--places 10] [--seed 1]
 
-BAG by h5py, GeoTIFF by tifffile and imagecodecs, texts by numpy. For each file the places are drawn from its filled cells (or from its
+BAG by h5py (placed by the metadata in the .xml beside it), GeoTIFF by tifffile and imagecodecs, texts by numpy. For each file the places are drawn from its filled cells (or from its
 soundings), their coordinates worked out here from the file's own georeference, and asked of `ECHOTANK scene info --json --at Y,X`. Besides
 the depths: size, share of holes, sign, rows and columns, least and greatest depth. A depth must be equal to the file's precision: to the bit where
 the file holds f32 or the soundings themselves, to half the last decimal of a text grid.
@@ -41,6 +41,11 @@ def read_bag(path):
     with h5py.File(path) as file:
         elevation = file["BAG_root/elevation"][:]
         text = file["BAG_root/metadata"][:].tobytes().decode("utf-8", "replace")
+    # The survey's own copy of its metadata: what the depths are placed by is read from there.
+    beside = path.with_suffix(".xml").read_text()
+    if beside.split() != text.replace("\0", "").split():
+        raise SystemExit(f"{path.with_suffix('.xml').name} is not the metadata in {path.name}")
+    text = beside
     corners = re.search(r"<gml:coordinates[^>]*>([^<]+)<", text).group(1)
     west, south = (float(v) for v in re.split(r"[ ,]+", corners.strip())[:2])
     steps = [float(v) for v in re.findall(r"<smXML:value>([^<]+)<", text)]

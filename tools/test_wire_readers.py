@@ -5,6 +5,7 @@ written before, name it in WIRE_SAMPLES.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -44,6 +45,85 @@ def setUpModule():
 
 def sample(name):
     return os.path.join(_samples, name)
+
+
+def daemon_files(name, formats, *changes):
+    """What the daemon's own pipeline records of three pings of a configuration, in a folder."""
+    keep = tempfile.TemporaryDirectory()
+    unittest.addModuleCleanup(keep.cleanup)
+    built = [os.path.join(ROOT, os.environ.get("CARGO_TARGET_DIR", "target"), kind, "echotank") for kind in ("release", "debug")]
+    program = next(([path] for path in built if os.path.exists(path)), ["cargo", "run", "--quiet", "--bin", "echotank", "--"])
+    command = program + ["replay", os.path.join("hil-configs", name), "--quiet", "--out", keep.name, "--pings", "1..3", "--formats", formats]
+    for change in changes:
+        command += ["--set", change]
+    subprocess.run(command, cwd=ROOT, check=True)
+    return keep.name
+
+
+@needs_310
+class Daemon(unittest.TestCase):
+    """Files of the pipeline itself: JSF by pyjsf and XTF by pyxtf, against the same pings as NumPy arrays."""
+
+    @classmethod
+    def setUpClass(cls):
+        # A thin seabed: what is read matters here, not what lies in it.
+        cls.folder = daemon_files("quickstart.toml", "jsf,xtf,s7k,npz", "scene.seabed.density_per_m2=0.2")
+        with np.load(os.path.join(cls.folder, "pings.npz"), allow_pickle=False) as arrays:
+            cls.lines = arrays["lines"]
+            cls.utc_ns = arrays["ping_utc_ns"]
+            cls.rate_hz = float(arrays["sample_rate_hz"])
+        with open(os.path.join(ROOT, "hil-configs", "quickstart.toml"), encoding="utf-8") as text:
+            found = re.search(r"full_scale_v = ([0-9.]+)", text.read())
+            cls.full_scale_v = float(found.group(1))
+
+    def test_jsf_holds_every_line_to_half_a_step_of_its_exponent(self):
+        from pyjsf.jsf_io import jsf_read
+        messages = jsf_read(os.path.join(self.folder, "hull.jsf"))
+        sonar = [m for m in messages if m[0].message_type == 80]
+        self.assertEqual(len(sonar), 6)
+        for head, trace, data in sonar:
+            ping, side = trace.ping_number - 1, head.channel_number
+            line = self.lines[ping, side].astype(np.float64)
+            step = 2.0 ** -trace.weighting_factor
+            # The exact number that block floating point makes of a volt.
+            np.testing.assert_array_equal(data, np.floor(line / step + 0.5) * step)
+            self.assertGreater(np.max(np.abs(data)) / step, 16383, "the exponent is as fine as can be")
+            self.assertEqual(trace.ping_time, self.utc_ns[ping] // 10**9)
+            self.assertEqual(trace.sampling_interval, round(1e9 / self.rate_hz))
+        counts = {kind: sum(m[0].message_type == kind for m in messages) for kind in (182, 2002, 2020, 2060, 426)}
+        self.assertEqual(counts, {182: 1, 2002: 3, 2020: 3, 2060: 3, 426: 2})
+
+    def test_xtf_holds_every_line_in_counts_of_the_full_scale(self):
+        import pyxtf
+        header, packets = pyxtf.xtf_read(os.path.join(self.folder, "hull.xtf"))
+        self.assertEqual([c.TypeOfChannel for c in header.sonar_info[:2]], [1, 2])
+        pings = packets[pyxtf.XTFHeaderType.sonar]
+        self.assertEqual((len(pings), len(packets[pyxtf.XTFHeaderType.attitude])), (3, 3))
+        for number, ping in enumerate(pings):
+            for side in (0, 1):
+                line = self.lines[number, side].astype(np.float64)
+                expected = np.clip(np.floor(line / self.full_scale_v * 65535.0 + 0.5), 0, 65535)
+                np.testing.assert_array_equal(ping.data[side], expected)
+
+    def test_7k_side_scan_is_the_same_lines_by_the_independent_reader(self):
+        import sevenk_reader
+        with open(os.path.join(self.folder, "hull.s7k"), "rb") as file:
+            raw = file.read()
+        number, at = 0, 0
+        findings = sevenk_reader.Findings()
+        while at < len(raw):
+            size = int.from_bytes(raw[at + 8:at + 12], "little")
+            record = sevenk_reader.parse_record(raw[at:at + size], "at %d" % at, findings)
+            at += size
+            if record.kind != 7007:
+                continue
+            counts = np.frombuffer(record.body, dtype="<u2").reshape(2, -1)
+            for side in (0, 1):
+                line = self.lines[number, side].astype(np.float64)
+                expected = np.clip(np.floor(line / self.full_scale_v * 65535.0 + 0.5), 0, 65535)
+                np.testing.assert_array_equal(counts[side], expected)
+            number += 1
+        self.assertEqual(number, 3)
 
 
 @needs_310

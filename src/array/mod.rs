@@ -1,14 +1,16 @@
 //! Arrivals to element samples, and the receiver chain.
 //!
 //! In: [`ArrivalChunk`](crate::flow::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
-//! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do.
+//! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do,
+//! [`faults`] what they should not do.
 //! For comparison [`spectral`] sums them as the paper does, and [`nearest`] and [`linear`] as simple simulators do. [`gridded`] sums them on a
 //! grid within a tolerance, [`gridded2d`] all elements of a line array at once.
 //!
-//! Not modelled: crosstalk, transmit leakage, gain and phase errors of single elements, dead elements.
+//! Not modelled: transmit leakage.
 
 pub mod cards;
 pub mod direct;
+pub mod faults;
 pub mod filter;
 pub mod gridded;
 pub mod gridded2d;

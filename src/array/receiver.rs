@@ -48,7 +48,7 @@ fn noise_stream(plan: &PingPlan, seed: u64, array: usize, element: usize) -> Cha
 }
 
 /// Adds circular Gaussian noise: E|n|^2 = rms^2.
-fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
+pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
     const UNIT: f64 = 1.0 / (1u64 << 53) as f64;
     for sample in samples {
         // Box and Muller (1958): both of the pair are wanted, as I and Q.
@@ -62,7 +62,7 @@ fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
 }
 
 /// Fixed gain and the time-varying law at slant range c t / 2.
-fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
+pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
     let gain_db = plan.settings.gain_db;
     let fixed = linear(gain_db);
     let range_m = |k: usize| {
@@ -112,7 +112,7 @@ fn table_db(table: &[(f64, f64)], next: usize, range_m: f64) -> f64 {
 }
 
 /// Rounds I and Q to steps of 2 full_scale / 2^bits between the converter's ends, and counts the values beyond them.
-fn quantise(bits: u32, full_scale_v: f64, samples: &mut [Complex64]) -> u64 {
+pub(super) fn quantise(bits: u32, full_scale_v: f64, samples: &mut [Complex64]) -> u64 {
     let codes = 2f64.powi(bits as i32);
     let step = 2.0 * full_scale_v / codes;
     let (lowest, highest) = (-0.5 * codes, 0.5 * codes - 1.0);

@@ -30,7 +30,7 @@ use rayon::prelude::*;
 
 use super::RowLimits;
 use super::directions::{Directions, widths_rad};
-use super::kernel::{Dialect, Sums, Tap, WIDEST, sum_rows};
+use super::kernel::{BLOCK, Dialect, STEP, Sums, Taps, WIDEST, add_rows};
 use super::matched::Correlator;
 use super::weights::{self, Taper};
 use crate::config::spec::{FanSpec, Former, Shading};
@@ -41,8 +41,6 @@ pub const FRACTIONS: usize = 16;
 /// Length of the interpolating filters: 50 dB from 0.4 to 0.6 of the sample rate, the margin that the checked sample rate leaves.
 const TAPS: usize = 16;
 const INTERPOLATION: Shading = Shading::Kaiser { beta: 4.6 };
-/// Elements whose interpolated tile lies in the cache together.
-const BLOCK: usize = 32;
 /// No point is taken for nearer than this, metres: delays stay finite on the line itself.
 const NEAREST_M: f64 = 1e-3;
 
@@ -94,7 +92,8 @@ struct Worker {
     grid: Vec<f32>,
     /// Real and imaginary sums of a tile, per beam.
     tile: Vec<Sums>,
-    taps: Vec<Tap>,
+    /// Of the tile's zones, one behind the other, per beam.
+    focus: Vec<Focus>,
     buffer: Vec<Complex64>,
     scratch: Vec<Complex64>,
 }
@@ -158,7 +157,7 @@ impl DelaySumFormer {
                 .map(|_| Worker {
                     grid: vec![0.0; BLOCK.min(elements) * FRACTIONS * 2 * grid_row],
                     tile: (0..share).map(|_| Sums::ZERO).collect(),
-                    taps: vec![Tap::default(); BLOCK],
+                    focus: vec![Focus::default(); share * WIDEST],
                     buffer: vec![Complex64::ZERO; correlator.length()],
                     scratch: correlator.make_scratch(),
                 })
@@ -404,32 +403,34 @@ impl DelaySumFormer {
             for sums in &mut worker.tile[..sines.len()] {
                 *sums = Sums::ZERO;
             }
+            let zones = &self.zones[first_zone..last_zone];
+            for (zone, focus) in zones.iter().zip(worker.focus.chunks_mut(sines.len())) {
+                for (focus, sine) in focus.iter_mut().zip(sines) {
+                    *focus = steering.focus(*sine, zone.time_s);
+                }
+            }
             for block in self.part.clone().step_by(BLOCK) {
                 let block_end = (block + BLOCK).min(self.part.end);
                 self.interpolate(tile, block..block_end, &mut worker.grid);
-                for z in first_zone..last_zone {
-                    let zone = self.zones[z];
+                for (z, zone) in zones.iter().enumerate() {
                     let (from, to) = (zone.first.max(tile), zone.end.min(tile_end));
-                    let weights = &self.zone_weights[z * elements..][block..block_end];
-                    for (sine, total) in sines.iter().zip(&mut worker.tile) {
-                        let focus = steering.focus(*sine, zone.time_s);
-                        let taps = &mut worker.taps[..block_end - block];
-                        let row = grid_row(self.margin);
-                        let origin = self.margin + from - tile;
+                    let weights =
+                        &self.zone_weights[(first_zone + z) * elements..][block..block_end];
+                    let row = grid_row(self.margin);
+                    let origin = self.margin + from - tile;
+                    let focus = &worker.focus[z * sines.len()..];
+                    let mut taps = Taps::NONE;
+                    for (focus, total) in focus.iter().zip(&mut worker.tile[..sines.len()]) {
                         steering.steer(
                             self.dialect,
-                            &focus,
+                            focus,
                             &self.x_m[block..block_end],
                             weights,
                             Place { row, origin },
-                            taps,
+                            &mut taps,
                         );
-                        let mut sums = Sums::ZERO;
-                        sum_rows(self.dialect, &worker.grid, row, taps, to - from, &mut sums);
-                        for k in 0..to - from {
-                            total.re[from - tile + k] += sums.re[k];
-                            total.im[from - tile + k] += sums.im[k];
-                        }
+                        let (grid, count) = (&worker.grid, to - from);
+                        add_rows(self.dialect, grid, row, &taps, from - tile, count, total);
                     }
                 }
             }
@@ -450,14 +451,9 @@ impl DelaySumFormer {
         for (i, e) in elements.enumerate() {
             let parts = &self.rows[e * 2 * self.row_length..][..2 * self.row_length];
             for (part, from) in parts.chunks_exact(self.row_length).enumerate() {
-                for (q, filter) in self.filters.iter().enumerate() {
-                    let to = &mut grid[((i * FRACTIONS + q) * 2 + part) * row..][..row];
-                    let from = &from[first + 1 - TAPS / 2..];
-                    // Rows end behind their margins: beyond is silence.
-                    let filled = row.min((from.len() + 1).saturating_sub(TAPS));
-                    convolve(self.dialect, filter, from, &mut to[..filled]);
-                    to[filled..].fill(0.0);
-                }
+                let to = &mut grid[(i * FRACTIONS * 2 + part) * row..];
+                let from = &from[first + 1 - TAPS / 2..];
+                convolve(self.dialect, &self.filters, from, row, to);
             }
         }
     }
@@ -465,7 +461,7 @@ impl DelaySumFormer {
 
 /// Samples of one row of a grid: a tile, margins, and what the kernel may read beyond.
 fn grid_row(margin: usize) -> usize {
-    (2 * margin + 2 * WIDEST).next_multiple_of(16)
+    (2 * margin + WIDEST + STEP).next_multiple_of(STEP)
 }
 
 fn normalise(weights: &mut [f64]) {
@@ -494,50 +490,122 @@ fn interpolating_filters() -> [[f32; TAPS]; FRACTIONS] {
     })
 }
 
-/// out[k] = sum_i filter[i] from[k + i].
-fn convolve(dialect: Dialect, filter: &[f32; TAPS], from: &[f32], out: &mut [f32]) {
+/// Of every fraction q a row: `to[2 q row + k] = sum_i filters[q][i] from[k + i]`, k below `row`; zero where `from` ends.
+fn convolve(
+    dialect: Dialect,
+    filters: &[[f32; TAPS]; FRACTIONS],
+    from: &[f32],
+    row: usize,
+    to: &mut [f32],
+) {
+    assert!(to.len() >= (2 * FRACTIONS - 1) * row);
+    // Rows end behind their margins: beyond is silence.
+    let filled = row.min((from.len() + 1).saturating_sub(TAPS));
     match dialect {
-        Dialect::Plain => convolve_plain(filter, from, out),
+        Dialect::Plain => convolve_plain(filters, from, row, filled, to),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the dialect was made by `Dialect::best`, which asked for the features.
-        Dialect::Avx2 => unsafe { convolve_avx2(filter, from, out) },
+        Dialect::Avx2 => unsafe { convolve_avx2(filters, from, row, filled, to) },
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        Dialect::Avx512 => unsafe { convolve_avx512(filter, from, out) },
+        // SAFETY: as above; `filled` samples and the filters' length lie in `from`, every fraction's row in `to`.
+        Dialect::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
     }
 }
 
 /// The same arithmetic, compiled for wider registers.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn convolve_avx2(filter: &[f32; TAPS], from: &[f32], out: &mut [f32]) {
-    convolve_plain(filter, from, out);
+fn convolve_avx2(
+    filters: &[[f32; TAPS]; FRACTIONS],
+    from: &[f32],
+    row: usize,
+    filled: usize,
+    to: &mut [f32],
+) {
+    convolve_plain(filters, from, row, filled, to);
 }
 
+/// Sixteen samples of all fractions at once: what they are made of stays in registers.
+///
+/// # Safety
+/// The processor has AVX-512F; `from` holds `filled` + TAPS - 1 samples, `filled` is at most `row`, and `to` holds every fraction's row.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vl")]
-fn convolve_avx512(filter: &[f32; TAPS], from: &[f32], out: &mut [f32]) {
-    convolve_plain(filter, from, out);
+unsafe fn convolve_avx512(
+    filters: &[[f32; TAPS]; FRACTIONS],
+    from: &[f32],
+    row: usize,
+    filled: usize,
+    to: &mut [f32],
+) {
+    use std::arch::x86_64::*;
+    const LANES: usize = 16;
+    let whole = filled / LANES * LANES;
+    for first in (0..whole).step_by(LANES) {
+        let mut x = [_mm512_setzero_ps(); TAPS];
+        for (i, x) in x.iter_mut().enumerate() {
+            // SAFETY: first + LANES + TAPS - 1 samples lie in `from`.
+            *x = unsafe { _mm512_loadu_ps(from.as_ptr().add(first + i)) };
+        }
+        for (q, filter) in filters.iter().enumerate() {
+            // Two chains, so that neither waits for the other's last product.
+            let (mut even, mut odd) = (_mm512_setzero_ps(), _mm512_setzero_ps());
+            for i in (0..TAPS).step_by(2) {
+                even = _mm512_fmadd_ps(_mm512_set1_ps(filter[i]), x[i], even);
+                odd = _mm512_fmadd_ps(_mm512_set1_ps(filter[i + 1]), x[i + 1], odd);
+            }
+            // SAFETY: the fraction's row lies in `to`.
+            unsafe {
+                _mm512_storeu_ps(
+                    to.as_mut_ptr().add(2 * q * row + first),
+                    _mm512_add_ps(even, odd),
+                );
+            }
+        }
+    }
+    finish_rows(filters, from, row, whole..filled, to);
 }
 
 #[inline(always)]
-fn convolve_plain(filter: &[f32; TAPS], from: &[f32], out: &mut [f32]) {
+fn convolve_plain(
+    filters: &[[f32; TAPS]; FRACTIONS],
+    from: &[f32],
+    row: usize,
+    filled: usize,
+    to: &mut [f32],
+) {
     const LANES: usize = 32;
-    let mut first = 0;
-    while first + LANES <= out.len() {
-        let from = &from[first..first + LANES + TAPS - 1];
-        let mut sum = [0.0f32; LANES];
-        for (i, w) in filter.iter().enumerate() {
-            let from: &[f32; LANES] = from[i..i + LANES].try_into().expect("as long");
-            for k in 0..LANES {
-                sum[k] += w * from[k];
+    let whole = filled / LANES * LANES;
+    for (q, filter) in filters.iter().enumerate() {
+        for first in (0..whole).step_by(LANES) {
+            let from = &from[first..first + LANES + TAPS - 1];
+            let mut sum = [0.0f32; LANES];
+            for (i, w) in filter.iter().enumerate() {
+                let from: &[f32; LANES] = from[i..i + LANES].try_into().expect("as long");
+                for k in 0..LANES {
+                    sum[k] += w * from[k];
+                }
             }
+            to[2 * q * row + first..][..LANES].copy_from_slice(&sum);
         }
-        out[first..first + LANES].copy_from_slice(&sum);
-        first += LANES;
     }
-    for k in first..out.len() {
-        out[k] = filter.iter().zip(&from[k..]).map(|(w, x)| w * x).sum();
+    finish_rows(filters, from, row, whole..filled, to);
+}
+
+/// The samples that fill no whole vector, and the silence behind.
+fn finish_rows(
+    filters: &[[f32; TAPS]; FRACTIONS],
+    from: &[f32],
+    row: usize,
+    rest: std::ops::Range<usize>,
+    to: &mut [f32],
+) {
+    for (q, filter) in filters.iter().enumerate() {
+        let to = &mut to[2 * q * row..][..row];
+        for k in rest.clone() {
+            to[k] = filter.iter().zip(&from[k..]).map(|(w, x)| w * x).sum();
+        }
+        to[rest.end..].fill(0.0);
     }
 }
 
@@ -560,6 +628,7 @@ struct Steering {
 }
 
 /// One beam's focus: d = S - v t from the array's centre at reception.
+#[derive(Clone, Copy, Debug, Default)]
 struct Focus {
     d_m: [f32; 2],
     /// |d|.
@@ -586,7 +655,7 @@ impl Steering {
         for _ in 0..3 {
             let leg = |x: f64, z: f64| {
                 let (x, z) = (range_m * toward[0] - x, range_m * toward[1] - z);
-                let length = x.hypot(z).max(NEAREST_M);
+                let length = (x * x + z * z).sqrt().max(NEAREST_M);
                 (length, (x * toward[0] + z * toward[1]) / length)
             };
             let (out_m, out_slope) = leg(self.transmit_m[0], self.transmit_m[1]);
@@ -610,7 +679,7 @@ impl Steering {
         x_m: &[f32],
         weights: &[f32],
         place: Place,
-        taps: &mut [Tap],
+        taps: &mut Taps,
     ) {
         match dialect {
             Dialect::Plain => self.steer_plain(focus, x_m, weights, place, taps),
@@ -626,18 +695,18 @@ impl Steering {
     /// The same arithmetic, compiled for wider registers.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn steer_avx2(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut [Tap]) {
+    fn steer_avx2(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
         self.steer_plain(f, x_m, w, place, taps);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512vl")]
-    fn steer_avx512(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut [Tap]) {
+    fn steer_avx512(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
         self.steer_plain(f, x_m, w, place, taps);
     }
 
     #[inline(always)]
-    fn steer_plain(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut [Tap]) {
+    fn steer_plain(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
         let cycles_per_m = (self.carrier_hz / self.c) as f32;
         let steps_per_m = match self.former {
             Former::Phase => 0.0,
@@ -645,7 +714,8 @@ impl Steering {
         };
         let focused = self.former == Former::DynamicFocus;
         let [vx, vz] = self.velocity_m_per_s.map(|v| (v / self.c) as f32);
-        let n = taps.len().min(BLOCK);
+        let n = x_m.len().min(w.len()).min(BLOCK);
+        taps.len = n;
         let mut late_m = [0.0f32; BLOCK];
         for (late_m, x) in late_m[..n].iter_mut().zip(x_m) {
             *late_m = if focused {
@@ -658,28 +728,32 @@ impl Steering {
             };
         }
         let element_rows = (FRACTIONS * 2 * place.row) as i32;
-        for (i, tap) in taps[..n].iter_mut().enumerate() {
+        let (row, origin) = (2 * place.row as i32, place.origin as i32);
+        for i in 0..n {
             let (sin, cos) = turn(late_m[i] * cycles_per_m);
-            let step = round(late_m[i] * steps_per_m) as i32;
+            let step = whole_number(late_m[i] * steps_per_m);
             let fraction = step & (FRACTIONS as i32 - 1);
             let whole = step >> FRACTIONS.trailing_zeros();
-            let start = i as i32 * element_rows
-                + fraction * 2 * place.row as i32
-                + place.origin as i32
-                + whole;
-            *tap = Tap {
-                start: start as u32,
-                re: w[i] * cos,
-                im: w[i] * sin,
-            };
+            let start = i as i32 * element_rows + fraction * row + origin + whole;
+            taps.start[i] = start as u32;
+            taps.re[i] = w[i] * cos;
+            taps.im[i] = w[i] * sin;
         }
     }
+}
+
+/// 1.5 * 2^23: what is added to it loses what lies behind the point.
+const SHIFT: f32 = 12_582_912.0;
+
+/// The nearest whole number, as an integer: what the addition leaves in the last bits.
+#[inline(always)]
+fn whole_number(x: f32) -> i32 {
+    (x + SHIFT).to_bits() as i32 - SHIFT.to_bits() as i32
 }
 
 /// To the nearest whole number (halves to even) of what lies within 2^22: without a call, so that loops vectorise.
 #[inline(always)]
 fn round(x: f32) -> f32 {
-    const SHIFT: f32 = 12_582_912.0;
     (x + SHIFT) - SHIFT
 }
 
@@ -692,7 +766,7 @@ fn turn(cycles: f32) -> (f32, f32) {
     let a2 = a * a;
     let sin = a * (1.0 + a2 * (-1.0 / 6.0 + a2 * (1.0 / 120.0 - a2 / 5040.0)));
     let cos = 1.0 + a2 * (-0.5 + a2 * (1.0 / 24.0 + a2 * (-1.0 / 720.0 + a2 / 40320.0)));
-    let k = quarter as i32 & 3;
+    let k = whole_number(4.0 * cycles) & 3;
     let (s, c) = if k & 1 == 0 { (sin, cos) } else { (cos, sin) };
     let s = if k & 2 == 0 { s } else { -s };
     let c = if (k + 1) & 2 == 0 { c } else { -c };

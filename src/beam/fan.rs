@@ -3,6 +3,7 @@
 use super::RowLimits;
 use super::conventional::FanFormer;
 use super::delay_sum::DelaySumFormer;
+use super::fast::FastFan;
 use crate::config::spec::{FanSpec, Former, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
@@ -10,6 +11,8 @@ use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, Trans
 pub enum Fan {
     /// In the frequency domain, f64.
     Exact(Box<FanFormer>),
+    /// In the frequency domain, f32.
+    Fast(Box<FastFan>),
     /// In the time domain, f32.
     DelaySum(Box<DelaySumFormer>),
 }
@@ -31,6 +34,10 @@ impl Fan {
                 let former = FanFormer::new(array, fan, limits, pulse, weighting, c);
                 Self::Exact(Box::new(former))
             }
+            Former::Fft => {
+                let former = FastFan::new(array, fan, limits, pulse, weighting, c);
+                Self::Fast(Box::new(former))
+            }
             Former::TimeDelay | Former::Phase | Former::DynamicFocus => {
                 let former = DelaySumFormer::new(array, transmit, fan, limits, pulse, weighting, c);
                 Self::DelaySum(Box::new(former))
@@ -42,6 +49,7 @@ impl Fan {
     pub fn array(&self) -> usize {
         match self {
             Self::Exact(former) => former.array(),
+            Self::Fast(former) => former.array(),
             Self::DelaySum(former) => former.array(),
         }
     }
@@ -50,6 +58,7 @@ impl Fan {
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
         match self {
             Self::Exact(former) => former.form(plan, frame, out),
+            Self::Fast(former) => former.form(plan, frame, out),
             Self::DelaySum(former) => former.form(plan, frame, out),
         }
     }

@@ -12,7 +12,7 @@ pub struct HalvesFormer {
 }
 
 impl HalvesFormer {
-    /// As [`DelaySumFormer::new`]; a fan whose former is `exact` is formed with time delays.
+    /// As [`DelaySumFormer::new`]; a fan whose former is `exact` or `fft` is formed with time delays.
     pub fn new(
         array: &ArrayGeometry,
         transmit: &TransmitArray,
@@ -23,7 +23,7 @@ impl HalvesFormer {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let mut fan = fan.clone();
-        if fan.form.former == Former::Exact {
+        if matches!(fan.form.former, Former::Exact | Former::Fft) {
             fan.form.former = Former::TimeDelay;
         }
         let half = array.elements / 2;

@@ -1,19 +1,37 @@
 //! The inner loops of [`delay_sum`](super::delay_sum): weighted sums of rows that begin at different samples, in f32.
 //!
-//! A grid holds for every element and every fraction of a sample one row of real and one of imaginary parts. [`sum_rows`] adds up to
-//! [`WIDEST`] samples of one such row per element, each times its complex weight; the sums stay in registers over all elements. AVX-512 and
+//! A grid holds for every element and every fraction of a sample one row of real and one of imaginary parts. [`add_rows`] adds up to
+//! [`WIDEST`] samples of one such row per element, each times its complex weight; the sums stay in registers over a block of elements. AVX-512 and
 //! AVX2 are asked for at run time; the plain twin is the fall-back, and the tests compare them.
 
 /// Samples that one call sums at most.
 pub(super) const WIDEST: usize = 128;
+/// Elements that one call sums at most: their interpolated tile lies in the second cache.
+pub(super) const BLOCK: usize = 32;
+/// Samples in one step of the widest kernel; rows must be readable to the end of a step.
+pub(super) const STEP: usize = 16;
 
-/// Which row of the grid an element gives, and its weight.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Tap {
-    /// Where its real parts begin; the imaginary parts lie one row's length behind.
-    pub(super) start: u32,
-    pub(super) re: f32,
-    pub(super) im: f32,
+/// Which rows of the grid the elements give, and their weights; structure of arrays.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Taps {
+    pub(super) len: usize,
+    /// Where the real parts begin; the imaginary parts lie one row's length behind.
+    pub(super) start: [u32; BLOCK],
+    pub(super) re: [f32; BLOCK],
+    pub(super) im: [f32; BLOCK],
+}
+
+impl Taps {
+    pub(super) const NONE: Self = Self {
+        len: 0,
+        start: [0; BLOCK],
+        re: [0.0; BLOCK],
+        im: [0.0; BLOCK],
+    };
+
+    fn iter(&self) -> impl Iterator<Item = (usize, f32, f32)> + '_ {
+        (0..self.len).map(|i| (self.start[i] as usize, self.re[i], self.im[i]))
+    }
 }
 
 /// Sums of real and imaginary parts.
@@ -54,75 +72,88 @@ impl Dialect {
     }
 }
 
-/// The first `samples` (rounded up to 16) of the sum of all taps' rows; what lies behind is undefined. `imaginary`: length of a row.
+/// Adds the sum of all taps' rows to `sums`, from place `at` on for `samples`. `imaginary`: length of a row.
 ///
-/// Panics if a tap's row, rounded up, lies outside the grid.
-pub(super) fn sum_rows(
+/// Panics if a tap's row, rounded up to whole steps, lies outside the grid.
+pub(super) fn add_rows(
     dialect: Dialect,
     grid: &[f32],
     imaginary: usize,
-    taps: &[Tap],
+    taps: &Taps,
+    at: usize,
     samples: usize,
     sums: &mut Sums,
 ) {
-    assert!(samples <= WIDEST);
-    let vectors = samples.div_ceil(16).next_power_of_two();
-    let reach = taps.iter().map(|t| t.start).max().unwrap_or(0) as usize;
+    assert!(at + samples <= WIDEST && taps.len <= BLOCK);
+    let steps = samples.div_ceil(STEP);
+    let reach = taps.start[..taps.len].iter().max().copied().unwrap_or(0) as usize;
     assert!(
-        taps.is_empty() || reach + imaginary + 16 * vectors <= grid.len(),
+        taps.len == 0 || reach + imaginary + STEP * steps <= grid.len(),
         "a row outside the grid"
     );
+    let re = &mut sums.re[at..at + samples];
+    let im = &mut sums.im[at..at + samples];
     match dialect {
-        Dialect::Plain => sum_plain(grid, imaginary, taps, 16 * vectors, sums),
+        Dialect::Plain => add_plain(grid, imaginary, taps, re, im),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the dialect was made by `Dialect::best` or a test that asked for the features; the rows were checked above.
-        Dialect::Avx2 => unsafe { sum_avx2(grid, imaginary, taps, 16 * vectors, sums) },
+        Dialect::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         Dialect::Avx512 => unsafe {
-            match vectors {
-                1 => sum_avx512::<1>(grid, imaginary, taps, sums),
-                2 => sum_avx512::<2>(grid, imaginary, taps, sums),
-                4 => sum_avx512::<4>(grid, imaginary, taps, sums),
-                _ => sum_avx512::<8>(grid, imaginary, taps, sums),
+            match steps {
+                0 => {}
+                1 => add_avx512::<1>(grid, imaginary, taps, re, im),
+                2 => add_avx512::<2>(grid, imaginary, taps, re, im),
+                3 => add_avx512::<3>(grid, imaginary, taps, re, im),
+                4 => add_avx512::<4>(grid, imaginary, taps, re, im),
+                5 => add_avx512::<5>(grid, imaginary, taps, re, im),
+                6 => add_avx512::<6>(grid, imaginary, taps, re, im),
+                7 => add_avx512::<7>(grid, imaginary, taps, re, im),
+                _ => add_avx512::<8>(grid, imaginary, taps, re, im),
             }
         },
     }
 }
 
 /// The same sums in the same order; without fused multiply-adds its last bits differ.
-fn sum_plain(grid: &[f32], imaginary: usize, taps: &[Tap], samples: usize, sums: &mut Sums) {
-    sums.re[..samples].fill(0.0);
-    sums.im[..samples].fill(0.0);
-    for tap in taps {
-        let start = tap.start as usize;
+fn add_plain(grid: &[f32], imaginary: usize, taps: &Taps, to_re: &mut [f32], to_im: &mut [f32]) {
+    let samples = to_re.len();
+    let (mut sum_re, mut sum_im) = ([0.0f32; WIDEST], [0.0f32; WIDEST]);
+    for (start, w_re, w_im) in taps.iter() {
         let re = &grid[start..][..samples];
         let im = &grid[start + imaginary..][..samples];
         for k in 0..samples {
-            sums.re[k] += tap.re * re[k] - tap.im * im[k];
-            sums.im[k] += tap.re * im[k] + tap.im * re[k];
+            sum_re[k] += w_re * re[k] - w_im * im[k];
+            sum_im[k] += w_re * im[k] + w_im * re[k];
         }
+    }
+    for k in 0..samples {
+        to_re[k] += sum_re[k];
+        to_im[k] += sum_im[k];
     }
 }
 
 /// # Safety
-/// The processor has AVX-512F; every tap's rows of 16 `V` samples lie in the grid.
+/// The processor has AVX-512F; every tap's rows of 16 `V` samples lie in the grid; `to_re` and `to_im` are as long, more than 16 (V - 1) and at
+/// most 16 V.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
-unsafe fn sum_avx512<const V: usize>(
+unsafe fn add_avx512<const V: usize>(
     grid: &[f32],
     imaginary: usize,
-    taps: &[Tap],
-    sums: &mut Sums,
+    taps: &Taps,
+    to_re: &mut [f32],
+    to_im: &mut [f32],
 ) {
     use std::arch::x86_64::*;
     let mut re = [_mm512_setzero_ps(); V];
     let mut im = [_mm512_setzero_ps(); V];
-    for tap in taps {
-        let (w_re, w_im) = (_mm512_set1_ps(tap.re), _mm512_set1_ps(tap.im));
+    for (start, w_re, w_im) in taps.iter() {
+        let (w_re, w_im) = (_mm512_set1_ps(w_re), _mm512_set1_ps(w_im));
         // SAFETY: the caller vouches for the rows.
         unsafe {
-            let row = grid.as_ptr().add(tap.start as usize);
+            let row = grid.as_ptr().add(start);
             for v in 0..V {
                 let x_re = _mm512_loadu_ps(row.add(16 * v));
                 let x_im = _mm512_loadu_ps(row.add(imaginary + 16 * v));
@@ -134,30 +165,50 @@ unsafe fn sum_avx512<const V: usize>(
         }
     }
     for v in 0..V {
-        // SAFETY: 16 V is at most `WIDEST`.
+        let left = to_re.len() - 16 * v;
+        let mask = if left >= 16 {
+            u16::MAX
+        } else {
+            (1 << left) - 1
+        };
+        // SAFETY: the mask keeps within the slices.
         unsafe {
-            _mm512_storeu_ps(sums.re.as_mut_ptr().add(16 * v), re[v]);
-            _mm512_storeu_ps(sums.im.as_mut_ptr().add(16 * v), im[v]);
+            for (to, sum) in [
+                (to_re.as_mut_ptr().add(16 * v), re[v]),
+                (to_im.as_mut_ptr().add(16 * v), im[v]),
+            ] {
+                let total = _mm512_add_ps(_mm512_maskz_loadu_ps(mask, to), sum);
+                _mm512_mask_storeu_ps(to, mask, total);
+            }
         }
     }
 }
 
 /// # Safety
-/// The processor has AVX2 and FMA; every tap's rows of `samples` (a multiple of 16, at most `WIDEST`) lie in the grid.
+/// The processor has AVX2 and FMA; every tap's rows, rounded up to 16 samples, lie in the grid; `to_re` and `to_im` are as long.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-unsafe fn sum_avx2(grid: &[f32], imaginary: usize, taps: &[Tap], samples: usize, sums: &mut Sums) {
+unsafe fn add_avx2(
+    grid: &[f32],
+    imaginary: usize,
+    taps: &Taps,
+    to_re: &mut [f32],
+    to_im: &mut [f32],
+) {
     use std::arch::x86_64::*;
     /// Vectors of 8 that stay in the 16 registers.
     const V: usize = 2;
-    for first in (0..samples).step_by(8 * V) {
+    for (first, (to_re, to_im)) in (0..)
+        .step_by(8 * V)
+        .zip(to_re.chunks_mut(8 * V).zip(to_im.chunks_mut(8 * V)))
+    {
         let mut re = [_mm256_setzero_ps(); V];
         let mut im = [_mm256_setzero_ps(); V];
-        for tap in taps {
-            let (w_re, w_im) = (_mm256_set1_ps(tap.re), _mm256_set1_ps(tap.im));
+        for (start, w_re, w_im) in taps.iter() {
+            let (w_re, w_im) = (_mm256_set1_ps(w_re), _mm256_set1_ps(w_im));
             // SAFETY: the caller vouches for the rows.
             unsafe {
-                let row = grid.as_ptr().add(tap.start as usize + first);
+                let row = grid.as_ptr().add(start + first);
                 for v in 0..V {
                     let x_re = _mm256_loadu_ps(row.add(8 * v));
                     let x_im = _mm256_loadu_ps(row.add(imaginary + 8 * v));
@@ -168,12 +219,19 @@ unsafe fn sum_avx2(grid: &[f32], imaginary: usize, taps: &[Tap], samples: usize,
                 }
             }
         }
+        let (mut sum_re, mut sum_im) = ([0.0f32; 8 * V], [0.0f32; 8 * V]);
         for v in 0..V {
-            // SAFETY: `first` + 16 is at most `samples`, and that at most `WIDEST`.
+            // SAFETY: 8 V floats each.
             unsafe {
-                _mm256_storeu_ps(sums.re.as_mut_ptr().add(first + 8 * v), re[v]);
-                _mm256_storeu_ps(sums.im.as_mut_ptr().add(first + 8 * v), im[v]);
+                _mm256_storeu_ps(sum_re.as_mut_ptr().add(8 * v), re[v]);
+                _mm256_storeu_ps(sum_im.as_mut_ptr().add(8 * v), im[v]);
             }
+        }
+        for (to, sum) in to_re.iter_mut().zip(sum_re) {
+            *to += sum;
+        }
+        for (to, sum) in to_im.iter_mut().zip(sum_im) {
+            *to += sum;
         }
     }
 }
@@ -183,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_dialect_sums_what_the_plain_twin_sums() {
+    fn every_dialect_sums_what_the_plain_twin_sums_and_touches_nothing_beside() {
         let row = 200;
         let mut state = 1u32;
         let mut draw = || {
@@ -191,28 +249,44 @@ mod tests {
             state as f32 / u32::MAX as f32 - 0.5
         };
         let grid: Vec<f32> = (0..2 * row * 40).map(|_| draw()).collect();
-        let taps: Vec<Tap> = (0..37)
-            .map(|e| Tap {
-                start: (2 * row * e + 3 * (e % 20)) as u32,
-                re: draw(),
-                im: draw(),
-            })
-            .collect();
+        let mut taps = Taps::NONE;
+        taps.len = 29;
+        for e in 0..taps.len {
+            taps.start[e] = (2 * row * e + 3 * (e % 20)) as u32;
+            taps.re[e] = draw();
+            taps.im[e] = draw();
+        }
         let mut dialects = vec![Dialect::best()];
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             dialects.push(Dialect::Avx2);
         }
         for dialect in dialects {
-            for samples in [1, 16, 17, 40, 64, 100, 128] {
+            for (at, samples) in [
+                (0, 0),
+                (3, 1),
+                (0, 16),
+                (9, 17),
+                (5, 40),
+                (60, 64),
+                (1, 100),
+                (0, 128),
+            ] {
                 let (mut want, mut got) = (Sums::ZERO, Sums::ZERO);
-                sum_rows(Dialect::Plain, &grid, row, &taps, samples, &mut want);
-                sum_rows(dialect, &grid, row, &taps, samples, &mut got);
-                for k in 0..samples {
+                got.re.fill(0.25);
+                want.re.fill(0.25);
+                add_rows(Dialect::Plain, &grid, row, &taps, at, samples, &mut want);
+                add_rows(dialect, &grid, row, &taps, at, samples, &mut got);
+                for k in 0..WIDEST {
                     let off = (got.re[k] - want.re[k])
                         .abs()
                         .max((got.im[k] - want.im[k]).abs());
-                    assert!(off < 2e-6, "{dialect:?}, sample {k} of {samples}: {off:e}");
+                    assert!(
+                        off < 2e-6,
+                        "{dialect:?}, sample {k} of {at} + {samples}: {off:e}"
+                    );
+                    let beside = !(at..at + samples).contains(&k);
+                    assert!(!beside || (got.re[k], got.im[k]) == (0.25, 0.0));
                 }
             }
         }
@@ -221,12 +295,10 @@ mod tests {
     #[test]
     #[should_panic(expected = "outside the grid")]
     fn a_row_outside_the_grid_is_refused() {
-        let tap = Tap {
-            start: 90,
-            re: 1.0,
-            im: 0.0,
-        };
+        let mut taps = Taps::NONE;
+        taps.len = 1;
+        taps.start[0] = 90;
         let mut sums = Sums::ZERO;
-        sum_rows(Dialect::best(), &[0.0; 200], 100, &[tap], 16, &mut sums);
+        add_rows(Dialect::best(), &[0.0; 200], 100, &taps, 0, 16, &mut sums);
     }
 }

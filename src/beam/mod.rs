@@ -4,6 +4,7 @@
 //! - [`matched`]: correlation of a row of samples with the transmitted pulse.
 //! - [`block`]: the same on a stream of blocks. [`weights`]: weightings along pulses and apertures.
 //! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's whole band, f64.
+//! - [`fast`]: the same fan by fast transforms over time and line, f32.
 //! - [`delay_sum`]: far-field and dynamically focused beams in the time domain, f32, with the widest instructions at hand.
 //! - [`fan`]: whichever of these a configuration names.
 //! - [`halves`]: two fans of the halves of a line, for bottom detection. [`backproject`]: synthetic aperture over many pings.
@@ -19,9 +20,12 @@ pub mod conventional;
 pub mod delay_sum;
 mod directions;
 pub mod fan;
+pub mod fast;
 pub mod halves;
 mod kernel;
 pub mod matched;
+#[cfg(test)]
+mod point_images;
 pub mod sidescan;
 #[cfg(test)]
 mod test_rig;

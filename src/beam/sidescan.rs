@@ -5,7 +5,7 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use crate::config::spec::{FanForm, FanSpec, Former, LineSpec, Shading};
+use crate::config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading};
 use crate::flow::{
     ArrayGeometry, BeamFrame, ElementFrame, Line, PingPlan, Pulse, Side, TransmitArray,
 };
@@ -53,16 +53,18 @@ impl LineFormer {
         transmit: &TransmitArray,
         limits: RowLimits,
         pulse: &Pulse,
-        weighting: Shading,
+        beams: &BeamsSpec,
         sound_speed_m_per_s: f64,
     ) -> Self {
+        let weighting = beams.weighting;
         let broadside = FanSpec {
             array: line.array,
             beams: 1,
             sector_rad: 0.0,
-            shading: Shading::Uniform,
+            shading: beams.line_shading,
             form: FanForm {
                 former: Former::DynamicFocus,
+                f_number: beams.line_f_number,
                 ..FanForm::default()
             },
         };
@@ -77,6 +79,10 @@ impl LineFormer {
         }
     }
 
+    pub fn side(&self) -> Side {
+        self.side
+    }
+
     /// Index of the receive array it belongs to.
     pub fn array(&self) -> usize {
         self.array
@@ -84,7 +90,8 @@ impl LineFormer {
 
     /// The line of one ping. `frame` is the frame of the line's array; `out` grows once and is reused.
     ///
-    /// A line's sample 0 is the start of the pulse: where the element samples begin later, zeros come first (to the nearest sample).
+    /// A line's sample 0 is the start of the pulse: where the element samples begin later, zeros come first, and what they hold from before it
+    /// is left out (to the nearest sample).
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut Line) {
         assert_eq!(frame.array, self.array, "elements of another array");
         assert!(
@@ -109,14 +116,15 @@ impl LineFormer {
             self.filter.apply(sum);
         }
 
-        let silent = (plan.first_sample_s * self.limits.sample_rate_hz)
-            .round()
-            .max(0.0) as usize;
+        let lead = (plan.first_sample_s * self.limits.sample_rate_hz).round();
+        let silent = lead.max(0.0) as usize;
+        let before = ((-lead).max(0.0) as usize).min(frame.samples);
         out.side = self.side;
         out.amplitude.clear();
         out.amplitude.reserve_exact(silent + self.limits.samples);
         out.amplitude.resize(silent, 0.0);
-        out.amplitude.extend(sum.iter().map(|y| y.norm() as f32));
+        out.amplitude
+            .extend(sum[before..].iter().map(|y| y.norm() as f32));
     }
 }
 

@@ -115,7 +115,7 @@ fn taylor_terms(side_lobe_db: f64) -> [f64; MAX_TERMS] {
 }
 
 /// Modified Bessel function of the first kind, order 0, by its series (all terms positive: no digits are lost).
-fn bessel_i0(x: f64) -> f64 {
+pub(super) fn bessel_i0(x: f64) -> f64 {
     let quarter = 0.25 * x * x;
     let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
     while term > 1e-17 * sum {

@@ -33,6 +33,22 @@ pub enum What {
     },
     /// Change settings; what is not named stays
     Set(SetArgs),
+    /// Start pings of a sonar that waits for it, on its beat
+    Trigger {
+        #[arg(default_value_t = 1)]
+        pings: u64,
+        /// Which sonar, where there are several
+        #[arg(long)]
+        sonar: Option<String>,
+    },
+    /// Inject a fault: a kind and its keys, as in a configuration's [[fault]], e.g. gain element=3 value=-6 for_s=10
+    Fault {
+        kind: String,
+        #[arg(value_name = "KEY=VALUE")]
+        keys: Vec<String>,
+    },
+    /// Take all faults away
+    ClearFaults,
     /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
     Send { json: String },
     /// Everything there is to know, as JSON
@@ -75,6 +91,12 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
             pulse_ms: set.pulse_ms,
             pinging: set.pinging,
         }),
+        What::Trigger { pings, sonar } => Command::Trigger {
+            sonar: sonar.clone(),
+            pings: *pings,
+        },
+        What::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
+        What::ClearFaults => Command::ClearFaults,
         What::Send { json } => {
             let body = serde_json::from_str(json)
                 .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;
@@ -84,6 +106,20 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
         What::Metrics => return show(args, "/metrics"),
     };
     send(args, &json!(command))
+}
+
+/// `element=3` and the like as JSON: a number where it is one.
+fn fault(kind: &str, keys: &[String]) -> Result<Value, Failure> {
+    let mut body = json!({ "do": "fault", "kind": kind });
+    for pair in keys {
+        let Some((key, value)) = pair.split_once('=') else {
+            return Err(Failure::Configuration(format!(
+                "{pair}: expected KEY=VALUE"
+            )));
+        };
+        body[key] = serde_json::from_str(value).unwrap_or_else(|_| json!(value));
+    }
+    Ok(body)
 }
 
 fn send(args: &CtlArgs, body: &Value) -> Result<(), Failure> {

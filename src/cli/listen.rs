@@ -67,13 +67,14 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
     for (record_type, tally) in verifier.tallies() {
         lost += tally.lost;
         println!(
-            "{record_type}: {} sent, {} received, {} lost, {} duplicate, {} late",
+            "{record_type}: {} sent, {} received, {} lost, {} duplicate, {} late (out of order)",
             tally.sent, tally.received, tally.lost, tally.duplicate, tally.late
         );
     }
     println!(
-        "{bytes} bytes in {:.1} s; framing: {:?}",
+        "{bytes} bytes in {:.1} s; {} spoiled on the way: {:?}",
         began.elapsed().as_secs_f64(),
+        client.counters().errors(),
         client.counters()
     );
     match closed {

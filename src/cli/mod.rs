@@ -2,10 +2,14 @@
 //!
 //! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
 
+pub mod chart;
 pub mod check;
 pub mod ctl;
+pub mod doctor;
 pub mod listen;
+pub mod mosaic;
 pub mod nav;
+pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod scene;
@@ -36,12 +40,20 @@ enum Command {
     Run(run::RunArgs),
     /// The same pipeline offline, as fast as it goes: files out, the same bytes every time
     Replay(replay::ReplayArgs),
+    /// Measures every method on this scene and machine: error against milliseconds, as pictures, a page and tables
+    Chart(chart::ChartArgs),
     /// Check a configuration and print what follows from it
     Check(check::CheckArgs),
     /// Tell a running daemon: pause, step, settings; or ask how it does
     Ctl(ctl::CtlArgs),
+    /// Whether this machine lets the daemon be punctual and lose nothing
+    Doctor(doctor::DoctorArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
+    /// Mend records (.s7k) that were cut off; `run` does so by itself with those in its folder
+    Recover(recover::RecoverArgs),
+    /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
+    Mosaic(mosaic::MosaicArgs),
     /// What a recorded navigation log holds, what would be used of it, and why something is not
     Nav(nav::NavArgs),
     /// Look at seabeds and models
@@ -65,10 +77,14 @@ pub fn main() -> ExitCode {
         .unwrap_or_else(|| Command::Run(run::RunArgs::default()))
     {
         Command::Run(args) => run::main(&args),
+        Command::Recover(args) => recover::main(&args),
         Command::Replay(args) => replay::main(&args),
+        Command::Chart(args) => chart::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Ctl(args) => ctl::main(&args),
+        Command::Doctor(args) => doctor::main(&args),
         Command::Listen(args) => listen::main(&args),
+        Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),
     };

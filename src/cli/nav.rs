@@ -10,15 +10,23 @@ use serde_json::{Value, json};
 
 use super::Failure;
 use crate::config::spec::{
-    ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, TimePolicy,
+    ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, SensorMounting,
+    TimePolicy,
 };
 use crate::nav::decoder::Outcome;
 use crate::nav::log::LogKind;
-use crate::nav::report::{CHANNELS, LogReport, SentenceReport, Spread, report};
+use crate::nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
 use crate::time::UtcNs;
 
 /// As sources are called in the output.
-const CHANNEL_NAMES: [&str; 5] = ["position", "course-speed", "heading", "roll-pitch", "heave"];
+const CHANNEL_NAMES: [&str; CHANNEL_COUNT] = [
+    "position",
+    "course-speed",
+    "heading",
+    "roll-pitch",
+    "heave",
+    "depth",
+];
 /// Gaps and jumps written out per quantity.
 const SHOWN: usize = 5;
 /// Largest file read, bytes; as for sources.
@@ -51,6 +59,9 @@ pub struct NavArgs {
     /// PASHR carries heave + up
     #[arg(long)]
     pub pashr_heave_up: bool,
+    /// DPT, DBT, DBS and DBK say how deep the platform itself is
+    #[arg(long)]
+    pub own_depth: bool,
     /// Quantities sent with the opposite sign of their format's documentation
     #[arg(long, value_enum)]
     pub reverse: Vec<Reverse>,
@@ -108,6 +119,9 @@ pub fn main(args: &NavArgs) -> Result<(), Failure> {
         return Err(Failure::running(text));
     }
     let bytes = std::fs::read(&args.log).map_err(failed)?;
+    if let Some(why) = crate::nav::log::refusal(&bytes) {
+        return Err(Failure::running(format!("{} {why}", args.log.display())));
+    }
     let report = report(&bytes, &spec(args), args.plain_rate_hz);
     if args.json {
         println!("{:#}", json_of(args, &report));
@@ -141,6 +155,7 @@ fn spec(args: &NavArgs) -> NavSourceSpec {
             Checksum::Ignore => ChecksumPolicy::Ignore,
         },
         lever_arm_m: DVec3::ZERO,
+        mounting: SensorMounting::default(),
         dialect: NavDialect {
             format: match args.format {
                 Format::Nmea => NavFormat::Nmea,
@@ -151,6 +166,7 @@ fn spec(args: &NavArgs) -> NavSourceSpec {
             },
             ignore_checksum_for: args.ignore_checksum_for.clone(),
             pashr_heave_up: args.pashr_heave_up,
+            depth_is_own: args.own_depth,
             reversed: Reversed {
                 roll: args.reverse.contains(&Reverse::Roll),
                 pitch: args.reverse.contains(&Reverse::Pitch),
@@ -258,8 +274,8 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     };
     let _ = writeln!(
         out,
-        "{:9} {kind}: {}, {} with a stamp, {} stamped before their predecessor, {} packets passed over",
-        "log", log.lines, log.stamped, log.backward, log.passed_over
+        "{:9} {kind}: {}, {} with a stamp, {} stamped before their predecessor, {} without a sentence ({} of them JSON, which is not read), {} packets passed over",
+        "log", log.lines, log.stamped, log.backward, log.no_sentence, log.json, log.passed_over
     );
     if let Some((first, last)) = r.span {
         let seconds = last.seconds_since(first);
@@ -360,7 +376,7 @@ fn spread_json(spread: Option<Spread>) -> Value {
 
 fn json_of(args: &NavArgs, r: &LogReport) -> Value {
     let c = &r.counters;
-    let by_channel = |counts: &[u64; 5]| {
+    let by_channel = |counts: &[u64; CHANNEL_COUNT]| {
         let pairs = CHANNEL_NAMES.iter().zip(counts).filter(|(_, n)| **n > 0);
         Value::Object(
             pairs
@@ -412,6 +428,8 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
         "lines": r.log.lines,
         "stamped": r.log.stamped,
         "stamped_backward": r.log.backward,
+        "lines_without_a_sentence": r.log.no_sentence,
+        "lines_of_json": r.log.json,
         "packets_passed_over": r.log.passed_over,
         "first_arrival": r.span.map(|s| iso(s.0)),
         "last_arrival": r.span.map(|s| iso(s.1)),

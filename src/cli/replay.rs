@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use crate::config::spec::{NavInputSpec, RigSpec};
+use crate::config::spec::{NavInputSpec, RigSpec, SonarSpec};
 use crate::run::replay::{Formats, Replay, ReplayOptions};
 
 #[derive(Args, Clone, Debug)]
@@ -42,8 +42,20 @@ pub enum Format {
     S7k,
     /// Element samples, beams and lines as NumPy arrays, one file per sonar
     Npz,
-    /// Side-scan waterfall, one picture per sonar
+    /// EdgeTech JSF, one file per sonar
+    Jsf,
+    /// Triton XTF, one file per sonar with side-scan lines
+    Xtf,
+    /// Side-scan waterfall, one picture per sonar; its look is [sonar.picture] of the configuration (--set sonar.picture.range=ground)
     Png,
+    /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
+    Sas,
+    /// The fan of beams as polar pictures, and stacked along the track
+    Fan,
+    /// The lines laid on the ground: GeoTIFF with its coordinate system, and PNG
+    Mosaic,
+    /// What every pixel shows (target, shadow, depth) beside each picture, and every sample of the lines in masks.npz
+    Masks,
     /// Element samples with words for every ping, two files per sonar
     Sigmf,
     /// What the elements hear at a converter's rate, one file per sonar
@@ -81,11 +93,24 @@ pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
     }
     let formats = Formats {
         s7k: args.formats.contains(&Format::S7k),
+        jsf: args.formats.contains(&Format::Jsf),
+        xtf: args.formats.contains(&Format::Xtf),
         npz: args.formats.contains(&Format::Npz),
         png: args.formats.contains(&Format::Png),
+        sas: args.formats.contains(&Format::Sas),
+        fan: args.formats.contains(&Format::Fan),
+        mosaic: args.formats.contains(&Format::Mosaic),
+        masks: args.formats.contains(&Format::Masks),
         sigmf: args.formats.contains(&Format::Sigmf),
         wav: args.formats.contains(&Format::Wav),
     };
+    let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
+    if formats.sas && !spec.sonars.iter().any(has_patch) {
+        return Err(Failure::Configuration(
+            "--formats sas: no sonar of the configuration has [sonar.beams.synthetic_aperture]"
+                .into(),
+        ));
+    }
     let options = ReplayOptions {
         out: args.out.clone(),
         formats,

@@ -57,7 +57,7 @@ fn what_it_does(spec: &RigSpec) -> Vec<String> {
             NavInputSpec::TcpListen { listen } => {
                 format!("takes navigation from a client of TCP {listen}")
             }
-            NavInputSpec::Serial { port, baud } => {
+            NavInputSpec::Serial { port, baud, .. } => {
                 format!("takes navigation from {port} at {baud} baud")
             }
         });

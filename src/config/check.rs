@@ -5,6 +5,10 @@
 
 mod culling;
 mod devices;
+mod families;
+mod faults;
+mod nav;
+mod picture;
 mod samples;
 mod scene;
 pub(super) mod sonar;
@@ -236,7 +240,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         refuse_place_without_earth(nav, t, problems);
     }
     refuse_port_clashes(&listeners, problems);
-    refuse_recordings_without_a_folder(table, problems);
+    refuse_files_without_a_folder(table, problems);
 
     Some(RigSpec {
         source_text: text.to_owned(),
@@ -251,22 +255,32 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
             false => None,
         },
         control: control?,
+        faults: faults::faults(table.tables("fault"), problems),
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
 }
 
 /// Outputs that are files need a folder.
-fn refuse_recordings_without_a_folder(table: &RawTable, problems: &mut Problems) {
+fn refuse_files_without_a_folder(table: &RawTable, problems: &mut Problems) {
     if table.given("record") {
         return;
     }
-    for output in table
+    let outputs = table
         .tables("sonar")
         .iter()
-        .filter_map(|t| t.table("output"))
-    {
+        .filter_map(|t| t.table("output"));
+    for output in outputs {
         for key in ["sigmf", "wav"].into_iter().filter(|key| output.given(key)) {
             problems.refuse(output.entry(key), "needs a folder: [record]");
+        }
+        if output.given("xtf") {
+            problems.refuse(output.entry("xtf"), "needs a folder: [record]");
+        }
+        if let Some(jsf) = output.table("jsf")
+            && output.given("jsf")
+            && jsf.bool("record") == Some(true)
+        {
+            problems.refuse(jsf.entry("record"), "needs a folder: [record]");
         }
     }
 }
@@ -350,6 +364,8 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
             "lockstep" => ClockSpec::Lockstep,
             _ => ClockSpec::RealTime,
         },
+        priority: u8::try_from(table.integer("priority")?).ok()?,
+        fault_directory: table.path("fault_directory"),
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,
@@ -387,7 +403,7 @@ fn nav<'t>(
     };
     only_with(
         table,
-        &["max_extrapolation_ms"],
+        &["max_extrapolation_ms", "on_lost"],
         mode_known.then_some(mode == NavMode::Predict),
         "mode = \"predict\"",
         problems,
@@ -413,6 +429,18 @@ fn nav<'t>(
     let vertical = vertical(table, problems);
     let origin = origin(table);
     refuse_unfit_track(table, tables, vertical, problems);
+    let tow = match table.table("tow") {
+        Some(t) => {
+            if matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
+                let rule =
+                    "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
+                problems.refuse(table.entry("vertical"), rule);
+            }
+            Some(nav::tow(t))
+        }
+        None => None,
+    };
+    let outputs = nav::outputs(table.tables("output"), listeners, problems);
 
     Some(NavSpec {
         origin: origin?,
@@ -442,6 +470,15 @@ fn nav<'t>(
         },
         stale_s: table.number("stale_s")?,
         lost_s: table.number("lost_s")?,
+        on_lost: match table.text("on_lost")? {
+            "hold" => OnLost::Hold,
+            _ => OnLost::Skip,
+        },
+        tow: match tow {
+            Some(tow) => Some(tow?),
+            None => None,
+        },
+        outputs: outputs?,
         sources: all(sources).filter(|s| !s.is_empty())?,
     })
 }
@@ -533,10 +570,10 @@ fn refuse_unfit_track(
             "must be \"depth\" where the position comes from a CSV track",
         );
     }
-    if is_depth && !is_csv {
+    if is_depth && !is_csv && self::owner(tables, "depth").is_none() {
         problems.refuse(
             table.entry("vertical"),
-            "needs a position from a CSV track; depth sensors are known, not yet built",
+            "needs a position from a CSV track, or a source that provides \"depth\"",
         );
     }
     if is_csv && table.text("origin").is_some() {
@@ -592,7 +629,7 @@ fn nav_source<'t>(
     needed_with(table, "listen", is("udp"), "kind = \"udp\"", problems);
     only_with(
         table,
-        &["port", "baud"],
+        &["port", "baud", "line"],
         is("serial"),
         "kind = \"serial\"",
         problems,
@@ -640,6 +677,10 @@ fn nav_source<'t>(
             _ => ChecksumPolicy::Require,
         },
         lever_arm_m: table.vector("lever_arm_m")?,
+        mounting: SensorMounting {
+            heave_arm_m: table.vector("heave_arm_m")?,
+            angles_rad: table.vector("mounting_deg")?.map(f64::to_radians),
+        },
         dialect: dialect(table)?,
         provides: table
             .texts("provides")?
@@ -669,6 +710,7 @@ fn dialect(table: &RawTable) -> Option<NavDialect> {
             .unwrap_or_default()
             .to_vec(),
         pashr_heave_up: says("variants", "pashr-heave-up"),
+        depth_is_own: says("variants", "own-depth"),
         reversed: Reversed {
             roll: says("reverse", "roll"),
             pitch: says("reverse", "pitch"),
@@ -684,6 +726,7 @@ fn channel(name: &str) -> NavChannel {
         "course-speed" => NavChannel::CourseSpeed,
         "heading" => NavChannel::Heading,
         "roll-pitch" => NavChannel::RollPitch,
+        "depth" => NavChannel::Depth,
         _ => NavChannel::Heave,
     }
 }
@@ -752,6 +795,7 @@ fn nav_input<'t>(
         _ => Some(NavInputSpec::Serial {
             port: table.text("port")?.to_owned(),
             baud: u32::try_from(table.integer("baud")?).ok()?,
+            line: nav::serial_line(table)?,
         }),
     }
 }

@@ -4,6 +4,8 @@
 //! need more than one key live in `check`.
 
 mod devices;
+mod families;
+mod faults;
 mod samples;
 
 /// A TOML table.
@@ -126,8 +128,9 @@ pub static RIG: Table = Table {
         key("record", Kind::Table(&RECORD), Optional(""), ""),
         key("control", Kind::Table(&CONTROL), Default("{}"), ""),
         key("sonar", Kind::Tables(&SONAR), Required(""), ""),
+        key("fault", Kind::Tables(&faults::FAULT), Optional(""), ""),
     ],
-    later: &["web", "metrics", "faults", "trigger"],
+    later: &["web", "metrics", "trigger"],
 };
 
 static MEDIUM: Table = Table {
@@ -204,7 +207,7 @@ static NAV: Table = Table {
             "vertical",
             Kind::Choice(&["waterline", "gnss", "depth"], &[]),
             Default("\"waterline\""),
-            "What the platform's depth is made of: \"waterline\" a fixed reference_depth_m plus heave, \"gnss\" minus the antenna's height plus datum_offset_m, \"depth\" the source's own (a CSV track).",
+            "What the platform's depth is made of: \"waterline\" a fixed reference_depth_m plus heave, \"gnss\" minus the antenna's height plus datum_offset_m, \"depth\" a CSV track's own or a depth sensor's (provides \"depth\"). Heave is added only to the first.",
         ),
         key(
             "reference_depth_m",
@@ -234,7 +237,7 @@ static NAV: Table = Table {
             "max_extrapolation_ms",
             Kind::Number(from(0.0, 60_000.0)),
             Default("250.0"),
-            "A ping that would need a longer look ahead is skipped. Only with mode = \"predict\".",
+            "Longest look ahead: on_lost says what becomes of a ping that would need a longer one. Only with mode = \"predict\".",
         ),
         key(
             "history_s",
@@ -290,10 +293,121 @@ static NAV: Table = Table {
             Default("10.0"),
             "A source is lost when nothing came for so long; not below stale_s.",
         ),
+        key(
+            "on_lost",
+            Kind::Choice(&["hold", "skip"], &[]),
+            Default("\"hold\""),
+            "A ping for which something is older than max_extrapolation_ms: made with the last known motion come to rest, and flagged invalid; or skipped. Only with mode = \"predict\".",
+        ),
+        key("tow", Kind::Table(&NAV_TOW), Optional(""), ""),
         key("source", Kind::Tables(&NAV_SOURCE), Required(""), ""),
+        key("output", Kind::Tables(&NAV_OUTPUT), Optional(""), ""),
     ],
-    later: &["on_lost"],
+    later: &[],
 };
+
+static NAV_TOW: Table = Table {
+    doc: "The sonar is towed: positions are those of the ship's antennas (their lever_arm_m counts from the ship's reference point), all else is the towed body's. It follows on the heading, sqrt((cable_out_m * straightness)^2 - (its depth - the cable's height)^2) behind the point where the cable leaves the ship.",
+    keys: &[
+        key(
+            "point_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline.",
+        ),
+        key(
+            "cable_out_m",
+            Kind::Number(from(0.0, 20_000.0)),
+            Required("60.0"),
+            "",
+        ),
+        key(
+            "straightness",
+            Kind::Number(above(0.0, 1.0)),
+            Default("1.0"),
+            "Straight distance over cable length: below 1 for a cable that sags.",
+        ),
+    ],
+    later: &[],
+};
+
+static NAV_OUTPUT: Table = Table {
+    doc: "Navigation sent out, so that a device under test shares the pings' clock: at every whole second the pulse, then the ZDA that names it.",
+    keys: &[
+        key("name", Kind::Name, Required("\"clock\""), ""),
+        key(
+            "kind",
+            Kind::Choice(&["udp", "tcp", "serial"], &[]),
+            Required("\"udp\""),
+            "\"udp\" (to), \"tcp\" (listen, for any number of clients), \"serial\" (port, baud).",
+        ),
+        key(
+            "to",
+            Kind::Text,
+            Shown("\"127.0.0.1:10120\""),
+            "Address and port of a host, a broadcast address or a multicast group. Only with kind = \"udp\".",
+        ),
+        key(
+            "listen",
+            Kind::Text,
+            Optional("\"127.0.0.1:10121\""),
+            "Only with kind = \"tcp\".",
+        ),
+        key(
+            "port",
+            Kind::Text,
+            Optional("\"/dev/ttyUSB1\""),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "baud",
+            Kind::Integer(110, 4_000_000),
+            Optional("9600"),
+            "Only with kind = \"serial\".",
+        ),
+        key(
+            "line",
+            Kind::Choice(SERIAL_LINES, &[]),
+            Default("\"8N1\""),
+            "Data bits, parity and stop bits. Only with kind = \"serial\".",
+        ),
+        key(
+            "sentences",
+            Kind::Choices(&["ZDA", "GGA", "HDT"]),
+            Default("[\"ZDA\", \"GGA\", \"HDT\"]"),
+            "GGA is of the platform's reference point. ZDA goes out on whole seconds only, the others at every tick.",
+        ),
+        key(
+            "talker",
+            Kind::Text,
+            Default("\"GP\""),
+            "Two capital letters.",
+        ),
+        key(
+            "rate_hz",
+            Kind::Number(from(0.01, 200.0)),
+            Default("1.0"),
+            "Ticks lie on whole seconds and between them.",
+        ),
+        key(
+            "latency_ms",
+            Kind::Number(from(0.0, 1000.0)),
+            Default("0.0"),
+            "GGA and HDT go out so long after the instant they name, as a receiver's do, so that their measurements may have come; 0 carries the motion on.",
+        ),
+        key(
+            "pulse",
+            Kind::Choice(&["none", "rts", "dtr", "byte"], &[]),
+            Default("\"none\""),
+            "What marks the whole second ahead of its ZDA: the serial port's RTS or DTR raised for 100 ms, or one byte 0x07 (over UDP a datagram of its own).",
+        ),
+    ],
+    later: &[],
+};
+
+const SERIAL_LINES: &[&str] = &[
+    "8N1", "8E1", "8O1", "8N2", "7N1", "7E1", "7O1", "7N2", "7E2", "7O2",
+];
 
 static GEODETIC_ORIGIN: Table = Table {
     doc: "A given origin, WGS84.",
@@ -367,6 +481,12 @@ static NAV_SOURCE: Table = Table {
             "Only with kind = \"serial\".",
         ),
         key(
+            "line",
+            Kind::Choice(SERIAL_LINES, &[]),
+            Default("\"8N1\""),
+            "Data bits, parity and stop bits. Only with kind = \"serial\".",
+        ),
+        key(
             "time",
             Kind::Choice(&["message", "burst", "arrival"], &[]),
             Default("\"message\""),
@@ -401,9 +521,9 @@ static NAV_SOURCE: Table = Table {
         ),
         key(
             "variants",
-            Kind::Choices(&["pashr-heave-up"]),
+            Kind::Choices(&["pashr-heave-up", "own-depth"]),
             Optional("[\"pashr-heave-up\"]"),
-            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere.",
+            "Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere; DPT, DBT, DBS and DBK of a depth sensor, that say how deep the platform is and not how deep the water.",
         ),
         key(
             "reverse",
@@ -421,13 +541,32 @@ static NAV_SOURCE: Table = Table {
             "lever_arm_m",
             Kind::Numbers(3, ARM_M),
             Default("[0.0, 0.0, 0.0]"),
-            "Where the antenna sits: forward, starboard, down of the reference point.",
+            "Where the antenna, or the depth sensor, sits: forward, starboard, down of the reference point.",
+        ),
+        key(
+            "heave_arm_m",
+            Kind::Numbers(3, ARM_M),
+            Default("[0.0, 0.0, 0.0]"),
+            "Where the heave is that of: forward, starboard, down of the reference point. What roll and pitch lift that point is taken off.",
+        ),
+        key(
+            "mounting_deg",
+            Kind::Numbers(3, ANGLE_DEG),
+            Default("[0.0, 0.0, 0.0]"),
+            "Roll, pitch and yaw that the motion sensor (or compass) says on a level platform heading north; taken off.",
         ),
         key(
             "provides",
-            Kind::Choices(&["position", "course-speed", "heading", "roll-pitch", "heave"]),
+            Kind::Choices(&[
+                "position",
+                "course-speed",
+                "heading",
+                "roll-pitch",
+                "heave",
+                "depth",
+            ]),
             Default("[\"position\", \"course-speed\", \"heading\", \"roll-pitch\", \"heave\"]"),
-            "What is taken from this source.",
+            "What is taken from this source; \"depth\" is the platform's own (PIXSE,DEPIN_, PIPS, MAVLink's relative altitude, and with variants = [\"own-depth\"] DPT and its kin).",
         ),
     ],
     later: &[],
@@ -464,7 +603,7 @@ static SCENE: Table = Table {
             "targets",
             Kind::File,
             Optional("\"data/targets.csv\""),
-            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes) anywhere in the water.",
+            "Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY) anywhere in the water; hil-configs/README.md has their fields.",
         ),
         key(
             "memory_mib",
@@ -811,8 +950,20 @@ static RUN: Table = Table {
             Default("10.0"),
             "Only with clock = \"scaled\".",
         ),
+        key(
+            "priority",
+            Kind::Integer(0, 99),
+            Default("40"),
+            "SCHED_FIFO priority of the threads that hand pings over, and memory locked, where the system allows it (echotank doctor); 0: neither.",
+        ),
+        key(
+            "fault_directory",
+            Kind::Folder,
+            Optional("\"out\""),
+            "Where faults-TIME.jsonl goes; left out: record.directory, and without that nowhere.",
+        ),
     ],
-    later: &["priority", "cores"],
+    later: &["cores"],
 };
 
 static RECORD: Table = Table {
@@ -851,6 +1002,7 @@ static SONAR: Table = Table {
         key("name", Kind::Name, Required("\"main\""), ""),
         key("serial", Kind::Integer(0, MAX_INTEGER), Default("1"), ""),
         key("pulse", Kind::Table(&PULSE), Required(""), ""),
+        key("more_pulse", Kind::Tables(&MORE_PULSE), Optional(""), ""),
         key("transmit", Kind::Tables(&TRANSMIT), Required(""), ""),
         key("receive", Kind::Tables(&RECEIVE), Required(""), ""),
         key("receiver", Kind::Table(&RECEIVER), Required(""), ""),
@@ -858,6 +1010,7 @@ static SONAR: Table = Table {
         key("limits", Kind::Table(&LIMITS), Default("{}"), ""),
         key("model", Kind::Table(&MODEL), Default("{}"), ""),
         key("beams", Kind::Table(&BEAMS), Default("{}"), ""),
+        key("picture", Kind::Table(&PICTURE), Default("{}"), ""),
         key("output", Kind::Table(&OUTPUT), Default("{}"), ""),
     ],
     later: &["trigger", "stabilisation"],
@@ -896,6 +1049,43 @@ static PULSE: Table = Table {
             Kind::Number(from(0.0, 1.0)),
             Default("0.0"),
             "Tukey taper: the part of the pulse under its two cosine flanks together.",
+        ),
+    ],
+    later: &[],
+};
+
+static MORE_PULSE: Table = Table {
+    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture; not in 7k records). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
+    keys: &[
+        key(
+            "sweep",
+            Kind::Choice(&["up", "down"], &[]),
+            Default("\"down\""),
+            "Only up against down, or another band, tells pulses apart.",
+        ),
+        key(
+            "center_frequency_khz",
+            Kind::Number(from(0.01, 10_000.0)),
+            Optional("200.0"),
+            "Left out: the pulse's own.",
+        ),
+        key(
+            "bandwidth_khz",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("20.0"),
+            "At most the pulse's own; left out: as wide.",
+        ),
+        key(
+            "delay_ms",
+            Kind::Number(from(0.0, 10_000.0)),
+            Default("0.0"),
+            "After the sonar's own pulse.",
+        ),
+        key(
+            "transmit",
+            Kind::Name,
+            Optional("\"tx\""),
+            "The transmit array that sends it to all receive arrays; left out: each one's own.",
         ),
     ],
     later: &[],
@@ -1202,7 +1392,7 @@ static MODEL: Table = Table {
             "cull_db",
             Kind::Number(from(-300.0, -1.0)),
             Optional("-60.0"),
-            "Scatterers whose two-way pattern lies below are left out, targets among them. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
+            "Scatterers whose two-way pattern lies below are left out; for targets and points it lies lower by as much as they are stronger than the ground's. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
         ),
     ],
     later: &["tolerance_image", "simd", "incidence"],
@@ -1230,6 +1420,24 @@ static BEAMS: Table = Table {
             "\"aperture\": the plain sum of the elements. \"dynamic-focus\": refocused along range, with the receiver's motion.",
         ),
         key(
+            "line_f_number",
+            Kind::Number(above(0.0, 10_000.0)),
+            Optional("50.0"),
+            "Dynamic aperture: the length in use is range / line_f_number, at most the whole line. Left out: the whole line everywhere. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_shading",
+            Kind::Choice(&["uniform", "hann", "taylor", "chebyshev"], &[]),
+            Default("\"uniform\""),
+            "Along the line. Only with line_former = \"dynamic-focus\".",
+        ),
+        key(
+            "line_side_lobe_db",
+            Kind::Number(from(15.0, 80.0)),
+            Default("30.0"),
+            "Of \"taylor\" and \"chebyshev\", below the main lobe.",
+        ),
+        key(
             "weighting",
             Kind::Choice(&["none", "hann", "hamming", "taylor", "kaiser"], &[]),
             Default("\"none\""),
@@ -1248,8 +1456,142 @@ static BEAMS: Table = Table {
             "Of \"kaiser\".",
         ),
         key("fan", Kind::Table(&FAN), Shown(""), ""),
+        key(
+            "synthetic_aperture",
+            Kind::Table(&SYNTHETIC_APERTURE),
+            Optional(""),
+            "",
+        ),
     ],
-    later: &["multi_pulse", "synthetic_aperture"],
+    later: &[],
+};
+
+static SYNTHETIC_APERTURE: Table = Table {
+    doc: "A patch of the world that all pings of a replay are back-projected on, by their navigation: echotank replay --formats sas writes it as picture, NumPy array and numbers. Leave the table out for none.",
+    keys: &[
+        key(
+            "arrays",
+            Kind::Names,
+            Required("[\"rx\"]"),
+            "Receive arrays; each of their elements adds a row per ping.",
+        ),
+        key(
+            "north_m",
+            Kind::Numbers(2, METRES),
+            Required("[-5.0, 5.0]"),
+            "Southern and northern edge.",
+        ),
+        key(
+            "east_m",
+            Kind::Numbers(2, METRES),
+            Required("[30.0, 40.0]"),
+            "Western and eastern edge.",
+        ),
+        key(
+            "down_m",
+            Kind::Number(METRES),
+            Required("20.0"),
+            "The depth of all its points.",
+        ),
+        key(
+            "cell_m",
+            Kind::Number(above(0.0, 100.0)),
+            Default("0.02"),
+            "Side of a pixel; below half the resolution.",
+        ),
+    ],
+    later: &[],
+};
+
+static PICTURE: Table = Table {
+    doc: "How the pictures of `echotank replay --formats png,fan,masks,mosaic` look. Records and pings.npz do not depend on it.",
+    keys: &[
+        key(
+            "range",
+            Kind::Choice(&["slant", "ground", "ground-first-return"], &[]),
+            Default("\"slant\""),
+            "Columns of the waterfall. \"ground\": over a flat bottom as deep as the seabed under the sonar (the truth); \"ground-first-return\": as far away as the line's own first echo of the bottom.",
+        ),
+        key(
+            "gain",
+            Kind::Choice(&["received", "raw"], &[]),
+            Default("\"received\""),
+            "\"received\": as the receiver's time-varying gain left it. \"raw\": that gain taken out again.",
+        ),
+        key(
+            "colours",
+            Kind::Choice(&["copper", "grey", "blue", "rainbow"], &[]),
+            Default("\"copper\""),
+            "Of waterfall and mosaic; fans are blue.",
+        ),
+        key(
+            "contrast",
+            Kind::Choice(&["percentiles", "fixed"], &[]),
+            Default("\"percentiles\""),
+            "Darkest and brightest: shares of the picture's own pixels, or levels.",
+        ),
+        key(
+            "low_percent",
+            Kind::Number(from(0.0, 100.0)),
+            Default("28.0"),
+            "Of \"percentiles\": of the pixels are darkest (of a mosaic at most 2, since it has no water column).",
+        ),
+        key(
+            "high_percent",
+            Kind::Number(from(0.0, 100.0)),
+            Default("99.997"),
+            "Of \"percentiles\": of the pixels are not brightest.",
+        ),
+        key(
+            "low_db",
+            Kind::Number(from(-400.0, 400.0)),
+            Default("-80.0"),
+            "Of \"fixed\", dB re 1 V.",
+        ),
+        key(
+            "high_db",
+            Kind::Number(from(-400.0, 400.0)),
+            Default("0.0"),
+            "Of \"fixed\", dB re 1 V.",
+        ),
+        key(
+            "flatten",
+            Kind::Bool,
+            Default("false"),
+            "The mean level at each range is taken out.",
+        ),
+        key(
+            "m_per_pixel",
+            Kind::Number(above(0.0, 1000.0)),
+            Optional("0.1"),
+            "Across the waterfall. Left out: 600 pixels to a side.",
+        ),
+        key(
+            "fan_every_pings",
+            Kind::Integer(1, 1_000_000),
+            Default("100"),
+            "A picture of the fan for the first ping and then every so many.",
+        ),
+        key(
+            "mosaic_m_per_pixel",
+            Kind::Number(from(0.01, 1000.0)),
+            Default("0.25"),
+            "",
+        ),
+        key(
+            "overlap",
+            Kind::Choice(&["nearest", "mean", "last"], &[]),
+            Default("\"nearest\""),
+            "What a pixel of the mosaic keeps of several passes.",
+        ),
+        key(
+            "nadir_deg",
+            Kind::Number(from(0.0, 89.0)),
+            Default("0.0"),
+            "Directions nearer to the vertical are left out of the mosaic.",
+        ),
+    ],
+    later: &[],
 };
 
 static FAN: Table = Table {
@@ -1300,9 +1642,12 @@ static FAN: Table = Table {
         ),
         key(
             "former",
-            Kind::Choice(&["exact", "conventional", "phase", "dynamic-focus"], &[]),
+            Kind::Choice(
+                &["exact", "fft", "conventional", "phase", "dynamic-focus"],
+                &[],
+            ),
             Default("\"exact\""),
-            "Far field in f64 at every frequency; far field with time delays or with phases, or focused along range with the receiver's motion, in f32 and several times faster.",
+            "Far field in f64 at every frequency; the same by fast transforms in f32 (the fastest for a line of many elements); far field with time delays or with phases, or focused along range with the receiver's motion, in f32.",
         ),
         key(
             "bottom_detection",
@@ -1330,17 +1675,25 @@ static OUTPUT: Table = Table {
     doc: "The protocols this sonar speaks; one table for each.",
     keys: &[
         key("sevenk", Kind::Table(&SEVENK), Shown(""), ""),
+        key("jsf", Kind::Table(&families::JSF), Optional(""), ""),
+        key("xtf", Kind::Table(&families::XTF), Optional(""), ""),
+        key(
+            "imagenex872",
+            Kind::Table(&families::IMAGENEX872),
+            Optional(""),
+            "",
+        ),
         key("ping", Kind::Table(&devices::PING), Optional(""), ""),
         key("wbms", Kind::Table(&devices::WBMS), Optional(""), ""),
         key("vita49", Kind::Table(&samples::VITA49), Optional(""), ""),
         key("sigmf", Kind::Table(&samples::SIGMF), Optional(""), ""),
         key("wav", Kind::Table(&samples::WAV), Optional(""), ""),
     ],
-    later: &["jsf", "xtf", "kmall", "r2sonic", "imagenex"],
+    later: &["kmall", "r2sonic"],
 };
 
 static SEVENK: Table = Table {
-    doc: "Teledyne RESON 7k over TCP.",
+    doc: "Teledyne RESON 7k over TCP and UDP.",
     keys: &[
         key(
             "id",
@@ -1378,7 +1731,13 @@ static SEVENK: Table = Table {
             Default("64"),
             "What may wait for one slow client before its records are dropped.",
         ),
+        key(
+            "when_full",
+            Kind::Choice(&["skip", "disconnect"], &[]),
+            Default("\"skip\""),
+            "What becomes of a client whose queue is full: it misses whole records, or is disconnected.",
+        ),
         key("max_clients", Kind::Integer(1, 1000), Default("8"), ""),
     ],
-    later: &["udp"],
+    later: &[],
 };

@@ -3,7 +3,11 @@
 //! A value here has been validated; no stage checks it again.
 
 mod devices;
+mod families;
+mod faults;
 mod samples;
+
+pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -28,6 +32,8 @@ pub struct RigSpec {
     pub run: RunSpec,
     pub record: Option<RecordSpec>,
     pub control: ControlSpec,
+    /// The scenario of what goes wrong.
+    pub faults: Vec<FaultRequest>,
     /// At least one.
     pub sonars: Vec<SonarSpec>,
 }
@@ -80,8 +86,135 @@ pub struct NavSpec {
     /// A source without a sample for so long is stale, or lost; seconds.
     pub stale_s: f64,
     pub lost_s: f64,
+    /// In `predict`: what becomes of a ping for which something is older than `max_extrapolation_s`.
+    pub on_lost: OnLost,
+    /// The platform is towed, and positions are those of the ship.
+    pub tow: Option<TowSpec>,
     /// At least one.
     pub sources: Vec<NavSourceSpec>,
+    /// Navigation sent out.
+    pub outputs: Vec<NavOutputSpec>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnLost {
+    /// It is skipped.
+    #[default]
+    Skip,
+    /// It is made with what was last known, come to rest, and flagged invalid.
+    Hold,
+}
+
+/// A towed body on the ship's heading behind the point where its cable leaves the ship.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TowSpec {
+    /// Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline; metres.
+    pub point_m: DVec3,
+    pub cable_out_m: f64,
+    /// Straight distance over cable length: 1 for a straight cable.
+    pub straightness: f64,
+}
+
+/// Where navigation goes out, and what of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NavOutputSpec {
+    pub name: String,
+    pub target: NavTargetSpec,
+    pub sentences: Vec<NavSentence>,
+    /// Two capital letters.
+    pub talker: String,
+    pub rate_hz: f64,
+    /// GGA and HDT go out so long after the instant they name, seconds.
+    pub latency_s: f64,
+    pub pulse: PulseSpec,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum NavTargetSpec {
+    /// A host, a broadcast address or a multicast group.
+    Udp { to: SocketAddr },
+    /// A server for any number of clients.
+    TcpListen { listen: SocketAddr },
+    Serial {
+        port: String,
+        baud: u32,
+        line: SerialLine,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NavSentence {
+    Zda,
+    Gga,
+    Hdt,
+}
+
+impl NavSentence {
+    pub fn name(self) -> &'static str {
+        match self {
+            NavSentence::Zda => "ZDA",
+            NavSentence::Gga => "GGA",
+            NavSentence::Hdt => "HDT",
+        }
+    }
+}
+
+/// What marks the whole second, ahead of the sentence that names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PulseSpec {
+    #[default]
+    None,
+    /// The serial port's RTS, or DTR, for 100 ms.
+    Rts,
+    Dtr,
+    /// One byte, 0x07; over UDP a datagram of its own.
+    Byte,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SerialLine {
+    pub parity: ParitySpec,
+    /// 5 to 8.
+    pub data_bits: u8,
+    /// 1 or 2.
+    pub stop_bits: u8,
+}
+
+impl Default for SerialLine {
+    fn default() -> Self {
+        Self {
+            parity: ParitySpec::None,
+            data_bits: 8,
+            stop_bits: 1,
+        }
+    }
+}
+
+impl SerialLine {
+    /// On the wire: start bit, data, parity and stop bits.
+    pub fn bits_per_byte(&self) -> i64 {
+        1 + i64::from(self.data_bits)
+            + i64::from(self.parity != ParitySpec::None)
+            + i64::from(self.stop_bits)
+    }
+
+    /// As `8N1`.
+    pub fn name(&self) -> String {
+        let parity = match self.parity {
+            ParitySpec::None => 'N',
+            ParitySpec::Even => 'E',
+            ParitySpec::Odd => 'O',
+        };
+        format!("{}{parity}{}", self.data_bits, self.stop_bits)
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ParitySpec {
+    #[default]
+    None,
+    Even,
+    Odd,
 }
 
 impl NavSpec {
@@ -136,7 +269,7 @@ pub enum VerticalSpec {
     Waterline { reference_down_m: f64 },
     /// Minus the GNSS height (which already holds heave; heave is then not added), plus `datum_offset_m`.
     Gnss { datum_offset_m: f64 },
-    /// Given by the source itself (CSV track, or a depth sensor); heave is not added.
+    /// Given by a CSV track itself, or by a depth sensor; heave is not added.
     Depth,
 }
 
@@ -152,11 +285,22 @@ pub struct NavSourceSpec {
     pub input: NavInputSpec,
     pub time: TimePolicy,
     pub checksum: ChecksumPolicy,
-    /// Antenna in the body, metres; used with this source's positions.
+    /// Antenna, or depth sensor, in the body, metres; used with this source's positions and depths.
     pub lever_arm_m: DVec3,
+    /// How its motion sensor sits in the body.
+    pub mounting: SensorMounting,
     pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+/// A motion sensor's place and attitude in the body; by default at the reference point, along its axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SensorMounting {
+    /// Where the heave that it says is that of, metres.
+    pub heave_arm_m: DVec3,
+    /// Roll, pitch and yaw of the sensor's axes in the body: what it would say on a level platform heading north.
+    pub angles_rad: DVec3,
 }
 
 /// What is particular about the messages of one source; by default nothing.
@@ -167,6 +311,8 @@ pub struct NavDialect {
     pub ignore_checksum_for: Vec<String>,
     /// PASHR carries heave + up, against the documented + down.
     pub pashr_heave_up: bool,
+    /// DPT, DBT, DBS and DBK say how deep the platform itself is.
+    pub depth_is_own: bool,
     pub reversed: Reversed,
     /// East positive; makes magnetic headings true where the sentence does not say it.
     pub magnetic_variation_rad: Option<f64>,
@@ -209,14 +355,9 @@ impl NavFormat {
 pub enum NavInputSpec {
     /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
     /// `plain_rate_hz`.
-    Log {
-        path: PathBuf,
-        plain_rate_hz: f64,
-    },
+    Log { path: PathBuf, plain_rate_hz: f64 },
     /// CSV track: time, north, east, down, roll, pitch, heading.
-    Csv {
-        path: PathBuf,
-    },
+    Csv { path: PathBuf },
     Udp {
         listen: SocketAddr,
         multicast: Option<std::net::Ipv4Addr>,
@@ -224,15 +365,12 @@ pub enum NavInputSpec {
     Serial {
         port: String,
         baud: u32,
+        line: SerialLine,
     },
     /// A client of somebody's server, named as the configuration has it.
-    TcpConnect {
-        address: String,
-    },
+    TcpConnect { address: String },
     /// A server; its newest client speaks.
-    TcpListen {
-        listen: SocketAddr,
-    },
+    TcpListen { listen: SocketAddr },
 }
 
 /// Where a sample's validity time comes from.
@@ -260,6 +398,8 @@ pub enum NavChannel {
     Heading,
     RollPitch,
     Heave,
+    /// How deep the platform is.
+    Depth,
 }
 
 #[derive(Clone, Debug)]
@@ -630,6 +770,10 @@ pub struct RunSpec {
     /// Pings that may wait for delivery.
     pub queue_pings: usize,
     pub clock: ClockSpec,
+    /// SCHED_FIFO, 1 to 99; 0: ordinary scheduling, and memory is not locked.
+    pub priority: u8,
+    /// Where the log of injected faults goes, if not beside the records.
+    pub fault_directory: Option<PathBuf>,
 }
 
 /// How fast rig time goes. The samples do not depend on it.
@@ -670,6 +814,8 @@ pub struct SonarSpec {
     pub name: String,
     pub serial: u64,
     pub pulse: Pulse,
+    /// In the water together with `pulse`.
+    pub more_pulses: Vec<MorePulseSpec>,
     pub transmit: Vec<TransmitArray>,
     pub transmit_names: Vec<String>,
     pub receive: Vec<ArrayGeometry>,
@@ -681,7 +827,110 @@ pub struct SonarSpec {
     pub model: ModelChoice,
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,
+    pub picture: PictureSpec,
     pub outputs: Vec<OutputSpec>,
+}
+
+/// A pulse beside the sonar's own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MorePulseSpec {
+    /// Duration and taper are those of the sonar's own.
+    pub pulse: Pulse,
+    /// After the sonar's own.
+    pub delay_s: f64,
+    /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
+    pub transmit: Option<usize>,
+}
+
+/// How the pictures of a replay look.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureSpec {
+    pub range: PictureRange,
+    /// With the receiver's time-varying gain taken out again.
+    pub raw: bool,
+    pub colours: ColourMap,
+    pub contrast: Contrast,
+    /// The mean level at each range is taken out.
+    pub flatten: bool,
+    /// Of the waterfall, across; none: the range over 600 pixels.
+    pub metres_per_pixel: Option<f64>,
+    /// Of the fan's pictures.
+    pub fan_every_pings: u32,
+    pub mosaic: MosaicLook,
+}
+
+/// Pixels of a mosaic and what they keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MosaicLook {
+    pub metres_per_pixel: f64,
+    pub overlap: Overlap,
+    /// Directions nearer to the vertical than this are left out.
+    pub nadir_rad: f64,
+}
+
+/// What a pixel keeps of several pings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overlap {
+    /// The mean intensity.
+    Mean,
+    /// The ping that saw it last.
+    Last,
+    /// The pass that saw it from nearest; the mean over its pings.
+    Nearest,
+}
+
+/// What a waterfall's columns are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureRange {
+    Slant,
+    /// Over a flat bottom as deep as the seabed under the sonar.
+    Ground,
+    /// Over a flat bottom as far away as the first echo of the bottom.
+    GroundFirstReturn,
+}
+
+/// What is darkest and what is brightest in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Contrast {
+    /// Shares (0 to 1) of the picture's own pixels that lie below darkest and below brightest.
+    Percentiles { low: f64, high: f64 },
+    /// dB re 1 V; over the mean at that range where the picture is flattened.
+    Fixed { low_db: f64, high_db: f64 },
+}
+
+/// Colours from dark to bright.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColourMap {
+    Grey,
+    /// Black, brown, gold, pale yellow: side-scan paper.
+    Copper,
+    /// Dark blue to white through cyan: water columns.
+    Blue,
+    /// Blue, green, yellow, red: echo strength, and depth turned round.
+    Rainbow,
+}
+
+impl Default for PictureSpec {
+    fn default() -> Self {
+        Self {
+            range: PictureRange::Slant,
+            raw: false,
+            colours: ColourMap::Copper,
+            // The water column, about a third of a picture, is dark; the seabed fills the middle, and little is brightest.
+            contrast: Contrast::Percentiles {
+                low: 0.28,
+                high: 0.99997,
+            },
+            flatten: false,
+            metres_per_pixel: None,
+            fan_every_pings: 100,
+            mosaic: MosaicLook {
+                metres_per_pixel: 0.25,
+                overlap: Overlap::Nearest,
+                nadir_rad: 0.0,
+            },
+        }
+    }
 }
 
 /// How the chosen synthesis is run and watched.
@@ -710,6 +959,7 @@ impl Default for SynthesisSpec {
 }
 
 pub use crate::flow::SettingLimits as LimitsSpec;
+pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {
@@ -717,9 +967,35 @@ pub struct BeamsSpec {
     pub lines: Vec<LineSpec>,
     /// Lines are focused along range.
     pub focused_lines: bool,
+    /// Of focused lines: range over the length in use, at most the whole line; none uses all of it everywhere.
+    pub line_f_number: Option<f64>,
+    /// Of focused lines, along the array.
+    pub line_shading: Shading,
     pub fan: Option<FanSpec>,
     /// Along the pulse, of every matched filter.
     pub weighting: Shading,
+    pub synthetic_aperture: Option<SyntheticApertureSpec>,
+}
+
+/// A patch of the world that a replay's pings are back-projected on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SyntheticApertureSpec {
+    /// Receive arrays whose elements add to it.
+    pub arrays: Vec<usize>,
+    /// Southern and northern edge.
+    pub north_m: (f64, f64),
+    /// Western and eastern edge.
+    pub east_m: (f64, f64),
+    pub down_m: f64,
+    pub cell_m: f64,
+}
+
+impl SyntheticApertureSpec {
+    /// Columns (west to east) and rows.
+    pub fn size(&self) -> (usize, usize) {
+        let cells = |(from, to): (f64, f64)| ((to - from) / self.cell_m - 1e-9).ceil() as usize;
+        (cells(self.east_m).max(1), cells(self.north_m).max(1))
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -775,6 +1051,8 @@ impl Default for FanForm {
 pub enum Former {
     /// Far field, true time delays at every frequency, f64.
     Exact,
+    /// The same by fast transforms over time and line, f32.
+    Fft,
     /// Far field, true time delays to a fraction of a sample, f32.
     TimeDelay,
     /// Far field, carrier phases alone.
@@ -788,6 +1066,7 @@ impl Former {
     pub fn name(self) -> &'static str {
         match self {
             Self::Exact => "exact",
+            Self::Fft => "fft",
             Self::TimeDelay => "conventional",
             Self::Phase => "phase",
             Self::DynamicFocus => "dynamic-focus",
@@ -851,6 +1130,9 @@ impl Shading {
 #[derive(Clone, Debug)]
 pub enum OutputSpec {
     SevenK(SevenKSpec),
+    Jsf(JsfSpec),
+    Xtf(XtfSpec),
+    Imagenex872(ImagenexSpec),
     Vita49(Vita49Spec),
     Sigmf(SigmfSpec),
     Wav(WavSpec),
@@ -869,5 +1151,7 @@ pub struct SevenKSpec {
     pub max_packet: usize,
     /// Bytes that may wait for one client before its records are dropped.
     pub client_queue_bytes: usize,
+    /// A client whose queue is full is disconnected instead of missing records.
+    pub disconnect_when_full: bool,
     pub max_clients: usize,
 }

@@ -1,5 +1,7 @@
 //! What follows from a configuration, for people.
 
+mod families;
+mod nav;
 mod outputs;
 
 use std::fmt::{self, Write};
@@ -53,16 +55,24 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
                 path.display().to_string()
             }
             NavInputSpec::Udp { listen, .. } => format!("UDP {listen}"),
-            NavInputSpec::Serial { port, baud } => format!("{port} at {baud} Bd"),
+            NavInputSpec::Serial { port, baud, line } => {
+                format!("{port} at {baud} Bd {}", line.name())
+            }
             NavInputSpec::TcpConnect { address } => format!("TCP server {address}"),
             NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
         line(out, "", &format!("{}: {input}", source.name))?;
         if source.lever_arm_m != DVec3::ZERO {
-            let text = format!("{}: antenna {}", source.name, tilted(source.lever_arm_m));
+            let what = match source.provides.contains(&NavChannel::Position) {
+                true => "antenna",
+                false => "sensor",
+            };
+            let text = format!("{}: {what} {}", source.name, tilted(source.lever_arm_m));
             line(out, "  signs", &text)?;
         }
+        nav::write_mounting(out, source)?;
     }
+    nav::write_rest(out, &rig.nav)?;
     line(out, "scene", &scene(&rig.scene))?;
     let threads = match rig.run.threads {
         0 => "a thread per core".to_owned(),
@@ -448,6 +458,7 @@ fn model(sonar: &SonarSpec) -> String {
 fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
     for output in &sonar.outputs {
         let OutputSpec::SevenK(output) = output else {
+            families::write(out, sonar, d, output)?;
             outputs::write(out, sonar, d, output)?;
             continue;
         };

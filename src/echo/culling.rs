@@ -2,7 +2,7 @@
 //!
 //! In: a transmit array, a receive array, the floor. Out: the share of the two-way energy of a flat, evenly scattering ring at one angle of
 //! incidence that lies in directions where the two-way pattern is below the floor. In a window of reverberation from that angle the relative
-//! error of the samples is the root of it. A strong target in such a direction is left out too and is not in this figure.
+//! error of the samples is the root of it. For what is stronger than the ground the floor lies lower (`Scatterers::loud`), so that it is not in this figure.
 
 use glam::DVec3;
 

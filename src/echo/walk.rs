@@ -222,7 +222,8 @@ pub fn illuminate(
                 ScatterLaw::Curve => (half_of_curve(curve, facing.sqrt()), 0.0, normal),
             };
             let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
-            if ahead.level[j] < floor || amplitude == Complex64::ZERO {
+            let level = ahead.level[j] * f64::from(scatterers.loud[i]);
+            if level < floor || amplitude == Complex64::ZERO {
                 counts.culled += 1;
                 continue;
             }
@@ -232,7 +233,7 @@ pub fn illuminate(
             lit.z_m.push(ahead.z_m[j]);
             lit.range_m.push(range_m);
             lit.amplitude.push(amplitude);
-            lit.level.push(ahead.level[j]);
+            lit.level.push(level);
             lit.bias.push(bias);
             lit.curved.push(scatterers.law[i] == ScatterLaw::Curve);
             lit.normal_x.push(normal[0]);

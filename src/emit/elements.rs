@@ -20,8 +20,8 @@ pub fn elements_of<'a>(
 pub fn counts(value: f64) -> (i16, bool) {
     let rounded = (value * IQ_FULL_SCALE).round();
     let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and `as` makes it 0
-    // Written so that NaN counts as held.
-    (held as i16, !(rounded.abs() <= IQ_FULL_SCALE))
+    let fits = rounded.abs() <= IQ_FULL_SCALE; // never for NaN
+    (held as i16, !fits)
 }
 
 /// Fills `into` with I and Q of all elements, moment by moment, and says how many values did not fit.

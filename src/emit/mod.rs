@@ -3,6 +3,8 @@
 //! In: the plan and the output of one ping, and what somebody wants of it. Out: whole records, stamped, in buffers from a pool.
 pub mod changes;
 pub mod elements;
+pub mod imagenex872;
+pub mod jsf;
 pub mod passband;
 pub mod ping_protocol;
 pub mod pool;
@@ -10,3 +12,4 @@ pub mod session;
 pub mod sevenk;
 pub mod vita49;
 pub mod wbms;
+pub mod xtf;

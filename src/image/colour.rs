@@ -1,16 +1,6 @@
 //! Colour maps that sonar people use.
 
-/// From dark to bright.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ColourMap {
-    Grey,
-    /// Black, brown, gold, pale yellow: side-scan paper.
-    Copper,
-    /// Dark blue to white through cyan: water columns.
-    Blue,
-    /// Blue, green, yellow, red: echo strength, and depth turned round.
-    Rainbow,
-}
+pub use crate::config::spec::ColourMap;
 
 impl ColourMap {
     pub const ALL: [Self; 4] = [Self::Grey, Self::Copper, Self::Blue, Self::Rainbow];
@@ -42,7 +32,12 @@ impl ColourMap {
     /// Of a brightness from 0 to 1; held outside.
     pub fn at(self, brightness: f32) -> [u8; 3] {
         let stops = self.stops();
-        let x = brightness.clamp(0.0, 1.0) * (stops.len() - 1) as f32;
+        // What is no number is darkest.
+        let share = match brightness.is_nan() {
+            true => 0.0,
+            false => brightness.clamp(0.0, 1.0),
+        };
+        let x = share * (stops.len() - 1) as f32;
         let k = (x as usize).min(stops.len() - 2);
         let share = x - k as f32;
         std::array::from_fn(|i| {

@@ -3,7 +3,8 @@
 //! A sample of slant range r lies at ground range sqrt(r^2 - h^2) to its side, h the altitude (flat bottom across the ping). Each ping covers
 //! the stretch of track half way to its neighbours, so that no gap opens while the track bends; where a pixel is met more than once,
 //! [`Overlap`] decides. The water column is left out, and with `nadir_rad` what lies under the sonar, where resolution is poor: other lines may
-//! fill it. A towed body lies `layback_m` behind the navigation's reference, along the heading.
+//! fill it. A towed body lies `layback_m` behind the navigation's reference, along the heading. Pitch carries the beam ahead of the sonar, and so
+//! does its way during the echo. With [`LineTruth`]s the map has [`Mask`]s, pixel for pixel.
 //!
 //! Pictures go north up, a row of pixels per row of cells; [`Mosaic::write_geotiff`] writes intensity in dB as 32-bit floats with the
 //! coordinate system, [`Mosaic::write_png`] the same in a colour map.
@@ -16,21 +17,12 @@ use glam::DVec2;
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
-use super::colour::ColourMap;
-use super::line::RangeAxis;
-use crate::flow::{Line, Side};
+use super::line::{Projection, RangeAxis, cell_intensity};
+use super::masks::{Mask, cell_masks};
+pub use crate::config::spec::Overlap;
+use crate::config::spec::{ColourMap, Contrast};
+use crate::flow::{Line, LineTruth, Side};
 use crate::utm::UtmZone;
-
-/// What a pixel keeps of several pings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Overlap {
-    /// The mean intensity.
-    Mean,
-    /// The ping that saw it last.
-    Last,
-    /// The pass that saw it from nearest; the mean over its pings.
-    Nearest,
-}
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicSpec {
@@ -67,6 +59,27 @@ pub struct Place {
     pub heading_rad: f64,
     /// Over the bottom.
     pub altitude_m: f64,
+    /// Bow up.
+    pub pitch_rad: f64,
+    /// Speed ahead over the speed of sound: the beam's middle lies so many metres ahead for a metre of range.
+    pub drift: f64,
+    /// Where the arrays sit, to starboard of the place: port and starboard.
+    pub starboard_m: [f64; 2],
+}
+
+impl Place {
+    /// Of a level sonar at rest in the place itself.
+    pub fn level(latitude_rad: f64, longitude_rad: f64, heading_rad: f64, altitude_m: f64) -> Self {
+        Self {
+            latitude_rad,
+            longitude_rad,
+            heading_rad,
+            altitude_m,
+            pitch_rad: 0.0,
+            drift: 0.0,
+            starboard_m: [0.0; 2],
+        }
+    }
 }
 
 /// One ping, kept until the next tells how far it reaches.
@@ -75,8 +88,26 @@ struct Ping {
     at_m: DVec2,
     ahead: DVec2,
     altitude_m: f64,
+    pitch_tan: f64,
+    drift: f64,
+    starboard_m: [f64; 2],
     /// Intensity in cells of half a pixel of ground range, port and starboard; NaN is nothing.
     sides: [Vec<f32>; 2],
+    /// What they show; empty where nobody said.
+    masks: [Vec<Mask>; 2],
+}
+
+impl Ping {
+    /// Where a place `across_m` to one side (0 port, 1 starboard) lies: east, north.
+    fn at_m(&self, side: usize, across_m: f64) -> DVec2 {
+        let ahead_m =
+            self.altitude_m * self.pitch_tan + self.drift * across_m.hypot(self.altitude_m);
+        let starboard_m = match side {
+            0 => self.starboard_m[0] - across_m,
+            _ => self.starboard_m[1] + across_m,
+        };
+        self.at_m + self.ahead * ahead_m + DVec2::new(self.ahead.y, -self.ahead.x) * starboard_m
+    }
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -137,6 +168,8 @@ pub struct Mosaic {
     pub height: usize,
     /// Row-major from the north; NaN is nothing.
     pub intensity: Vec<f32>,
+    /// The same pixels' masks; empty where no ping was labelled.
+    pub masks: Vec<Mask>,
 }
 
 impl MosaicBuilder {
@@ -150,6 +183,17 @@ impl MosaicBuilder {
 
     /// One ping's lines (envelopes). The zone is that of the first ping.
     pub fn push(&mut self, place: &Place, axis: RangeAxis, lines: &[Line]) {
+        self.push_labelled(place, axis, lines, &[]);
+    }
+
+    /// The same with what the lines show.
+    pub fn push_labelled(
+        &mut self,
+        place: &Place,
+        axis: RangeAxis,
+        lines: &[Line],
+        truths: &[LineTruth],
+    ) {
         let zone = *self
             .zone
             .get_or_insert_with(|| UtmZone::of(place.latitude_rad, place.longitude_rad));
@@ -164,22 +208,30 @@ impl MosaicBuilder {
         let ahead = DVec2::new(e1 - east_m, n1 - north_m).normalize_or(DVec2::new(sin, cos));
         let cell_m = 0.5 * self.spec.metres_per_pixel;
         let cells = (self.spec.range_m / cell_m).ceil() as usize;
-        let least_m = place.altitude_m * self.spec.nadir_rad.tan();
+        let projection = Projection::Ground {
+            altitude_m: place.altitude_m,
+        };
+        let least_m = place.altitude_m / self.spec.nadir_rad.cos();
         let mut sides = [vec![f32::NAN; cells], vec![f32::NAN; cells]];
         for line in lines {
-            let side = match line.side {
-                Side::Port => &mut sides[0],
-                Side::Starboard => &mut sides[1],
-            };
-            ground_intensity(&line.amplitude, axis, place.altitude_m, cell_m, side);
-            let hidden = (least_m / cell_m).ceil() as usize;
-            side[..hidden.min(cells)].fill(f32::NAN);
+            let side = &mut sides[usize::from(line.side == Side::Starboard)];
+            cell_intensity(&line.amplitude, axis, projection, cell_m, least_m, side);
+        }
+        let mut masks = [Vec::new(), Vec::new()];
+        for truth in truths {
+            let side = &mut masks[usize::from(truth.side == Side::Starboard)];
+            side.resize(cells, Mask::NOTHING);
+            cell_masks(truth, axis, projection, cell_m, side);
         }
         self.pings.push(Ping {
             at_m: DVec2::new(east_m, north_m) - ahead * self.spec.layback_m,
             ahead,
             altitude_m: place.altitude_m,
+            pitch_tan: place.pitch_rad.tan(),
+            drift: place.drift,
+            starboard_m: place.starboard_m,
             sides,
+            masks,
         });
     }
 
@@ -192,8 +244,11 @@ impl MosaicBuilder {
         let reach = DVec2::splat(self.spec.range_m + cell_m);
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for ping in &self.pings {
-            low = low.min(ping.at_m - reach);
-            high = high.max(ping.at_m + reach);
+            for side in 0..2 {
+                let at_m = ping.at_m(side, 0.0);
+                low = low.min(at_m - reach);
+                high = high.max(at_m + reach);
+            }
         }
         // Whole multiples of a pixel, so that maps of one survey fit each other.
         let low = (low / cell_m).floor() * cell_m;
@@ -208,8 +263,28 @@ impl MosaicBuilder {
         let (width, height) = (size.x as usize, size.y as usize);
         let north_m = low.y + height as f64 * cell_m;
         let mut pixels = vec![Pixel::NOTHING; width * height];
+        let labelled = self
+            .pings
+            .iter()
+            .flat_map(|p| &p.masks)
+            .any(|m| !m.is_empty());
+        let mut masks = match labelled {
+            true => vec![Mask::NOTHING; width * height],
+            false => Vec::new(),
+        };
         for i in 0..self.pings.len() {
-            self.lay(i, low, north_m, (width, height), &mut pixels);
+            self.lay(i, |at, value, range_m, mask| {
+                let x = (at.x - low.x) / cell_m;
+                let y = (north_m - at.y) / cell_m;
+                if x < 0.0 || y < 0.0 || x >= width as f64 || y >= height as f64 {
+                    return;
+                }
+                let p = y as usize * width + x as usize;
+                let met = self.meet(value, range_m, &mut pixels[p]);
+                if let (Some(mask), Some(there)) = (mask, masks.get_mut(p)) {
+                    met.label(*mask, there);
+                }
+            });
         }
         let intensity = pixels.iter().map(Pixel::intensity).collect();
         Ok(Mosaic {
@@ -220,71 +295,56 @@ impl MosaicBuilder {
             width,
             height,
             intensity,
+            masks,
         })
     }
 
-    /// One ping's strip, half way to its neighbours, in steps of half a pixel.
-    fn lay(
-        &self,
-        i: usize,
-        low: DVec2,
-        north_m: f64,
-        (width, height): (usize, usize),
-        pixels: &mut [Pixel],
-    ) {
+    /// One ping's strip, half way to its neighbours, in steps of half a pixel: place, intensity, range and mask of every step.
+    fn lay(&self, i: usize, mut put: impl FnMut(DVec2, f32, f32, Option<&Mask>)) {
         let ping = &self.pings[i];
         let step_m = 0.5 * self.spec.metres_per_pixel;
         // A jump of the track is no stretch to be filled.
         let longest_m = 50.0 * self.spec.metres_per_pixel;
-        let half_way = |other: Option<&Ping>| {
-            let to_m = other.map_or(DVec2::ZERO, |o| 0.5 * (o.at_m - ping.at_m));
-            match to_m.length() <= longest_m {
-                true => to_m,
-                false => DVec2::ZERO,
-            }
-        };
-        let before = half_way(i.checked_sub(1).map(|k| &self.pings[k]));
-        let after = half_way(self.pings.get(i + 1));
-        let turned = |other: Option<&Ping>| {
-            let ahead = other.map_or(ping.ahead, |o| o.ahead);
-            (ping.ahead + 0.5 * (ahead - ping.ahead)).normalize_or(ping.ahead)
-        };
-        let ends = [
-            (
-                ping.at_m + before,
-                turned(i.checked_sub(1).map(|k| &self.pings[k])),
-            ),
-            (ping.at_m, ping.ahead),
-            (ping.at_m + after, turned(self.pings.get(i + 1))),
+        let neighbours = [
+            i.checked_sub(1).map(|k| &self.pings[k]),
+            self.pings.get(i + 1),
         ];
-        for pair in ends.windows(2) {
-            for (side, sign) in ping.sides.iter().zip([-1.0, 1.0]) {
-                for (k, value) in side.iter().enumerate() {
-                    if value.is_nan() {
-                        continue;
+        for (side, cells) in ping.sides.iter().enumerate() {
+            for (k, value) in cells.iter().enumerate().filter(|c| !c.1.is_nan()) {
+                let across_m = (k as f64 + 0.5) * step_m;
+                // What lies between the two sides' arrays is the bottom's first echo.
+                if k == 0 {
+                    let inward = ping.starboard_m[side] * [-1.0, 1.0][side];
+                    for back in 0..(inward / step_m).ceil().max(0.0) as usize {
+                        let here = ping.at_m(side, -(back as f64 + 0.5) * step_m);
+                        put(
+                            here,
+                            *value,
+                            ping.altitude_m as f32,
+                            ping.masks[side].first(),
+                        );
                     }
-                    let across_m = (k as f64 + 0.5) * step_m * sign;
-                    let corner =
-                        |(at, ahead): (DVec2, DVec2)| at + DVec2::new(ahead.y, -ahead.x) * across_m;
-                    let (a, b) = (corner(pair[0]), corner(pair[1]));
-                    let steps = (a.distance(b) / step_m).ceil().max(1.0) as usize;
+                }
+                let range_m = across_m.hypot(ping.altitude_m) as f32;
+                let here = ping.at_m(side, across_m);
+                let mask = ping.masks[side].get(k);
+                for other in neighbours {
+                    let to = other.map_or(DVec2::ZERO, |o| 0.5 * (o.at_m(side, across_m) - here));
+                    let way = match to.length() <= longest_m {
+                        true => to,
+                        false => DVec2::ZERO,
+                    };
+                    let steps = (way.length() / step_m).ceil().max(1.0) as usize;
                     for s in 0..steps {
-                        let at = a.lerp(b, (s as f64 + 0.5) / steps as f64);
-                        let x = ((at.x - low.x) / self.spec.metres_per_pixel) as usize;
-                        let y = ((north_m - at.y) / self.spec.metres_per_pixel) as usize;
-                        if x >= width || y >= height {
-                            continue;
-                        }
-                        let p = y * width + x;
-                        let range_m = across_m.hypot(ping.altitude_m) as f32;
-                        self.meet(*value, range_m, &mut pixels[p]);
+                        let at = here + way * ((s as f64 + 0.5) / steps as f64);
+                        put(at, *value, range_m, mask);
                     }
                 }
             }
         }
     }
 
-    fn meet(&self, value: f32, range_m: f32, pixel: &mut Pixel) {
+    fn meet(&self, value: f32, range_m: f32, pixel: &mut Pixel) -> Met {
         let Pixel {
             sum,
             weight,
@@ -294,49 +354,53 @@ impl MosaicBuilder {
             Overlap::Mean => {
                 *sum += value;
                 *weight += 1.0;
-            }
-            Overlap::Last => (*sum, *weight) = (value, 1.0),
-            Overlap::Nearest => {
-                if range_m < *nearest_m * NEARER {
-                    (*sum, *weight, *nearest_m) = (value, 1.0, range_m);
-                } else if range_m * NEARER <= *nearest_m {
-                    *sum += value;
-                    *weight += 1.0;
+                match *weight > 1.0 {
+                    true => Met::Added,
+                    false => Met::Replaced,
                 }
             }
+            Overlap::Last => {
+                (*sum, *weight) = (value, 1.0);
+                Met::Replaced
+            }
+            Overlap::Nearest if range_m < *nearest_m * NEARER => {
+                (*sum, *weight, *nearest_m) = (value, 1.0, range_m);
+                Met::Replaced
+            }
+            Overlap::Nearest if range_m * NEARER <= *nearest_m => {
+                *sum += value;
+                *weight += 1.0;
+                Met::Added
+            }
+            Overlap::Nearest => Met::Passed,
         }
     }
 }
 
-/// Mean intensity of a line in cells of ground range over a flat bottom `altitude_m` below; NaN beyond the line.
-pub fn ground_intensity(
-    amplitude: &[f32],
-    axis: RangeAxis,
-    altitude_m: f64,
-    metres_per_cell: f64,
-    cells: &mut [f32],
-) {
-    let sample = |ground_m: f64| ground_m.hypot(altitude_m) / axis.metres_per_sample;
-    for (i, cell) in cells.iter_mut().enumerate() {
-        let (from, to) = (
-            sample(i as f64 * metres_per_cell),
-            sample((i + 1) as f64 * metres_per_cell),
-        );
-        let (first, end) = (from.ceil() as usize, to.ceil() as usize);
-        let inside = match first < end {
-            true => amplitude.get(first..end.min(amplitude.len())),
-            false => {
-                let nearest = (0.5 * (from + to)).round() as usize;
-                amplitude.get(nearest..nearest + 1)
+/// What became of what a pixel met.
+#[derive(Clone, Copy)]
+enum Met {
+    Replaced,
+    Added,
+    Passed,
+}
+
+impl Met {
+    /// A mean over pings shows a target that any of them shows, and shadow where all of them do.
+    fn label(self, mask: Mask, there: &mut Mask) {
+        match self {
+            Self::Replaced => *there = mask,
+            Self::Passed => {}
+            Self::Added => {
+                if there.target == 0 {
+                    there.target = mask.target;
+                }
+                there.shadow &= mask.shadow && there.target == 0;
+                if there.down_m.is_nan() {
+                    there.down_m = mask.down_m;
+                }
             }
-        };
-        *cell = match inside {
-            Some(inside) if !inside.is_empty() => {
-                let sum: f64 = inside.iter().map(|&a| f64::from(a) * f64::from(a)).sum();
-                (sum / inside.len() as f64) as f32
-            }
-            _ => f32::NAN,
-        };
+        }
     }
 }
 
@@ -386,20 +450,23 @@ impl Mosaic {
         Ok(())
     }
 
-    /// The same as a picture: `low_share` and `high_share` of the pixels are darkest and brightest; transparent where nothing is.
+    /// The same as a picture; transparent where nothing is.
     pub fn write_png(
         &self,
         to: impl Write,
         map: ColourMap,
-        (low_share, high_share): (f64, f64),
+        contrast: Contrast,
     ) -> Result<(), MosaicError> {
         let mut levels: Vec<f32> = self.db().filter(|x| x.is_finite()).collect();
         if levels.is_empty() {
             return Err(MosaicError::Empty);
         }
         levels.sort_by(f32::total_cmp);
-        let at = |share: f64| levels[((levels.len() - 1) as f64 * share) as usize];
-        let (low, high) = (at(low_share), at(high_share));
+        let at = |share: f64| levels[((levels.len() - 1) as f64 * share.clamp(0.0, 1.0)) as usize];
+        let (low, high) = match contrast {
+            Contrast::Percentiles { low, high } => (at(low), at(high)),
+            Contrast::Fixed { low_db, high_db } => (low_db as f32, high_db as f32),
+        };
         let mut pixels = Vec::with_capacity(4 * self.intensity.len());
         for level in self.db() {
             if level.is_nan() {
@@ -451,12 +518,7 @@ mod tests {
                 });
                 let fish = at + ahead * spec.layback_m;
                 let (latitude_rad, longitude_rad) = plane.geodetic_rad(fish.x, fish.y);
-                let place = Place {
-                    latitude_rad,
-                    longitude_rad,
-                    heading_rad: heading,
-                    altitude_m,
-                };
+                let place = Place::level(latitude_rad, longitude_rad, heading, altitude_m);
                 builder.push(&place, AXIS, &lines);
             }
         }
@@ -496,6 +558,79 @@ mod tests {
                 x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
                 "layback {layback_m}, {ways:?}: {x} {y}, want {want:?}"
             );
+        }
+    }
+
+    /// A pitching, moving body with its arrays off its middle: the target is heard by the ping whose beam, not whose place, passes it.
+    #[test]
+    fn pitch_drift_arms_and_masks_put_a_target_where_it_is() {
+        let plane = LocalTangentPlane::new(0.6, -1.2);
+        let altitude_m = 20.0;
+        let spec = MosaicSpec {
+            range_m: 60.0,
+            ..MosaicSpec::default()
+        };
+        let mut builder = MosaicBuilder::new(spec);
+        // Due north; the target 30 m to starboard of the track.
+        let (target_north, target_east) = (41.2, 30.3);
+        for ping in 0..400 {
+            let north = 0.2 * f64::from(ping);
+            let pitch_rad = 4f64.to_radians() * (0.05 * f64::from(ping)).sin();
+            let drift = 0.004;
+            let starboard_m = [-1.0, 1.5];
+            let across_m: f64 = target_east - starboard_m[1];
+            let slant_m = across_m.hypot(altitude_m);
+            let beam_north = north + altitude_m * pitch_rad.tan() + drift * slant_m;
+            let mut amplitude = vec![0.1f32; 4000];
+            let mut truth = LineTruth {
+                side: Side::Starboard,
+                target: vec![0; 4000],
+                target_energy: vec![0.0; 4000],
+                other_energy: vec![0.01; 4000],
+                ground: vec![crate::flow::GroundSeen::Seen; 4000],
+                down_m: vec![20.0; 4000],
+            };
+            if (beam_north - target_north).abs() < 0.15 {
+                let k = AXIS.sample(slant_m);
+                amplitude[k] = 30.0;
+                (truth.target[k], truth.target_energy[k]) = (7, 900.0);
+            }
+            let (latitude_rad, longitude_rad) = plane.geodetic_rad(north, 0.0);
+            let place = Place {
+                pitch_rad,
+                drift,
+                starboard_m,
+                ..Place::level(latitude_rad, longitude_rad, 0.0, altitude_m)
+            };
+            let line = Line {
+                side: Side::Starboard,
+                amplitude,
+            };
+            builder.push_labelled(&place, AXIS, &[line], &[truth]);
+        }
+        let (latitude, longitude) = plane.geodetic_rad(target_north, target_east);
+        let mosaic = builder.finish().expect("a map");
+        let (east, north) = mosaic.zone.project_m(latitude, longitude);
+        let want = mosaic.pixel(east, north).expect("inside");
+        let (x, y) = brightest(&mosaic);
+        assert!(
+            x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
+            "{x} {y}, want {want:?}"
+        );
+        let labelled: Vec<usize> = (0..mosaic.masks.len())
+            .filter(|&p| mosaic.masks[p].target == 7)
+            .collect();
+        assert!(!labelled.is_empty());
+        for p in labelled {
+            let (x, y) = (p % mosaic.width, p / mosaic.width);
+            assert!(
+                x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 2,
+                "labelled {x} {y}, want {want:?}"
+            );
+        }
+        // Ground where there is a picture, and nothing where there is none.
+        for (mask, intensity) in mosaic.masks.iter().zip(&mosaic.intensity) {
+            assert_eq!(mask.down_m.is_nan(), intensity.is_nan());
         }
     }
 
@@ -559,12 +694,7 @@ mod tests {
             ..MosaicSpec::default()
         };
         let mut builder = MosaicBuilder::new(spec);
-        let place = Place {
-            latitude_rad: 0.5,
-            longitude_rad: 0.1,
-            heading_rad: 0.0,
-            altitude_m: 5.0,
-        };
+        let place = Place::level(0.5, 0.1, 0.0, 5.0);
         builder.push(&place, AXIS, &[]);
         assert!(matches!(
             builder.finish(),

@@ -1,4 +1,4 @@
-//! The waterfall: side-scan lines stacked into a picture in slant range.
+//! The waterfall: side-scan lines stacked into a picture, in slant range or on the ground.
 //!
 //! Port is on the left and mirrored, starboard on the right, so that the start of the pulse lies in the middle. The newest ping is at the
 //! top: the picture lies like a chart with the ship heading up. A ping number that never came keeps its place, in the colour of nothing.
@@ -8,20 +8,23 @@
 
 use crate::flow::{Line, PingPlan, Side};
 
-use super::line::{RangeAxis, mean_intensity};
+use super::line::{Projection, RangeAxis, cell_intensity};
+use crate::config::spec::ColourMap;
+pub use crate::config::spec::Contrast as Scale;
 
 /// How a waterfall looks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WaterfallSpec {
-    /// Largest slant range shown on each side.
+    /// Largest range shown on each side, as the columns count it.
     pub range_m: f64,
     pub metres_per_pixel: f64,
     /// Picture rows of one ping; see [`rows_that_keep_the_aspect`].
     pub rows_per_ping: u32,
     pub scale: Scale,
+    pub colours: ColourMap,
     /// Divide out the mean level at each range (a moving mean in dB, over all pings, for each side), as survey viewers do.
     pub normalise_range: bool,
-    /// Faint lines every so many metres of slant range.
+    /// Faint lines every so many metres of range.
     pub range_ticks_m: Option<f64>,
     pub max_pings: usize,
 }
@@ -36,20 +39,12 @@ impl Default for WaterfallSpec {
                 low: 0.02,
                 high: 0.998,
             },
+            colours: ColourMap::Copper,
             normalise_range: false,
             range_ticks_m: Some(50.0),
             max_pings: 20_000,
         }
     }
-}
-
-/// What is black and what is brightest.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Scale {
-    /// dB re 1 V (rms of the envelope), or over the mean at that range where the range is normalised.
-    Fixed { low_db: f64, high_db: f64 },
-    /// These shares (0..1) of the picture's own pixels lie below black and below brightest.
-    Percentiles { low: f64, high: f64 },
 }
 
 /// Picture rows that make one ping as tall as the ship's advance between pings, at least one.
@@ -96,8 +91,13 @@ impl Waterfall {
         }
     }
 
-    /// Adds one ping's lines. Of two lines of one side the later wins.
+    /// Adds one ping's lines in slant range. Of two lines of one side the later wins.
     pub fn push(&mut self, plan: &PingPlan, lines: &[Line]) {
+        self.push_with(plan, lines, Some(Projection::Slant));
+    }
+
+    /// The same with columns of any projection; without one, the ping keeps its place and shows nothing.
+    pub fn push_with(&mut self, plan: &PingPlan, lines: &[Line], projection: Option<Projection>) {
         let ping_number = plan.ping_number;
         let first = *self.first_ping.get_or_insert(ping_number);
         let place = ping_number
@@ -116,12 +116,16 @@ impl Waterfall {
         let row = &mut self.rows[place * width..end];
         let (port, starboard) = row.split_at_mut(self.columns_per_side);
         let axis = RangeAxis::new(plan.sound_speed_m_per_s, self.sample_rate_hz);
+        let Some(projection) = projection else {
+            return;
+        };
         for line in lines {
             let half = match line.side {
                 Side::Port => &mut *port,
                 Side::Starboard => &mut *starboard,
             };
-            mean_intensity(&line.amplitude, axis, self.spec.metres_per_pixel, half);
+            let cell_m = self.spec.metres_per_pixel;
+            cell_intensity(&line.amplitude, axis, projection, cell_m, 0.0, half);
             if line.side == Side::Port {
                 half.reverse();
             }
@@ -152,11 +156,11 @@ impl Waterfall {
         self.pings() * self.spec.rows_per_ping.max(1) as usize
     }
 
-    /// Where an echo at `slant_range_m` of a ping lies in the picture as it is now: column, and the uppermost of the ping's rows.
+    /// Where an echo at `range_m` (as the columns count it) of a ping lies in the picture as it is now: column, and the uppermost of the ping's rows.
     /// None outside the picture.
-    pub fn pixel_of(&self, side: Side, slant_range_m: f64, ping_number: u32) -> Option<(u32, u32)> {
+    pub fn pixel_of(&self, side: Side, range_m: f64, ping_number: u32) -> Option<(u32, u32)> {
         // A range that is a multiple of the pixel belongs to the pixel it begins, whatever the quotient's last digit.
-        let column = (slant_range_m / self.spec.metres_per_pixel + 1e-9).floor();
+        let column = (range_m / self.spec.metres_per_pixel + 1e-9).floor();
         if !(column >= 0.0 && column < self.columns_per_side as f64) {
             return None;
         }
@@ -184,7 +188,9 @@ impl Waterfall {
                     NOTHING
                 } else {
                     let db = decibels(row[x]) - level_db[x];
-                    copper((db - low_db) / (high_db - low_db))
+                    self.spec
+                        .colours
+                        .at(((db - low_db) / (high_db - low_db)) as f32)
                 };
                 if tick[x] {
                     color = color
@@ -284,21 +290,6 @@ impl Waterfall {
 
 fn decibels(intensity: f32) -> f64 {
     10.0 * f64::from(intensity).log10()
-}
-
-/// The copper of paper recorders: black over brown to pale yellow; `share` of the scale, held at its ends.
-fn copper(share: f64) -> [u8; 3] {
-    let s = if share.is_nan() {
-        0.0
-    } else {
-        share.clamp(0.0, 1.0)
-    };
-    let channel = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() as u8;
-    [
-        channel(1.35 * s),
-        channel(0.78 * s + 0.20 * s * s),
-        channel(0.35 * s + 0.40 * s * s * s),
-    ]
 }
 
 #[cfg(test)]
@@ -502,14 +493,6 @@ mod tests {
             }
         }
         assert_eq!(picture(&Waterfall::new(spec(), RATE_HZ)).len(), 0);
-    }
-
-    #[test]
-    fn palette_is_monotone_in_brightness() {
-        let sum = |s: f64| copper(s).iter().map(|&c| u32::from(c)).sum::<u32>();
-        assert_eq!(copper(0.0), [0, 0, 0]);
-        assert!((0..255).all(|i| sum(f64::from(i) / 255.0) <= sum(f64::from(i + 1) / 255.0)));
-        assert!(sum(1.0) > 600);
     }
 
     #[test]

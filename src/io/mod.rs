@@ -2,6 +2,8 @@
 pub mod control;
 pub mod datagrams;
 pub mod nav;
+pub mod notify;
+pub mod priority;
 pub mod record;
 pub mod serial_line;
 pub mod signals;

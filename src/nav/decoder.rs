@@ -9,6 +9,8 @@ use crate::config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec,
 use crate::flow::{NavQuantity, NavSample};
 use crate::time::{NS_PER_S, UtcNs};
 
+/// Of [`NavChannel`].
+const CHANNEL_COUNT: usize = 6;
 /// A lesser sentence speaks for a quantity only after the better one has been silent this long.
 const SILENCE_NS: i64 = 5 * NS_PER_S;
 
@@ -110,7 +112,7 @@ struct Reader {
     dialect: NavDialect,
     provides: Vec<NavChannel>,
     clock: MessageClock,
-    speakers: [Option<Speaker>; 5],
+    speakers: [Option<Speaker>; CHANNEL_COUNT],
     followers: Vec<Follower>,
     /// By the last PSXN,20.
     invalid: Invalid,
@@ -137,7 +139,7 @@ impl NavDecoder {
                 dialect: spec.dialect.clone(),
                 provides: spec.provides.clone(),
                 clock: MessageClock::default(),
-                speakers: [None; 5],
+                speakers: [None; CHANNEL_COUNT],
                 followers: Vec::with_capacity(MAX_FOLLOWERS),
                 invalid: Invalid::default(),
                 scratch: String::new(),
@@ -434,12 +436,14 @@ impl Reader {
         let heave = r
             .heave_down_m
             .map(|heave_down_m| NavQuantity::Heave { heave_down_m });
+        let depth = r.own_depth_m.map(|depth_m| NavQuantity::Depth { depth_m });
         let candidates = [
             (NavChannel::Position, position),
             (NavChannel::CourseSpeed, course),
             (NavChannel::Heading, heading),
             (NavChannel::RollPitch, roll_pitch),
             (NavChannel::Heave, heave),
+            (NavChannel::Depth, depth),
         ];
         let mut valid = None;
         for (i, (channel, quantity)) in candidates.into_iter().enumerate() {

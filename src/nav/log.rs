@@ -13,9 +13,9 @@ use std::ops::Range;
 
 use super::capture;
 use super::decoder::{Heard, NavCounters, NavDecoder, unwatched};
-use super::fields::{fraction_ns, time_of_day_ns};
 use super::mavlink;
 use super::message_time::nearest_day;
+use super::stamp::{LineStamp, split_line};
 use crate::config::spec::{NavFormat, NavSourceSpec, TimePolicy};
 use crate::flow::NavSample;
 use crate::time::{NS_PER_S, UtcNs};
@@ -51,26 +51,12 @@ pub struct LogCounts {
     pub stamped: u64,
     /// Lines stamped before their predecessor.
     pub backward: u64,
+    /// Lines in which no sentence begins.
+    pub no_sentence: u64,
+    /// Of those: JSON (gpsd, SignalK, OpenRVDAS), which is not read.
+    pub json: u64,
     /// Packets of a capture that are no whole UDP datagram: TCP, fragments, cut ones.
     pub passed_over: u64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LineStamp {
-    Utc(UtcNs),
-    /// Nanoseconds since midnight, no date.
-    TimeOfDay(i64),
-}
-
-/// A line as recorded: its stamp, if any, and what follows, from the sentence's start on (empty if there is none).
-pub fn split_line(line: &[u8]) -> (Option<LineStamp>, &[u8]) {
-    let start = line
-        .iter()
-        .position(|b| matches!(b, b'$' | b'!'))
-        .unwrap_or(line.len());
-    let (before, sentence) = line.split_at(start);
-    let stamp = (!sentence.is_empty()).then(|| find_stamp(before)).flatten();
-    (stamp, sentence)
 }
 
 /// Told from the first bytes; `format` says what a log without such a mark holds.
@@ -86,13 +72,61 @@ pub fn kind_of(bytes: &[u8], format: NavFormat) -> LogKind {
     }
 }
 
+/// Why a file is no log that can be read, where its first bytes tell.
+pub fn refusal(bytes: &[u8]) -> Option<&'static str> {
+    let packed = "is packed; unpack it first";
+    match bytes {
+        [0x1F, 0x8B, ..] => Some(packed),
+        [b'P', b'K', 3, 4, ..] | [b'B', b'Z', b'h', ..] | [0xFD, b'7', b'z', ..] => Some(packed),
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => Some(packed),
+        [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => Some("is UTF-16 text; convert it to UTF-8"),
+        [a, 0, b, 0, ..] | [0, a, 0, b, ..] if a.is_ascii_graphic() && b.is_ascii_graphic() => {
+            Some("is UTF-16 text; convert it to UTF-8")
+        }
+        _ => None,
+    }
+}
+
+/// Without UTF-8's byte order mark.
+fn unmarked(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes)
+}
+
+/// Lines with their ends: LF, CR LF, or CR alone.
+struct Lines<'a>(&'a [u8]);
+
+impl<'a> Iterator for Lines<'a> {
+    type Item = &'a [u8];
+
+    fn next(&mut self) -> Option<&'a [u8]> {
+        if self.0.is_empty() {
+            return None;
+        }
+        let end = self.0.iter().position(|b| matches!(b, b'\n' | b'\r'));
+        let mut len = end.map_or(self.0.len(), |at| at + 1);
+        // CR LF is one end, and so is CR CR LF.
+        while self.0[len - 1] == b'\r' && matches!(self.0.get(len), Some(b'\r' | b'\n')) {
+            len += 1;
+        }
+        let (line, rest) = self.0.split_at(len);
+        self.0 = rest;
+        Some(line)
+    }
+}
+
+/// A line of JSON: gpsd, SignalK, OpenRVDAS records.
+fn is_json(line: &[u8]) -> bool {
+    let text = line.trim_ascii();
+    text.starts_with(b"{") && text.ends_with(b"}")
+}
+
 /// Bytes that came together.
 type Piece<'a> = (Option<LineStamp>, &'a [u8]);
 
 /// A log's pieces: lines, datagrams, or runs of records short enough to hold at most one.
 fn pieces(bytes: &[u8], kind: LogKind) -> Box<dyn Iterator<Item = Piece<'_>> + '_> {
     match kind {
-        LogKind::Text => Box::new(bytes.split_inclusive(|&b| b == b'\n').map(split_line)),
+        LogKind::Text => Box::new(Lines(unmarked(bytes)).map(split_line)),
         LogKind::Binary => Box::new(bytes.chunks(SHORTEST_RECORD).map(|piece| (None, piece))),
         LogKind::Capture => Box::new(capture::packets(bytes).filter_map(|packet| {
             let stamp = Some(LineStamp::Utc(packet.arrival));
@@ -137,6 +171,9 @@ pub fn read_log_watched(
         let passed_over = capture::packets(bytes).filter(|p| p.payload.is_none());
         counts.passed_over = passed_over.count() as u64;
     }
+    if kind == LogKind::Text {
+        counts.json = Lines(unmarked(bytes)).filter(|l| is_json(l)).count() as u64;
+    }
     let mut samples = Vec::new();
     let mut raw = None;
     let mut plain_now = start.first_message.unwrap_or_default();
@@ -145,6 +182,7 @@ pub fn read_log_watched(
     let spreads = !start.stamped && start.first_message.is_some();
     for (stamp, sentence) in pieces(bytes, kind) {
         counts.lines += 1;
+        counts.no_sentence += u64::from(kind == LogKind::Text && sentence.is_empty());
         if let Some(stamp) = stamp {
             let now = advance(raw, stamp);
             counts.stamped += 1;
@@ -330,147 +368,30 @@ fn advance(before: Option<UtcNs>, stamp: LineStamp) -> UtcNs {
     }
 }
 
-fn find_stamp(prefix: &[u8]) -> Option<LineStamp> {
-    // Loggers' stamps are ASCII and stand near the front.
-    let text = std::str::from_utf8(prefix).ok()?;
-    if !text.is_ascii() {
-        return None;
-    }
-    let Some((clock_at, time_ns)) = find_clock(text) else {
-        return seconds_stamp(text);
-    };
-    let date = date_before(&text[..clock_at]);
-    let Some(date) = date else {
-        return Some(LineStamp::TimeOfDay(time_ns));
-    };
-    let midnight = date
-        .and_time(chrono::NaiveTime::MIN)
-        .and_utc()
-        .timestamp_nanos_opt()?;
-    Some(LineStamp::Utc(UtcNs(midnight.saturating_add(time_ns))))
-}
-
-/// The first HH:MM:SS that is not the tail of a longer number.
-fn find_clock(text: &str) -> Option<(usize, i64)> {
-    let starts = text.match_indices(':').filter_map(|(at, _)| {
-        let start = at.checked_sub(2)?;
-        let before = start.checked_sub(1).map(|b| text.as_bytes()[b]);
-        (!before.is_some_and(|b| b.is_ascii_digit())).then_some(start)
-    });
-    starts
-        .into_iter()
-        .find_map(|at| clock(&text[at..]).map(|ns| (at, ns)))
-}
-
-/// The date that ends where the clock begins, one character between: `YYYY-MM-DD`, `YYYY/MM/DD`, `MM/DD/YYYY` (SCS), `YYYY:DDD` (RVDAS).
-fn date_before(text: &str) -> Option<chrono::NaiveDate> {
-    let tail = |len: usize| {
-        text.len()
-            .checked_sub(len + 1)
-            .map(|at| &text[at..at + len])
-    };
-    if let Some(ten) = tail(10) {
-        for form in ["%Y-%m-%d", "%Y/%m/%d", "%m/%d/%Y"] {
-            if let Ok(date) = chrono::NaiveDate::parse_from_str(ten, form) {
-                return Some(date);
-            }
-        }
-    }
-    let eight = tail(8)?;
-    if text.ends_with(':') {
-        return chrono::NaiveDate::parse_from_str(eight, "%Y:%j").ok();
-    }
-    None
-}
-
-/// Seconds since 1970 before the sentence, alone or in a TAG block (`c:`), there also in milliseconds.
-fn seconds_stamp(text: &str) -> Option<LineStamp> {
-    let tag = text.split_once("c:").map(|(_, rest)| rest);
-    let number = match tag {
-        Some(rest) => rest.split(|c: char| !c.is_ascii_digit()).next()?,
-        None => text.trim_start().split([' ', '\t', ',']).next()?,
-    };
-    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
-    let digits = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
-    if !digits(whole) || !digits(fraction) {
-        return None;
-    }
-    let ns = match (whole.len(), tag.is_some()) {
-        (10, _) => whole.parse::<i64>().ok()?.checked_mul(NS_PER_S)?,
-        (13, true) => whole.parse::<i64>().ok()?.checked_mul(NS_PER_S / 1000)?,
-        _ => return None,
-    };
-    Some(LineStamp::Utc(UtcNs(ns + fraction_ns(fraction))))
-}
-
-/// HH:MM:SS[.fraction] at the front of `text`, nanoseconds since midnight.
-fn clock(text: &str) -> Option<i64> {
-    let bytes = text.as_bytes();
-    if bytes.len() < 8 || bytes[2] != b':' || bytes[5] != b':' {
-        return None;
-    }
-    let digits = [bytes[0], bytes[1], bytes[3], bytes[4], bytes[6], bytes[7]];
-    let whole_ns = time_of_day_ns(std::str::from_utf8(&digits).ok()?)?;
-    let fraction = text.get(8..)?.strip_prefix(['.', ',']).unwrap_or("");
-    let end = fraction
-        .find(|c: char| !c.is_ascii_digit())
-        .unwrap_or(fraction.len());
-    Some(whole_ns + fraction_ns(&fraction[..end]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn stamp(line: &str) -> Option<LineStamp> {
-        split_line(line.as_bytes()).0
-    }
-    const D: i64 = 1_406_851_200 * NS_PER_S; // 2014-08-01
-
     #[test]
-    fn stamps_of_several_loggers_are_found() {
-        let utc = |ns: i64| Some(LineStamp::Utc(UtcNs(D + ns)));
-        assert_eq!(
-            stamp("2014-08-01T00:00:00.183000Z $HEHDT,218.53,T*12\n"),
-            utc(183_000_000)
-        );
-        assert_eq!(
-            stamp("2014-08-01 00:00:01,5 | DEBUG | __main__:recv:49 - $GPHDT,,*4F"),
-            utc(1_500_000_000)
-        );
-        let day = |s: i64, ns: i64| Some(LineStamp::TimeOfDay(s * NS_PER_S + ns));
-        assert_eq!(stamp("18:58:39.006 $STATUS,0"), day(68_319, 6_000_000));
-        assert_eq!(stamp("$HEHDT,218.53,T*12"), None);
-        assert_eq!(
-            stamp("2014:213:00:00:00.250 $A,1"),
-            utc(250_000_000),
-            "RVDAS"
-        );
-        assert_eq!(
-            stamp("08/01/2014,00:00:00.250,$A,1"),
-            utc(250_000_000),
-            "SCS"
-        );
-        assert_eq!(
-            stamp("NAV 2014/08/01 00:00:00.25 NMEA $A,1"),
-            utc(250_000_000),
-            "DSLog"
-        );
-        assert_eq!(stamp("1406851200.25 $A,1"), utc(250_000_000));
-        assert_eq!(stamp("\\s:GN,c:1406851200*12\\$A,1"), utc(0), "TAG block");
-        assert_eq!(
-            stamp("\\c:1406851200250*12\\$A,1"),
-            utc(250_000_000),
-            "TAG block"
-        );
-        assert_eq!(stamp("12 $A,1"), None);
-        assert_eq!(stamp("99:99:99 $HEHDT,218.53,T*12"), None);
-        assert_eq!(stamp("# Title: 12:00:00"), None, "no sentence, no stamp");
+    fn lines_end_in_any_of_the_three_ways() {
+        let lines: Vec<&[u8]> = Lines(b"a\nb\r\nc\rd\r\r\n\n\re").collect();
+        let want: [&[u8]; 7] = [b"a\n", b"b\r\n", b"c\r", b"d\r\r\n", b"\n", b"\r", b"e"];
+        assert_eq!(lines, want);
     }
 
     #[test]
-    fn the_sentence_is_the_rest_of_the_line() {
-        let (_, rest) = split_line(b"18:58:39.006 $A,1*00$B,2\r\n");
-        assert_eq!(rest, b"$A,1*00$B,2\r\n");
+    fn packed_files_and_utf_16_are_told_from_logs() {
+        assert!(refusal(&[0x1F, 0x8B, 8, 0]).is_some_and(|why| why.contains("packed")));
+        assert!(refusal(b"\xFF\xFE$\0G\0").is_some_and(|why| why.contains("UTF-16")));
+        assert!(refusal(b"$\0G\0P\0").is_some_and(|why| why.contains("UTF-16")));
+        for log in [
+            &b"$GPGGA"[..],
+            b"",
+            b"\xEF\xBB\xBF$GPGGA",
+            b"# Title",
+            &[0xFE],
+        ] {
+            assert_eq!(refusal(log), None);
+        }
     }
 }

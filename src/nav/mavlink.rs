@@ -274,6 +274,9 @@ fn decode(frame: &Frame, boot_us: Option<i64>) -> Decoded {
                 let velocity = |at: usize| f64::from(u16_at(&b, at) as i16) / 100.0;
                 r.set_velocity(velocity(20), velocity(22))?;
             }
+            // Height above home; of a vehicle under water, its depth.
+            let depth_m = -i32_at(&b, 16) / 1000.0;
+            r.set_own_depth(Some(depth_m).filter(|d| *d > -1.0))?;
             Ok(r)
         }
         _ => Err(Unsupported),

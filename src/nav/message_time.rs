@@ -2,13 +2,17 @@
 //!
 //! Only ZDA and RMC carry a date; the others carry a time of day that wraps at midnight. A day is chosen as the one nearest to where the
 //! message clock should be by now (before any date: nearest to the arrival).
+//!
+//! A source whose clock is set while it runs goes on where it was: by whole seconds its times are moved back onto those before, so that
+//! nobody downstream sees the step. In a log without stamps a step cannot be told from a pause, and is one.
 
 use super::reading::{Reading, When};
 use crate::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// A pause in the arrivals longer than this ends a burst: a Seapath at 1 Hz pauses up to 0.13 s inside one and 0.76 s between two.
-const BURST_GAP_NS: i64 = NS_PER_S / 4;
+/// A pause in the arrivals longer than this ends a burst: a Seapath at 1 Hz pauses up to 0.13 s inside one and 0.76 s between two; logs that
+/// were played again at four lines a second pause 0.26 s.
+const BURST_GAP_NS: i64 = NS_PER_S * 2 / 5;
 /// A message time farther than this from where it should be is doubted.
 const JUMP_NS: i64 = 10 * NS_PER_S;
 /// So many doubted messages that agree with one another are believed.
@@ -57,6 +61,8 @@ pub struct MessageClock {
     last_sentence: Option<UtcNs>,
     burst: Option<UtcNs>,
     doubt: Option<(i64, u32)>,
+    /// Added to message times since the source's clock was set, whole seconds.
+    shift_ns: i64,
     arrivals_distrusted: bool,
     week_rollovers: u64,
 }
@@ -104,9 +110,10 @@ impl MessageClock {
             Some((message, at)) => message.plus_ns(arrival.0.saturating_sub(at.0).max(0)),
             None => arrival,
         };
+        let unshifted = expected.plus_ns(-self.shift_ns);
         let (message, dated) = match when {
-            When::TimeOfDay(ns) => (nearest_day(ns, expected), false),
-            When::GpsOfWeek(ns) => (nearest_week(ns, expected), false),
+            When::TimeOfDay(ns) => (nearest_day(ns, unshifted), false),
+            When::GpsOfWeek(ns) => (nearest_week(ns, unshifted), false),
             When::Dated {
                 day_ns,
                 time_of_day_ns,
@@ -119,8 +126,20 @@ impl MessageClock {
             message
         };
         let first_date = dated && !self.dated;
+        if first_date {
+            self.shift_ns = 0;
+        }
+        let mut message = message.plus_ns(self.shift_ns);
         if self.last.is_some() && !first_date && self.doubts(message, expected, arrival) {
             return Stamp::Jumped;
+        }
+        let off_ns = expected.0.saturating_sub(message.0);
+        let set_anew = self.last.is_some() && !first_date && off_ns.saturating_abs() > JUMP_NS;
+        if set_anew && !self.arrivals_distrusted {
+            // The fraction is the source's own: only the latencies would be mixed into it.
+            let step_ns = (off_ns as f64 / NS_PER_S as f64).round() as i64 * NS_PER_S;
+            self.shift_ns = self.shift_ns.saturating_add(step_ns);
+            message = message.plus_ns(step_ns);
         }
         self.dated |= dated;
         self.last = Some((message, arrival));
@@ -246,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_wild_date_is_doubted_and_three_in_a_row_are_believed() {
+    fn a_single_wild_date_is_doubted_and_three_in_a_row_move_nothing() {
         let mut clock = MessageClock::default();
         let at = |s: f64| UtcNs(D).plus_s(s);
         let zda = |year: i32, s: i32| reading(&format!("INZDA,0000{s:02}.00,01,08,{year},,"));
@@ -255,11 +274,53 @@ mod tests {
         assert_eq!(clock.stamp(&zda(2014, 3), at(3.1)), Stamp::At(at(3.0)));
         assert_eq!(clock.stamp(&zda(2015, 4), at(4.1)), Stamp::Jumped);
         assert_eq!(clock.stamp(&zda(2015, 5), at(5.1)), Stamp::Jumped);
-        let year = 365.0 * 86400.0;
-        assert_eq!(
-            clock.stamp(&zda(2015, 6), at(6.1)),
-            Stamp::At(at(6.0 + year))
-        );
+        assert_eq!(clock.stamp(&zda(2015, 6), at(6.2)), Stamp::At(at(6.0)));
+        let gga = reading("INGGA,000007.25,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,");
+        assert_eq!(clock.stamp(&gga, at(7.3)), Stamp::At(at(7.25)));
+        // And back again.
+        for s in [8, 9] {
+            let back = clock.stamp(&zda(2014, s), at(f64::from(s) + 0.1));
+            assert_eq!(back, Stamp::Jumped);
+        }
+        assert_eq!(clock.stamp(&zda(2014, 10), at(10.1)), Stamp::At(at(10.0)));
+        // Without stamps it is a pause, and the day after is the day after.
+        let mut plain = MessageClock::default();
+        plain.distrust_arrivals();
+        let day = 86_400.0;
+        let next = |s: i32| reading(&format!("INZDA,0000{s:02}.00,02,08,2014,,"));
+        assert_eq!(plain.stamp(&zda(2014, 1), at(0.0)), Stamp::At(at(1.0)));
+        assert_eq!(plain.stamp(&next(2), at(0.0)), Stamp::Jumped);
+        assert_eq!(plain.stamp(&next(3), at(0.0)), Stamp::Jumped);
+        assert_eq!(plain.stamp(&next(4), at(0.0)), Stamp::At(at(4.0 + day)));
+    }
+
+    #[test]
+    fn an_hour_s_step_moves_no_time_of_day_and_a_leap_second_none() {
+        let at = |s: f64| UtcNs(D).plus_s(s);
+        let gga = |h: i32, s: i32| {
+            reading(&format!(
+                "INGGA,{h:02}00{s:02}.00,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,"
+            ))
+        };
+        let mut clock = MessageClock::default();
+        assert_eq!(clock.stamp(&gga(0, 1), at(1.1)), Stamp::At(at(1.0)));
+        assert_eq!(clock.stamp(&gga(1, 2), at(2.1)), Stamp::Jumped);
+        assert_eq!(clock.stamp(&gga(1, 3), at(3.1)), Stamp::Jumped);
+        assert_eq!(clock.stamp(&gga(1, 4), at(4.1)), Stamp::At(at(4.0)));
+        assert_eq!(clock.stamp(&gga(1, 5), at(5.1)), Stamp::At(at(5.0)));
+        // 2016-12-31T23:59:60Z: counted as the first second of the next day, as POSIX has it; nothing jumps.
+        let mut clock = MessageClock::default();
+        let eve = |s: f64| UtcNs(1_483_228_799 * NS_PER_S).plus_s(s);
+        let zda = |text: &str, day: &str| reading(&format!("GPZDA,{text},{day},00,00"));
+        let stamps = [
+            (zda("235959.00", "31,12,2016"), 0.1, 0.0),
+            (zda("235960.00", "31,12,2016"), 1.1, 1.0),
+            (zda("000000.00", "01,01,2017"), 2.1, 1.0),
+            (zda("000001.00", "01,01,2017"), 3.1, 2.0),
+        ];
+        for (zda, arrival, want) in stamps {
+            assert_eq!(clock.stamp(&zda, eve(arrival)), Stamp::At(eve(want)));
+        }
     }
 
     #[test]

@@ -5,9 +5,11 @@
 //! ```
 //! Records of fixed length (`records`) and MAVLink (`mavlink`) become the same readings as sentences. `log` and `track` read recorded files
 //! (already in memory); `capture` finds the datagrams in a packet capture.
-//! Not modelled: depth sensors, Doppler logs.
+//! [`encode`] makes the sentences that go out.
+//! Not modelled: Doppler logs.
 pub mod capture;
 pub mod decoder;
+pub mod encode;
 mod fields;
 pub mod framing;
 pub mod health;
@@ -21,6 +23,7 @@ pub mod records;
 pub mod report;
 pub mod ring;
 pub mod sentence;
+pub mod stamp;
 pub mod track;
 
 pub use crate::geodesy::LocalTangentPlane;

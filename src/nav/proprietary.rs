@@ -1,7 +1,7 @@
 //! Sentences of single makers: attitude, mostly, each with its own order and signs.
 //!
 //! Sources: SBG Systems, sbgECom `doc/nmeaMessages.md` (PASHR, PRDID, PHTRO, PHLIN, PHOCT, PHINF, PSBGA, PSBGB, GGK); Kongsberg Seapath
-//! (PSXN); Ashtech (ATT, AT2, HPR, POS); iXblue (PIXSE); Trimble (AVR, VHD, GGK); VectorNav (VNYMR, VNINS); Hemisphere (PSAT).
+//! (PSXN); Ashtech (ATT, AT2, HPR, POS); iXblue (PIXSE); Valeport (PIPS); Trimble (AVR, VHD, GGK); VectorNav (VNYMR, VNINS); Hemisphere (PSAT).
 //! Where a sentence says T or E or I about a value, only T counts.
 
 use super::fields::Fields;
@@ -36,9 +36,16 @@ pub fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
         ("PIXSE", "ATITUD") => pixse_attitude(f),
         ("PIXSE", "POSITI") => pixse_position(f),
         ("PIXSE", "HEAVE_") => heave_up(Kind::PixseHeave, f, 4),
+        ("PIXSE", "DEPIN_") => pixse_depth(f),
+        ("PIXSE", "TIME__") => {
+            let mut r = Reading::new(Kind::Zda);
+            r.set_time(f.time_of_day(2)?, None);
+            Ok(r)
+        }
         ("PIXSE", word) if word == "SPEED_" || word.starts_with("STD") => {
             Ok(Reading::information())
         }
+        ("PIPS", _) => pips(f),
         ("PTNL", "AVR") => avr(f),
         ("PTNL", "VHD") => Ok(Reading::information()),
         ("PTNL", "GGK") => ggk(f),
@@ -196,6 +203,25 @@ fn pixse_position(f: &Fields) -> Decoded {
     // East longitudes may run to 360.
     let longitude = f.number(3)?.map(|l| if l > 180.0 { l - 360.0 } else { l });
     r.set_position(f.number(2)?.zip(longitude))?;
+    Ok(r)
+}
+
+/// `DEPIN_,depth,hhmmss.ssss`: what the unit's depth sensor said, and when; metres.
+fn pixse_depth(f: &Fields) -> Decoded {
+    let mut r = Reading::new(Kind::OwnDepth);
+    sound(f.count >= 3)?;
+    r.set_time(f.time_of_day(3)?, None);
+    r.set_own_depth(f.number(2)?)?;
+    Ok(r)
+}
+
+/// `depth,M`: other units, or none, are not taken, since they may be pressures.
+fn pips(f: &Fields) -> Decoded {
+    if f.text(2) != "M" {
+        return Ok(Reading::information());
+    }
+    let mut r = Reading::new(Kind::OwnDepth);
+    r.set_own_depth(f.number(1)?)?;
     Ok(r)
 }
 

@@ -10,6 +10,8 @@ const KNOT_M_PER_S: f64 = 1852.0 / 3600.0;
 const MAX_HEAVE_M: f64 = 99.99;
 /// No height above the sea or the ellipsoid, metres, is larger where boats go.
 const MAX_HEIGHT_M: f64 = 100_000.0;
+/// No platform dives deeper, metres.
+const MAX_DEPTH_M: f64 = 12_000.0;
 /// No speed over ground, metres per second, is larger.
 const MAX_SPEED_M_PER_S: f64 = 1000.0;
 
@@ -27,6 +29,8 @@ pub enum Kind {
     Magnetic,
     /// DBT, DBS, DBK and DPT.
     Depth,
+    /// A depth sensor's: PIPS, PIXSE,DEPIN_, and the kinds above where the operator says so.
+    OwnDepth,
     /// Understood, and of no use for the motion: GST, ROT, PSXN 10, 22 and 24, PHINF, PIXSE's speeds.
     Information,
     Pashr,
@@ -67,7 +71,7 @@ impl Kind {
         use Kind::*;
         match self {
             Gga | Ggk | Pashr | PashrAshtech | Phoct | PixsePosition | Avr | Psat | Vnins
-            | Psbg | Em3000 | Seapath26 | Kmb | Tss1 | MavAttitude | MavPosition => 3,
+            | Psbg | Em3000 | Seapath26 | Kmb | Tss1 | MavAttitude | MavPosition | OwnDepth => 3,
             Rmc | PashrPos | Psxn23 | Prdid | Phtro | Phlin | PixseAttitude | PixseHeave
             | Ptnthpr | Vnymr | MavGps => 2,
             Vtg | Hdt | Ths | Gll => 1,
@@ -125,6 +129,8 @@ pub struct Reading {
     pub heave_down_m: Option<f64>,
     /// Of water, as the sounder says it.
     pub water_depth_m: Option<f64>,
+    /// Of the platform's own depth sensor below the surface.
+    pub own_depth_m: Option<f64>,
     pub invalid: Option<Invalid>,
     /// Something was said, though nothing of the above.
     pub said: bool,
@@ -144,6 +150,7 @@ impl Reading {
             roll_pitch_rad: None,
             heave_down_m: None,
             water_depth_m: None,
+            own_depth_m: None,
             invalid: None,
             said: false,
         }
@@ -244,6 +251,12 @@ impl Reading {
             .zip(pitch)
             .map(|(roll, pitch)| (roll.to_radians(), pitch.to_radians()));
         sound(roll.is_none_or(|r| r.abs() <= 180.0) && pitch.is_none_or(|p| p.abs() <= 90.0))
+    }
+
+    /// Takes the depth of the platform, metres; a sensor at the surface may say a little less than nothing.
+    pub(super) fn set_own_depth(&mut self, depth_m: Option<f64>) -> Sound {
+        self.own_depth_m = depth_m;
+        sound(depth_m.is_none_or(|d| (-MAX_HEAVE_M..MAX_DEPTH_M).contains(&d)))
     }
 
     pub(super) fn set_heave_down(&mut self, heave_down_m: Option<f64>) -> Sound {

@@ -12,12 +12,15 @@ use crate::flow::{NavQuantity, NavSample};
 use crate::geodesy::LocalTangentPlane;
 use crate::time::{NS_PER_S, UtcNs};
 
-pub const CHANNELS: [NavChannel; 5] = [
+/// Quantities told apart.
+pub const CHANNEL_COUNT: usize = 6;
+pub const CHANNELS: [NavChannel; CHANNEL_COUNT] = [
     NavChannel::Position,
     NavChannel::CourseSpeed,
     NavChannel::Heading,
     NavChannel::RollPitch,
     NavChannel::Heave,
+    NavChannel::Depth,
 ];
 const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// Different sentences told apart; noise that looks like sentences beyond them is put together.
@@ -55,11 +58,11 @@ pub struct SentenceReport {
     /// Arrival minus the message's own time, seconds; none where it has none.
     pub latency_s: Option<Spread>,
     /// Samples given, by channel.
-    pub gave: [u64; 5],
+    pub gave: [u64; CHANNEL_COUNT],
     /// Quantities left to a better sentence, by channel.
-    pub outspoken: [u64; 5],
+    pub outspoken: [u64; CHANNEL_COUNT],
     /// Quantities that the source is not to provide, by channel.
-    pub unwanted: [u64; 5],
+    pub unwanted: [u64; CHANNEL_COUNT],
     /// Magnetic headings without a variation.
     pub magnetic: u64,
     /// Depths of water.
@@ -89,7 +92,7 @@ pub struct LogReport {
     /// By name.
     pub sentences: Vec<SentenceReport>,
     /// In the order of [`CHANNELS`].
-    pub channels: [ChannelReport; 5],
+    pub channels: [ChannelReport; CHANNEL_COUNT],
     /// In the file's order.
     pub samples: Vec<NavSample>,
     /// Arrival of the first and last sentence.
@@ -189,6 +192,7 @@ fn channel_of(q: &NavQuantity) -> NavChannel {
         NavQuantity::Heading { .. } => NavChannel::Heading,
         NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
         NavQuantity::Heave { .. } => NavChannel::Heave,
+        NavQuantity::Depth { .. } => NavChannel::Depth,
     }
 }
 

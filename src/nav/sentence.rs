@@ -68,8 +68,8 @@ pub fn decode_own(body: &str, dialect: &NavDialect) -> Decoded {
         "HDT" | "THS" => true_heading(&f),
         "HDG" => hdg(&f, dialect),
         "HDM" => magnetic(f.number(1)?, None, dialect),
-        "DBT" | "DBS" | "DBK" => depth_below(&f),
-        "DPT" => dpt(&f),
+        "DBT" | "DBS" | "DBK" => depth_below(&f).and_then(|r| owned(r, dialect)),
+        "DPT" => dpt(&f).and_then(|r| owned(r, dialect)),
         "YMR" | "INS" => proprietary::vectornav(&f),
         "GST" | "ROT" => Ok(match f.text(1).is_empty() {
             true => Reading::new(Kind::Information),
@@ -292,6 +292,16 @@ fn depth_below(f: &Fields) -> Decoded {
     let feet = f.number(1)?.map(|d| d * FOOT_M);
     let fathoms = f.number(5)?.map(|d| d * FATHOM_M);
     r.water_depth_m = f.number(3)?.or(feet).or(fathoms);
+    Ok(r)
+}
+
+/// The same depth as the platform's own, where the operator says that it is.
+fn owned(water: Reading, dialect: &NavDialect) -> Decoded {
+    if !dialect.depth_is_own {
+        return Ok(water);
+    }
+    let mut r = Reading::new(Kind::OwnDepth);
+    r.set_own_depth(water.water_depth_m)?;
     Ok(r)
 }
 

@@ -71,8 +71,9 @@ pub struct Certifier {
     candidates: Vec<(u32, u64)>,
     /// Predicted cost of a scatterer at an element, ns.
     pair_ns: f64,
-    /// What may be spent, ns.
+    /// What may be spent, ns, and which share of a ping's predicted cost is added for each.
     credit_ns: f64,
+    share: f64,
     /// Relative square errors, the newest `KEPT`.
     recent: [f64; KEPT],
     seen: usize,
@@ -102,12 +103,19 @@ impl Certifier {
             candidates: Vec::new(),
             pair_ns: pair_ns(spec),
             credit_ns: 0.0,
+            share: SHARE,
             recent: [0.0; KEPT],
             seen: 0,
             tolerance: spec.synthesis.tolerance,
             above: false,
             fault: false,
         })
+    }
+
+    /// How much certificates may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
+    pub fn allow(&mut self, share: f64) {
+        self.share = share;
+        self.credit_ns = 0.0;
     }
 
     /// Points that one sample of the output is made of.
@@ -124,7 +132,7 @@ impl Certifier {
         let under_way = scatterers as f64 * (span_s / window_s).min(1.0);
         let probe_ns = under_way * (SOLVE_NS + POINT_NS * self.points() as f64) + 1e3;
         let find_ns = FIND_NS * scatterers as f64;
-        self.credit_ns += SHARE * self.pair_ns * (scatterers * elements) as f64;
+        self.credit_ns += self.share * self.pair_ns * (scatterers * elements) as f64;
         // Nothing is saved up beyond a full ping's worth: scenes change.
         let most = MOST_PER_PING as f64;
         self.credit_ns = self.credit_ns.min(find_ns + most * probe_ns);

@@ -1,22 +1,28 @@
 //! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
 
 use std::fmt::Write as _;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::{Value, json};
 
 use crate::config::spec::ClockSpec;
-use crate::flow::{SettingChange, SonarSettings};
+use crate::flow::{Asked, Asker, SettingChange, SonarSettings};
 use crate::io::control::{Answer, Command, ControlPort};
 use crate::io::sonar::RigTime;
 use crate::run::counters::PingCounters;
+use crate::run::faults::Faults;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
 use crate::run::settings::SettingsStore;
+use crate::time::{Clock, MonoNs, SystemClock};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
 const MOST_STEPS: u64 = 1_000_000;
+
+/// A pipeline that does not come round for so long is stuck: no ping takes as long.
+const LONGEST_BEAT_S: f64 = 15.0;
 
 /// One sonar as its operator sees it.
 pub struct SonarControl {
@@ -34,9 +40,13 @@ pub struct RunControl {
     /// All navigation is recorded.
     recorded: bool,
     sonars: Vec<SonarControl>,
+    faults: Arc<Faults>,
     rig_time: RigTime,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
+    machine: SystemClock,
+    /// When the pipeline last came round, on `machine`.
+    beat_ns: AtomicI64,
 }
 
 impl RunControl {
@@ -45,6 +55,7 @@ impl RunControl {
         gate: Arc<Gate>,
         recorded: bool,
         sonars: Vec<SonarControl>,
+        faults: Arc<Faults>,
         rig_time: RigTime,
     ) -> Self {
         Self {
@@ -52,8 +63,11 @@ impl RunControl {
             gate,
             recorded,
             sonars,
+            faults,
             rig_time,
             nav_lines: Mutex::default(),
+            machine: SystemClock::new(),
+            beat_ns: AtomicI64::new(0),
         }
     }
 
@@ -63,6 +77,11 @@ impl RunControl {
 
     pub fn gate(&self) -> &Arc<Gate> {
         &self.gate
+    }
+
+    /// The pipeline has come round.
+    pub fn beat(&self) {
+        self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
     pub fn set_nav_lines(&self, lines: Vec<String>) {
@@ -137,6 +156,24 @@ impl RunControl {
                 }
                 self.set(sonar, &changes)
             }
+            Command::Trigger { sonar, pings } => {
+                let sonar = self.sonar(sonar.as_deref())?;
+                if !(1..=MOST_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
+                }
+                self.set(sonar, &[SettingChange::PingTimes(*pings as u32)])
+            }
+            Command::Fault(request) => {
+                let id = self
+                    .faults
+                    .add(request)
+                    .map_err(|refused| refused.to_string())?;
+                Ok(json!({ "fault": id, "standing": self.faults.standing() }))
+            }
+            Command::ClearFaults => {
+                let cleared = self.faults.clear();
+                Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
+            }
         }
     }
 
@@ -151,10 +188,21 @@ impl RunControl {
         }
     }
 
+    fn asked(&self) -> Asked {
+        let by = Asker {
+            via: "control",
+            peer: None,
+        };
+        Asked {
+            utc: (self.rig_time)(),
+            by,
+        }
+    }
+
     /// One after another; what was accepted before a refusal stays.
     fn set(&self, sonar: &SonarControl, changes: &[SettingChange]) -> Result<Value, String> {
         for (done, change) in changes.iter().enumerate() {
-            if let Err(refused) = sonar.settings.apply(*change, (self.rig_time)()) {
+            if let Err(refused) = sonar.settings.apply(*change, self.asked()) {
                 return Err(match done {
                     0 => refused.to_string(),
                     _ => format!("{refused}; what stands before it was set"),
@@ -224,8 +272,21 @@ impl ControlPort for RunControl {
             "pings_delivered": self.gate.pings_delivered(),
             "rig_utc_ns": (self.rig_time)().0,
             "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
+            "faults": {
+                "standing": self.faults.standing(),
+                "injected": self.faults.injected(),
+                "unlogged": self.faults.unwritten(),
+            },
             "nav": self.nav_lines(),
         })
+    }
+
+    fn ailment(&self) -> Option<String> {
+        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(beat);
+        // Paused it may well stand.
+        (silent_s > LONGEST_BEAT_S && !self.gate.is_paused())
+            .then(|| format!("the pipeline has stood for {silent_s:.0} s"))
     }
 
     /// Prometheus text, version 0.0.4.
@@ -271,6 +332,11 @@ impl ControlPort for RunControl {
                 let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
             }
         }
+        let _ = writeln!(
+            text,
+            "# HELP echotank_faults_injected Faults injected\n# TYPE echotank_faults_injected counter\nechotank_faults_injected {}",
+            self.faults.injected()
+        );
         for (key, kind, doc) in STREAM_METRICS {
             let name = format!("echotank_client_{key}");
             let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} {kind}");

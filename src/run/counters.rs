@@ -15,6 +15,10 @@ pub struct PingCounters {
     pub skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
     pub skipped_queue: AtomicU64,
+    /// A recorder ended with an error, as of a full disk; pings go on.
+    pub recordings_stopped: AtomicU64,
+    /// A fault had the pulse missed.
+    pub triggers_missed: AtomicU64,
     /// Delivered, but after the deadline.
     pub deadline_misses: AtomicU64,
     /// Worst lateness of a delivery, microseconds.
@@ -28,6 +32,8 @@ pub struct PingCounters {
     pub arrivals: AtomicU64,
     pub culled: AtomicU64,
     pub extrapolated: AtomicU64,
+    /// Made with navigation that is flagged invalid.
+    pub invalid_nav: AtomicU64,
     /// Pings that carried a certificate.
     pub certified: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
@@ -110,6 +116,10 @@ impl PingCounters {
                 read(&self.certified)
             );
         }
+        match read(&self.recordings_stopped) {
+            0 => {}
+            n => text += &format!(", RECORDING STOPPED by an error ({n})"),
+        }
         match read(&self.certificate_faults) {
             0 => {}
             n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
@@ -123,6 +133,7 @@ impl PingCounters {
         self.nav_age_ms
             .store((age_s * 1e3) as u64, Ordering::Relaxed);
         add(&self.extrapolated, u64::from(state.extrapolated));
+        add(&self.invalid_nav, u64::from(state.invalid.any()));
     }
 
     /// For `replay`, which has no clock.
@@ -164,6 +175,16 @@ impl PingCounters {
                 "pings_skipped_queue",
                 "Pings for which there was no room",
                 &self.skipped_queue,
+            ),
+            (
+                "recordings_stopped",
+                "Recorders that ended with an error",
+                &self.recordings_stopped,
+            ),
+            (
+                "triggers_missed",
+                "Pulses that a fault had missed",
+                &self.triggers_missed,
             ),
             (
                 "deadline_misses",
@@ -208,7 +229,7 @@ impl fmt::Display for PingCounters {
         let made = read(&self.made);
         write!(
             f,
-            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} samples saturated{}",
+            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} on invalid navigation, {} samples saturated{}",
             self.skipped(),
             read(&self.skipped_nav),
             read(&self.skipped_late),
@@ -219,6 +240,7 @@ impl fmt::Display for PingCounters {
             read(&self.worst_compute_us) as f64 / 1e3,
             read(&self.nav_age_ms),
             read(&self.extrapolated),
+            read(&self.invalid_nav),
             read(&self.samples_saturated),
             self.model_text(),
         )

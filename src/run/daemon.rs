@@ -16,21 +16,30 @@
 mod stepped;
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
+use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
 use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
-use crate::io::control::{ControlServer, OpenError as ControlOpenError};
+use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
+use crate::io::nav::output::{NavOutputError, NavOutputs};
+use crate::io::notify::Notify;
+use crate::io::priority;
+use crate::io::record::faults::FaultLog;
+use crate::io::record::recover::recover_folder;
+use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
 use crate::nav::Coverage;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
+use crate::run::faults::{Faults, Injection, PingMark};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs};
@@ -45,6 +54,8 @@ const POLL_NS: i64 = 2_000_000;
 /// With recorded navigation the first ping is due this long after the start: time to open the doors and to compute it.
 const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
+/// How often the navigation's counters and states are written down for whoever prints.
+const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
 const MOST_ORDERS: usize = 1000;
 
@@ -54,10 +65,14 @@ pub enum DaemonError {
     Rig(#[from] RigError),
     #[error(transparent)]
     Output(#[from] OutputError),
+    #[error(transparent)]
+    NavOutput(#[from] NavOutputError),
     #[error("could not start a thread: {0}")]
     Thread(std::io::Error),
     #[error("could not start the threads that compute pings: {0}")]
     Pool(#[from] rayon::ThreadPoolBuildError),
+    #[error("the log of faults: {0}")]
+    FaultLog(#[from] RecordError),
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
@@ -78,6 +93,8 @@ struct Way {
     counters: Arc<PingCounters>,
     histograms: Arc<Histograms>,
     gate: Arc<Gate>,
+    /// SCHED_FIFO; 0: ordinary.
+    priority: u8,
 }
 
 /// The pipeline's end of one sonar's way out. Each sonar has its own, with its own thread: a ping that waits for its deadline holds up no
@@ -136,6 +153,7 @@ pub struct Daemon {
     pool: rayon::ThreadPool,
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
@@ -143,6 +161,8 @@ pub struct Daemon {
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
     server: Option<ControlServer>,
+    /// What was mended of earlier records, and how punctual it can be, a line each.
+    remarks: Vec<String>,
 }
 
 impl Daemon {
@@ -153,6 +173,11 @@ impl Daemon {
         stop: Arc<AtomicBool>,
     ) -> Result<Self, DaemonError> {
         let (clock, gate) = clock_of(spec.run.clock);
+        let mut remarks = match &spec.record {
+            Some(record) => recover_folder(&record.directory),
+            None => Vec::new(),
+        };
+        remarks.push(punctuality(spec.run.priority));
         let pool = pool(threads)?;
         let rig = pool.install(|| Rig::open(spec))?;
         let inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
@@ -169,6 +194,7 @@ impl Daemon {
             .collect();
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
+        let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
         let mut outputs = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
@@ -186,6 +212,7 @@ impl Daemon {
             gate,
             spec.nav.is_recorded(),
             sonars.collect(),
+            rig.faults.clone(),
             wire_time,
         ));
         let server = match spec.control.listen {
@@ -201,12 +228,14 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             timeline,
             stop,
             control,
             server,
+            remarks,
         })
     }
 
@@ -223,9 +252,11 @@ impl Daemon {
             .iter()
             .map(|(name, address)| format!("nav {name} udp {address}"))
             .collect();
+        lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         let control = self.server.iter();
         lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
+        lines.extend(self.remarks.iter().cloned());
         lines
     }
 
@@ -237,13 +268,19 @@ impl Daemon {
             pool,
             rig,
             inputs,
+            nav_out,
             outputs,
             settings,
             timeline,
             stop,
             control,
             server,
+            remarks: _,
         } = self;
+        let notify = Notify::from_environment();
+        notify.ready();
+        let faults = rig.faults.clone();
+        let mut fault_log = FaultLogFile::new(&rig.spec);
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -255,6 +292,7 @@ impl Daemon {
                 counters: control.sonars()[sonar].counters.clone(),
                 histograms: control.sonars()[sonar].histograms.clone(),
                 gate: control.gate().clone(),
+                priority: rig.spec.run.priority,
             };
             let (lane, thread) = open_lane(&rig, sonar, outputs, way)?;
             lanes.push(lane);
@@ -266,6 +304,7 @@ impl Daemon {
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
             inputs,
+            nav_out,
             settings,
             control: control.clone(),
             clock,
@@ -296,20 +335,101 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
+            fault_log.write(&faults);
+            if control.ailment().is_none() {
+                notify.alive();
+            }
             if machine.mono() >= next_status {
-                status(&control.lines(latency_s).join("\n"));
+                let lines = control.lines(latency_s);
+                notify.status(lines.first().map_or("", String::as_str));
+                status(&lines.join("\n"));
                 next_status = next_status.plus_ns(status_interval_ns);
             }
         }
+        notify.stopping();
         pipeline.join().map_err(|_| DaemonError::Panic)?;
         let mut closed = Ok(());
         for thread in deliveries {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
+        fault_log.write(&faults);
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         closed.map_err(DaemonError::Output)
+    }
+}
+
+/// The log of injected faults; begun with the first of them.
+struct FaultLogFile {
+    directory: Option<PathBuf>,
+    log: Option<FaultLog>,
+}
+
+impl FaultLogFile {
+    fn new(spec: &RigSpec) -> Self {
+        let beside = spec.record.as_ref().map(|record| record.directory.clone());
+        Self {
+            directory: spec.run.fault_directory.clone().or(beside),
+            log: None,
+        }
+    }
+
+    /// Writes what was injected since the last time. An error is told once, and ends the log.
+    fn write(&mut self, faults: &Faults) {
+        let injections = faults.take_injections();
+        if injections.is_empty() || self.directory.is_none() {
+            return;
+        }
+        if let Err(error) = self.append(&injections) {
+            eprintln!("echotank: {error}");
+            (self.directory, self.log) = (None, None);
+        }
+    }
+
+    fn append(&mut self, injections: &[Injection]) -> Result<(), DaemonError> {
+        let Some(directory) = &self.directory else {
+            return Ok(());
+        };
+        let log = match &mut self.log {
+            Some(log) => log,
+            none => {
+                make_folder(directory)?;
+                let now = DateTime::from_timestamp_nanos(SystemClock::new().host_utc().0);
+                let name = format!("faults-{}.jsonl", now.format("%Y%m%dT%H%M%S"));
+                none.insert(FaultLog::create(&directory.join(name))?)
+            }
+        };
+        Ok(log.write(injections)?)
+    }
+}
+
+/// Locks memory and tries a priority, and says what came of it.
+fn punctuality(priority: u8) -> String {
+    if priority == 0 {
+        return "ordinary scheduling (run.priority = 0)".to_owned();
+    }
+    let locked = priority::lock_memory();
+    // On a thread of its own: this one stays ordinary.
+    let tried = thread::spawn(move || priority::first_in_first_out(priority)).join();
+    let real_time = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));
+    match (real_time, locked) {
+        (Ok(()), Ok(())) => {
+            format!("pings are handed over under SCHED_FIFO {priority}, memory is locked")
+        }
+        (real_time, locked) => {
+            let why = |what, result: std::io::Result<()>| {
+                result.err().map(|error| format!("{what}: {error}"))
+            };
+            let why: Vec<_> = [why("SCHED_FIFO", real_time), why("locked memory", locked)]
+                .into_iter()
+                .flatten()
+                .collect();
+            format!(
+                "warning: pings may be late: {} (echotank doctor says more)",
+                why.join("; ")
+            )
+        }
     }
 }
 
@@ -345,6 +465,7 @@ fn wire_time(
 struct Pacer {
     rig: Rig,
     inputs: NavInputs,
+    nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
     /// Versions of the settings that the pipelines have been told of.
     foreseen: Vec<u64>,
@@ -384,6 +505,7 @@ impl Pacer {
             let utc = timeline.utc(now);
             self.inputs.pull(utc, &mut self.rig.history);
             self.renew_nav_lines();
+            self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
             if !self.inputs.finished() {
@@ -404,6 +526,7 @@ impl Pacer {
                 .schedules
                 .iter()
                 .map(|s| timeline.mono(s.next_utc()))
+                .chain([self.nav_out.next_publish()])
                 .min();
             self.clock
                 .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
@@ -425,6 +548,7 @@ impl Pacer {
     fn begin_schedules(&mut self, first: UtcNs) {
         let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
         self.schedules = vec![schedule; self.rig.sonars.len()];
+        self.rig.faults.begin(first);
     }
 
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
@@ -461,10 +585,12 @@ impl Pacer {
     }
 
     fn renew_nav_lines(&mut self) {
+        self.control.beat();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
-            self.next_nav_lines = now.plus_ns(NS_PER_S);
-            self.control.set_nav_lines(self.inputs.lines());
+            self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
+            let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
+            self.control.set_nav_lines(lines);
         }
     }
 
@@ -488,6 +614,9 @@ impl Pacer {
                 self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
             {
                 settings.pinged(timeline.mono(order.transmit_utc));
+                if self.is_missed(sonar, &order) {
+                    continue;
+                }
                 if self.waiting.len() >= MOST_ORDERS {
                     add(&self.counters(sonar).skipped_queue, 1);
                     continue;
@@ -550,6 +679,13 @@ impl Pacer {
         Step::Done
     }
 
+    /// Whether a fault has this pulse missed; it keeps its number.
+    fn is_missed(&self, sonar: usize, order: &PingOrder) -> bool {
+        let missed = self.rig.faults.trigger_missed(PingMark::of(sonar, order));
+        add(&self.counters(sonar).triggers_missed, u64::from(missed));
+        missed
+    }
+
     fn counters(&self, sonar: usize) -> &PingCounters {
         &self.control.sonars()[sonar].counters
     }
@@ -608,6 +744,10 @@ fn deliver(
     free: &Sender<Box<PingSlot>>,
     way: &Way,
 ) -> Result<(), OutputError> {
+    if way.priority > 0 {
+        // What is not allowed was said when the daemon started.
+        let _ = priority::first_in_first_out(way.priority);
+    }
     let mut first_error = None;
     for Delivery { slot, deadline } in deliveries {
         outputs.encode(&slot);
@@ -625,6 +765,7 @@ fn deliver(
         // A recorder that fails (a full disk) is reported once; the topsides go on.
         if let Err(error) = outputs.deliver() {
             eprintln!("echotank: {error}");
+            add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
         }
         if let Some(deadline) = deadline {

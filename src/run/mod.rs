@@ -1,17 +1,25 @@
 //! Who knows the order: one ping through the house, the rig around it, and the two ways to run it.
 pub mod certificate;
+pub mod chart;
+pub mod conditions;
 pub mod control;
 pub mod counters;
 pub mod daemon;
 pub mod engines;
+pub mod faults;
 mod footprints;
 pub mod gate;
 pub mod histograms;
 pub mod line_engines;
+pub mod line_truth;
+pub mod more_pulses;
 pub mod outputs;
+pub mod pictures;
 pub mod pipeline;
+pub mod recorded;
 pub mod recorders;
 pub mod replay;
 pub mod rig;
 pub mod settings;
+pub mod synthetic_aperture;
 mod view;

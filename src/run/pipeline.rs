@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::array::direct::Direct;
+use crate::array::faults::{ActiveFault, spoil};
 use crate::array::filter::{self, Decimator, FilterError};
 use crate::array::gridded::{DopplerSpan, GriddedError};
 use crate::array::gridded2d::Refusal;
@@ -37,6 +38,7 @@ use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
 use crate::run::footprints::footprints;
 use crate::run::line_engines::LineEngines;
+use crate::run::more_pulses::{Desk, MorePulse};
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -63,6 +65,8 @@ struct Scratch {
     dense: Vec<Complex64>,
     /// The element's spectrum, for `spectral`.
     bins: Bins,
+    /// One of several pulses.
+    own: Vec<Complex64>,
 }
 
 /// What one element met, kept apart until all are done: sums of integers only.
@@ -99,8 +103,13 @@ pub struct SonarPipeline {
     /// Where certificates are asked for.
     certifier: Option<Certifier>,
     lines: Vec<LineFormer>,
+    /// Those in the water together with the sonar's own.
+    more_pulses: Vec<MorePulse>,
     fan: Option<Fan>,
     bottom: Option<Bottom>,
+    /// Of the next ping.
+    faults: Vec<ActiveFault>,
+    spoiling: Vec<Complex64>,
 }
 
 /// What finds the bottom in the fan's beams.
@@ -139,6 +148,7 @@ impl SonarPipeline {
             walk: Workspace::with_room_for(segments),
             dense: Vec::with_capacity(dense),
             bins: Bins::default(),
+            own: Vec::new(),
         };
         let spectrum = match spec.model.synthesis {
             Synthesis::Spectral => {
@@ -169,6 +179,11 @@ impl SonarPipeline {
             let (weighting, c) = (spec.beams.weighting, medium.sound_speed_m_per_s);
             Fan::new(array, transmit, fan, limits, &spec.pulse, weighting, c)
         });
+        let more_pulses = spec
+            .more_pulses
+            .iter()
+            .map(|more| MorePulse::new(spec, more, medium, limits, decimator.as_ref()))
+            .collect::<Result<_, _>>()?;
         Ok(Self {
             lit: spec
                 .transmit
@@ -207,6 +222,9 @@ impl SonarPipeline {
                 .map(|line| line_former(spec, medium, line, limits))
                 .collect(),
             bottom: bottom(spec, medium, limits),
+            faults: Vec::new(),
+            spoiling: Vec::new(),
+            more_pulses,
             fan,
             spec: spec.clone(),
         })
@@ -233,6 +251,11 @@ impl SonarPipeline {
                     amplitude: Vec::new(),
                 })
                 .collect(),
+            more_lines: self
+                .more_pulses
+                .iter()
+                .map(MorePulse::blank_output)
+                .collect(),
             counts: EchoCounts::default(),
             scene: SceneCounts::default(),
             certificate: None,
@@ -244,6 +267,21 @@ impl SonarPipeline {
         if let Some(engines) = &mut self.engines {
             engines.expect(settings);
         }
+        for more in &mut self.more_pulses {
+            more.expect(settings);
+        }
+    }
+
+    /// How much certificates may cost from now on, as a share of a ping's predicted cost; see [`Certifier::allow`]. Nothing without certificates.
+    pub fn allow_certificates(&mut self, share: f64) {
+        if let Some(certifier) = &mut self.certifier {
+            certifier.allow(share);
+        }
+    }
+
+    /// What is wrong with the elements in the next ping.
+    pub fn faults_mut(&mut self) -> &mut Vec<ActiveFault> {
+        &mut self.faults
     }
 
     /// What this ping's arrays can hear of the scene: what lies outside is not asked for.
@@ -261,6 +299,13 @@ impl SonarPipeline {
     ) {
         output.counts = EchoCounts::default();
         self.light(plan, scatterers, &mut output.counts);
+        for more in &mut self.more_pulses {
+            let mut scratch = self.scratch[0]
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
+            let decimator = self.decimator.as_ref();
+            output.counts += more.light(plan, scatterers, decimator, &mut scratch.walk);
+        }
         if let Some(certifier) = &mut self.certifier {
             certifier.choose(plan, &self.spec, scatterers.len());
         }
@@ -270,9 +315,17 @@ impl SonarPipeline {
         if let Some(certifier) = &mut self.certifier {
             output.certificate = certifier.certify(plan, &self.spec, scatterers);
         }
+        for fault in &self.faults {
+            for frame in &mut output.elements {
+                spoil(fault, plan, &self.spec.receiver, frame, &mut self.spoiling);
+            }
+        }
         for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
             let array = former.array();
             former.form(plan, &output.elements[array], line);
+        }
+        for (more, lines) in self.more_pulses.iter_mut().zip(&mut output.more_lines) {
+            more.form(&output.elements, lines);
         }
         if let (Some(former), Some(beams)) = (&mut self.fan, output.beams.first_mut()) {
             let array = former.array();
@@ -425,10 +478,15 @@ impl SonarPipeline {
         let mut scratch = self.scratch[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let Scratch { walk, dense, bins } = &mut *scratch;
+        let Scratch {
+            walk,
+            dense,
+            bins,
+            own,
+        } = &mut *scratch;
         let lit = &self.lit[array.transmit];
         let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
-        let counts = match (plan.model.synthesis, self.engine()) {
+        let mut counts = match (plan.model.synthesis, self.engine()) {
             (Synthesis::Reference, _) => {
                 let transmit = &self.spec.transmit[array.transmit];
                 self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
@@ -476,6 +534,16 @@ impl SonarPipeline {
         if let Some(certifier) = &self.certifier {
             certifier.take(plan, rate_hz, index, element, iq);
         }
+        for more in &self.more_pulses {
+            let desk = Desk {
+                walk: &mut *walk,
+                dense: &mut *dense,
+                own: &mut *own,
+                thread,
+                decimator: self.decimator.as_ref(),
+            };
+            counts += more.add(scatterers, index, element, desk, iq);
+        }
         ElementResult {
             counts,
             saturated: receive(plan, &self.spec.receiver, array, index, element, iq),
@@ -483,7 +551,7 @@ impl SonarPipeline {
     }
 }
 
-fn engines(
+pub(super) fn engines(
     spec: &SonarSpec,
     medium: &MediumSpec,
     filter: Option<&Decimator>,
@@ -562,7 +630,7 @@ fn bottom(spec: &SonarSpec, medium: &MediumSpec, limits: RowLimits) -> Option<Bo
     })
 }
 
-fn line_former(
+pub(super) fn line_former(
     spec: &SonarSpec,
     medium: &MediumSpec,
     line: &LineSpec,
@@ -575,7 +643,7 @@ fn line_former(
     let array = &spec.receive[line.array];
     let transmit = &spec.transmit[array.transmit];
     let c = medium.sound_speed_m_per_s;
-    LineFormer::focused(line, array, transmit, limits, &spec.pulse, weighting, c)
+    LineFormer::focused(line, array, transmit, limits, &spec.pulse, &spec.beams, c)
 }
 
 fn shortest_pulse(spec: &SonarSpec) -> Pulse {

@@ -3,32 +3,33 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use echotank_protocols::jsf::subsystem;
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
-use crate::config::spec::{OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec};
+use crate::config::spec::{
+    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec, XtfSpec,
+};
+use crate::emit::jsf::{JsfEmitter, JsfSheet, file_time};
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
-use crate::flow::{Datagram, PingPlan, Target};
-use crate::image::waterfall::{Scale, Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
+use crate::emit::xtf::XtfEmitter;
+use crate::flow::{Datagram, Target};
 use crate::io::record::npz::NpzRecorder;
-use crate::io::record::png::write_waterfall;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::sigmf::SigmfRecorder;
+use crate::io::record::stream::StreamRecorder;
 use crate::io::record::truth::TruthRecorder;
 use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
+use crate::run::outputs::row_filter;
+use crate::run::pictures::Pictures;
 use crate::run::replay::{Formats, ReplayOptions};
 use crate::run::rig::{PingSlot, Rig};
+use crate::run::synthetic_aperture::SyntheticAperture;
 use crate::time::UtcNs;
 
-/// Columns of a waterfall on each side, at most: both sides fit a screen.
-const WATERFALL_COLUMNS: f64 = 600.0;
-
-/// The water column, about a third of a picture, is dark; the seabed fills the middle of the palette, and little is brightest.
-const SCALE: Scale = Scale::Percentiles {
-    low: 0.28,
-    high: 0.99997,
-};
+/// JSF counts channels in 8 bits.
+const MAX_JSF_CHANNELS: usize = 256;
 /// 7k device identifier of a side-scan of no particular make.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
@@ -37,8 +38,11 @@ struct SonarFiles {
     spec: SonarSpec,
     folder: PathBuf,
     s7k: Option<S7k>,
+    jsf: Option<Jsf>,
+    xtf: Option<Xtf>,
     npz: Option<NpzRecorder>,
-    png: Option<Option<Waterfall>>,
+    pictures: Pictures,
+    sas: Option<SyntheticAperture>,
     sigmf: Option<SigmfRecorder>,
     wav: Option<WavRecorder>,
 }
@@ -48,6 +52,21 @@ struct S7k {
     emitter: SevenKEmitter,
     recorder: Option<S7kRecorder>,
     records: Vec<Arc<Datagram>>,
+}
+
+struct Jsf {
+    path: PathBuf,
+    emitter: JsfEmitter,
+    recorder: Option<StreamRecorder>,
+    messages: Vec<Arc<Datagram>>,
+    last_utc: UtcNs,
+}
+
+struct Xtf {
+    path: PathBuf,
+    emitter: XtfEmitter,
+    recorder: Option<StreamRecorder>,
+    packets: Vec<u8>,
 }
 
 /// Begins a `.s7k`: its header and the configuration, stamped with `utc`. Nothing in it comes from the host's clock or a random source, so
@@ -95,10 +114,13 @@ impl Recorders {
     pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
         let Formats {
             s7k,
+            jsf,
+            xtf,
             npz,
-            png,
+            sas,
             sigmf,
             wav,
+            ..
         } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
@@ -125,12 +147,41 @@ impl Recorders {
             };
             sonars.push(SonarFiles {
                 s7k: s7k.then(sevenk),
+                jsf: jsf.then(|| {
+                    let sheet = JsfSheet {
+                        output: jsf_output(&unit.spec),
+                        sonar: unit.spec.clone(),
+                    };
+                    Jsf {
+                        path: folder.join(format!("{}.jsf", unit.spec.name)),
+                        emitter: JsfEmitter::new(
+                            Arc::new(sheet),
+                            row_filter(&unit.spec, &spec.medium),
+                        ),
+                        recorder: None,
+                        messages: Vec::new(),
+                        last_utc: UtcNs(0),
+                    }
+                }),
+                // A sonar without lines has no XTF.
+                xtf: (xtf && !unit.spec.beams.lines.is_empty()).then(|| {
+                    let c = spec.medium.sound_speed_m_per_s;
+                    Xtf {
+                        path: folder.join(format!("{}.xtf", unit.spec.name)),
+                        emitter: XtfEmitter::new(&xtf_output(&unit.spec), &unit.spec, c),
+                        recorder: None,
+                        packets: Vec::new(),
+                    }
+                }),
                 npz: if npz {
                     Some(NpzRecorder::create(&folder, &unit.spec, options.f64)?)
                 } else {
                     None
                 },
-                png: png.then_some(None),
+                sas: sas
+                    .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
+                    .flatten(),
+                pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
                 sigmf: match sigmf {
                     true => Some(begin_sigmf(&folder, &unit.spec)?),
                     false => None,
@@ -149,10 +200,11 @@ impl Recorders {
         })
     }
 
-    pub fn record(&mut self, slot: &PingSlot, targets: &[Target]) -> Result<(), RecordError> {
+    /// The ping that `rig` has just made.
+    pub fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
-        self.truth.push(&files.spec, plan, output, targets)?;
+        self.truth.push(&files.spec, plan, output, rig.targets())?;
         if let Some(s7k) = &mut files.s7k {
             s7k.records.clear();
             let recorder = match &mut s7k.recorder {
@@ -166,6 +218,33 @@ impl Recorders {
             }
             s7k.records.clear();
         }
+        if let Some(jsf) = &mut files.jsf {
+            let recorder = match &mut jsf.recorder {
+                Some(recorder) => recorder,
+                none => {
+                    let head = jsf.emitter.sheet().file_head(plan.stamp_utc);
+                    none.insert(StreamRecorder::create(&jsf.path, &head)?)
+                }
+            };
+            jsf.last_utc = plan.stamp_utc;
+            jsf.emitter
+                .emit_ping(plan, output, |_| true, &mut jsf.messages);
+            for message in jsf.messages.drain(..) {
+                recorder.write(&message.bytes)?;
+            }
+        }
+        if let Some(xtf) = &mut files.xtf {
+            let recorder = match &mut xtf.recorder {
+                Some(recorder) => recorder,
+                none => {
+                    let head = xtf.emitter.file_head();
+                    none.insert(StreamRecorder::create(&xtf.path, &head)?)
+                }
+            };
+            xtf.packets.clear();
+            xtf.emitter.emit_ping(plan, output, &mut xtf.packets);
+            recorder.write(&xtf.packets)?;
+        }
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
         }
@@ -175,16 +254,14 @@ impl Recorders {
         if let Some(wav) = &mut files.wav {
             wav.push(plan, output)?;
         }
-        if let Some(waterfall) = &mut files.png {
-            waterfall
-                .get_or_insert_with(|| blank_waterfall(&files.spec, plan))
-                .push(plan, &output.lines);
+        if let Some(sas) = &mut files.sas {
+            sas.push(&files.spec, plan, output);
         }
-        Ok(())
+        files.pictures.push(slot, rig)
     }
 
     /// Closes every file and names those that hold something.
-    pub fn finish(self) -> Result<Vec<PathBuf>, RecordError> {
+    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
             if let Some(S7k {
@@ -194,6 +271,25 @@ impl Recorders {
             }) = files.s7k
             {
                 recorder.close()?;
+                written.push(path);
+            }
+            if let Some(Jsf {
+                path,
+                recorder: Some(recorder),
+                last_utc,
+                ..
+            }) = files.jsf
+            {
+                recorder.close(&file_time(last_utc))?;
+                written.push(path);
+            }
+            if let Some(Xtf {
+                path,
+                recorder: Some(recorder),
+                ..
+            }) = files.xtf
+            {
+                recorder.close(&[])?;
                 written.push(path);
             }
             if let Some(npz) = files.npz {
@@ -207,12 +303,10 @@ impl Recorders {
                 written.push(wav.path().to_path_buf());
                 wav.close()?;
             }
-            if let Some(Some(waterfall)) = files.png {
-                let path = files.folder.join("waterfall.png");
-                if write_waterfall(&path, &waterfall)? {
-                    written.push(path);
-                }
+            if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
+                written.extend(patch.write(&files.folder)?);
             }
+            written.extend(files.pictures.finish(targets)?);
         }
         Ok(written)
     }
@@ -231,8 +325,60 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
         arrays: (0..spec.receive.len()).collect(),
         max_packet: 0,
         client_queue_bytes: 0,
+        disconnect_when_full: false,
         max_clients: 0,
     })
+}
+
+/// The JSF output whose format the file has; a sonar without one gets its sides as envelopes, or where it has none its elements.
+fn jsf_output(spec: &SonarSpec) -> JsfSpec {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Jsf(jsf) => Some(jsf),
+        _ => None,
+    });
+    let has_lines = !spec.beams.lines.is_empty();
+    configured.cloned().unwrap_or_else(|| JsfSpec {
+        listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
+        listen_data: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
+        subsystem: if has_lines {
+            subsystem::SIDE_SCAN_LOW
+        } else {
+            subsystem::BATHYMETRY_LOW
+        },
+        silent_subsystems: Vec::new(),
+        channels: if has_lines {
+            JsfChannels::Sides
+        } else {
+            JsfChannels::Staves
+        },
+        arrays: first_channels(spec),
+        format: if has_lines {
+            JsfFormat::Envelope
+        } else {
+            JsfFormat::Unfiltered
+        },
+        record: true,
+        client_queue_bytes: 0,
+        max_clients: 0,
+    })
+}
+
+/// As many arrays as JSF has channels for.
+fn first_channels(spec: &SonarSpec) -> Vec<usize> {
+    let mut elements = 0;
+    let arrays = spec.receive.iter().take_while(|array| {
+        elements += array.elements;
+        elements <= MAX_JSF_CHANNELS
+    });
+    (0..arrays.count()).collect()
+}
+
+fn xtf_output(spec: &SonarSpec) -> XtfSpec {
+    let configured = spec.outputs.iter().find_map(|output| match output {
+        OutputSpec::Xtf(xtf) => Some(*xtf),
+        _ => None,
+    });
+    configured.unwrap_or(XtfSpec { is_float: false })
 }
 
 /// The arrays of the configured output, or all.
@@ -260,17 +406,4 @@ fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError
     });
     let path = folder.join(format!("{}.wav", spec.name));
     WavRecorder::create(&path, &output, spec)
-}
-
-fn blank_waterfall(spec: &SonarSpec, plan: &PingPlan) -> Waterfall {
-    let metres_per_pixel = plan.settings.range_m / WATERFALL_COLUMNS;
-    let advance_m = plan.nav.pose.velocity_m_per_s.truncate().length() / plan.ping_rate_hz;
-    let picture = WaterfallSpec {
-        range_m: plan.settings.range_m,
-        metres_per_pixel,
-        rows_per_ping: rows_that_keep_the_aspect(advance_m, metres_per_pixel),
-        scale: SCALE,
-        ..WaterfallSpec::default()
-    };
-    Waterfall::new(picture, spec.receiver.sample_rate_hz)
 }

@@ -6,37 +6,38 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, RigSpec};
-use crate::flow::SonarSettings;
-use crate::io::nav::NavInputs;
+use crate::config::spec::RigSpec;
 use crate::io::record::RecordError;
-use crate::ping::{PingOrder, Schedule};
+use crate::ping::PingOrder;
 use crate::run::counters::{PingCounters, add};
+use crate::run::faults::PingMark;
+use crate::run::recorded::{RecordedError, RecordedRig};
 use crate::run::recorders::Recorders;
-use crate::run::rig::{PingSlot, Rig, RigError, pool};
-use crate::time::{NS_PER_S, UtcNs, VirtualClock};
+use crate::run::rig::{PingSlot, pool};
+use crate::time::{NS_PER_S, UtcNs};
 
 #[derive(Debug, Error)]
 pub enum ReplayError {
     #[error(transparent)]
-    Rig(#[from] RigError),
+    Recorded(#[from] RecordedError),
     #[error(transparent)]
     Record(#[from] RecordError),
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
-    #[error(
-        "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
-    )]
-    NoLog,
-    #[error("the recorded navigation holds no usable sample of {0:?}, which every ping needs")]
-    NoNav(Vec<NavChannel>),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Formats {
     pub s7k: bool,
+    pub jsf: bool,
+    pub xtf: bool,
     pub npz: bool,
     pub png: bool,
+    /// Synthetic aperture, of the sonars that have one configured.
+    pub sas: bool,
+    pub fan: bool,
+    pub mosaic: bool,
+    pub masks: bool,
     pub sigmf: bool,
     pub wav: bool,
 }
@@ -54,10 +55,8 @@ pub struct ReplayOptions {
 
 pub struct Replay {
     pool: Arc<rayon::ThreadPool>,
-    rig: Rig,
-    inputs: NavInputs,
+    recorded: RecordedRig,
     recorders: Recorders,
-    schedules: Vec<Schedule>,
     pings: (u32, u32),
     recorded_end: Option<UtcNs>,
     counters: Vec<PingCounters>,
@@ -80,31 +79,20 @@ impl Replay {
         // A whole replay of a looped log would never end: the loop is for those who name the last ping.
         spec.nav.loop_log &= options.pings.is_some();
         let pool = pool(options.threads)?;
-        let mut rig = pool.install(|| Rig::open(&spec))?;
-        let mut inputs =
-            NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).map_err(RigError::Nav)?;
-        if inputs.recorded_start().is_none() {
-            return Err(ReplayError::NoLog);
-        }
-        let first = loop {
-            if let Some(first) = rig.history.first_usable_utc() {
-                break first;
-            }
-            if !inputs.pull_next(&mut rig.history) {
-                return Err(ReplayError::NoNav(rig.history.silent()));
-            }
-        };
-        let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
-        let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];
-        let recorders = Recorders::create(&spec, &options, &rig)?;
+        let recorded = pool.install(|| RecordedRig::open(&spec))?;
+        recorded.rig.faults.begin(recorded.schedules[0].next_utc());
+        let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),
-            recorded_end: inputs.recorded_end(),
-            counters: rig.sonars.iter().map(|_| PingCounters::default()).collect(),
-            rig,
-            inputs,
+            recorded_end: recorded.inputs.recorded_end(),
+            counters: recorded
+                .rig
+                .sonars
+                .iter()
+                .map(|_| PingCounters::default())
+                .collect(),
+            recorded,
             recorders,
-            schedules,
             pings: options.pings.unwrap_or((1, u32::MAX)),
         })
     }
@@ -113,15 +101,16 @@ impl Replay {
     pub fn pings_expected(&self) -> Option<u64> {
         let (first, last) = self.pings;
         if last < u32::MAX {
-            return Some(u64::from(last - first + 1) * self.schedules.len() as u64);
+            return Some(u64::from(last - first + 1) * self.recorded.schedules.len() as u64);
         }
         let end = self.recorded_end?;
-        let c = self.rig.medium().sound_speed_m_per_s;
+        let c = self.recorded.rig.medium().sound_speed_m_per_s;
         Some(
-            self.rig
+            self.recorded
+                .rig
                 .sonars
                 .iter()
-                .zip(&self.schedules)
+                .zip(&self.recorded.schedules)
                 .map(|(unit, schedule)| {
                     let period_s =
                         crate::ping::period_ns(&unit.spec.settings, c) as f64 / NS_PER_S as f64;
@@ -135,14 +124,24 @@ impl Replay {
     pub fn run(mut self, mut progress: impl FnMut(u32) + Send) -> Result<Summary, ReplayError> {
         let pool = self.pool.clone();
         pool.install(move || {
-            let mut slots: Vec<PingSlot> = (0..self.rig.sonars.len())
-                .map(|sonar| self.rig.slot(sonar))
+            let mut slots: Vec<PingSlot> = (0..self.recorded.rig.sonars.len())
+                .map(|sonar| self.recorded.rig.slot(sonar))
                 .collect();
-            while let Some((sonar, order)) = self.next_order() {
+            let last = self.pings.1;
+            while let Some((sonar, order)) = self.recorded.next_order(last) {
                 if order.ping_number < self.pings.0 {
                     continue;
                 }
-                if !self.rig.read_on(&mut self.inputs, sonar, &order) {
+                if self
+                    .recorded
+                    .rig
+                    .faults
+                    .trigger_missed(PingMark::of(sonar, &order))
+                {
+                    add(&self.counters[sonar].triggers_missed, 1);
+                    continue;
+                }
+                if !self.recorded.settle(sonar, &order) {
                     break;
                 }
                 self.ping(sonar, &order, &mut slots[sonar])?;
@@ -152,24 +151,6 @@ impl Replay {
         })
     }
 
-    /// The next ping in time over all sonars, or none when every one has made its last.
-    fn next_order(&mut self) -> Option<(usize, PingOrder)> {
-        let last = self.pings.1;
-        let (sonar, schedule) = self
-            .schedules
-            .iter_mut()
-            .enumerate()
-            .filter(|(_, schedule)| schedule.next_number() <= last)
-            .min_by_key(|(_, schedule)| schedule.next_utc())?;
-        let running = SonarSettings {
-            // Nobody is there to send "start".
-            pinging: true,
-            ..self.rig.sonars[sonar].spec.settings
-        };
-        let order = schedule.due(schedule.next_utc(), |_| running)?;
-        Some((sonar, order))
-    }
-
     fn ping(
         &mut self,
         sonar: usize,
@@ -177,8 +158,12 @@ impl Replay {
         slot: &mut PingSlot,
     ) -> Result<(), ReplayError> {
         let counters = &self.counters[sonar];
-        let mode = self.rig.spec.nav.mode;
-        match self.rig.make(sonar, order, mode, order.transmit_utc, slot) {
+        let mode = self.recorded.rig.spec.nav.mode;
+        match self
+            .recorded
+            .rig
+            .make(sonar, order, mode, order.transmit_utc, slot)
+        {
             Ok(()) => {
                 let saturated = slot
                     .output
@@ -189,7 +174,7 @@ impl Replay {
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
                 counters.certificate(slot.output.certificate.as_ref());
-                self.recorders.record(slot, self.rig.targets())?;
+                self.recorders.record(slot, &self.recorded.rig)?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),
         }
@@ -197,10 +182,10 @@ impl Replay {
     }
 
     fn finish(self) -> Result<Summary, ReplayError> {
-        let files = self.recorders.finish()?;
+        let files = self.recorders.finish(self.recorded.rig.targets())?;
         let mut text = String::new();
         let mut pings_made = 0;
-        for (unit, counters) in self.rig.sonars.iter().zip(&self.counters) {
+        for (unit, counters) in self.recorded.rig.sonars.iter().zip(&self.counters) {
             pings_made += counters.made.load(std::sync::atomic::Ordering::Relaxed);
             text += &format!("{}: {}\n", unit.spec.name, counters.replay_line());
         }

@@ -1,13 +1,18 @@
 //! A rig assembled: navigation history, scene, and one [`SonarUnit`] per head. The daemon and `replay` differ only in who calls and when.
 
+use std::sync::Arc;
+
 use thiserror::Error;
 
-use crate::config::spec::{AnchorSpec, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec};
+use crate::config::spec::{
+    AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec,
+};
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
+use crate::run::faults::{Faults, PingMark};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::view;
 use crate::scene::simplify::energy::View;
@@ -23,6 +28,8 @@ pub enum RigError {
     Nav(#[from] NavOpenError),
     #[error("sonar {name}: {why}")]
     Sonar { name: String, why: PipelineError },
+    #[error("fault {number}: {why}")]
+    Fault { number: usize, why: FaultRefused },
 }
 
 /// A ping and everything it made, in buffers that are used again.
@@ -40,6 +47,8 @@ pub struct SonarUnit {
     simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
+    /// The rig's.
+    pub faults: Arc<Faults>,
 }
 
 /// The parts that every ping passes through.
@@ -48,6 +57,7 @@ pub struct Rig {
     pub history: NavHistory,
     pub scene: Scene,
     pub sonars: Vec<SonarUnit>,
+    pub faults: Arc<Faults>,
     placed: bool,
     scatterers: Scatterers,
     pub simplify_counts: StageCounts,
@@ -56,6 +66,11 @@ pub struct Rig {
 impl Rig {
     /// Opens the scene and sizes every buffer. To be called inside the pool that will run it.
     pub fn open(spec: &RigSpec) -> Result<Self, RigError> {
+        let faults = Arc::new(Faults::new(&spec.sonars));
+        for (number, request) in spec.faults.iter().enumerate() {
+            let added = faults.add(request);
+            added.map_err(|why| RigError::Fault { number, why })?;
+        }
         let mut sonars = Vec::new();
         for sonar in &spec.sonars {
             let absorption_db_per_m =
@@ -86,6 +101,7 @@ impl Rig {
                 pipeline,
                 spec: sonar,
                 absorption_db_per_m,
+                faults: faults.clone(),
             });
         }
         Ok(Self {
@@ -93,6 +109,7 @@ impl Rig {
             history: NavHistory::new(&spec.nav),
             scene: Scene::open(&spec.scene)?,
             sonars,
+            faults,
             placed: false,
             scatterers: Scatterers::default(),
             simplify_counts: StageCounts::default(),
@@ -122,6 +139,11 @@ impl Rig {
         let c = self.spec.medium.sound_speed_m_per_s;
         let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
         ping::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
+    }
+
+    /// What the ping made last heard.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
     }
 
     /// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
@@ -192,6 +214,22 @@ impl Rig {
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
+        self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.sonars[sonar]
+            .pipeline
+            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
+        Ok(())
+    }
+
+    /// The plan of a ping and its scatterers, without the ping itself.
+    pub fn prepare(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
         self.place_scene();
         let window_s = self.window_s(sonar, order);
         let nav = self.history.motion(
@@ -204,7 +242,10 @@ impl Rig {
             StampSpec::Log => order.transmit_utc,
             StampSpec::Host => host_utc,
         };
+        let mark = PingMark::of(sonar, order);
+        let stamp_utc = stamp_utc.plus_s(self.faults.stamp_error_s(mark));
         let unit = &mut self.sonars[sonar];
+        self.faults.elements(mark, unit.pipeline.faults_mut());
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);
         slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
@@ -214,8 +255,6 @@ impl Rig {
             let seabed = slot.output.scene.scatterers as usize;
             self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
         }
-        unit.pipeline
-            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
         Ok(())
     }
 }

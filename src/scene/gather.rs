@@ -239,6 +239,7 @@ struct Rows<'a> {
     normal: &'a mut [[f32; 3]],
     strength: &'a mut [Complex64],
     law: &'a mut [ScatterLaw],
+    loud: &'a mut [f32],
 }
 
 impl<'a> Rows<'a> {
@@ -251,6 +252,7 @@ impl<'a> Rows<'a> {
             normal: &mut out.normal[from..to],
             strength: &mut out.strength[from..to],
             law: &mut out.law[from..to],
+            loud: &mut out.loud[from..to],
         }
     }
 
@@ -263,6 +265,7 @@ impl<'a> Rows<'a> {
         let normal = self.normal.split_at_mut(n);
         let strength = self.strength.split_at_mut(n);
         let law = self.law.split_at_mut(n);
+        let loud = self.loud.split_at_mut(n);
         (
             Self {
                 first: self.first,
@@ -272,6 +275,7 @@ impl<'a> Rows<'a> {
                 normal: normal.0,
                 strength: strength.0,
                 law: law.0,
+                loud: loud.0,
             },
             Self {
                 first: row,
@@ -281,6 +285,7 @@ impl<'a> Rows<'a> {
                 normal: normal.1,
                 strength: strength.1,
                 law: law.1,
+                loud: loud.1,
             },
         )
     }
@@ -298,6 +303,7 @@ impl<'a> Rows<'a> {
             self.strength[row] = Complex64::new(strength.re.into(), strength.im.into());
         }
         self.law.fill(law);
+        self.loud.fill(1.0);
     }
 }
 

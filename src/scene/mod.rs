@@ -8,6 +8,7 @@
 pub mod bottoms;
 mod draws;
 mod gather;
+mod loud;
 mod occlusion;
 pub mod paper;
 pub mod points;
@@ -28,6 +29,7 @@ use glam::DVec2;
 use crate::config::spec::{AnchorSpec, SceneSpec, SeabedShape};
 use crate::flow::{Footprint, Scatterers, SceneCounts, Target};
 use gather::{Gatherer, Listeners};
+use loud::Quiet;
 use occlusion::{Around, Occlusion};
 use pool::TilePool;
 use read::{Fault, text};
@@ -73,6 +75,7 @@ pub struct Scene {
     /// Own coordinates.
     points: Scatterers,
     own_targets: Targets,
+    quiet: Quiet,
     /// World.
     targets: Vec<Target>,
     /// The footprints of the gathering under way that hear something.
@@ -122,15 +125,22 @@ impl Scene {
             };
             return Err(SceneError::NoPlaceOnEarth { what });
         }
-        let points = match &spec.points {
+        let mut points = match &spec.points {
             None => Scatterers::default(),
             Some(path) => read(path, points::parse)?,
         };
+        let recipe = seabed.as_ref().map(|(recipe, _)| recipe);
+        let quiet = Quiet::new(recipe, &points);
+        for (loud, strength) in points.loud.iter_mut().zip(&points.strength) {
+            // As if near, where the ground's scatterers are weakest.
+            *loud = quiet.factor(strength.norm(), recipe, 0.0);
+        }
         let targets = match &spec.targets {
             None => Targets::default(),
             Some(path) => read(path, |bytes| {
                 let toml = path.extension().is_some_and(|e| e == "toml");
-                Targets::parse(bytes, toml, spec.seed, |north_m, east_m| {
+                let folder = toml.then(|| path.parent().unwrap_or(Path::new(".")));
+                Targets::parse(bytes, folder, spec.seed, |north_m, east_m| {
                     let (recipe, _) = seabed.as_ref()?;
                     Some(recipe.surface().sample(north_m, east_m)?.down_m)
                 })
@@ -143,6 +153,7 @@ impl Scene {
             points,
             targets: targets.named().to_vec(),
             own_targets: targets,
+            quiet,
             heard: Vec::new(),
             gatherer: Gatherer::default(),
             occlusion: Occlusion::new(spec.occlusion),
@@ -179,6 +190,38 @@ impl Scene {
         Some(recipe.surface().sample(own.x, own.y)?.down_m)
     }
 
+    /// As the arrays of footprint `footprint` of the gathering before see a place of the world: depth of the seabed there, and whether
+    /// nothing stands before it. None where there is no seabed.
+    pub fn ground_seen(&self, footprint: usize, north_m: f64, east_m: f64) -> Option<(f64, bool)> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        let down_m = recipe.surface().sample(own.x, own.y)?.down_m;
+        let around = Around {
+            ground: Some(recipe.surface()),
+            solids: Some(&self.own_targets),
+            on_ground: true,
+        };
+        let seen = self.occlusion.sees(footprint, own.extend(down_m), around);
+        Some((down_m, seen))
+    }
+
+    /// Which target each scatterer of the gathering before belongs to: 1 is the first, 0 none. They come last, in their own order, less those
+    /// in shadow, so that their places tell.
+    pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
+        labels.clear();
+        labels.resize(scatterers.len(), 0);
+        let own = self.own_targets.scatterers();
+        let anchor_m = self.anchor_m.extend(0.0);
+        let mut left = scatterers.len();
+        for j in (0..own.len()).rev() {
+            if left > 0 && scatterers.position_m(left - 1) == own.position_m(j) + anchor_m {
+                left -= 1;
+                let number = self.own_targets.target_of(j) + 1;
+                labels[left] = u16::try_from(number).unwrap_or(u16::MAX);
+            }
+        }
+    }
+
     /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
     /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
     /// ones), then the targets within range of any footprint.
@@ -202,14 +245,16 @@ impl Scene {
     fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) -> usize {
         let (anchor_m, heard) = (self.anchor_m.extend(0.0), &self.heard[..]);
         let Some((recipe, pool)) = &mut self.seabed else {
-            self.occlusion.start(heard, anchor_m, None);
+            self.occlusion
+                .start(heard, anchor_m, None, &self.own_targets);
             return 0;
         };
         self.gatherer.find(recipe, anchor_m, heard, counts);
         let longest_m = heard.iter().map(|f| f.max_range_m).fold(0.0, f64::max);
         let spacing_m = recipe.levels().spacing_m(longest_m);
         let hilly = recipe.surface().is_hilly().then_some(spacing_m);
-        self.occlusion.start(heard, anchor_m, hilly);
+        self.occlusion
+            .start(heard, anchor_m, hilly, &self.own_targets);
         for tile_box in self.gatherer.boxes() {
             self.occlusion.mark(tile_box.low_m, tile_box.high_m);
         }
@@ -265,6 +310,7 @@ impl Scene {
         out.normal.extend_from_slice(&points.normal);
         out.strength.extend_from_slice(&points.strength);
         out.law.extend_from_slice(&points.law);
+        out.loud.extend_from_slice(&points.loud);
         counts.points = points.len() as u64;
     }
 
@@ -273,9 +319,13 @@ impl Scene {
         for target in 0..self.own_targets.len() {
             let (center_m, radius_m) = self.own_targets.ball_m(target);
             let center_m = center_m + anchor_m;
-            let in_range = |f: &Footprint| f.apex_m.distance(center_m) <= f.max_range_m + radius_m;
-            if self.heard.iter().any(in_range) {
-                self.own_targets.gather(target, anchor_m, out);
+            let away_m = |f: &Footprint| f.apex_m.distance(center_m) - radius_m;
+            if self.heard.iter().any(|f| away_m(f) <= f.max_range_m) {
+                let nearest_m = self.heard.iter().map(away_m).fold(f64::INFINITY, f64::min);
+                let strength = self.own_targets.strength(target);
+                let recipe = self.seabed.as_ref().map(|(recipe, _)| recipe);
+                let loud = self.quiet.factor(strength, recipe, nearest_m.max(0.0));
+                self.own_targets.gather(target, anchor_m, loud, out);
                 counts.targets += 1;
             }
         }

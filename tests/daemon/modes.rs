@@ -14,12 +14,12 @@ use serde_json::{Value, json};
 use super::{Daemon, PATIENCE};
 
 /// Records of pings by type and time stamp: what says when a file was begun stays out.
-type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
+pub type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
 
 /// Where year, day, seconds, hours and minutes stand in a record's frame.
 const TIME: std::ops::Range<usize> = 20..30;
 
-fn pings_of(folder: &Path) -> Pings {
+pub fn pings_of(folder: &Path) -> Pings {
     let files = std::fs::read_dir(folder).expect("folder");
     let paths = files.map(|e| e.expect("entry").path());
     let path = paths
@@ -43,7 +43,7 @@ fn pings_of(folder: &Path) -> Pings {
     pings
 }
 
-fn pings_in(pings: &Pings) -> usize {
+pub fn pings_in(pings: &Pings) -> usize {
     pings.keys().filter(|(kind, _)| *kind == 7000).count()
 }
 
@@ -67,7 +67,7 @@ fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
 }
 
 /// A small, quick rig: points in still water, ten pings a second.
-fn rig(folder: &Path, more: &[&str]) -> Daemon {
+pub fn rig(folder: &Path, more: &[&str]) -> Daemon {
     let record = format!("record.directory={folder:?}");
     let mut arguments = vec!["hil-configs/points.toml"];
     let common = [

@@ -74,6 +74,7 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
             position_age_s: 0.0,
             attitude_age_s: 0.0,
             extrapolated: false,
+            invalid: Default::default(),
         },
         trajectory,
         segments: vec![Segment {

@@ -10,6 +10,8 @@ pub const FINE: Fineness = Fineness {
     slab_samples: 2048,
     time_width: 12,
     slope_width: 12,
+    time_oversampling: 2.0,
+    slope_oversampling: 2.0,
     moments: 12,
     series: 1e-8,
     far: 1e-9,

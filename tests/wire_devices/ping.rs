@@ -143,7 +143,7 @@ fn answer(replies: &[Vec<u8>]) -> Answer {
 fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
     let start = bench.settings.settings();
-    let limits = *bench.settings.limits();
+    let limits = bench.settings.limits().clone();
     assert_eq!(bench.os(|p| p.length_mm = 60_000), Answer::Ack);
     let settings = bench.settings.settings();
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));
@@ -279,7 +279,7 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     let mut out = Vec::new();
     bench.client.greet(NOW, &mut out);
     assert_eq!(out.len(), 1, "it asks for the time");
-    let limits = *bench.settings.limits();
+    let limits = bench.settings.limits().clone();
     assert_eq!(bench.surveyor(|p| p.end_mm = 60_000), Answer::Ack);
     let settings = bench.settings.settings();
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));

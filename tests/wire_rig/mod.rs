@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
 
 use echotank::config::spec::{
-    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, SevenKSpec, Shading, SonarSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, SevenKSpec, Shading, SonarSpec,
     SynthesisSpec,
 };
 use echotank::emit::sevenk::records::DeviceSheet;
@@ -67,6 +67,7 @@ pub fn sonar() -> SonarSpec {
             duration_s: PULSE_S,
             taper: 0.1,
         },
+        more_pulses: Vec::new(),
         transmit: vec![TransmitArray {
             mounting: Mounting {
                 position_m: DVec3::new(0.5, -0.25, 0.125),
@@ -117,6 +118,9 @@ pub fn sonar() -> SonarSpec {
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             focused_lines: false,
+            line_f_number: None,
+            synthetic_aperture: None,
+            line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
@@ -136,6 +140,7 @@ pub fn sonar() -> SonarSpec {
                 form: FanForm::default(),
             }),
         },
+        picture: PictureSpec::default(),
         outputs: Vec::new(),
     }
 }
@@ -149,6 +154,7 @@ pub fn output_spec() -> SevenKSpec {
         arrays: vec![1, 0],
         max_packet: 60_000,
         client_queue_bytes: 1 << 20,
+        disconnect_when_full: false,
         max_clients: 8,
     }
 }
@@ -204,6 +210,7 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
             position_age_s: 0.1,
             attitude_age_s: 0.01,
             extrapolated: false,
+            invalid: Default::default(),
         },
         trajectory,
         segments: vec![Segment {

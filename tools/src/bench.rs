@@ -1,5 +1,7 @@
 //! Measures the echo engine: errors and milliseconds on one line. See `tools/bench --help`.
 
+#[path = "bench/beams.rs"]
+mod beams;
 #[path = "bench/echo.rs"]
 mod echo;
 #[path = "bench/forward_looking.rs"]
@@ -17,10 +19,16 @@ mod report;
 mod rig;
 #[path = "bench/scene.rs"]
 mod scene;
+#[path = "bench/stages.rs"]
+mod stages;
 #[path = "bench/transform.rs"]
 mod transform;
 #[path = "bench/whole.rs"]
 mod whole;
+#[path = "bench/wire.rs"]
+mod wire;
+#[path = "../../tests/wire_rig/mod.rs"]
+mod wire_rig;
 
 use std::path::PathBuf;
 
@@ -63,6 +71,14 @@ enum What {
         dialects: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
+        /// Where the time of gridded-2d goes, stage by stage.
+        #[arg(long)]
+        stages: bool,
+    },
+    /// Fans of 128 elements, 256 beams and 8000 samples by every former, and focused beams beside echo synthesis at work.
+    Beams {
+        #[command(flatten)]
+        common: Common,
     },
     /// Pings of a configuration through the whole pipeline, beams and lines included.
     Ping {
@@ -82,6 +98,14 @@ enum What {
         #[arg(long)]
         python: Option<PathBuf>,
     },
+    /// Records of each family per second, and a load of several topsides.
+    Wire {
+        #[command(flatten)]
+        common: Common,
+        /// Deliver in real time for so many seconds.
+        #[arg(long)]
+        load: Option<u32>,
+    },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
         directory: PathBuf,
@@ -96,6 +120,10 @@ enum What {
     },
     /// Run transforms as standard input asks, one per line.
     TransformServe { directory: PathBuf },
+    /// Write matched-filtered elements and the points of some beams for peers.
+    BeamsDump { directory: PathBuf },
+    /// Form the fan as standard input asks, one former per line.
+    BeamsServe,
 }
 
 fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
@@ -119,12 +147,14 @@ fn main() -> std::process::ExitCode {
             method,
             dialects,
             threads,
+            stages,
         } => {
             let selection = whole::Selection {
                 only: only.as_deref().unwrap_or(""),
                 method: method.as_deref(),
                 dialects: &dialects,
                 threads: &threads,
+                stages,
                 effort: if common.quick {
                     whole::QUICK
                 } else {
@@ -133,6 +163,9 @@ fn main() -> std::process::ExitCode {
             };
             echo(&common, &selection)
         }
+        What::Beams { common } => beams::run(common.quick, common.json.as_deref()),
+        What::BeamsDump { directory } => beams::dump(&directory),
+        What::BeamsServe => beams::serve(),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
         What::Nav {
             common,
@@ -144,6 +177,7 @@ fn main() -> std::process::ExitCode {
             common.quick,
             common.json.as_deref(),
         ),
+        What::Wire { common, load } => wire::run(common.quick, load, common.json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,

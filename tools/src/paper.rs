@@ -28,7 +28,7 @@ tools/paper FIG [--out DIR]
 
   --out DIR   where PNG and JSON go; else out/paper
 
-Figures 12 to 16 are tools/ladder's.
+  12 to 16  the simplified seabeds: what tools/ladder measures, in its short form (the script tools/paper calls it)
 ";
 
 fn main() -> std::process::ExitCode {
@@ -68,7 +68,9 @@ fn main() -> std::process::ExitCode {
             "17" => lake::figure_17(&out),
             "18" => lake::figure_18(&out),
             "12" | "13" | "14" | "15" | "16" => {
-                return refuse("figures 12 to 16: tools/ladder --picture FILE --json FILE");
+                return refuse(
+                    "figures 12 to 16: tools/ladder --picture FILE --json FILE, which the script tools/paper calls",
+                );
             }
             other => return refuse(&format!("{other}: no such figure")),
         };

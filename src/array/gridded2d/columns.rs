@@ -1,15 +1,29 @@
 //! Columns of the grid to powers along the stretch: Fourier transforms, pulse and shape.
 
 use std::f64::consts::PI;
+use std::time::Instant;
 
 use num_complex::Complex64;
 
-use super::engine::Work;
+use super::engine::{Orders, Work};
 use super::lanes::{BLOCK, Lanes, Split};
-use super::panel::{PANEL, Row};
+use super::panel::{PANEL, transposed};
 use super::pulse::{Instants, MOST_INSTANTS, chebyshev, chebyshev_nodes};
 use super::sample::Sample;
+use super::stages::Stage;
 use super::task::{MOST_ALONG, MOST_TURN, Ray, Task};
+
+/// Of what a series may leave out, what powers along the stretch that are left out of single products may.
+const TRIMMED: f64 = 0.1;
+
+/// One coefficient of the templates.
+#[derive(Clone, Copy)]
+pub struct Entry {
+    /// Which sound it is of: instant times products and product.
+    pub source: usize,
+    /// Along the stretch.
+    pub power: usize,
+}
 
 impl<T: Sample> Task<'_, T> {
     /// Bins that the filter leaves.
@@ -26,57 +40,59 @@ impl<T: Sample> Task<'_, T> {
     #[inline(always)]
     pub fn to_moments<const FUSED: bool>(&self, work: &mut Work<T>) {
         let instants = &self.engine.instants[self.orders.instants - 1];
+        let mut since = Instant::now();
         self.spectra::<FUSED>(work);
+        work.stages.lap(Stage::Transform, &mut since);
         self.dilation_series(work);
+        self.dilation_lines::<FUSED>(work);
         self.shapes(work, instants);
+        work.stages.lap(Stage::Templates, &mut since);
         work.moments
-            .resize(self.heard() * self.columns * self.powers());
+            .resize(self.heard() * self.columns * work.powers);
+        work.sounds
+            .resize(instants.len() * self.kept().len(), Lanes::ZERO);
+        for split in &mut work.here {
+            split.resize(work.entries.len());
+        }
         for column in 0..self.columns {
             self.template(work, column);
             for block in 0..self.engine.blocks.len() {
                 self.block::<FUSED>(work, column, block, instants);
             }
         }
+        work.stages.lap(Stage::Combine, &mut since);
     }
 
     /// All channels of all columns to frequency.
     #[inline(always)]
     fn spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let (rows, bins, width) = (self.engine.rows, self.engine.bins(), self.width());
+        let (rows, bins) = (self.engine.rows, self.engine.bins());
         let heard = self.heard();
         let all = self.columns * self.channels();
         work.spectrum.resize(all * heard);
         let [a, b] = &mut work.panel;
         // The first bin that is heard lies below the centre: at the transform's end.
         let first = (rows + self.engine.blocks.start * BLOCK - bins / 2) % rows;
-        for panel in 0..all.div_ceil(PANEL) {
-            for (row, values) in a.iter_mut().zip(work.grid.chunks_exact(width)) {
-                let values: &[T; 2 * PANEL] = values[2 * PANEL * panel..][..2 * PANEL]
-                    .try_into()
-                    .expect("a panel");
-                *row = Row {
-                    re: std::array::from_fn(|j| values[2 * j]),
-                    im: std::array::from_fn(|j| values[2 * j + 1]),
-                };
-            }
-            let from: &[Row<T>] = if self.engine.forward.run::<FUSED>(a, b) {
-                b
-            } else {
-                a
-            };
+        for (panel, grid) in work.grid.chunks_exact(self.engine.panel_rows()).enumerate() {
+            let from = self.engine.forward.run::<FUSED>(&grid[..rows], [a, b]);
             let lanes = PANEL.min(all - panel * PANEL);
             let re = &mut work.spectrum.re[panel * PANEL * heard..][..lanes * heard];
             let im = &mut work.spectrum.im[panel * PANEL * heard..][..lanes * heard];
             // Squares of 16 by 16 stay in the cache.
             for q in (0..heard).step_by(PANEL) {
-                let square: [&Row<T>; PANEL] =
-                    std::array::from_fn(|k| &from[(first + q + k) % rows]);
+                let mut square = [&from[0]; PANEL];
+                for (k, row) in square.iter_mut().enumerate() {
+                    *row = &from[(first + q + k) % rows];
+                }
+                let (mut of_re, mut of_im) = ([[T::ZERO; PANEL]; PANEL], [[T::ZERO; PANEL]; PANEL]);
+                for k in 0..PANEL {
+                    (of_re[k], of_im[k]) = (square[k].re, square[k].im);
+                }
+                let (of_re, of_im) = (transposed(of_re), transposed(of_im));
                 for lane in 0..lanes {
                     let to = lane * heard + q;
-                    let to_re: &mut [T; PANEL] = (&mut re[to..][..PANEL]).try_into().expect("16");
-                    *to_re = std::array::from_fn(|k| square[k].re[lane]);
-                    let to_im: &mut [T; PANEL] = (&mut im[to..][..PANEL]).try_into().expect("16");
-                    *to_im = std::array::from_fn(|k| square[k].im[lane]);
+                    re[to..][..PANEL].copy_from_slice(&of_re[lane]);
+                    im[to..][..PANEL].copy_from_slice(&of_im[lane]);
                 }
             }
         }
@@ -110,15 +126,45 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
+    /// The same over the bins of each block: `[block][instant][dilation][lane]`.
+    #[inline(always)]
+    fn dilation_lines<const FUSED: bool>(&self, work: &mut Work<T>) {
+        let orders = self.orders;
+        let entries = orders.instants * orders.dilation;
+        let x = self.lanes();
+        work.dilation_lines.clear();
+        for block in 0..self.engine.blocks.len() {
+            let middle = self.middle_band(block);
+            for entry in 0..entries {
+                work.dilation_lines.push(line::<T, FUSED>(
+                    &work.dilation,
+                    entry,
+                    entries,
+                    orders.band,
+                    middle,
+                    &x,
+                ));
+            }
+        }
+    }
+
+    /// Of the lanes of a block, in half bands from its middle.
+    fn lanes(&self) -> [T; BLOCK] {
+        let half_bins = 0.5 * self.engine.bins() as f64;
+        std::array::from_fn(|lane| T::narrow((lane as f64 - 0.5 * (BLOCK - 1) as f64) / half_bins))
+    }
+
+    fn middle_band(&self, block: usize) -> f64 {
+        self.middle_hz(block) / (0.5 * self.engine.rate_hz)
+    }
+
     /// The shape at a few slopes, as series of bend and twist, powers along the stretch and powers of the frequency.
     fn shapes(&self, work: &mut Work<T>, instants: &Instants) {
         let orders = self.orders;
         let (along, band) = (orders.along, orders.band);
         let slopes = self.slopes();
-        let entries = self.entries();
         let engine = self.engine;
-        work.shapes.resize(self.nodes * band * entries);
-        let mut at = 0;
+        work.all_shapes.clear();
         for node in chebyshev_nodes(self.nodes) {
             let s = slopes.at(node);
             let (values, next) = (&mut work.values, &mut work.values_next);
@@ -160,22 +206,87 @@ impl<T: Sample> Task<'_, T> {
                     for kept in self.kept() {
                         let kind = n * orders.kinds + kept.kind;
                         let from = (kind * orders.bend + kept.bend) * orders.twist + kept.twist;
-                        for q in 0..along {
-                            let value = values[(from * along + q) * band + power];
-                            work.shapes.re[at] = T::narrow(value.re);
-                            work.shapes.im[at] = T::narrow(value.im);
-                            at += 1;
-                        }
+                        let along = (0..along).map(|q| values[(from * along + q) * band + power]);
+                        work.all_shapes.extend(along);
                     }
                 }
             }
         }
+        self.choose_entries(work);
+        let (all, kept) = (self.entries(), work.entries.len());
+        work.shapes.resize(self.nodes * band * kept);
+        let rows = work.all_shapes.chunks_exact(all).enumerate();
+        for (row, values) in rows {
+            for (e, entry) in work.entries.iter().enumerate() {
+                let value = values[entry.source * along + entry.power];
+                work.shapes.re[row * kept + e] = T::narrow(value.re);
+                work.shapes.im[row * kept + e] = T::narrow(value.im);
+            }
+        }
+    }
+
+    /// Of every kept product, the highest powers along the stretch that together are next to nothing are left out; and of those that the turn
+    /// inside a block adds.
+    fn choose_entries(&self, work: &mut Work<T>) {
+        let Orders {
+            instants,
+            along,
+            turn,
+            band,
+            ..
+        } = self.orders;
+        let products = self.kept().len();
+        let all = self.entries();
+        // Of each product and power: the most that it is at any slope, instant and frequency.
+        work.most.clear();
+        work.most.resize(products * along, 0.0);
+        for node in work.all_shapes.chunks_exact(all * band) {
+            for entry in 0..all {
+                let size: f64 = node[entry..].iter().step_by(all).map(|c| c.norm()).sum();
+                let most = &mut work.most[entry % (products * along)];
+                *most = most.max(size);
+            }
+        }
+        let share = TRIMMED * self.engine.fineness.series / products as f64;
+        work.entries.clear();
+        let powers_of = |most: &[f64]| {
+            let (mut powers, mut rest) = (along, 0.0);
+            while powers > 0 && rest + most[powers - 1] <= share {
+                rest += most[powers - 1];
+                powers -= 1;
+            }
+            powers
+        };
+        for power in 0..along {
+            for source in 0..instants * products {
+                let product = source % products;
+                if power < powers_of(&work.most[product * along..][..along]) {
+                    work.entries.push(Entry { source, power });
+                }
+            }
+        }
+        // What is left out of the turn jumps from block to block.
+        let theta = self.turn_rad(0, self.greatest_slope()).abs();
+        let turned = |m: usize| (1..=m).fold(1.0, |term, k| term * theta / k as f64);
+        let left_out = |powers: usize| -> f64 {
+            (0..along)
+                .flat_map(|q| (0..turn).map(move |m| (q, m)))
+                .filter(|(q, m)| q + m >= powers)
+                .map(|(q, m)| {
+                    let size: f64 = work.most[q..].iter().step_by(along).sum();
+                    size * turned(m)
+                })
+                .sum()
+        };
+        work.powers = (along..self.most_powers())
+            .find(|&powers| left_out(powers) <= self.engine.fineness.far)
+            .unwrap_or(self.most_powers());
     }
 
     /// A column's template, from those at the few slopes.
     #[inline(always)]
     fn template(&self, work: &mut Work<T>, column: usize) {
-        let len = self.orders.band * self.entries();
+        let len = self.orders.band * work.entries.len();
         let x = self.slopes().unit(self.slope(column));
         let series = &self.engine.series[self.nodes - 1];
         work.template.clear_to(len);
@@ -235,47 +346,45 @@ impl<T: Sample> Task<'_, T> {
         nodes: &Instants,
     ) {
         let orders = self.orders;
-        let (along, powers, heard_bins) = (orders.along, self.powers(), self.heard());
-        let half_bins = 0.5 * self.engine.bins() as f64;
+        let (along, powers, heard_bins) = (orders.along, work.powers, self.heard());
         // Over a block everything smooth is a line.
-        let middle = self.middle_hz(block) / (0.5 * self.engine.rate_hz);
-        let mut x = [T::ZERO; BLOCK];
-        for (lane, x) in x.iter_mut().enumerate() {
-            *x = T::narrow((lane as f64 - 0.5 * (BLOCK - 1) as f64) / half_bins);
-        }
+        let (middle, x) = (self.middle_band(block), self.lanes());
         let [here, slope] = &mut work.here;
-        let entries = self.entries();
+        let entries = work.entries.len();
         tangent::<T, FUSED>(&work.template, entries, orders.band, middle, here, slope);
-        let dilations = orders.instants * orders.dilation;
+        let lines = orders.instants * orders.dilation;
+        let lines = &work.dilation_lines[block * lines..][..lines];
         let first = column * self.channels() * heard_bins + block * BLOCK;
 
         let s = self.slope(column);
         let pulses = self.pulses::<FUSED>(s, block, nodes);
-        let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
+        // Of each instant, every product as the pulse then has it.
+        let mut source = 0;
         for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
+            let lines = &lines[n * orders.dilation..][..orders.dilation];
             let mut at = first;
-            for (k, kept) in self.kept().iter().enumerate() {
+            for kept in self.kept() {
                 let mut heard = Lanes::ZERO;
-                for r in 0..kept.dilation {
+                for (r, weights) in lines[..kept.dilation].iter().enumerate() {
                     let channel = Lanes::load(&work.spectrum, at);
                     at += heard_bins;
-                    let entry = n * orders.dilation + r;
-                    let weights =
-                        line::<T, FUSED>(&work.dilation, entry, dilations, orders.band, middle, &x);
-                    heard.add_weighted::<FUSED>(&channel, &weights, r % 2 == 1);
+                    heard.add_weighted::<FUSED>(&channel, weights, r % 2 == 1);
                 }
-                let heard = heard.times::<FUSED>(pulse);
-                let entry = (n * self.kept().len() + k) * along;
-                for (q, sum) in sums[..along].iter_mut().enumerate() {
-                    let e = entry + q;
-                    let shape = Lanes::line::<FUSED>(
-                        [here.re[e], here.im[e]],
-                        [slope.re[e], slope.im[e]],
-                        &x,
-                    );
-                    sum.add_product::<FUSED>(&heard, &shape);
-                }
+                work.sounds[source] = heard.times::<FUSED>(pulse);
+                source += 1;
             }
+        }
+        let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
+        let mut e = 0;
+        for (q, sum) in sums[..along].iter_mut().enumerate() {
+            let mut total = Lanes::<T>::ZERO;
+            while e < entries && work.entries[e].power == q {
+                let shape =
+                    Lanes::line::<FUSED>([here.re[e], here.im[e]], [slope.re[e], slope.im[e]], &x);
+                total.add_product::<FUSED>(&work.sounds[work.entries[e].source], &shape);
+                e += 1;
+            }
+            *sum = total;
         }
         // exp(j theta x), theta the turn within the block, times the powers so far.
         let mut theta = [T::ZERO; BLOCK];
@@ -284,10 +393,11 @@ impl<T: Sample> Task<'_, T> {
         }
         let mut total = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
         for m in 0..orders.turn {
-            for q in 0..along {
+            let left = along.min(powers.saturating_sub(m));
+            for q in 0..left {
                 total[q + m].add(&sums[q]);
             }
-            for sum in &mut sums[..along] {
+            for sum in &mut sums[..left] {
                 sum.turn(&theta, T::narrow(1.0 / (m + 1) as f64));
             }
         }
@@ -325,18 +435,18 @@ fn tangent_of<T: Sample, const FUSED: bool>(
     entries: usize,
     powers: usize,
     x: T,
-    value: &mut Vec<T>,
-    slope: &mut Vec<T>,
+    value: &mut [T],
+    slope: &mut [T],
 ) {
-    value.clear();
-    value.resize(entries, T::ZERO);
-    slope.clear();
-    slope.resize(entries, T::ZERO);
-    for power in (0..powers).rev() {
+    for e in 0..entries {
+        (value[e], slope[e]) = (series[(powers - 1) * entries + e], T::ZERO);
+    }
+    for power in (0..powers - 1).rev() {
         let row = &series[power * entries..][..entries];
-        for ((value, slope), &c) in value.iter_mut().zip(slope.iter_mut()).zip(row) {
-            *slope = slope.times_plus::<FUSED>(x, *value);
-            *value = value.times_plus::<FUSED>(x, c);
+        let (value, slope) = (&mut value[..entries], &mut slope[..entries]);
+        for e in 0..entries {
+            slope[e] = slope[e].times_plus::<FUSED>(x, value[e]);
+            value[e] = value[e].times_plus::<FUSED>(x, row[e]);
         }
     }
 }

@@ -1,14 +1,24 @@
 //! Powers along the stretch to elements, and elements back to time.
 
+use std::time::Instant;
+
 use num_complex::Complex;
 
 use crate::array::gridded::dialect::Kind;
-use crate::array::phasor::{LANES, cis_lanes};
+use crate::array::phasor::{LANES, cis, cis_lanes};
 
 use super::engine::Work;
-use super::lanes::{BLOCK, Lanes, Split};
+use super::lanes::{BLOCK, Lanes};
 use super::sample::Sample;
+use super::stages::Stage;
 use super::task::Task;
+
+/// Pairs of elements worked on together, and lanes: as many sums as there are registers for.
+const PAIRS: usize = 4;
+const PART: usize = 16;
+
+/// Real and imaginary parts, pair by pair.
+type Sums<T, const PAIRS: usize> = [[[T; PART]; 2]; PAIRS];
 
 impl<T: Sample> Task<'_, T> {
     /// From the filled grid to the samples of all elements.
@@ -39,11 +49,14 @@ impl<T: Sample> Task<'_, T> {
     #[inline(always)]
     fn run_plain<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         self.to_moments::<FUSED>(work);
+        let mut since = Instant::now();
         self.to_elements::<FUSED>(work);
+        work.stages.lap(Stage::Elements, &mut since);
         self.to_time::<FUSED>(work, output);
+        work.stages.lap(Stage::Return, &mut since);
     }
 
-    /// All columns to all elements, block by block, two pairs of elements at a time so that the powers are read half as often.
+    /// All columns to all elements, block by block, some pairs of elements at a time so that the powers are read less often.
     #[inline(always)]
     fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
         let elements = self.stretch.along_m.len();
@@ -51,15 +64,16 @@ impl<T: Sample> Task<'_, T> {
         work.elements.resize(elements * self.heard());
         work.rotors.clear();
         work.rotors
-            .resize(2 * self.columns.next_multiple_of(LANES), [T::ZERO; 2]);
+            .resize(PAIRS * self.columns.next_multiple_of(LANES), [T::ZERO; 2]);
         for block in 0..self.engine.blocks.len() {
             let mut e = 0;
-            while e + 2 <= pairs {
-                self.pairs::<2, FUSED>(work, block, e);
-                e += 2;
+            while e + PAIRS <= pairs {
+                self.pairs::<PAIRS, FUSED>(work, block, e);
+                e += PAIRS;
             }
-            if e < pairs {
+            while e < pairs {
                 self.pairs::<1, FUSED>(work, block, e);
+                e += 1;
             }
         }
     }
@@ -72,55 +86,111 @@ impl<T: Sample> Task<'_, T> {
         block: usize,
         first: usize,
     ) {
-        let powers = self.powers();
         let elements = self.stretch.along_m.len();
         let heard = self.heard();
+        let mut x = [T::ZERO; PAIRS];
+        let room = self.columns.next_multiple_of(LANES);
+        for (p, x) in x.iter_mut().enumerate() {
+            let y = self.stretch.along_m[first + p];
+            self.rotors(&mut work.rotors[p * room..][..room], block, y);
+            *x = T::narrow(y / self.half_m());
+        }
+        for part in (0..BLOCK).step_by(PART) {
+            let [common, opposite] = self.sums::<PAIRS, FUSED>(work, block, part, &x);
+            for p in 0..PAIRS {
+                let e = first + p;
+                for (e, sign) in [(elements - 1 - e, -T::one()), (e, T::one())] {
+                    let at = e * heard + block * BLOCK + part;
+                    for lane in 0..PART {
+                        work.elements.re[at + lane] =
+                            sign.times_plus::<FUSED>(opposite[p][0][lane], common[p][0][lane]);
+                        work.elements.im[at + lane] =
+                            sign.times_plus::<FUSED>(opposite[p][1][lane], common[p][1][lane]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Of an element at `y` to all columns, at the middle of a block: cosine and sine. Each eight follow from the eight before.
+    #[inline(always)]
+    fn rotors(&self, rotors: &mut [[T; 2]], block: usize, y: f64) {
         let carrier_hz = self.engine.ping.carrier_hz;
         let per_m = (carrier_hz + self.middle_hz(block)) / self.engine.ping.sound_speed_m_per_s;
-        let room = self.columns.next_multiple_of(LANES);
-        let mut x = [T::ZERO; PAIRS];
-        let mut square = [T::ZERO; PAIRS];
-        for p in 0..PAIRS {
-            let y = self.stretch.along_m[first + p];
-            let (turn, start) = (per_m * self.step * y, per_m * self.slope(0) * y);
-            let rotors = &mut work.rotors[p * room..][..room];
-            for (eight, rotors) in rotors.chunks_exact_mut(LANES).enumerate() {
-                let turns = std::array::from_fn(|k| start + turn * (eight * LANES + k) as f64);
-                let (cos, sin) = cis_lanes(turns);
-                for (k, rotor) in rotors.iter_mut().enumerate() {
-                    *rotor = [T::narrow(cos[k]), T::narrow(sin[k])];
-                }
+        let (turn, start) = (per_m * self.step * y, per_m * self.slope(0) * y);
+        let (mut cos, mut sin) = cis_lanes(std::array::from_fn(|k: usize| start + turn * k as f64));
+        let (cos_on, sin_on) = cis(LANES as f64 * turn);
+        for rotors in rotors.chunks_exact_mut(LANES) {
+            for (k, rotor) in rotors.iter_mut().enumerate() {
+                *rotor = [T::narrow(cos[k]), T::narrow(sin[k])];
             }
-            x[p] = T::narrow(y / self.half_m());
-            square[p] = x[p] * x[p];
+            for k in 0..LANES {
+                (cos[k], sin[k]) = (
+                    cos[k] * cos_on - sin[k] * sin_on,
+                    sin[k] * cos_on + cos[k] * sin_on,
+                );
+            }
         }
-        let (mut common, mut opposite) = ([Lanes::<T>::ZERO; PAIRS], [Lanes::<T>::ZERO; PAIRS]);
-        for column in 0..self.columns {
-            let at = (block * self.columns + column) * powers * BLOCK;
+    }
+
+    /// Over all columns, for part of a block's lanes: what both elements of a pair have in common, and what with opposite signs.
+    #[inline(always)]
+    fn sums<const PAIRS: usize, const FUSED: bool>(
+        &self,
+        work: &Work<T>,
+        block: usize,
+        part: usize,
+        x: &[T; PAIRS],
+    ) -> [Sums<T, PAIRS>; 2] {
+        let powers = work.powers;
+        let room = self.columns.next_multiple_of(LANES);
+        let zero = [[[T::ZERO; PART]; 2]; PAIRS];
+        let (mut common, mut opposite) = (zero, zero);
+        let odd_powers = powers / 2;
+        let even_powers = powers - odd_powers;
+        let mut square = *x;
+        for x in &mut square {
+            *x = *x * *x;
+        }
+        let per_column = powers * BLOCK;
+        let from = block * self.columns * per_column;
+        let re = work.moments.re[from..][..self.columns * per_column].chunks_exact(per_column);
+        let im = work.moments.im[from..][..self.columns * per_column].chunks_exact(per_column);
+        for (column, (re, im)) in re.zip(im).enumerate() {
+            // From the highest power down.
+            let mut even = zero;
+            for q in (0..even_powers).rev() {
+                let next = part_of(re, im, 2 * q * BLOCK + part);
+                horner::<T, PAIRS, FUSED>(&mut even, &square, next);
+            }
+            let mut odd = zero;
+            for q in (0..odd_powers).rev() {
+                let next = part_of(re, im, (2 * q + 1) * BLOCK + part);
+                horner::<T, PAIRS, FUSED>(&mut odd, &square, next);
+            }
             for p in 0..PAIRS {
                 let [cos, sin] = work.rotors[p * room + column];
-                let even = every_second::<T, FUSED>(&work.moments, at, powers, 0, square[p]);
-                common[p].add_real::<FUSED>(&even, cos);
-                opposite[p].add_imaginary::<FUSED>(&even, sin);
-                if powers > 1 {
-                    let odd = every_second::<T, FUSED>(&work.moments, at, powers, 1, square[p]);
-                    common[p].add_imaginary::<FUSED>(&odd, sin * x[p]);
-                    opposite[p].add_real::<FUSED>(&odd, cos * x[p]);
+                let (cos_x, sin_x) = (cos * x[p], sin * x[p]);
+                let ([even_re, even_im], [odd_re, odd_im]) = (even[p], odd[p]);
+                for j in 0..PART {
+                    let c = common[p][0][j];
+                    common[p][0][j] = (T::ZERO - odd_im[j])
+                        .times_plus::<FUSED>(sin_x, even_re[j].times_plus::<FUSED>(cos, c));
+                    let c = common[p][1][j];
+                    common[p][1][j] = odd_re[j]
+                        .times_plus::<FUSED>(sin_x, even_im[j].times_plus::<FUSED>(cos, c));
+                    let o = opposite[p][0][j];
+                    opposite[p][0][j] = odd_re[j].times_plus::<FUSED>(
+                        cos_x,
+                        (T::ZERO - even_im[j]).times_plus::<FUSED>(sin, o),
+                    );
+                    let o = opposite[p][1][j];
+                    opposite[p][1][j] = odd_im[j]
+                        .times_plus::<FUSED>(cos_x, even_re[j].times_plus::<FUSED>(sin, o));
                 }
             }
         }
-        for p in 0..PAIRS {
-            let e = first + p;
-            for (e, sign) in [(elements - 1 - e, -T::one()), (e, T::one())] {
-                let at = e * heard + block * BLOCK;
-                for lane in 0..BLOCK {
-                    work.elements.re[at + lane] =
-                        sign.times_plus::<FUSED>(opposite[p].re[lane], common[p].re[lane]);
-                    work.elements.im[at + lane] =
-                        sign.times_plus::<FUSED>(opposite[p].im[lane], common[p].im[lane]);
-                }
-            }
-        }
+        [common, opposite]
     }
 
     /// Elements back to time.
@@ -159,21 +229,24 @@ impl<T: Sample> Task<'_, T> {
     }
 }
 
-/// The polynomial of every second of `powers` powers from the `parity`th on, in the square of the place.
 #[inline(always)]
-fn every_second<T: Sample, const FUSED: bool>(
-    moments: &Split<T>,
-    at: usize,
-    powers: usize,
-    parity: usize,
-    square: T,
-) -> Lanes<T> {
-    let last = powers - 1 - (powers - 1 - parity) % 2;
-    let mut value = Lanes::load(moments, at + last * BLOCK);
-    let mut q = last;
-    while q > parity {
-        q -= 2;
-        value.horner::<FUSED>(square, &Lanes::load(moments, at + q * BLOCK));
+fn part_of<'a, T>(re: &'a [T], im: &'a [T], at: usize) -> [&'a [T; PART]; 2] {
+    let re: &[T; PART] = re[at..][..PART].try_into().expect("a part");
+    let im: &[T; PART] = im[at..][..PART].try_into().expect("a part");
+    [re, im]
+}
+
+/// Polynomials of several places at once: value times square plus the next coefficient.
+#[inline(always)]
+fn horner<T: Sample, const PAIRS: usize, const FUSED: bool>(
+    value: &mut Sums<T, PAIRS>,
+    square: &[T; PAIRS],
+    [re, im]: [&[T; PART]; 2],
+) {
+    for p in 0..PAIRS {
+        for j in 0..PART {
+            value[p][0][j] = value[p][0][j].times_plus::<FUSED>(square[p], re[j]);
+            value[p][1][j] = value[p][1][j].times_plus::<FUSED>(square[p], im[j]);
+        }
     }
-    value
 }

@@ -1,6 +1,7 @@
 //! The engine of one line array: what is made once, what a ping sets, and the buffers of a thread.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
@@ -10,21 +11,21 @@ use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::transform::grid_size;
 use crate::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, PingPlan};
 
-use super::lanes::{BLOCK, Split};
+use super::columns::Entry;
+use super::lanes::{BLOCK, Lanes, Split};
 use super::panel::{PanelFft, Row};
 use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{powers_from_nodes, series_from_nodes};
 use super::smooth::{Echoes, Smooth};
 use super::spread::{Centring, Prepared, Spread, Survey};
+use super::stages::{Stage, Stages};
 use super::task::{MOST_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
-/// Columns per cycle of the aperture, over the least that sampling asks for.
-pub const SLOPE_OVERSAMPLING: f64 = 2.0;
-const TIME_OVERSAMPLING: f64 = 2.0;
-/// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
-const FILTERED: f64 = 0.1;
+/// Blocks of bins where the filter leaves less than this much of what each series may leave are zero: of a pulse's own spectrum a tenth at
+/// most lies out there, so that half of what a series may leave is lost.
+const FILTERED: f64 = 5.0;
 /// By how much more than surveyed the spans of a task are taken, until all echoes lie within.
 const MARGINS: [f64; 3] = [0.03, 0.3, 3.0];
 
@@ -46,6 +47,9 @@ pub struct Fineness {
     pub slab_samples: usize,
     pub time_width: usize,
     pub slope_width: usize,
+    /// Rows per bin that is heard, at least; columns per cycle of the aperture, over the least that sampling asks for.
+    pub time_oversampling: f64,
+    pub slope_oversampling: f64,
     /// Of the kernels.
     pub moments: usize,
     /// What each series may leave out, relative to an echo.
@@ -84,12 +88,23 @@ pub struct Orders {
 /// What a task met.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TaskReport {
+    pub elements: usize,
     pub echoes: usize,
+    /// Of the grid, and its transforms' length.
+    pub rows: usize,
+    /// Bins that the receiver filter leaves.
+    pub heard: usize,
     pub columns: usize,
     pub channels: usize,
+    /// Of which so many products of kind, bend and twist.
+    pub products: usize,
+    /// Coefficients of a template, and powers along the stretch.
+    pub entries: usize,
+    pub powers: usize,
     pub orders: Orders,
     /// Bound on what the series leave out, relative to an echo.
     pub left_out: f64,
+    pub stages: Stages,
 }
 
 /// One stretch of the line.
@@ -146,10 +161,11 @@ pub struct Ping {
 
 /// Buffers of one thread.
 pub struct Work<T: Sample> {
+    pub(super) stages: Stages,
     echoes: Echoes,
     pub(super) prepared: Box<Prepared<T>>,
-    /// `[row][column][channel][re, im]`.
-    pub(super) grid: Vec<T>,
+    /// `[panel][row]`, a panel's lanes from `[column][channel]` as they come.
+    pub(super) grid: Vec<Row<T>>,
     /// Two buffers of one panel.
     pub(super) panel: [Vec<Row<T>>; 2],
     pub(super) scratch: Vec<Complex<T>>,
@@ -161,13 +177,25 @@ pub struct Work<T: Sample> {
     pub(super) values: Vec<Complex64>,
     pub(super) values_next: Vec<Complex64>,
     /// `[slope][power of frequency][instant][kept][power along]`.
+    pub(super) all_shapes: Vec<Complex64>,
+    /// Of each product and power along the stretch, the most that it is.
+    pub(super) most: Vec<f64>,
+    /// Those of the shapes that count, power by power.
+    pub(super) entries: Vec<Entry>,
+    /// Powers along the stretch, with those that the turn inside a block adds.
+    pub(super) powers: usize,
+    /// `[slope][power of frequency][entry]`.
     pub(super) shapes: Split<T>,
-    /// Of one column: `[power of frequency][instant][kept][power along]`.
+    /// Of one column: `[power of frequency][entry]`.
     pub(super) template: Split<T>,
     /// Of one block: value at its middle, and slope.
     pub(super) here: [Split<T>; 2],
     /// `[power of frequency][instant][dilation]`, real or imaginary by turns.
     pub(super) dilation: Vec<T>,
+    /// `[block][instant][dilation]`
+    pub(super) dilation_lines: Vec<[T; BLOCK]>,
+    /// Of one block of one column: `[instant][kept]`.
+    pub(super) sounds: Vec<Lanes<T>>,
     /// Of a few elements and one block, per column: cosine and sine.
     pub(super) rotors: Vec<[T; 2]>,
     /// `[element][bin]`.
@@ -191,13 +219,17 @@ impl<T: Sample> LineEngine<T> {
         let blocks = heard_blocks(&gain, FILTERED * fineness.series);
         // Only what the filter leaves has to be right.
         let heard = 2 * (bins / 2 - BLOCK * blocks.start).max(BLOCK * blocks.end - bins / 2);
-        let rows = grid_size((heard as f64 * TIME_OVERSAMPLING).ceil() as usize).max(bins);
+        let rows = grid_size((heard as f64 * fineness.time_oversampling).ceil() as usize).max(bins);
         let time_kernel = Kernel::new(
             fineness.time_width,
             rows as f64 / heard as f64,
             fineness.moments,
         );
-        let slope_kernel = Kernel::new(fineness.slope_width, SLOPE_OVERSAMPLING, fineness.moments);
+        let slope_kernel = Kernel::new(
+            fineness.slope_width,
+            fineness.slope_oversampling,
+            fineness.moments,
+        );
         let heard_bins = BLOCK * blocks.start..BLOCK * blocks.end;
         let band = (0..bins)
             .map(|q| {
@@ -257,6 +289,11 @@ impl<T: Sample> LineEngine<T> {
         self
     }
 
+    /// Rows from one panel of the grid to the next: one more than there are, or the rows of all panels would share the sets of a cache.
+    pub(super) fn panel_rows(&self) -> usize {
+        self.rows + 1
+    }
+
     pub(super) fn bins(&self) -> usize {
         self.fineness.slab_samples
     }
@@ -264,6 +301,7 @@ impl<T: Sample> LineEngine<T> {
     pub fn work(&self) -> Work<T> {
         let zero = Complex::new(T::ZERO, T::ZERO);
         Work {
+            stages: Stages::default(),
             echoes: Echoes::default(),
             prepared: Box::default(),
             grid: Vec::new(),
@@ -273,10 +311,16 @@ impl<T: Sample> LineEngine<T> {
             moments: Split::default(),
             values: Vec::new(),
             values_next: Vec::new(),
+            all_shapes: Vec::new(),
+            most: Vec::new(),
+            entries: Vec::new(),
+            powers: 0,
             shapes: Split::default(),
             template: Split::default(),
             here: Default::default(),
             dilation: Vec::new(),
+            dilation_lines: Vec::new(),
+            sounds: Vec::new(),
             rotors: Vec::new(),
             elements: Split::default(),
         }
@@ -437,6 +481,8 @@ impl<T: Sample> LineEngine<T> {
         let slab_s = self.slab_start(self.slab(task)) as f64 / self.rate_hz;
         let first_s = self.ping.first_sample_s + slab_s;
         let centring = Centring::new(&self.ping, self.fineness.motion, first_s);
+        let mut since = Instant::now();
+        work.stages = Stages::default();
         work.echoes.clear();
         let mut survey = Survey {
             echoes: &mut work.echoes,
@@ -450,12 +496,16 @@ impl<T: Sample> LineEngine<T> {
         }
         let window_s = 0.5 * self.ping.duration_s;
         let surveyed = Smooth::of(&work.echoes, window_s, self.stretch(task).half_m);
+        work.stages.lap(Stage::Survey, &mut since);
         for margin in MARGINS {
             let numbers = Task::new(self, self.stretch(task), surveyed.widened(margin));
+            work.stages.lap(Stage::Orders, &mut since);
             let fades = numbers.fades();
             let mut spread = Spread::new(&numbers, centring, work);
             counts = source.walk(LineStretch { fades, ..wanted }, &mut spread);
-            let (echoes, beyond) = (spread.echoes, spread.beyond);
+            let (echoes, beyond, spent) = (spread.echoes, spread.beyond, spread.spent);
+            work.stages.lap(Stage::Walk, &mut since);
+            work.stages.transfer(Stage::Walk, Stage::Spread, spent);
             if beyond > 0 && margin != MARGINS[MARGINS.len() - 1] {
                 continue;
             }
@@ -463,11 +513,18 @@ impl<T: Sample> LineEngine<T> {
                 numbers.run(work, output);
             }
             report = TaskReport {
+                elements: self.stretch(task).along_m.len(),
                 echoes,
+                rows: self.rows,
+                heard: numbers.heard(),
                 columns: numbers.columns,
                 channels: numbers.channels(),
+                products: numbers.kept().len(),
+                entries: work.entries.len(),
+                powers: work.powers,
                 orders: numbers.orders,
                 left_out: numbers.left_out + if beyond > 0 { 1.0 } else { 0.0 },
+                stages: work.stages,
             };
             break;
         }

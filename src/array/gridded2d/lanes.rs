@@ -110,29 +110,12 @@ impl<T: Sample> Lanes<T> {
         }
     }
 
-    #[inline(always)]
-    pub fn horner<const FUSED: bool>(&mut self, x: T, next: &Self) {
-        for j in 0..BLOCK {
-            self.re[j] = self.re[j].times_plus::<FUSED>(x, next.re[j]);
-            self.im[j] = self.im[j].times_plus::<FUSED>(x, next.im[j]);
-        }
-    }
-
     /// Adds `a` times a real number.
     #[inline(always)]
     pub fn add_real<const FUSED: bool>(&mut self, a: &Self, by: T) {
         for j in 0..BLOCK {
             self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
             self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
-        }
-    }
-
-    /// Adds `a` times an imaginary number.
-    #[inline(always)]
-    pub fn add_imaginary<const FUSED: bool>(&mut self, a: &Self, by: T) {
-        for j in 0..BLOCK {
-            self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
-            self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
         }
     }
 }

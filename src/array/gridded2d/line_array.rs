@@ -141,6 +141,18 @@ impl Gridded2d {
         counts
     }
 
+    /// What the tasks of the last ping met, and where their time went.
+    pub fn reports(&self) -> impl Iterator<Item = &TaskReport> {
+        let (single, double) = match &self.member {
+            Member::Single(tasks) => (Some(tasks.reports()), None),
+            Member::Double(tasks) => (None, Some(tasks.reports())),
+        };
+        single
+            .into_iter()
+            .flatten()
+            .chain(double.into_iter().flatten())
+    }
+
     /// Bound on what the last ping's own echoes left out of their series, relative to an echo: above the tolerance where the ping was
     /// beyond the bounds that the engine was made for.
     pub fn left_out(&self) -> f64 {
@@ -173,6 +185,12 @@ impl<T: Sample> Tasks<T> {
             engine,
             outputs: Vec::new(),
         }
+    }
+
+    /// Of the last ping.
+    fn reports(&self) -> impl Iterator<Item = &TaskReport> {
+        let tasks = self.engine.tasks().min(self.outputs.len());
+        self.outputs[..tasks].iter().map(|output| &output.report)
     }
 
     fn run(

@@ -36,6 +36,7 @@ mod sample;
 mod series;
 mod smooth;
 mod spread;
+mod stages;
 mod task;
 mod weights;
 
@@ -43,3 +44,4 @@ pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, TaskReport, 
 pub use line_array::Gridded2d;
 pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};
 pub use sample::Sample;
+pub use stages::{Stage, Stages};

@@ -28,15 +28,24 @@ const F32_ERROR: f64 = 1e-5;
 /// Per m/s along the array, and Hz over metre of range (1.8e-6 of 400 kHz at 36 m): third orders in slope and motion that are taken at a
 /// column's own slope (measured).
 const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
-/// Of the tolerance, what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
-const SERIES_SHARE: f64 = 0.2;
+/// Of the tolerance (half of it where the rest is not small), what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
+const SERIES_SHARE: f64 = 0.4;
 /// Terms of the dilation's series that leave room for those of bend, twist and fade in the grid's channels.
 const MOST_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
 const FARTHEST_DB: f64 = 60.0;
-/// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and per element and slab.
-const ECHO_NS: f64 = 150.0;
-const ELEMENT_SLAB_NS: f64 = 3e5;
+/// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried.
+const OVERSAMPLINGS: [f64; 3] = [1.5, 1.75, 2.0];
+/// Widest kernels.
+const MOST_WIDTH: usize = 14;
+/// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and for each of its values on the grid's columns and
+/// rows; per element and slab, and for its share of the columns of a grid twice as dense as sampling asks for, of which so much is there
+/// however many rows the columns have.
+const ECHO_NS: f64 = 60.0;
+const VALUE_NS: f64 = 5.0;
+const RETURN_NS: f64 = 2e4;
+const COLUMNS_NS: f64 = 2.2e5;
+const COLUMN_SHARE: f64 = 0.7;
 /// Below this nothing is promised: the receiver filter's stop band is 82 dB down and its image is left out, and motion across the array
 /// leaves what the columns beside an echo do not know.
 pub const LEAST_TOLERANCE: f64 = 2e-5;
@@ -224,15 +233,6 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     // Where the rest is not small either, the kernels leave it room.
     let kernel_share = if tolerance < 1e-4 { 0.42 } else { 0.78 };
-    let (width, kernel_error) = (2..=12)
-        .map(|width| {
-            (
-                width,
-                Kernel::new(width, 2.0, moments).error * KERNEL_FACTOR,
-            )
-        })
-        .find(|(_, error)| *error <= kernel_share * tolerance)
-        .ok_or(Refusal::TooFine { tolerance })?;
     // A third of a slab at most goes to echoes that begin near its end.
     let mut slab_samples = 1024;
     while (slab_samples as f64) < 3.0 * rate_hz * (pulse.duration_s + 2e-3) {
@@ -244,7 +244,38 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             });
         }
     }
-    let series = SERIES_SHARE * tolerance;
+    let stretches = array.elements.div_ceil(stretch);
+    let slabs = {
+        let spent = rate_hz * pulse.duration_s;
+        (spec.samples as f64 / (slab_samples as f64 - spent)).ceil()
+    };
+    let echoes = (spec.scatterers * stretches) as f64;
+    let element_slabs = array.elements as f64 * slabs;
+    // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
+    let kernels = OVERSAMPLINGS.map(|oversampling| {
+        (2..=MOST_WIDTH)
+            .map(|width| {
+                let error = Kernel::new(width, oversampling, moments).error * KERNEL_FACTOR;
+                (width, oversampling, error)
+            })
+            .find(|(_, _, error)| *error <= kernel_share * tolerance)
+    });
+    let cost_ns = |time: (usize, f64, f64), slope: (usize, f64, f64)| {
+        let of_columns = COLUMN_SHARE + (1.0 - COLUMN_SHARE) * 0.5 * time.1;
+        echoes * (ECHO_NS + (time.0 * slope.0) as f64 * VALUE_NS)
+            + element_slabs * (RETURN_NS + COLUMNS_NS * 0.5 * slope.1 * of_columns)
+    };
+    let (cost_ns, time, slope) = kernels
+        .into_iter()
+        .flatten()
+        .flat_map(|time| {
+            let slopes = kernels.into_iter().flatten();
+            slopes.map(move |slope| (cost_ns(time, slope), time, slope))
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .ok_or(Refusal::TooFine { tolerance })?;
+    let kernel_error = time.2.max(slope.2);
+    let series = if tolerance < 1e-4 { 0.5 } else { 1.0 } * SERIES_SHARE * tolerance;
     if motion_matters(spec.model.doppler) {
         // Echoes from all sides: 2 v/c to either.
         let turn_rad = per_m * half_s * 2.0 * across;
@@ -280,8 +311,10 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         fineness: Fineness {
             stretch,
             slab_samples,
-            time_width: width,
-            slope_width: width,
+            time_width: time.0,
+            slope_width: slope.0,
+            time_oversampling: time.1,
+            slope_oversampling: slope.1,
             moments,
             series,
             far: series * 10f64.powf(-spec.level_range_db.clamp(0.0, FARTHEST_DB) / 20.0),
@@ -291,15 +324,13 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         card: MethodCard {
             name: "gridded-2d",
             error,
-            cost_ms: {
-                let stretches = array.elements.div_ceil(stretch);
-                let spent = rate_hz * pulse.duration_s;
-                let slabs = (spec.samples as f64 / (slab_samples as f64 - spent)).ceil();
-                1e-6 * ((spec.scatterers * stretches) as f64 * ECHO_NS
-                    + array.elements as f64 * slabs * ELEMENT_SLAB_NS)
-            },
+            cost_ms: 1e-6 * cost_ns,
             why: format!(
-                "stretches of {stretch} elements, kernels {width} wide ({kernel_error:.1e}), series to {series:.1e}, beyond them {:.1e}",
+                "stretches of {stretch} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}), series to {series:.1e}, beyond them {:.1e}",
+                time.0,
+                slope.0,
+                time.1,
+                slope.1,
                 beyond_series(stretch)
             ),
         },

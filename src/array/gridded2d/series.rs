@@ -12,13 +12,17 @@ pub const MOST_SIZES: usize = 32;
 
 /// |coefficients| of the first `count` terms.
 pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MOST_SIZES] {
-    let mut sizes = [0.0; MOST_SIZES];
-    for (n, size) in sizes[..count].iter_mut().enumerate() {
-        let scale = if n == 0 { 1.0 } else { 2.0 } / count as f64;
-        let sum: Complex64 = chebyshev_nodes(count).map(|x| f(x) * chebyshev(n, x)).sum();
-        *size = sum.norm() * scale;
+    let mut sums = [Complex64::ZERO; MOST_SIZES];
+    for x in chebyshev_nodes(count) {
+        let value = f(x) / count as f64;
+        let (mut before, mut now) = (1.0, x);
+        sums[0] += value;
+        for sum in &mut sums[1..count] {
+            *sum += value * (2.0 * now);
+            (before, now) = (now, 2.0 * x * now - before);
+        }
     }
-    sizes
+    sums.map(Complex64::norm)
 }
 
 /// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.

@@ -1,5 +1,7 @@
 //! Echoes in: what a survey remembers, and the spreading of every echo onto the grid, each in all channels.
 
+use std::time::{Duration, Instant};
+
 use num_complex::Complex64;
 
 use crate::array::gridded::dialect::Kind as Processor;
@@ -8,6 +10,7 @@ use crate::array::phasor::cis;
 use crate::flow::{CHUNK, LineChunk, LineSink};
 
 use super::engine::{Ping, PulseMotion, Work};
+use super::panel::{PANEL, Row};
 use super::sample::Sample;
 use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
 use super::task::{KINDS, Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
@@ -22,10 +25,8 @@ const SURVEYED: usize = 16_384;
 /// Adding it to a whole number (|n| < 2^31) leaves that number in the low bits.
 const WHOLE: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Values of one vector of the grid.
-const VECTOR: usize = 16;
-/// Most values of one echo on one row of the grid, and a vector beyond.
-const MOST_LINE: usize = 2 * MAX_WIDTH * MOST_CHANNELS + VECTOR;
+/// Most values of one echo on one row of the grid, and a panel before and behind.
+const MOST_LINE: usize = MAX_WIDTH * MOST_CHANNELS + 2 * PANEL;
 
 /// From leading edges to mid-pulse, for one task.
 #[derive(Clone, Copy)]
@@ -280,18 +281,21 @@ pub struct Spread<'a, T: Sample> {
     task: &'a Task<'a, T>,
     scales: Scales,
     centring: Centring,
-    grid: &'a mut [T],
+    grid: &'a mut [Row<T>],
     prepared: &'a mut Prepared<T>,
     pub echoes: usize,
     /// Echoes outside the spans that the task was made for: left out if they would lie outside the grid.
     pub beyond: usize,
+    /// In here, and not in what hands the echoes on.
+    pub spent: Duration,
 }
 
 impl<'a, T: Sample> Spread<'a, T> {
     pub fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
-        let values = task.engine.rows * task.width() + 2 * VECTOR;
+        let start = Instant::now();
         work.grid.clear();
-        work.grid.resize(values, T::ZERO);
+        work.grid
+            .resize(task.panels() * task.engine.panel_rows(), Row::ZERO);
         Self {
             task,
             scales: Scales::new(task),
@@ -300,7 +304,20 @@ impl<'a, T: Sample> Spread<'a, T> {
             prepared: &mut work.prepared,
             echoes: 0,
             beyond: 0,
+            spent: start.elapsed(),
         }
+    }
+
+    fn accept_as_can_be(&mut self, chunk: &LineChunk) {
+        #[cfg(target_arch = "x86_64")]
+        match self.task.engine.dialect.kind() {
+            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+            Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
+            // SAFETY: as above.
+            Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
+            Processor::Portable => {}
+        }
+        self.accept_plain::<false>(chunk);
     }
 
     #[cfg(target_arch = "x86_64")]
@@ -333,11 +350,10 @@ impl<'a, T: Sample> Spread<'a, T> {
         let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
         let orders = task.orders;
         let kinds = task.kinds();
-        let numbers = 2 * task.channels();
-        let width = task.width();
-        let mut each = [T::ZERO; 2 * MOST_CHANNELS];
-        let mut line = [T::ZERO; MOST_LINE];
-        let line_len = (slope_width * numbers).next_multiple_of(VECTOR);
+        let channels = task.channels();
+        let panel_rows = engine.panel_rows();
+        let mut each = [[T::ZERO; MOST_CHANNELS + PANEL]; 2];
+        let mut line = [[T::ZERO; MOST_LINE]; 2];
         let p = &*self.prepared;
         self.echoes += len;
         for i in 0..len.min(CHUNK) {
@@ -347,8 +363,8 @@ impl<'a, T: Sample> Spread<'a, T> {
                 self.beyond += 1;
                 continue;
             }
-            if numbers == 2 {
-                (each[0], each[1]) = (p.re[i], p.im[i]);
+            if channels == 1 {
+                (each[0][0], each[1][0]) = (p.re[i], p.im[i]);
             } else {
                 let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
                 let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
@@ -363,32 +379,34 @@ impl<'a, T: Sample> Spread<'a, T> {
                     let share = of_kind(kinds[kept.kind]) * bend[kept.bend] * twist[kept.twist];
                     let (re, im) = (p.re[i] * share, p.im[i] * share);
                     for &r in &dilation[..kept.dilation] {
-                        each[at] = re * r;
-                        each[at + 1] = im * r;
-                        at += 2;
+                        (each[0][at], each[1][at]) = (re * r, im * r);
+                        at += 1;
                     }
                 }
             }
-            // Whole vectors, each tap's over the zeros behind the one before it.
+            // Whole vectors, each tap's over the zeros behind the one before it; zeros before the first and behind the last.
             let weights = taps::<T, FUSED>(&engine.slope_taps, p.in_column[i]);
-            for (tap, &weight) in weights[..slope_width].iter().enumerate() {
-                for v in (0..numbers).step_by(VECTOR) {
-                    let from: &[T; VECTOR] = each[v..][..VECTOR].try_into().expect("a vector");
-                    let to: &mut [T; VECTOR] = (&mut line[tap * numbers + v..][..VECTOR])
-                        .try_into()
-                        .expect("a vector");
-                    *to = std::array::from_fn(|j| from[j] * weight);
+            let place = column * channels;
+            let (first, before) = (place / PANEL, place % PANEL);
+            let end = before + slope_width * channels;
+            for part in 0..2 {
+                let (line, each) = (&mut line[part], &each[part]);
+                *vector_mut(line, 0) = [T::ZERO; PANEL];
+                for (tap, &weight) in weights[..slope_width].iter().enumerate() {
+                    let at = before + tap * channels;
+                    for v in (0..channels).step_by(PANEL) {
+                        *vector_mut(line, at + v) = scaled(*vector(each, v), weight);
+                    }
                 }
+                *vector_mut(line, end) = [T::ZERO; PANEL];
             }
             let weights = taps::<T, FUSED>(&engine.time_taps, p.in_row[i]);
-            let at = row * width + column * numbers;
-            for (tap, &weight) in weights[..time_width].iter().enumerate() {
-                let row = &mut self.grid[at + tap * width..][..line_len];
-                let (sums, _) = row.as_chunks_mut::<VECTOR>();
-                let (values, _) = line[..line_len].as_chunks::<VECTOR>();
-                for (sum, value) in sums.iter_mut().zip(values) {
-                    let before = *sum;
-                    *sum = std::array::from_fn(|j| value[j].times_plus::<FUSED>(weight, before[j]));
+            for (panel, at) in (0..end).step_by(PANEL).enumerate() {
+                let (re, im) = (vector(&line[0], at), vector(&line[1], at));
+                let rows = &mut self.grid[(first + panel) * panel_rows + row..][..time_width];
+                for (sum, &weight) in rows.iter_mut().zip(&weights) {
+                    sum.re = scaled_plus::<T, FUSED>(*re, weight, sum.re);
+                    sum.im = scaled_plus::<T, FUSED>(*im, weight, sum.im);
                 }
             }
         }
@@ -397,16 +415,42 @@ impl<'a, T: Sample> Spread<'a, T> {
 
 impl<T: Sample> LineSink for Spread<'_, T> {
     fn accept(&mut self, chunk: &LineChunk) {
-        #[cfg(target_arch = "x86_64")]
-        match self.task.engine.dialect.kind() {
-            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
-            Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
-            // SAFETY: as above.
-            Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
-            Processor::Portable => {}
-        }
-        self.accept_plain::<false>(chunk);
+        let start = Instant::now();
+        self.accept_as_can_be(chunk);
+        self.spent += start.elapsed();
     }
+}
+
+#[inline(always)]
+fn vector<T>(values: &[T], at: usize) -> &[T; PANEL] {
+    values[at..][..PANEL].try_into().expect("a vector")
+}
+
+#[inline(always)]
+fn vector_mut<T>(values: &mut [T], at: usize) -> &mut [T; PANEL] {
+    (&mut values[at..][..PANEL]).try_into().expect("a vector")
+}
+
+/// By value, here and below: so the compiler knows that nothing overlaps, and takes whole vectors.
+#[inline(always)]
+fn scaled<T: Sample>(mut a: [T; PANEL], by: T) -> [T; PANEL] {
+    for a in &mut a {
+        *a = *a * by;
+    }
+    a
+}
+
+/// a by + plus
+#[inline(always)]
+fn scaled_plus<T: Sample, const FUSED: bool>(
+    a: [T; PANEL],
+    by: T,
+    mut plus: [T; PANEL],
+) -> [T; PANEL] {
+    for j in 0..PANEL {
+        plus[j] = a[j].times_plus::<FUSED>(by, plus[j]);
+    }
+    plus
 }
 
 /// T_0(x) ... of so many terms.

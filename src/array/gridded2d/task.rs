@@ -6,7 +6,7 @@ use num_complex::Complex64;
 
 use crate::array::phasor::cis;
 
-use super::engine::{LineEngine, Orders, PulseMotion, SLOPE_OVERSAMPLING, Stretch};
+use super::engine::{LineEngine, Orders, PulseMotion, Stretch};
 use super::lanes::BLOCK;
 use super::panel::PANEL;
 use super::pulse::{MOST_INSTANTS, PulseSpectra};
@@ -95,7 +95,7 @@ impl<'a, T: Sample> Task<'a, T> {
         // The aperture, and how much farther the motion along the line carries it while the pulse is emitted.
         let drift_m = 0.5 * ping.duration_s * c * smooth.dilation1.abs();
         let reach_m = (stretch.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
-        let step = c / (engine.top_hz() * 2.0 * SLOPE_OVERSAMPLING * reach_m);
+        let step = c / (engine.top_hz() * 2.0 * engine.fineness.slope_oversampling * reach_m);
         let kernel = &engine.slope_kernel;
         let cell = |slope: f64| (slope / step + kernel.shift()).floor() as isize;
         let first = cell(smooth.slope.at(-1.0)) + kernel.first();
@@ -296,7 +296,7 @@ impl<'a, T: Sample> Task<'a, T> {
             &|p, _, ray, x| self.shape(all.at(p), ray, x, x, 1.0),
             MOST_NODES,
         );
-        let turn_rad = self.turn_rad(0, slopes[0].abs().max(slopes[2].abs()) + self.step);
+        let turn_rad = self.turn_rad(0, self.greatest_slope());
         // What is left here jumps from block to block and so spreads over the whole slab: it is held against the slab's weakest window.
         let turn = terms_of_turn(turn_rad.abs(), self.engine.fineness.far);
         self.orders = Orders {
@@ -426,11 +426,18 @@ impl<'a, T: Sample> Task<'a, T> {
         TAU * from_middle * step_hz * s * self.stretch.half_m / self.engine.ping.sound_speed_m_per_s
     }
 
+    /// Of any column that counts.
+    pub fn greatest_slope(&self) -> f64 {
+        let [least, most] = [-1.0, 1.0].map(|x| self.smooth.slope.at(x));
+        least.abs().max(most.abs()) + self.step
+    }
+
     pub fn channels(&self) -> usize {
         self.kept().iter().map(|kept| kept.dilation).sum()
     }
 
-    pub fn powers(&self) -> usize {
+    /// Powers along the stretch, with those that the turn inside a block adds, at most.
+    pub fn most_powers(&self) -> usize {
         self.orders.along + self.orders.turn - 1
     }
 
@@ -438,9 +445,9 @@ impl<'a, T: Sample> Task<'a, T> {
         (self.first + column as isize) as f64 * self.step
     }
 
-    /// Values of one row of the grid: whole panels.
-    pub fn width(&self) -> usize {
-        (2 * self.columns * self.channels()).next_multiple_of(2 * PANEL)
+    /// Of the grid.
+    pub fn panels(&self) -> usize {
+        (self.columns * self.channels()).div_ceil(PANEL)
     }
 
     /// All slopes of columns.

@@ -77,9 +77,10 @@ pub fn tap_tables<T: Sample>(kernel: &Kernel) -> Vec<Taps<T>> {
 #[inline(always)]
 pub fn taps<T: Sample, const FUSED: bool>(tables: &[Taps<T>], x: T) -> Taps<T> {
     let mut sum = [T::ZERO; MAX_WIDTH];
-    for table in tables.iter().rev() {
-        for (sum, weight) in sum.iter_mut().zip(table) {
-            *sum = sum.times_plus::<FUSED>(x, *weight);
+    for k in (0..tables.len()).rev() {
+        let table = tables[k];
+        for i in 0..MAX_WIDTH {
+            sum[i] = sum[i].times_plus::<FUSED>(x, table[i]);
         }
     }
     sum

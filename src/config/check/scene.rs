@@ -21,6 +21,8 @@ const SCATTERERS_PER_CELL: f64 = 5.0;
 const BEAM_WIDTH: f64 = 0.886;
 /// Two lines whose axes have this much in common narrow the same beam.
 const ALONG: f64 = 0.5;
+/// ... and from which on they are taken for one: 2.6 degrees.
+const PARALLEL: f64 = 0.999;
 
 /// What the scene must know of the rest of the rig, as far as that is without fault.
 pub struct Rig<'a> {
@@ -70,7 +72,7 @@ pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<Sce
             problems.refuse(
                 table.entry("memory_mib"),
                 format!(
-                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the transmitters' beams within {} m ({density})",
+                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the beams within {} m ({density})",
                     rig.longest_range_m
                 ),
             );
@@ -372,28 +374,54 @@ impl Rig<'_> {
         full_circle * self.widest_share() * TILE_EDGES
     }
 
-    /// Of the full circle, what the widest of the transmitters lights above the floor for culling.
+    /// Of the full circle, what the widest pair of transmitter and element hears above the floor for culling.
     fn widest_share(&self) -> f64 {
         let Some(c) = self.sound_speed_m_per_s else {
             return 0.0;
         };
         let share = |sonar: &SonarSpec| {
             let wavelength_m = c / sonar.pulse.center_frequency_hz;
-            sonar
-                .transmit
-                .iter()
-                .map(|t| match (&t.pattern, sonar.model.cull_db) {
-                    (Pattern::Rectangle { length_m, .. }, Some(db)) if *length_m > 0.0 => {
-                        let sine = wavelength_m / (std::f64::consts::PI * length_m)
-                            * 10f64.powf(-db / 20.0);
-                        sine.min(1.0).asin() * std::f64::consts::FRAC_2_PI
-                    }
-                    _ => 1.0,
-                })
-                .fold(0.0, f64::max)
+            let Some(db) = sonar.model.cull_db else {
+                return 1.0;
+            };
+            let depth = 10f64.powf(-db / 20.0);
+            let pairs = sonar.receive.iter().map(|array| {
+                let transmit = &sonar.transmit[array.transmit];
+                let sent = knee(&transmit.pattern, wavelength_m);
+                let heard = knee(&array.element_pattern, wavelength_m);
+                let sine = match along(&transmit.mounting, &array.mounting) > PARALLEL {
+                    true => two_way_sine(sent, heard, depth),
+                    false => sent * depth,
+                };
+                sine.min(1.0).asin() * std::f64::consts::FRAC_2_PI
+            });
+            pairs.fold(0.0, f64::max)
         };
         self.sonars.iter().map(|s| share(s)).fold(0.0, f64::max)
     }
+}
+
+/// Sine off broadside beyond which a radiator's pattern stays below knee / sine; infinite for one without length.
+fn knee(pattern: &Pattern, wavelength_m: f64) -> f64 {
+    match pattern {
+        Pattern::Rectangle { length_m, .. } => wavelength_m / (std::f64::consts::PI * length_m),
+        Pattern::Omnidirectional => f64::INFINITY,
+    }
+}
+
+/// Where the product of two such patterns, each at most 1, has fallen to 1 / depth.
+fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
+    let (narrow, wide) = (a.min(b), a.max(b));
+    match narrow * depth > wide {
+        true => (narrow * wide * depth).sqrt(),
+        false => narrow * depth,
+    }
+}
+
+/// How parallel two lines lie, 0 to 1.
+fn along(a: &crate::flow::Mounting, b: &crate::flow::Mounting) -> f64 {
+    let axis = |mounting: &crate::flow::Mounting| mounting.body_from_array * DVec3::X;
+    axis(a).dot(axis(b)).abs()
 }
 
 /// c/(2B), with the shortest pulse allowed.
@@ -415,8 +443,7 @@ fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
             Pattern::Omnidirectional => 0.0,
             Pattern::Rectangle { length_m, .. } => length_m,
         };
-        let axis = |mounting: &crate::flow::Mounting| mounting.body_from_array * DVec3::X;
-        let common = axis(&transmit.mounting).dot(axis(&array.mounting)).abs();
+        let common = along(&transmit.mounting, &array.mounting);
         let heard_m = match common > ALONG || lit_m == 0.0 {
             true => array.elements as f64 * array.spacing_m,
             false => 0.0,

@@ -8,6 +8,8 @@ use glam::{DQuat, DVec3};
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::devices;
+use super::families;
+use super::picture::picture;
 use super::samples::{self, Source};
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
@@ -25,6 +27,8 @@ const MAX_PING_BYTES: f64 = 8.0 * (1u64 << 30) as f64;
 const BYTES_PER_COMPLEX_F64: f64 = 16.0;
 /// Record 7038 holds 16-bit I and Q.
 pub const BYTES_PER_7038_SAMPLE: f64 = 4.0;
+/// Every ping visits every pixel.
+const MAX_SYNTHETIC_PIXELS: f64 = 4e6;
 /// 7k counts elements in 16 bits.
 const MAX_7K_ELEMENTS: usize = 65_535;
 /// A boresight or axis is held to point to a side when its starboard component is beyond this: half a degree is no mistake of sign.
@@ -59,6 +63,11 @@ pub fn sonar<'t>(
         .iter()
         .map(|t| transmit(t, problems))
         .collect();
+    let more_pulses: Vec<_> = table
+        .tables("more_pulse")
+        .iter()
+        .map(|t| more_pulse(t, pulse.as_ref(), &transmit_names, problems))
+        .collect();
     let receive_tables = table.tables("receive");
     let receive_names = unique_names(receive_tables, problems);
     let receive: Vec<_> = receive_tables
@@ -71,6 +80,7 @@ pub fn sonar<'t>(
         .and_then(|t| receiver(t, medium, problems));
     if let Some(t) = table.table("receiver") {
         refuse_slow_sampling(t, pulse.as_ref(), limits.as_ref(), medium, problems);
+        refuse_bands_beyond_sampling(table, t, pulse.as_ref(), &more_pulses, problems);
     }
     let arrays = Arrays {
         names: &receive_names,
@@ -88,6 +98,20 @@ pub fn sonar<'t>(
         .table("model")
         .and_then(|t| model(t, filter, problems));
     let synthesis = table.table("model").and_then(|t| synthesis(t, problems));
+    let sums_pulses = model.is_none_or(|m| {
+        let one_by_one = [
+            Synthesis::Direct,
+            Synthesis::Gridded1d,
+            Synthesis::Reference,
+        ];
+        one_by_one.contains(&m.synthesis)
+    });
+    if !more_pulses.is_empty() && !sums_pulses {
+        problems.refuse(
+            table.entry("more_pulse"),
+            "needs synthesis = \"direct\", \"gridded-1d\" or \"reference\"",
+        );
+    }
     if model.is_some_and(|m| m.synthesis == Synthesis::Gridded2d) {
         for t in receive_tables
             .iter()
@@ -102,22 +126,26 @@ pub fn sonar<'t>(
     let beams = table
         .table("beams")
         .and_then(|t| beams(t, &arrays, problems));
-    let outputs = table.table("output").and_then(|t| {
-        outputs(
-            t,
-            &arrays,
-            &largest,
-            pulse.as_ref(),
-            beams.as_ref(),
-            listeners,
-            problems,
-        )
-    });
+    let picture = table.table("picture").and_then(|t| picture(t, problems));
+    let has_lines = table
+        .table("beams")
+        .is_some_and(|t| t.given("port") || t.given("starboard"));
+    let heard = Heard {
+        arrays: &arrays,
+        largest: &largest,
+        has_lines,
+        pulse: pulse.as_ref(),
+        beams: beams.as_ref(),
+    };
+    let outputs = table
+        .table("output")
+        .and_then(|t| outputs(t, &heard, listeners, problems));
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
         serial: u64::try_from(table.integer("serial")?).ok()?,
         pulse: pulse?,
+        more_pulses: all(more_pulses)?,
         transmit: all(transmit).filter(|t| !t.is_empty())?,
         transmit_names: owned(&transmit_names)?,
         receive: all(receive.clone()).filter(|r| !r.is_empty())?,
@@ -128,6 +156,7 @@ pub fn sonar<'t>(
         model: model?,
         synthesis: synthesis?,
         beams: beams?,
+        picture: picture?,
         outputs: outputs?,
     })
 }
@@ -175,6 +204,55 @@ fn pulse(table: &RawTable, problems: &mut Problems) -> Option<Pulse> {
         },
         duration_s: table.scaled("duration_ms", -3)?,
         taper: table.number("taper")?,
+    })
+}
+
+/// `own` is the sonar's own pulse.
+fn more_pulse(
+    table: &RawTable,
+    own: Option<&Pulse>,
+    transmit_names: &[Option<&str>],
+    problems: &mut Problems,
+) -> Option<MorePulseSpec> {
+    let own = own?;
+    let given = |key: &str| table.given(key).then(|| table.scaled(key, 3));
+    let bandwidth_hz = given("bandwidth_khz").unwrap_or(Some(own.bandwidth_hz))?;
+    let center_frequency_hz =
+        given("center_frequency_khz").unwrap_or(Some(own.center_frequency_hz))?;
+    if bandwidth_hz > own.bandwidth_hz {
+        problems.refuse(
+            table.entry("bandwidth_khz"),
+            "must be at most the pulse's own: the receiver filter is made for that",
+        );
+    }
+    let kind = match (own.kind, table.text("sweep")?) {
+        (PulseKind::Cw, _) => PulseKind::Cw,
+        (_, "up") => PulseKind::LfmUp,
+        _ => PulseKind::LfmDown,
+    };
+    let apart_hz = (center_frequency_hz - own.center_frequency_hz).abs();
+    if kind == own.kind && apart_hz < own.bandwidth_hz {
+        problems.refuse(
+            table.entry("sweep"),
+            "must be the other one, or center_frequency_khz a bandwidth away: nothing else tells the pulses apart",
+        );
+    }
+    let transmit = match table.given("transmit") {
+        true => Some(table.text("transmit").and_then(|name| {
+            let entry = table.entry("transmit");
+            index_of(name, entry, transmit_names, "transmit array", problems)
+        })?),
+        false => None,
+    };
+    Some(MorePulseSpec {
+        pulse: Pulse {
+            kind,
+            center_frequency_hz,
+            bandwidth_hz,
+            ..*own
+        },
+        delay_s: table.scaled("delay_ms", -3)?,
+        transmit,
     })
 }
 
@@ -516,6 +594,33 @@ fn refuse_slow_sampling(
     }
 }
 
+/// All bands about the one carrier lie within the sampled band.
+fn refuse_bands_beyond_sampling(
+    sonar: &RawTable,
+    receiver: &RawTable,
+    own: Option<&Pulse>,
+    more: &[Option<MorePulseSpec>],
+    problems: &mut Problems,
+) {
+    let (Some(rate_hz), Some(own)) = (receiver.scaled("sample_rate_khz", 3), own) else {
+        return;
+    };
+    let reach_hz = |m: &MorePulseSpec| {
+        let apart_hz = (m.pulse.center_frequency_hz - own.center_frequency_hz).abs();
+        2.0 * apart_hz + m.pulse.bandwidth_hz
+    };
+    let least_hz = OVERSAMPLING * more.iter().flatten().map(reach_hz).fold(0.0, f64::max);
+    if rate_hz < least_hz {
+        problems.refuse(
+            sonar.entry("more_pulse"),
+            format!(
+                "needs receiver.sample_rate_khz of at least {}: all pulses are sampled about the first one's centre",
+                (least_hz / 10.0).ceil() / 100.0
+            ),
+        );
+    }
+}
+
 /// What bounds the number of samples of a ping.
 struct LargestPing {
     range_m: Option<f64>,
@@ -677,20 +782,82 @@ fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Opti
         lines.push(array.map(|array| LineSpec { side, array }));
     }
     let fan = table.table("fan").and_then(|t| fan(t, arrays, problems));
+    let synthetic_aperture = table
+        .table("synthetic_aperture")
+        .and_then(|t| synthetic_aperture(t, arrays, problems));
+    let focused = table.text("line_former").map(|f| f == "dynamic-focus");
+    only_with(
+        table,
+        &["line_f_number", "line_shading"],
+        focused,
+        "line_former = \"dynamic-focus\"",
+        problems,
+    );
     Some(BeamsSpec {
         lines: all(lines)?,
-        focused_lines: table.text("line_former")? == "dynamic-focus",
+        focused_lines: focused?,
+        line_f_number: match table.given("line_f_number") {
+            true => Some(table.number("line_f_number")?),
+            false => None,
+        },
+        line_shading: shading(
+            table,
+            "line_shading",
+            table.number("line_side_lobe_db")?,
+            0.0,
+        )?,
         weighting: shading(
             table,
             "weighting",
             table.number("weighting_side_lobe_db")?,
             table.number("weighting_beta")?,
         )?,
+        synthetic_aperture: match table.given("synthetic_aperture") {
+            true => Some(synthetic_aperture?),
+            false => None,
+        },
         fan: match table.given("fan") {
             true => Some(fan?),
             false => None,
         },
     })
+}
+
+fn synthetic_aperture(
+    table: &RawTable,
+    arrays: &Arrays<'_>,
+    problems: &mut Problems,
+) -> Option<SyntheticApertureSpec> {
+    let entry = table.entry("arrays");
+    let mut chosen = Vec::new();
+    for name in table.texts("arrays")? {
+        let array = index_of(name, entry, arrays.names, "receive array", problems);
+        if array.is_some() && chosen.contains(&array) {
+            problems.refuse(entry, format!("names \"{name}\" twice"));
+        }
+        chosen.push(array);
+    }
+    for key in ["north_m", "east_m"] {
+        if table.pair(key, 0).is_some_and(|(from, to)| from >= to) {
+            problems.refuse(table.entry(key), "must have the lower edge first");
+        }
+    }
+    let spec = SyntheticApertureSpec {
+        arrays: all(chosen)?,
+        north_m: table.pair("north_m", 0)?,
+        east_m: table.pair("east_m", 0)?,
+        down_m: table.number("down_m")?,
+        cell_m: table.number("cell_m")?,
+    };
+    let (columns, rows) = spec.size();
+    if columns as f64 * rows as f64 > MAX_SYNTHETIC_PIXELS {
+        problems.refuse(
+            table.entry("cell_m"),
+            format!("{columns} x {rows} pixels; at most {MAX_SYNTHETIC_PIXELS}"),
+        );
+        return None;
+    }
+    Some(spec)
 }
 
 fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<FanSpec> {
@@ -726,6 +893,7 @@ fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option
         );
     }
     let former = match table.text("former")? {
+        "fft" => Former::Fft,
         "conventional" => Former::TimeDelay,
         "phase" => Former::Phase,
         "dynamic-focus" => Former::DynamicFocus,
@@ -773,21 +941,57 @@ fn shading(table: &RawTable, key: &str, side_lobe_db: f64, beta: f64) -> Option<
     })
 }
 
+/// What outputs can be fed with.
+struct Heard<'a, 'b> {
+    arrays: &'a Arrays<'b>,
+    largest: &'a LargestPing,
+    has_lines: bool,
+    pulse: Option<&'a Pulse>,
+    beams: Option<&'a BeamsSpec>,
+}
+
 fn outputs<'t>(
     table: &'t RawTable,
-    arrays: &Arrays<'_>,
-    largest: &LargestPing,
-    pulse: Option<&Pulse>,
-    beams: Option<&BeamsSpec>,
+    heard: &Heard<'_, '_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<OutputSpec>> {
+    let &Heard {
+        arrays,
+        largest,
+        has_lines,
+        pulse,
+        beams,
+    } = heard;
     let mut outputs = Vec::new();
     if table.given("sevenk") {
         let spec = table
             .table("sevenk")
             .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
         outputs.push(spec.map(OutputSpec::SevenK));
+    }
+    let sonar = families::Sonar {
+        arrays,
+        samples: largest.samples(),
+        has_lines,
+    };
+    if table.given("jsf") {
+        let spec = table
+            .table("jsf")
+            .and_then(|t| families::jsf(t, &sonar, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Jsf));
+    }
+    if table.given("xtf") {
+        let spec = table
+            .table("xtf")
+            .and_then(|t| families::xtf(t, &sonar, problems));
+        outputs.push(spec.map(OutputSpec::Xtf));
+    }
+    if table.given("imagenex872") {
+        let spec = table
+            .table("imagenex872")
+            .and_then(|t| families::imagenex872(t, &sonar, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Imagenex872));
     }
     if table.given("ping") {
         let spec = table
@@ -876,6 +1080,7 @@ fn sevenk<'t>(
         arrays: chosen?,
         max_packet: table.count("max_packet_bytes")?,
         client_queue_bytes: client_queue_bytes?,
+        disconnect_when_full: table.text("when_full")? == "disconnect",
         max_clients: table.count("max_clients")?,
     })
 }

@@ -11,7 +11,7 @@ const REAL_BYTES: f64 = 2.0;
 /// Of WBMS.
 const BYTES_PER_DETECTION: f64 = 20.0;
 
-/// A line for an output other than 7k, which has its own.
+/// A line for an output of these; the others have their own.
 pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -> fmt::Result {
     let elements =
         |arrays: &[usize]| -> usize { arrays.iter().map(|&a| sonar.receive[a].elements).sum() };
@@ -19,7 +19,10 @@ pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSp
     let on_air = d.samples / rate_hz * d.ping_rate_hz;
     let mbit_per_s = |bytes_per_s: f64| bytes_per_s * 8.0 / 1e6;
     match output {
-        OutputSpec::SevenK(_) => Ok(()),
+        OutputSpec::SevenK(_)
+        | OutputSpec::Jsf(_)
+        | OutputSpec::Xtf(_)
+        | OutputSpec::Imagenex872(_) => Ok(()),
         OutputSpec::Vita49(vita) => {
             let n = elements(&vita.arrays);
             let (what, bytes_per_s) = match vita.passband_rate_hz {

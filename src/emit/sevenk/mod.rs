@@ -4,10 +4,13 @@
 //! - [`DeviceSheet`]: what fills their fields
 //! - [`quantise`]: volts to the wire's integers
 //! - [`session`]: one client's commands and subscriptions, bytes in and records out
+//! - [`protocol`]: both, as the servers know them
 //!
 //! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
-//! the time at which the state holds, the start of the pulse. Not modelled: bottom detection (7027), snippets, 7042.
+//! the time at which the state holds, the start of the pulse.
 
+mod bottom;
+pub mod kept;
 pub mod protocol;
 pub mod quantise;
 pub mod records;
@@ -16,20 +19,24 @@ pub mod session;
 use std::sync::Arc;
 
 use echotank_protocols::sevenk::records::{
-    BeamAngles, BeamSample, Rth7007, Rth7018, Rth7038, SAMPLE_TYPE_I16, SideSamples, emit_7004,
-    emit_7007, emit_7018, emit_7038_element_major,
+    BeamAngles, BeamSample, CalibratedSide, Rth7007, Rth7018, Rth7038, Rth7057, Rth10038,
+    SAMPLE_TYPE_I16, SideSamples, emit_1016, emit_7004, emit_7007, emit_7018,
+    emit_7038_element_major, emit_7057, emit_10038,
 };
 
 use crate::emit::pool::DatagramPool;
 use crate::flow::{BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Side};
+use bottom::{Source, Workspace};
+use kept::Kept;
 use records::{DeviceSheet, View};
 
 /// Every record that a sonar of ours can send. Those of one ping are sent in this order: readers group by what follows a 7000.
-pub const RECORDS: [u32; 12] = [
-    7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013, 7500, 7001,
+pub const RECORDS: [u32; 20] = [
+    7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 7610, 1003, 1012,
+    1013, 1015, 1016, 7500, 7001,
 ];
 /// The first so many of [`RECORDS`] belong to a ping; 7500 are echoes and 7001 is only sent when asked for.
-const PING_RECORDS: usize = 10;
+const PING_RECORDS: usize = 18;
 
 /// A set of records out of [`RECORDS`], small enough for an atomic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -119,6 +126,12 @@ pub struct SevenKEmitter {
     port: Vec<u16>,
     starboard: Vec<u16>,
     angles: [Vec<f32>; 4],
+    /// Port and starboard.
+    pressures: [Vec<f32>; 2],
+    beam_numbers: Vec<u16>,
+    single: Vec<[f32; 2]>,
+    bottom: Workspace,
+    kept: Kept,
     totals: EmitCounts,
 }
 
@@ -140,12 +153,22 @@ impl SevenKEmitter {
             port: Vec::new(),
             starboard: Vec::new(),
             angles: Default::default(),
+            pressures: Default::default(),
+            beam_numbers: Vec::new(),
+            single: Vec::new(),
+            bottom: Workspace::default(),
+            kept: Kept::default(),
             totals: EmitCounts::default(),
         }
     }
 
     pub fn sheet(&self) -> &Arc<DeviceSheet> {
         &self.sheet
+    }
+
+    /// What the sonar has been told, for the pings from now on.
+    pub fn keep(&mut self, kept: Kept) {
+        self.kept = kept;
     }
 
     /// Since the start.
@@ -159,7 +182,7 @@ impl SevenKEmitter {
     }
 
     /// Appends those records of one ping that are wanted and that this ping has, in the order of [`RECORDS`]. Allocates nothing once the
-    /// buffers have met the longest ping, unless consumers hold more than `waiting_pings` of them.
+    /// buffers have met the longest ping, unless consumers hold more than `waiting_pings` of them; 7042 makes a list of its beams.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -200,16 +223,28 @@ impl SevenKEmitter {
         let nav_stamp = sheet.nav_stamp(plan);
         let view = View::of_plan(plan);
         let exact = |record| Some((record, 0));
+        let source = Source {
+            plan,
+            output,
+            sonar: sheet.sonar(),
+            kept: &self.kept,
+            silent: silent_samples(plan, sheet.sample_rate_hz()),
+            stamp: ping_stamp,
+        };
+        let work = &mut self.bottom;
         match id {
+            7027 | 7028 | 7058 if !sheet.detects_bottom() => None,
             7000 => {
                 let beam_width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
-                let settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
+                let mut settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
+                self.kept.report_7000(&mut settings);
                 exact(pool.write(|buf| {
                     settings.emit(buf, &ping_stamp);
                 }))
             }
             7503 => {
-                let settings = sheet.settings_7503(plan.ping_number, &view);
+                let mut settings = sheet.settings_7503(plan.ping_number, &view);
+                self.kept.report_7503(&mut settings);
                 exact(pool.write(|buf| {
                     settings.emit(buf, &ping_stamp);
                 }))
@@ -226,6 +261,74 @@ impl SevenKEmitter {
                 };
                 exact(pool.write(|buf| {
                     emit_7004(buf, &ping_stamp, sheet.sonar_id(), &angles);
+                }))
+            }
+            7027 => exact(pool.write(|buf| bottom::detections(work, &source, buf))),
+            7028 => {
+                let fan = output.beams.first()?;
+                let mut saturated = 0;
+                let record = pool.write(|buf| {
+                    saturated = bottom::snippets_7028(work, &source, fan, buf);
+                });
+                Some((record, saturated))
+            }
+            7058 => {
+                let fan = output.beams.first()?;
+                let array = sheet.sonar().beams.fan.as_ref()?.array;
+                let width_rad = sheet.along_track_width_rad(&view);
+                exact(pool.write(|buf| {
+                    bottom::strengths_7058(work, &source, (fan, array), width_rad, buf);
+                }))
+            }
+            7042 => {
+                let fan = output.beams.first()?;
+                let mut saturated = 0;
+                let record = pool.write(|buf| {
+                    saturated = bottom::water_column_7042(work, &source, fan, buf);
+                });
+                Some((record, saturated))
+            }
+            7057 => {
+                if output.lines.is_empty() {
+                    return None;
+                }
+                fill_pressures(&mut self.pressures, &source);
+                let [port, starboard] = &self.pressures;
+                self.beam_numbers.clear();
+                self.beam_numbers.resize(port.len(), 0);
+                let side = |samples| CalibratedSide {
+                    samples,
+                    beams: &self.beam_numbers,
+                };
+                let rth = Rth7057 {
+                    sonar_id: sheet.sonar_id(),
+                    ping_number: plan.ping_number,
+                    ..Rth7057::default()
+                };
+                exact(pool.write(|buf| {
+                    emit_7057(buf, &ping_stamp, &rth, side(port), side(starboard));
+                }))
+            }
+            10_038 => {
+                let &array = sheet.wire_arrays().first()?;
+                let frame = output.elements.iter().find(|frame| frame.array == array)?;
+                if plan.sample_count == 0 || frame.elements == 0 {
+                    return None;
+                }
+                self.single.clear();
+                self.single
+                    .extend(frame.element(0).iter().map(|v| [v.re as f32, v.im as f32]));
+                let rth = Rth10038 {
+                    ping_number: plan.ping_number,
+                    mean_sound_velocity_m_per_s: plan.sound_speed_m_per_s as f32,
+                    sample_rate_hz: sheet.sample_rate_hz() as f32,
+                    effective_pulse_length_s: plan.pulse.duration_s as f32,
+                    start_sample_delay_s: plan.first_sample_s as f32,
+                    full_scale: sheet.full_scale_v() as f32,
+                    ..Rth10038::default()
+                };
+                exact(pool.write(|buf| {
+                    emit_10038(buf, &ping_stamp, &rth, &self.single);
                 }))
             }
             7007 => {
@@ -320,6 +423,9 @@ impl SevenKEmitter {
                     position.emit(buf, &nav_stamp);
                 }))
             }
+            // Records of sensors have no flag: where the sensor says nothing, neither do they.
+            1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
+            1013 if plan.nav.invalid.heading => None,
             1012 => {
                 let attitude = records::roll_pitch_heave_1012(&plan.nav);
                 exact(pool.write(|buf| {
@@ -330,6 +436,18 @@ impl SevenKEmitter {
                 let heading = records::heading_1013(&plan.nav);
                 exact(pool.write(|buf| {
                     heading.emit(buf, &nav_stamp);
+                }))
+            }
+            1015 => {
+                let navigation = records::navigation_1015(&plan.nav);
+                exact(pool.write(|buf| {
+                    navigation.emit(buf, &nav_stamp);
+                }))
+            }
+            1016 => {
+                let sets = [records::attitude_1016(&plan.nav)];
+                exact(pool.write(|buf| {
+                    emit_1016(buf, &nav_stamp, &sets);
                 }))
             }
             other => unreachable!("{other} is no ping record"),
@@ -362,6 +480,30 @@ fn fill_side(counts: &mut Vec<u16>, lines: &[Line], side: Side, full_scale_v: f6
         .map_or(0, |line| {
             quantise::line(&line.amplitude, full_scale_v, counts)
         })
+}
+
+/// Both sides as sound pressure at the array, uPa (rms): sensitivity and all gains undone. A side that is not there is silent.
+fn fill_pressures(sides: &mut [Vec<f32>; 2], source: &Source<'_>) {
+    let metres_per_sample =
+        0.5 * source.plan.sound_speed_m_per_s / source.sonar.receiver.sample_rate_hz;
+    for (pressures, side) in sides.iter_mut().zip([Side::Port, Side::Starboard]) {
+        pressures.clear();
+        let lines = &source.sonar.beams.lines;
+        let array = lines.iter().find(|line| line.side == side);
+        let line = source.output.lines.iter().find(|line| line.side == side);
+        let (Some(array), Some(line)) = (array, line) else {
+            continue;
+        };
+        pressures.extend(line.amplitude.iter().enumerate().map(|(k, &volts)| {
+            let range_m = k as f64 * metres_per_sample;
+            let gain = 10_f64.powf(source.gain_db(array.array, range_m) / 20.0);
+            (f64::from(volts) / gain) as f32
+        }));
+    }
+    let samples = sides.iter().map(Vec::len).max().unwrap_or(0);
+    for pressures in sides {
+        pressures.resize(samples, 0.0);
+    }
 }
 
 fn fill_beams(

@@ -118,8 +118,8 @@ impl Protocol for SevenKProtocol {
             })
             .collect();
         if !out.is_empty() {
-            let settings = self.settings.settings();
-            out.push(self.sheet.current_settings_7503(&settings, now));
+            let port = self.settings.as_ref();
+            out.push(self.sheet.current_settings_7503(port, now));
         }
         out
     }

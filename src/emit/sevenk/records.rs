@@ -7,17 +7,19 @@ use std::fmt::Write;
 
 use glam::DVec3;
 
+use echotank_protocols::sevenk::control::PulseType;
 use echotank_protocols::sevenk::records::{
-    Heading1013, Module, Position1003, RemoteSettings7503, RollPitchHeave1012, SonarSettings7000,
-    SoundVelocity7610, emit_7001,
+    AttitudeSet, Heading1013, Module, Navigation1015, Position1003, RemoteSettings7503,
+    RollPitchHeave1012, SonarSettings7000, SoundVelocity7610, emit_7001,
 };
-use echotank_protocols::sevenk::{RecordStamp, SevenKTime, control_flags, device_id};
+use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_flags, device_id};
 
 use super::RecordSet;
+use super::kept::Kept;
 use crate::config::spec::{SevenKSpec, SonarSpec};
 use crate::flow::{
-    BeamFrame, Datagram, FixQuality, NavState, Pattern, PingPlan, Pulse, PulseKind, SonarSettings,
-    TimeVaryingGain,
+    BeamFrame, Datagram, FixQuality, NavState, Pattern, PingPlan, Pulse, PulseKind, SettingsPort,
+    SonarSettings, TimeVaryingGain,
 };
 use crate::time::UtcNs;
 
@@ -90,6 +92,14 @@ impl DeviceSheet {
     pub fn name(&self) -> &str {
         &self.sonar.name
     }
+    pub fn sonar(&self) -> &SonarSpec {
+        &self.sonar
+    }
+    /// Whether its fan finds the bottom.
+    pub fn detects_bottom(&self) -> bool {
+        let fan = self.sonar.beams.fan.as_ref();
+        fan.is_some_and(|fan| fan.form.bottom_detection)
+    }
     pub fn sonar_id(&self) -> u64 {
         self.sonar.serial
     }
@@ -118,15 +128,18 @@ impl DeviceSheet {
 
     /// The records that this sonar sends while it pings.
     pub fn ping_records(&self) -> RecordSet {
-        let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013]);
+        let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
         if self.sonar.beams.fan.is_some() {
-            set = set.union(RecordSet::of(&[7004, 7018]));
+            set = set.union(RecordSet::of(&[7004, 7018, 7042]));
+        }
+        if self.detects_bottom() {
+            set = set.union(RecordSet::of(&[7027, 7028, 7058]));
         }
         if !self.sonar.beams.lines.is_empty() {
-            set.insert(7007);
+            set = set.union(RecordSet::of(&[7007, 7057]));
         }
         if !self.output.arrays.is_empty() {
-            set.insert(7038);
+            set = set.union(RecordSet::of(&[7038, 10_038]));
         }
         set
     }
@@ -140,6 +153,26 @@ impl DeviceSheet {
             || device == 0
             || device == device_id::SONAR_SOURCE;
         known && head
+    }
+
+    // ------------------------------------------------------------ what the configuration fixes
+
+    /// An error unless the pulse is of this kind: it is the configuration's to say.
+    pub fn confirms_pulse(&self, kind: PulseType) -> Result<(), ErrorCode> {
+        let is_cw = self.sonar.pulse.kind == PulseKind::Cw;
+        (is_cw == (kind == PulseType::ContinuousWave))
+            .then_some(())
+            .ok_or(ErrorCode::FeatureNotAvailable)
+    }
+
+    /// An error unless the pulse has this middle and, where it is not 0, this width, to the precision of an f32.
+    pub fn confirms_band(&self, center_hz: f32, width_hz: f32) -> Result<(), ErrorCode> {
+        let pulse = &self.sonar.pulse;
+        let alike =
+            |told: f32, is: f64| (f64::from(told) - is).abs() <= 1e-6 * pulse.center_frequency_hz;
+        let fits = alike(center_hz, pulse.center_frequency_hz)
+            && (width_hz == 0.0 || alike(width_hz.abs(), pulse.bandwidth_hz));
+        fits.then_some(()).ok_or(ErrorCode::FeatureNotAvailable)
     }
 
     // ------------------------------------------------------------ stamps
@@ -259,9 +292,10 @@ impl DeviceSheet {
     }
 
     /// Answer to a single-record request for 7503: the settings that the next ping will obey, ping number 0.
-    pub fn current_settings_7503(&self, settings: &SonarSettings, now: UtcNs) -> Datagram {
+    pub fn current_settings_7503(&self, port: &dyn SettingsPort, now: UtcNs) -> Datagram {
+        let settings = port.settings();
         let view = View {
-            settings: *settings,
+            settings,
             pulse: Pulse {
                 duration_s: settings.pulse_duration_s,
                 ..self.sonar.pulse
@@ -271,8 +305,9 @@ impl DeviceSheet {
             absorption_db_per_m: self.absorption_db_per_m,
         };
         let mut bytes = Vec::new();
-        self.settings_7503(0, &view)
-            .emit(&mut bytes, &self.stamp(now));
+        let mut record = self.settings_7503(0, &view);
+        Kept::of(port).report_7503(&mut record);
+        record.emit(&mut bytes, &self.stamp(now));
         Datagram {
             record_type: 7503,
             bytes,
@@ -384,7 +419,8 @@ pub fn position_1003(nav: &NavState) -> Position1003 {
         height_m: nav.height_m,
         position_type: Position1003::GEOGRAPHIC,
         utm_zone: 0,
-        quality_flag: u8::from(nav.fix == FixQuality::DeadReckoning),
+        // 1: dead reckoning. It is the only flag that navigation records of 7k have.
+        quality_flag: u8::from(nav.invalid.position || nav.fix == FixQuality::DeadReckoning),
         positioning_method: match nav.fix {
             FixQuality::None | FixQuality::Autonomous | FixQuality::DeadReckoning => 0,
             FixQuality::Differential => 1,
@@ -406,6 +442,36 @@ pub fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
 
 pub fn heading_1013(nav: &NavState) -> Heading1013 {
     Heading1013 {
+        heading_rad: nav.heading_rad as f32,
+    }
+}
+
+/// Accuracies 0: not known. Heights are above the geoid, as positions give them.
+pub fn navigation_1015(nav: &NavState) -> Navigation1015 {
+    let velocity = nav.pose.velocity_m_per_s;
+    Navigation1015 {
+        vertical_reference: 2,
+        latitude_rad: nav.latitude_rad,
+        longitude_rad: nav.longitude_rad,
+        horizontal_accuracy_m: 0.0,
+        height_m: nav.height_m as f32,
+        height_accuracy_m: 0.0,
+        speed_over_ground_m_per_s: velocity.truncate().length() as f32,
+        course_over_ground_rad: velocity
+            .y
+            .atan2(velocity.x)
+            .rem_euclid(std::f64::consts::TAU) as f32,
+        heading_rad: nav.heading_rad as f32,
+    }
+}
+
+/// One reading, at the record's own time.
+pub fn attitude_1016(nav: &NavState) -> AttitudeSet {
+    AttitudeSet {
+        after_ms: 0,
+        roll_rad: nav.roll_rad as f32,
+        pitch_rad: nav.pitch_rad as f32,
+        heave_up_m: -nav.heave_down_m as f32,
         heading_rad: nav.heading_rad as f32,
     }
 }

@@ -5,23 +5,32 @@
 //!   clients ask for all they know; only a list without a single one that it does send is refused (0x7002).
 //! - 1050 of 7001 or 7503 is answered at once. Of a record that belongs to a ping, the next ping's is sent, once; while the sonar does not
 //!   ping it is refused (0x7002). 7500 is for subscribers only (0x700A).
+//! - What a SeaBat has and the model does not use is kept and reported in 7503 ([`super::kept`]); what the configuration fixes (pulse type,
+//!   frequency, band) is accepted where it says what is, and refused (0x7006) where not.
+//! - 1114 stops the sonar's own beat; 1100 and 1101 end that too. 1107 and 1121 halt continuous pinging.
+//! - The four bytes of an address in 1053 and 1054 are taken as they are spoken, a.b.c.d; the DFD does not say.
 //! - Commands addressed to nobody (0), to the Center (7000), to 7125 or to 50 are taken as addressed to us: clients in wide use send those
 //!   to any sonar. Other devices, and enumerators neither 0 nor ours, are refused (0x7009).
 //! - A command whose checksum is wrong is refused (0x7054) if its frame is otherwise right. Anything else that is no record is counted and
 //!   passed over without an answer: there is no ticket to answer to.
 //! - Records other than 7500 are counted and not answered.
 
-use echotank_protocols::sevenk::control::ControlHeader;
+use std::net::{Ipv4Addr, SocketAddr};
+
+use echotank_protocols::sevenk::control::{self, ControlHeader, ThirdParty};
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_BYTES};
 use echotank_protocols::sevenk::{
     Command, ControlRequest, DataRecordFrame, ErrorCode, Reassembler, Record, StreamDecoder,
     WireError,
 };
 
+use super::bottom::can_compress;
+use super::kept;
 use super::records::DeviceSheet;
 use super::{RECORDS, RecordSet};
+use crate::emit::session::Transport;
 pub use crate::emit::session::{Outgoing, SessionCounts};
-use crate::flow::{Asked, Asker, Datagram, SettingChange, SettingsPort};
+use crate::flow::{Asked, Asker, Datagram, KeptValue, SettingChange, SettingsPort, TriggerSource};
 use crate::time::UtcNs;
 
 /// The longest record a client may send: a command with some thousands of record types.
@@ -199,7 +208,7 @@ impl Client {
                 out.push(Outgoing::Reply(datagram(ACK, |buf| {
                     header.ack().emit(buf, &stamp);
                 })));
-                out.extend(answer.map(Outgoing::Reply));
+                out.extend(answer);
                 out.push(Outgoing::Echo(datagram(REMOTE_CONTROL, |buf| {
                     request.emit(buf, &stamp);
                 })));
@@ -207,12 +216,30 @@ impl Client {
         }
     }
 
-    /// Does what was asked. A record, if one was asked for that can be had at once.
+    /// Does what was asked. What else is to be done about it: a record that was asked for and can be had at once, somebody to be dialled.
     fn obey(
         &mut self,
         command: &Command,
         context: &SessionContext<'_>,
-    ) -> Result<Option<Datagram>, ErrorCode> {
+    ) -> Result<Option<Outgoing>, ErrorCode> {
+        let asked = Asked {
+            utc: context.now,
+            by: context.by,
+        };
+        if let Some((name, numbers)) = kept::told(command) {
+            check_kept(command)?;
+            let value = KeptValue::Numbers(numbers);
+            let kept = context.settings.keep(kept::key(name), value, asked);
+            return kept
+                .map(|()| None)
+                .map_err(|_| ErrorCode::RemoteCommandDenied);
+        }
+        let apply = |change| {
+            let applied = context.settings.apply(change, asked);
+            applied
+                .map(|_| None)
+                .map_err(|_| ErrorCode::ParameterOutOfRange)
+        };
         let change = match command {
             Command::Range { range_m } => SettingChange::RangeM(f64::from(*range_m)),
             Command::MaxPingRate { pings_per_s } => {
@@ -223,8 +250,45 @@ impl Client {
             Command::PulseLength { pulse_length_s } => {
                 SettingChange::PulseDurationS(f64::from(*pulse_length_s))
             }
-            Command::StartPinging => SettingChange::Start,
-            Command::StopPinging => SettingChange::Stop,
+            Command::StartPinging | Command::StopPinging => {
+                if context.settings.trigger() == TriggerSource::External {
+                    apply(SettingChange::Trigger(TriggerSource::Internal))?;
+                }
+                match command {
+                    Command::StartPinging => SettingChange::Start,
+                    _ => SettingChange::Stop,
+                }
+            }
+            Command::SinglePing => SettingChange::PingTimes(1),
+            Command::PingTimes { count } => SettingChange::PingTimes(*count),
+            Command::ExternalTrigger => SettingChange::Trigger(TriggerSource::External),
+            Command::PulseType(kind) => return context.sheet.confirms_pulse(*kind).map(|()| None),
+            Command::CenterFrequency { frequency_hz } => {
+                return context
+                    .sheet
+                    .confirms_band(*frequency_hz, 0.0)
+                    .map(|()| None);
+            }
+            Command::ChirpBand { start_hz, stop_hz } => {
+                let (middle, width) = (0.5 * (start_hz + stop_hz), stop_hz - start_hz);
+                return context.sheet.confirms_band(middle, width).map(|()| None);
+            }
+            Command::ConnectThirdParty {
+                party,
+                record_type_ids,
+            } => {
+                let ours = Self::available(RecordSet::of(record_type_ids), context)?;
+                let (peer, transport) = address(party);
+                return Ok(Some(Outgoing::Dial {
+                    peer,
+                    transport,
+                    wants: ours.into(),
+                }));
+            }
+            Command::DisconnectThirdParty { party } => {
+                let (peer, transport) = address(party);
+                return Ok(Some(Outgoing::HangUp { peer, transport }));
+            }
             Command::SingleRecord { record_type_id } => {
                 return self.single_record(*record_type_id, context);
             }
@@ -253,45 +317,14 @@ impl Client {
                 return Ok(None);
             }
             Command::Unknown(_) => return Err(ErrorCode::RemoteCommandNotFound),
-            // Everything that a SeaBat can do and we cannot.
-            Command::PulseType(_)
-            | Command::BottomDetectionMask { .. }
-            | Command::BottomDetectionFilter { .. }
-            | Command::GainType(_)
-            | Command::PulseEnvelope { .. }
-            | Command::ProjectorSteering { .. }
-            | Command::ProjectorBeamWidths { .. }
-            | Command::CenterFrequency { .. }
-            | Command::ChirpBand { .. }
-            | Command::MotionCompensation { .. }
-            | Command::MatchFilter { .. }
-            | Command::CoverageSector { .. }
-            | Command::ConnectThirdParty { .. }
-            | Command::DisconnectThirdParty { .. }
-            | Command::SinglePing
-            | Command::ExternalTrigger
-            | Command::TriggerOut { .. }
-            | Command::PpsEdge { .. }
-            | Command::SnippetControl { .. }
-            | Command::PingTimes { .. }
-            | Command::CompressedWaterColumn { .. }
-            | Command::SoundVelocity { .. } => return Err(ErrorCode::FeatureNotAvailable),
+            // These were kept, above.
+            _ => return Err(ErrorCode::FeatureNotAvailable),
         };
-        let asked = Asked {
-            utc: context.now,
-            by: context.by,
-        };
-        match context.settings.apply(change, asked) {
-            Ok(_) => Ok(None),
-            Err(_) => Err(ErrorCode::ParameterOutOfRange),
-        }
+        apply(change)
     }
 
-    fn subscribe(
-        &mut self,
-        asked: RecordSet,
-        context: &SessionContext<'_>,
-    ) -> Result<Option<Datagram>, ErrorCode> {
+    /// Those of the records asked for that this sonar sends; an error if there is none.
+    fn available(asked: RecordSet, context: &SessionContext<'_>) -> Result<RecordSet, ErrorCode> {
         let sent = context
             .sheet
             .ping_records()
@@ -300,7 +333,15 @@ impl Client {
         if ours.is_empty() {
             return Err(ErrorCode::RecordNotAvailable);
         }
-        self.subscribed = self.subscribed.union(ours);
+        Ok(ours)
+    }
+
+    fn subscribe(
+        &mut self,
+        asked: RecordSet,
+        context: &SessionContext<'_>,
+    ) -> Result<Option<Outgoing>, ErrorCode> {
+        self.subscribed = self.subscribed.union(Self::available(asked, context)?);
         Ok(None)
     }
 
@@ -308,13 +349,15 @@ impl Client {
         &mut self,
         id: u32,
         context: &SessionContext<'_>,
-    ) -> Result<Option<Datagram>, ErrorCode> {
+    ) -> Result<Option<Outgoing>, ErrorCode> {
+        let (sheet, now) = (context.sheet, context.now);
         let settings = context.settings.settings();
         match id {
-            7001 => Ok(Some(context.sheet.configuration_7001(context.now))),
-            7503 => Ok(Some(
-                context.sheet.current_settings_7503(&settings, context.now),
-            )),
+            7001 => Ok(Some(Outgoing::Reply(sheet.configuration_7001(now)))),
+            7503 => {
+                let record = sheet.current_settings_7503(context.settings, now);
+                Ok(Some(Outgoing::Reply(record)))
+            }
             REMOTE_CONTROL => Err(ErrorCode::RecordIsSubscriptionOnly),
             id if context.sheet.ping_records().contains(id) && settings.pinging => {
                 self.requested.insert(id);
@@ -337,6 +380,61 @@ impl Client {
             header.nack(code).emit(buf, &stamp);
         })));
     }
+}
+
+/// What a kept setting may be: within its own bounds, and for 7042 what can be made.
+fn check_kept(command: &Command) -> Result<(), ErrorCode> {
+    use std::f32::consts::{FRAC_PI_2, PI};
+    let is_right = match *command {
+        Command::BottomDetectionFilter {
+            min_range_m,
+            max_range_m,
+            min_depth_m,
+            max_depth_m,
+            ..
+        } => min_range_m >= 0.0 && min_range_m <= max_range_m && min_depth_m <= max_depth_m,
+        Command::PulseEnvelope { shading, .. } => (0.0..=1.0).contains(&shading),
+        Command::ProjectorSteering {
+            vertical_rad,
+            horizontal_rad,
+        } => vertical_rad.abs() <= FRAC_PI_2 && horizontal_rad.abs() <= FRAC_PI_2,
+        Command::ProjectorBeamWidths {
+            vertical_rad,
+            horizontal_rad,
+        } => vertical_rad > 0.0 && horizontal_rad > 0.0,
+        Command::CoverageSector {
+            sector_rad,
+            rx_steering_rad,
+        } => sector_rad > 0.0 && sector_rad <= PI && rx_steering_rad.abs() <= FRAC_PI_2,
+        Command::TriggerOut { length_s, .. } => length_s >= 0.0,
+        Command::SnippetControl {
+            min_window_samples,
+            max_window_samples,
+            ..
+        } => min_window_samples <= max_window_samples && max_window_samples > 0,
+        Command::SoundVelocity {
+            sound_velocity_m_per_s,
+            ..
+        } => (1000.0..=2000.0).contains(&sound_velocity_m_per_s),
+        Command::CompressedWaterColumn { flags } => {
+            return if can_compress(flags) {
+                Ok(())
+            } else {
+                Err(ErrorCode::FeatureNotAvailable)
+            };
+        }
+        _ => true,
+    };
+    is_right.then_some(()).ok_or(ErrorCode::ParameterOutOfRange)
+}
+
+fn address(party: &ThirdParty) -> (SocketAddr, Transport) {
+    let peer = SocketAddr::from((Ipv4Addr::from(party.ipv4.to_le_bytes()), party.port));
+    let transport = match party.transport {
+        control::Transport::Udp => Transport::Udp,
+        control::Transport::Tcp => Transport::Tcp,
+    };
+    (peer, transport)
 }
 
 /// The header of a 7500 that stands at the front of `record`, if that is what it says it is.

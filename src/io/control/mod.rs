@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::sync::watch;
 
+use crate::config::spec::FaultRequest;
 use crate::flow::SettingChange;
 
 /// For answers on their way when the server stops.
@@ -32,6 +33,16 @@ pub enum Command {
         pings: u64,
     },
     Set(Settings),
+    /// Starts so many pings of a sonar, on its beat; for one whose trigger is external, or that does not ping.
+    Trigger {
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sonar: Option<String>,
+        #[serde(default = "one")]
+        pings: u64,
+    },
+    /// From the next ping on, or `at_s` after the first.
+    Fault(FaultRequest),
+    ClearFaults,
 }
 
 fn one() -> u64 {

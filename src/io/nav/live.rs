@@ -1,8 +1,9 @@
 //! Live sources: one blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
 //!
-//! Threads hand over raw bytes with the monotonic arrival of the first one; whoever pulls decodes them. Until rig time is known they are
+//! Threads hand over raw bytes with the monotonic arrival of the first one (of a datagram: when the kernel had it); whoever pulls decodes them. Until rig time is known they are
 //! kept as bytes, so that every sample is decoded on the timeline it belongs to.
 
+mod stamp;
 mod tcp;
 
 use std::collections::VecDeque;
@@ -20,7 +21,9 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::{LiveCounters, NavOpenError, SourceCounters};
-use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
+use crate::config::spec::{
+    NavInputSpec, NavSourceSpec, NavSpec, ParitySpec, SerialLine, TimePolicy,
+};
 use crate::flow::NavSample;
 use crate::nav::decoder::unwatched;
 use crate::nav::{NavDecoder, NavHistory};
@@ -34,8 +37,6 @@ const SOCKET_BUFFER_BYTES: usize = 1 << 20;
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
 /// A vanished serial port is looked for this often.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Start bit, eight data bits, stop bit.
-const BITS_PER_BYTE: i64 = 10;
 /// Navigation closer than this to the host's clock is on the host's timeline.
 const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 /// With bytes coming but no dated message for this long, the host's clock rules.
@@ -156,17 +157,20 @@ impl Live {
                 source.address = socket.local_addr().ok();
                 thread.spawn(move || read_udp(&socket, &outlet))
             }
-            NavInputSpec::Serial { port, baud } => {
-                let open = open_serial(port, *baud).map_err(|reason| NavOpenError::Serial {
-                    name: spec.name.clone(),
-                    port: port.clone(),
-                    baud: *baud,
-                    reason: reason.to_string(),
-                })?;
+            NavInputSpec::Serial { port, baud, line } => {
+                let open =
+                    open_serial(port, *baud, *line).map_err(|reason| NavOpenError::Serial {
+                        name: spec.name.clone(),
+                        port: port.clone(),
+                        baud: *baud,
+                        reason: reason.to_string(),
+                    })?;
                 source.stream = true;
-                source.byte_ns = BITS_PER_BYTE * NS_PER_S / i64::from((*baud).max(1));
-                let (port, baud, byte_ns) = (port.clone(), *baud, source.byte_ns);
-                thread.spawn(move || read_serial(open, &port, baud, byte_ns, &outlet))
+                source.byte_ns = line.bits_per_byte() * NS_PER_S / i64::from((*baud).max(1));
+                let (port, baud, line, byte_ns) = (port.clone(), *baud, *line, source.byte_ns);
+                thread.spawn(move || {
+                    read_serial(open, || open_serial(&port, baud, line), byte_ns, &outlet);
+                })
             }
             NavInputSpec::TcpConnect { address } => {
                 source.stream = true;
@@ -339,7 +343,13 @@ impl Outlet {
 
     /// Just read: `bytes`, the last of which came now.
     fn send(&self, bytes: &[u8], byte_ns: i64) {
-        let mono = self.clock.mono().plus_ns(-byte_ns * bytes.len() as i64);
+        self.send_old(bytes, byte_ns, 0);
+    }
+
+    /// Read: `bytes`, the last of which came `age_ns` ago.
+    fn send_old(&self, bytes: &[u8], byte_ns: i64, age_ns: i64) {
+        let since_first_ns = age_ns + byte_ns * bytes.len() as i64;
+        let mono = self.clock.mono().plus_ns(-since_first_ns);
         let chunk = Chunk {
             source: self.source,
             mono,
@@ -388,9 +398,10 @@ fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<
 
 fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
     let mut buffer = vec![0; 65_536];
+    stamp::enable(socket);
     while !outlet.stopped() {
-        match socket.recv(&mut buffer) {
-            Ok(len) => outlet.send(&buffer[..len], 0),
+        match stamp::receive(socket, &mut buffer) {
+            Ok((len, age_ns)) => outlet.send_old(&buffer[..len], 0, age_ns),
             Err(error) if is_timeout(&error) => {}
             Err(_) => {
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
@@ -402,19 +413,42 @@ fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
 
 // ---------------------------------------------------------------- serial
 
-type Port = Box<dyn serialport::SerialPort>;
+pub(super) type Port = Box<dyn serialport::SerialPort>;
 
-fn open_serial(port: &str, baud: u32) -> serialport::Result<Port> {
-    serialport::new(port, baud).timeout(READ_TIMEOUT).open()
+pub(super) fn open_serial(port: &str, baud: u32, line: SerialLine) -> serialport::Result<Port> {
+    use serialport::{DataBits, Parity, StopBits};
+    serialport::new(port, baud)
+        .parity(match line.parity {
+            ParitySpec::None => Parity::None,
+            ParitySpec::Even => Parity::Even,
+            ParitySpec::Odd => Parity::Odd,
+        })
+        .data_bits(match line.data_bits {
+            5 => DataBits::Five,
+            6 => DataBits::Six,
+            7 => DataBits::Seven,
+            _ => DataBits::Eight,
+        })
+        .stop_bits(match line.stop_bits {
+            2 => StopBits::Two,
+            _ => StopBits::One,
+        })
+        .timeout(READ_TIMEOUT)
+        .open()
 }
 
-fn read_serial(open: Port, path: &str, baud: u32, byte_ns: i64, outlet: &Outlet) {
+fn read_serial(
+    open: Port,
+    reopen: impl Fn() -> serialport::Result<Port>,
+    byte_ns: i64,
+    outlet: &Outlet,
+) {
     let mut port = Some(open);
     let mut buffer = vec![0; 4096];
     while !outlet.stopped() {
         let Some(open) = &mut port else {
             outlet.pause(REOPEN_INTERVAL);
-            port = open_serial(path, baud).ok();
+            port = reopen().ok();
             outlet
                 .stats
                 .reopened

@@ -1,8 +1,9 @@
 //! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, into a [`NavHistory`].
 //!
 //! Recorded sources are read whole when opened and merged by arrival; live ones are read by one blocking thread each, and decoded by whoever
-//! pulls. A rig may have both.
+//! pulls. A rig may have both. [`output`] sends navigation out.
 mod live;
+pub mod output;
 mod recorded;
 
 use std::net::SocketAddr;
@@ -40,7 +41,7 @@ pub enum NavOpenError {
     Track { name: String, reason: TrackError },
     #[error(
         "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without one, {} refused for it, \
-         {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides",
+         {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides; {json} lines of JSON, which is not read",
         .counters.sentences, .counters.bad_checksum, .counters.missing_checksum, .counters.refused_checksum,
         .counters.unsupported, .counters.malformed, .counters.empty_fields, .counters.not_taken
     )]
@@ -48,6 +49,13 @@ pub enum NavOpenError {
         name: String,
         path: String,
         counters: Box<NavCounters>,
+        json: u64,
+    },
+    #[error("nav source `{name}`: {path} {why}")]
+    NoLog {
+        name: String,
+        path: String,
+        why: &'static str,
     },
     #[error(
         "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
@@ -157,8 +165,11 @@ impl NavInputs {
         if let Some(live) = &mut self.live {
             live.pull(history);
         }
-        for (i, state) in self.states.iter_mut().enumerate() {
-            *state = history.source_state(i, until);
+        // Before rig time is known nobody can say how old anything is.
+        if until != UtcNs(i64::MAX) {
+            for (i, state) in self.states.iter_mut().enumerate() {
+                *state = history.source_state(i, until);
+            }
         }
     }
 
@@ -211,7 +222,7 @@ impl NavInputs {
         let line = |(s, state): (&SourceCounters, &State)| {
             let d = &s.decoder;
             let mut text = format!(
-                "nav {}: {}, {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} samples",
+                "nav {}: {}, {} sentences, {} used, {} bad checksums, {} malformed, {} unsupported, {} time jumps, {} samples",
                 s.name,
                 state.name(),
                 d.sentences,
@@ -219,6 +230,7 @@ impl NavInputs {
                 d.bad_checksum,
                 d.malformed,
                 d.unsupported,
+                d.time_jumps,
                 d.samples
             );
             let l = &s.live;

@@ -7,7 +7,7 @@ use std::path::Path;
 use super::{NavOpenError, SourceCounters};
 use crate::config::spec::{NavChannel, NavInputSpec, NavSourceSpec, NavSpec};
 use crate::flow::{NavQuantity, NavSample};
-use crate::nav::log::read_log;
+use crate::nav::log::{read_log, refusal};
 use crate::nav::track::read_track;
 use crate::nav::{NavCounters, NavHistory};
 use crate::time::UtcNs;
@@ -108,6 +108,13 @@ fn read_source(
             plain_rate_hz,
         } => {
             let bytes = read_file(&source.name, path)?;
+            if let Some(why) = refusal(&bytes) {
+                return Err(NavOpenError::NoLog {
+                    name: source.name.clone(),
+                    path: path.display().to_string(),
+                    why,
+                });
+            }
             let (samples, decoder, log) = read_log(&bytes, index, source, *plain_rate_hz);
             (counters.decoder, counters.log) = (decoder, log);
             (samples, path)
@@ -139,6 +146,7 @@ fn read_source(
             name: source.name.clone(),
             path: path.display().to_string(),
             counters: Box::new(counters.decoder),
+            json: counters.log.json,
         });
     }
     Ok(samples)
@@ -205,6 +213,7 @@ fn channel(sample: &NavSample) -> NavChannel {
         NavQuantity::Heading { .. } => NavChannel::Heading,
         NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
         NavQuantity::Heave { .. } => NavChannel::Heave,
+        NavQuantity::Depth { .. } => NavChannel::Depth,
     }
 }
 

@@ -1,22 +1,36 @@
 //! Recorders: pings in, files out.
 //!
+//! - [`faults`]: what was injected, one JSON line per fault.
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
+//! - [`recover`]: mends a `.s7k` that was cut off.
+//! - [`masks`]: what each sample of each line shows.
+//! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics, and the masks beside them.
+//! - [`lines`]: a recording's lines, read again.
 //! - [`s7k`]: protocol records as a `.s7k` file.
+//! - [`synthetic_aperture`]: a back-projected image.
+//! - [`stream`]: protocol records one behind the other, as `.jsf` and `.xtf` files are.
 //! - [`sigmf`]: I and Q of the elements, with words for every ping.
 //! - [`wav`]: what the elements hear, for benches that play it out.
 //! - [`svlog`]: frames of the Ping protocol.
 //! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
-//! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k` and `truth.jsonl`
+//! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k`, `.jsf`, `.xtf` and `truth.jsonl`
 //! grow in place and are readable up to the last whole record or line whenever they are cut off.
+pub mod faults;
+pub mod lines;
+pub mod masks;
 pub mod npz;
+pub mod picture;
 mod plan_text;
 pub mod png;
+pub mod recover;
 pub mod s7k;
 pub mod sigmf;
+pub mod stream;
 pub mod svlog;
+pub mod synthetic_aperture;
 pub mod truth;
 pub mod wav;
 

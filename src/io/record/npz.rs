@@ -14,6 +14,12 @@
 //! | `transmit_position_m` | pings, 3 | f64, north-east-down, the first transmit array at the start of the pulse |
 //! | `element_position_m` | pings, elements, 3 | f64, north-east-down, at the start of the pulse |
 //! | `velocity_m_per_s` | pings, 3 | f64, north-east-down, of the reference point at the start of the pulse |
+//! | `position_m` | pings, 3 | f64, north-east-down, the reference point at the start of the pulse |
+//! | `attitude_deg` | pings, 3 | f64, roll (starboard down), pitch (bow up), heading, then |
+//! | `geodetic_deg` | pings, 2 | f64, latitude and longitude of the reference point, then |
+//! | `line_position_m` | pings, lines, 3 | f64, north-east-down, the transmit array of each line, then |
+//! | `sounding_twtt_s`, `sounding_error_s` | pings, beams | f64, two-way time of the bottom in each beam and its predicted error; NaN where none was found. With `bottom_detection` only, as the next |
+//! | `sounding_method` | pings, beams | u1, 0 none, 1 amplitude, 2 phase |
 //! | `plan` | scalar | JSON text: the sonar and the first ping's plan |
 //!
 //! All pings have one shape: with another number of samples (another range) a ping is refused. While pinging, each array grows in a
@@ -30,7 +36,8 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{PartialFile, RecordError, plan_text};
 use crate::config::spec::SonarSpec;
-use crate::flow::{PingOutput, PingPlan, Side};
+use crate::flow::{Detection, PingOutput, PingPlan, Side};
+use crate::frames::angles_from_rotation;
 
 /// Items converted to bytes at a time.
 const BLOCK: usize = 8192;
@@ -65,11 +72,19 @@ struct PerPing {
     iq_by_element: PartialFile,
     beams: PartialFile,
     lines: PartialFile,
+    more_lines: PartialFile,
     ping_number: PartialFile,
     ping_utc_ns: PartialFile,
     transmit_position_m: PartialFile,
     element_position_m: PartialFile,
     velocity_m_per_s: PartialFile,
+    position_m: PartialFile,
+    attitude_deg: PartialFile,
+    geodetic_deg: PartialFile,
+    line_position_m: PartialFile,
+    sounding_twtt_s: PartialFile,
+    sounding_error_s: PartialFile,
+    sounding_method: PartialFile,
 }
 
 impl NpzRecorder {
@@ -82,11 +97,19 @@ impl NpzRecorder {
                 iq_by_element: grow("iq_by_element")?,
                 beams: grow("beams")?,
                 lines: grow("lines")?,
+                more_lines: grow("more_lines")?,
                 ping_number: grow("ping_number")?,
                 ping_utc_ns: grow("ping_utc_ns")?,
                 transmit_position_m: grow("transmit_position_m")?,
                 element_position_m: grow("element_position_m")?,
                 velocity_m_per_s: grow("velocity_m_per_s")?,
+                position_m: grow("position_m")?,
+                attitude_deg: grow("attitude_deg")?,
+                geodetic_deg: grow("geodetic_deg")?,
+                line_position_m: grow("line_position_m")?,
+                sounding_twtt_s: grow("sounding_twtt_s")?,
+                sounding_error_s: grow("sounding_error_s")?,
+                sounding_method: grow("sounding_method")?,
             },
             path,
             sonar: sonar.clone(),
@@ -176,6 +199,14 @@ impl NpzRecorder {
                 out.extend(a.to_le_bytes())
             })?;
         }
+        // A pulse that leaves later is heard for so much less: zeros fill its lines.
+        let line_samples = self.first.as_ref().map_or(0, |f| f.line_samples);
+        for line in output.more_lines.iter().flat_map(|more| &more.lines) {
+            let samples = (0..line_samples).map(|k| line.amplitude.get(k).copied().unwrap_or(0.0));
+            bytes.clear();
+            bytes.extend(samples.flat_map(f32::to_le_bytes));
+            to.more_lines.write(bytes)?;
+        }
         to.ping_number
             .write(&i64::from(plan.ping_number).to_le_bytes())?;
         to.ping_utc_ns.write(&plan.transmit_utc.0.to_le_bytes())?;
@@ -192,7 +223,37 @@ impl NpzRecorder {
                 to.element_position_m.write(&doubles(element_m))?;
             }
         }
-        to.velocity_m_per_s.write(&doubles(pose.velocity_m_per_s))
+        to.velocity_m_per_s.write(&doubles(pose.velocity_m_per_s))?;
+        to.position_m.write(&doubles(pose.position_m))?;
+        let (roll, pitch, heading) = angles_from_rotation(pose.world_from_body);
+        let degrees = glam::DVec3::new(roll, pitch, heading).map(f64::to_degrees);
+        to.attitude_deg.write(&doubles(degrees))?;
+        for angle_rad in [plan.nav.latitude_rad, plan.nav.longitude_rad] {
+            to.geodetic_deg
+                .write(&angle_rad.to_degrees().to_le_bytes())?;
+        }
+        for line in &self.sonar.beams.lines {
+            let array = &self.sonar.receive[line.array];
+            let mounting = &self.sonar.transmit[array.transmit].mounting;
+            to.line_position_m
+                .write(&doubles(pose.point_m(mounting.position_m)))?;
+        }
+        if sounded(&self.sonar) {
+            let beams = output.beams.first().map_or(0, |fan| fan.beams);
+            for beam in 0..beams {
+                let found = output.soundings.iter().find(|s| s.beam == beam);
+                let (twtt_s, error_s) =
+                    found.map_or((f64::NAN, f64::NAN), |s| (s.twtt_s, s.error_s));
+                to.sounding_twtt_s.write(&twtt_s.to_le_bytes())?;
+                to.sounding_error_s.write(&error_s.to_le_bytes())?;
+                to.sounding_method
+                    .write(&[found.map_or(0, |s| match s.detection {
+                        Detection::Amplitude => 1,
+                        Detection::Phase => 2,
+                    })])?;
+            }
+        }
+        Ok(())
     }
 
     /// Puts the file together and returns its name; none without pings.
@@ -214,11 +275,19 @@ impl NpzRecorder {
             iq_by_element,
             beams: beam_samples,
             lines: line_samples,
+            more_lines,
             ping_number,
             ping_utc_ns,
             transmit_position_m,
             element_position_m,
             velocity_m_per_s,
+            position_m,
+            attitude_deg,
+            geodetic_deg,
+            line_position_m,
+            sounding_twtt_s,
+            sounding_error_s,
+            sounding_method,
         } = self.arrays;
         archive.streamed(
             "iq_by_element",
@@ -245,6 +314,16 @@ impl NpzRecorder {
             &[pings, lines.len(), first.line_samples],
             line_samples,
         )?;
+        let pulses = &sonar.more_pulses;
+        if !pulses.is_empty() {
+            let shape = [pings, pulses.len(), lines.len(), first.line_samples];
+            archive.streamed("more_lines", "<f4", &shape, more_lines)?;
+            let delays: Vec<u8> = pulses
+                .iter()
+                .flat_map(|p| p.delay_s.to_le_bytes())
+                .collect();
+            archive.small("more_pulse_delay_s", "<f8", &[pulses.len()], &delays)?;
+        }
         let sides: Vec<u8> = lines
             .iter()
             .map(|l| match l.side {
@@ -277,6 +356,17 @@ impl NpzRecorder {
             element_position_m,
         )?;
         archive.streamed("velocity_m_per_s", "<f8", &[pings, 3], velocity_m_per_s)?;
+        archive.streamed("position_m", "<f8", &[pings, 3], position_m)?;
+        archive.streamed("attitude_deg", "<f8", &[pings, 3], attitude_deg)?;
+        archive.streamed("geodetic_deg", "<f8", &[pings, 2], geodetic_deg)?;
+        let shape = [pings, lines.len(), 3];
+        archive.streamed("line_position_m", "<f8", &shape, line_position_m)?;
+        if sounded(sonar) {
+            let shape = [pings, beams];
+            archive.streamed("sounding_twtt_s", "<f8", &shape, sounding_twtt_s)?;
+            archive.streamed("sounding_error_s", "<f8", &shape, sounding_error_s)?;
+            archive.streamed("sounding_method", "|u1", &shape, sounding_method)?;
+        }
         // NumPy's text: four bytes a character, its length in the type.
         let text: Vec<u8> = first
             .plan_json
@@ -287,6 +377,12 @@ impl NpzRecorder {
         archive.finish()?;
         Ok(Some(self.path))
     }
+}
+
+/// Whether its fan looks for the bottom.
+fn sounded(sonar: &SonarSpec) -> bool {
+    let fan = sonar.beams.fan.as_ref();
+    fan.is_some_and(|fan| fan.form.bottom_detection)
 }
 
 fn element_count(sonar: &SonarSpec) -> usize {
@@ -312,7 +408,7 @@ fn write_samples(
     }
 }
 
-fn write_items<T>(
+pub(super) fn write_items<T>(
     to: &mut PartialFile,
     bytes: &mut Vec<u8>,
     items: &[T],
@@ -329,7 +425,7 @@ fn write_items<T>(
 }
 
 /// The `.npz` file being put together.
-struct Archive {
+pub(super) struct Archive {
     path: PathBuf,
     /// Removes the file again unless it is finished.
     target: PartialFile,
@@ -337,7 +433,7 @@ struct Archive {
 }
 
 impl Archive {
-    fn create(path: &Path) -> Result<Self, RecordError> {
+    pub(super) fn create(path: &Path) -> Result<Self, RecordError> {
         let target = PartialFile::create(path)?;
         let file = target
             .file
@@ -371,7 +467,7 @@ impl Archive {
             .map_err(RecordError::io(&self.target.partial, "write"))
     }
 
-    fn small(
+    pub(super) fn small(
         &mut self,
         name: &str,
         descr: &str,
@@ -385,7 +481,7 @@ impl Archive {
     }
 
     /// Copies and removes a streamed array.
-    fn streamed(
+    pub(super) fn streamed(
         &mut self,
         name: &str,
         descr: &str,
@@ -416,7 +512,7 @@ impl Archive {
         }
     }
 
-    fn finish(self) -> Result<(), RecordError> {
+    pub(super) fn finish(self) -> Result<(), RecordError> {
         let mut file = self
             .zip
             .finish()
@@ -555,10 +651,14 @@ mod tests {
             ("transmit_position_m", "<f8", &[3, 3]),
             ("element_position_m", "<f8", &[3, 5, 3]),
             ("velocity_m_per_s", "<f8", &[3, 3]),
+            ("position_m", "<f8", &[3, 3]),
+            ("attitude_deg", "<f8", &[3, 3]),
+            ("geodetic_deg", "<f8", &[3, 2]),
+            ("line_position_m", "<f8", &[3, 2, 3]),
         ] {
             assert_eq!(shapes.get(name), Some(&(descr, shape)), "{name}");
         }
-        assert_eq!(a.len(), 16, "and the plan");
+        assert_eq!(a.len(), 20, "and the plan");
 
         let iq = a["iq_by_element"].numbers(f32::from_le_bytes);
         for (p, ping) in [4, 5, 7].into_iter().enumerate() {

@@ -29,6 +29,8 @@ impl S7kRecorder {
         stamp: RecordStamp,
     ) -> Result<Self, RecordError> {
         let mut file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away. A file system without locks is one that nobody else should mend files on.
+        let _ = file.try_lock();
         let mut bytes = Vec::new();
         let builder = FileBuilder::begin(header, stamp, &mut bytes);
         file.write_all(&bytes)

@@ -4,7 +4,8 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::config::spec::{
-    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, Shading, SonarSpec, SynthesisSpec,
+    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, Shading, SonarSpec,
+    SynthesisSpec,
 };
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{
@@ -53,6 +54,7 @@ pub fn sonar() -> SonarSpec {
         transmit: 0,
     };
     SonarSpec {
+        more_pulses: Vec::new(),
         name: "bow".into(),
         serial: 7,
         pulse: pulse(),
@@ -81,6 +83,9 @@ pub fn sonar() -> SonarSpec {
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
             focused_lines: false,
+            line_f_number: None,
+            synthetic_aperture: None,
+            line_shading: Shading::Uniform,
             weighting: Shading::Uniform,
             lines: vec![
                 LineSpec {
@@ -100,6 +105,7 @@ pub fn sonar() -> SonarSpec {
                 form: FanForm::default(),
             }),
         },
+        picture: PictureSpec::default(),
         outputs: Vec::new(),
     }
 }

@@ -10,6 +10,7 @@
 //! | `segments` | the polyline on which its echoes were computed |
 //! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
+//! | `soundings` | where the fan looks for the bottom and finds it: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
 //! Of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
@@ -28,7 +29,9 @@ use serde_json::Value;
 
 use super::{RecordError, plan_text};
 use crate::config::spec::SonarSpec;
-use crate::flow::{Certificate, PingOutput, PingPlan, SceneCounts, Side, Target};
+use crate::flow::{
+    Certificate, Detection, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
+};
 use crate::frames::{Pose, angles_from_rotation};
 
 #[derive(Serialize)]
@@ -45,7 +48,35 @@ struct PingTruth<'a> {
     scene: SceneTruth,
     #[serde(skip_serializing_if = "Option::is_none")]
     certificate: Option<CertificateTruth>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    soundings: Vec<SoundingTruth>,
     targets: Vec<TargetTruth<'a>>,
+}
+
+#[derive(Serialize)]
+struct SoundingTruth {
+    beam: usize,
+    angle_deg: f64,
+    twtt_s: f64,
+    error_s: f64,
+    by: &'static str,
+    level_v: f64,
+}
+
+impl From<&Sounding> for SoundingTruth {
+    fn from(s: &Sounding) -> Self {
+        Self {
+            beam: s.beam,
+            angle_deg: s.angle_rad.to_degrees(),
+            twtt_s: s.twtt_s,
+            error_s: s.error_s,
+            by: match s.detection {
+                Detection::Amplitude => "amplitude",
+                Detection::Phase => "phase",
+            },
+            level_v: s.level_v,
+        }
+    }
 }
 
 #[derive(Default, Serialize)]
@@ -160,6 +191,7 @@ impl TruthRecorder {
         let truth = PingTruth {
             scene: output.scene.into(),
             certificate: output.certificate.map(Into::into),
+            soundings: output.soundings.iter().map(Into::into).collect(),
             ..ping_truth(sonar, plan, targets)
         };
         self.line.clear();
@@ -201,6 +233,7 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
         segments: plan_text::segments(&plan.segments),
         scene: SceneTruth::default(),
         certificate: None,
+        soundings: Vec::new(),
         targets: targets
             .iter()
             .map(|target| target_truth(sonar, plan, &pose, heading_rad, target))

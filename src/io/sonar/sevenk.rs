@@ -39,7 +39,11 @@ pub fn start_sevenk_with(
         tcp: true,
         udp: true,
         client_queue_bytes: spec.client_queue_bytes,
-        when_full: WhenFull::Skip,
+        when_full: if spec.disconnect_when_full {
+            WhenFull::Disconnect
+        } else {
+            WhenFull::Skip
+        },
         max_clients: spec.max_clients,
     };
     SonarServer::start(&server, Arc::new(protocol), rig_time, times)

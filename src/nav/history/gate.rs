@@ -16,7 +16,7 @@ const CONFIRMATIONS: u32 = 5;
 const POSITION_SLACK_M: f64 = 5.0;
 const ANGLE_SLACK_RAD: f64 = 0.035;
 const HEAVE_SLACK_M: f64 = 0.5;
-/// Heave changes no faster, metres per second.
+/// Heave and depth change no faster, metres per second.
 const HEAVE_RATE_M_PER_S: f64 = 10.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ impl Gate {
                     ANGLE_SLACK_RAD,
                     rule.max_rate_rad_per_s,
                 ),
-                NavChannel::Heave => (
+                NavChannel::Heave | NavChannel::Depth => (
                     (value.z - before.z).abs(),
                     HEAVE_SLACK_M,
                     HEAVE_RATE_M_PER_S,

@@ -3,12 +3,15 @@
 //! - The first source of the file that provides a channel owns it, or, with fail-over, the best one that is not silent (`arbiter`); nobody
 //!   else's samples are taken. A change of source is a seam.
 //! - With a jump gate, samples that no platform can have made are set aside (`gate`).
-//! - Positions are reduced from the antenna to the body's reference point each at its own time: between two fixes the antenna sways with the
-//!   roll, the reference point does not. So [`crate::frames::Trajectory::lever_arm_m`] leaves here as zero.
+//! - Positions, heaves and depths are reduced from antenna and sensor to the body's reference point each at its own time: between two fixes
+//!   the antenna sways with the roll, the reference point does not. So [`crate::frames::Trajectory::lever_arm_m`] leaves here as zero. A
+//!   static list counts as induced heave too, though no heave sensor shows it.
+//! - What a motion sensor says is turned by its mounting into what the body does (`mounted`).
+//! - A towed body lies behind the ship on the heading, as far as cable and depth say.
 //! - Attitude knots lie at the roll-pitch samples; heading is interpolated there the short way round. Without roll and pitch they lie at the
 //!   heading samples.
-//! - A seam is a gap: nothing is interpolated across it. Seams part loops of a log, sources that relieve one another, and places joined by
-//!   no motion; one is a seam in every channel.
+//! - A seam is a gap: nothing is interpolated across it. Seams part loops of a log, in every channel, and in one channel sources that relieve
+//!   one another and places joined by no motion.
 //! - Not modelled: smoothing.
 
 mod arbiter;
@@ -23,8 +26,8 @@ use self::gate::{Gate, Passage};
 use super::health::{Health, Limits, State};
 use super::ring::{Inserted, Knot, Ring};
 use crate::config::spec::{
-    FailoverSpec, JumpGateSpec, NavChannel, NavInputSpec, NavSourceSpec, NavSpec, OriginSpec,
-    VerticalSpec,
+    FailoverSpec, JumpGateSpec, NavChannel, NavInputSpec, NavSourceSpec, NavSpec, OnLost,
+    OriginSpec, SensorMounting, TowSpec, VerticalSpec,
 };
 use crate::flow::{FixQuality, NavQuantity, NavSample};
 use crate::frames::VectorKnot;
@@ -33,6 +36,8 @@ use crate::time::{NS_PER_S, UtcNs};
 
 /// Below this speed, metres per second, course is noise: the last one is kept.
 const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
+/// A sample cannot hold so much later than it came, seconds: it would push the whole past out of the rings.
+const FUTURE_S: f64 = 60.0;
 /// Seams remembered; a loop shorter than a sixteenth of the history forgets its oldest.
 const MAX_SEAMS: usize = 16;
 
@@ -71,6 +76,8 @@ pub struct HistoryCounts {
     pub late: u64,
     /// Dropped: the channel has a sample of this time.
     pub duplicates: u64,
+    /// Dropped: said to hold later than it came; the source's clock is not this rig's.
+    pub from_the_future: u64,
     /// Dropped: another source owns the channel.
     pub not_owned: u64,
     /// Times that another source took a channel over.
@@ -104,6 +111,14 @@ struct Owner {
     sparse: bool,
 }
 
+/// Where a source's sensors sit in the body.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    /// Antenna or depth sensor, metres.
+    arm_m: DVec3,
+    sensor: SensorMounting,
+}
+
 pub struct NavHistory {
     vertical: VerticalSpec,
     heading_from: HeadingFrom,
@@ -111,21 +126,25 @@ pub struct NavHistory {
     depth_ns: i64,
     failover: Option<FailoverSpec>,
     jump_gate: Option<JumpGateSpec>,
-    /// Of the antennas, by source.
-    arms_m: Vec<DVec3>,
-    /// The arm of the source that gives positions, from when on; ascending.
-    arms_used: Vec<(UtcNs, DVec3)>,
-    owners: [Option<Owner>; 5],
-    arbiters: [Arbiter; 5],
-    gates: [Gate; 5],
+    on_lost: OnLost,
+    stale_s: f64,
+    tow: Option<TowSpec>,
+    /// By source.
+    places: Vec<Place>,
+    /// By channel: who speaks, from when on; ascending, never empty once somebody can.
+    spoke: [Vec<(UtcNs, u16)>; CHANNELS],
+    owners: [Option<Owner>; CHANNELS],
+    arbiters: [Arbiter; CHANNELS],
+    gates: [Gate; CHANNELS],
     /// Nothing valid before is taken: another source spoke then.
-    taken_from: [UtcNs; 5],
+    taken_from: [UtcNs; CHANNELS],
     /// By source.
     health: Vec<Health>,
-    rings: [Ring; 5],
+    rings: [Ring; CHANNELS],
     plane: Option<LocalTangentPlane>,
     first_fix_m: Option<DVec3>,
-    seams: Vec<UtcNs>,
+    /// When, and in which channel (none: in every one).
+    seams: Vec<(UtcNs, Option<usize>)>,
     last_ping: UtcNs,
     counts: HistoryCounts,
     /// Scratch: heading in `value.x`, unwrapped.
@@ -158,9 +177,16 @@ impl NavHistory {
             let sources = spec.sources.iter().enumerate().filter(provides);
             Arbiter::new(sources.filter_map(|(i, _)| u16::try_from(i).ok()))
         });
-        let arms_m: Vec<DVec3> = spec.sources.iter().map(|s| s.lever_arm_m).collect();
-        let antenna = arbiters[index(NavChannel::Position)].source();
-        let first_arm_m = antenna.map_or(DVec3::ZERO, |i| arms_m[usize::from(i)]);
+        let place = |s: &NavSourceSpec| Place {
+            arm_m: s.lever_arm_m,
+            sensor: s.mounting,
+        };
+        let spoke = ALL_CHANNELS.map(|channel| {
+            let first = arbiters[index(channel)].source();
+            let mut spoke = Vec::with_capacity(MAX_SEAMS + 2);
+            spoke.extend(first.map(|source| (UtcNs(i64::MIN), source)));
+            spoke
+        });
         let limits = Limits {
             stale_s: spec.stale_s,
             lost_s: spec.lost_s,
@@ -172,12 +198,15 @@ impl NavHistory {
             depth_ns: (spec.history_s * NS_PER_S as f64) as i64,
             failover: spec.failover,
             jump_gate: spec.jump_gate,
-            arms_used: vec![(UtcNs(i64::MIN), first_arm_m)],
-            arms_m,
+            on_lost: spec.on_lost,
+            stale_s: spec.stale_s,
+            tow: spec.tow,
+            places: spec.sources.iter().map(place).collect(),
+            spoke,
             owners,
             arbiters,
             gates: Default::default(),
-            taken_from: [UtcNs(i64::MIN); 5],
+            taken_from: [UtcNs(i64::MIN); CHANNELS],
             health: vec![Health::new(limits); spec.sources.len()],
             rings: Default::default(),
             plane: match spec.origin {
@@ -225,6 +254,7 @@ impl NavHistory {
         let optional = [
             (NavChannel::RollPitch, self.owns(NavChannel::RollPitch)),
             (NavChannel::Heave, self.uses_heave()),
+            (NavChannel::Depth, self.uses_depth()),
         ];
         let used = optional.into_iter().filter(|(_, used)| *used);
         [NavChannel::Position, self.heading_channel().0]
@@ -258,38 +288,49 @@ impl NavHistory {
             self.counts.switches += 1;
             self.taken_from[channel] = from;
             self.gates[channel].forget();
-            self.seam(from);
-            if channel == index(NavChannel::Position) {
-                let arm_m = self.arms_m[usize::from(sample.source)];
-                if self.arms_used.len() > MAX_SEAMS {
-                    self.arms_used.remove(0);
-                }
-                self.arms_used.push((from, arm_m));
+            self.seam_in(Some(channel), from);
+            let spoke = &mut self.spoke[channel];
+            if spoke.len() > MAX_SEAMS {
+                spoke.remove(0);
             }
+            spoke.push((from, sample.source));
         }
         word != Word::HasNot && sample.valid_utc >= self.taken_from[channel]
     }
 
-    /// Where the antenna sat that gave the positions of this time.
-    fn arm_at(&self, utc: UtcNs) -> DVec3 {
-        let since = self.arms_used.iter().rev().find(|(from, _)| *from <= utc);
-        since
-            .or(self.arms_used.first())
-            .map_or(DVec3::ZERO, |a| a.1)
+    /// Whose samples of a channel hold at this time.
+    fn spoke_at(&self, channel: NavChannel, utc: UtcNs) -> Option<u16> {
+        let spoke = &self.spoke[index(channel)];
+        let since = spoke.iter().rev().find(|(from, _)| *from <= utc);
+        since.or(spoke.first()).map(|(_, source)| *source)
+    }
+
+    /// Where the sensors of that source sit; none where nobody gives the channel.
+    fn place_at(&self, channel: NavChannel, utc: UtcNs) -> Option<&Place> {
+        self.places.get(usize::from(self.spoke_at(channel, utc)?))
     }
 
     /// From here on samples belong to another run of a repeated log.
     pub fn seam(&mut self, at: UtcNs) {
+        self.seam_in(None, at);
+    }
+
+    /// Nothing joins what this channel (or every one) says from here on to what it said before.
+    fn seam_in(&mut self, channel: Option<usize>, at: UtcNs) {
         if self.seams.len() == MAX_SEAMS {
             self.seams.remove(0);
         }
-        self.seams.push(at);
+        self.seams.push((at, channel));
     }
 
     pub fn insert(&mut self, sample: &NavSample) {
         let channel = channel_of(&sample.quantity);
         if let Some(health) = self.health.get_mut(usize::from(sample.source)) {
             health.heard(sample.arrival_utc);
+        }
+        if sample.valid_utc > sample.arrival_utc.plus_s(FUTURE_S) {
+            self.counts.from_the_future += 1;
+            return;
         }
         if !self.has_the_word(index(channel), sample) {
             self.counts.not_owned += 1;
@@ -342,6 +383,7 @@ impl NavHistory {
             NavQuantity::Heave { heave_down_m } => {
                 (DVec3::new(0.0, 0.0, heave_down_m), FixQuality::None)
             }
+            NavQuantity::Depth { depth_m } => (DVec3::new(0.0, 0.0, depth_m), FixQuality::None),
         };
         if let Some(rule) = &self.jump_gate {
             match self.gates[index(channel)].judge(channel, sample.valid_utc, value, rule) {
@@ -352,7 +394,7 @@ impl NavHistory {
                 }
                 Passage::Reset => {
                     self.counts.resets += 1;
-                    self.seam(sample.valid_utc);
+                    self.seam_in(Some(index(channel)), sample.valid_utc);
                 }
             }
         }
@@ -384,6 +426,8 @@ impl NavHistory {
                 .map(|h| -h)
                 .or(local_down_m)
                 .map(|down| down + datum_offset_m),
+            // The depth sensor's channel brings it.
+            VerticalSpec::Depth if self.uses_depth() => Some(0.0),
             VerticalSpec::Depth => local_down_m,
         }
     }
@@ -407,10 +451,40 @@ impl NavHistory {
         self.owns(NavChannel::Heave) && matches!(self.vertical, VerticalSpec::Waterline { .. })
     }
 
+    fn uses_depth(&self) -> bool {
+        self.owns(NavChannel::Depth) && self.vertical == VerticalSpec::Depth
+    }
+
+    /// What is added to the positions' down, if anything is.
+    fn vertical_channel(&self) -> Option<NavChannel> {
+        if self.uses_heave() {
+            Some(NavChannel::Heave)
+        } else if self.uses_depth() {
+            Some(NavChannel::Depth)
+        } else {
+            None
+        }
+    }
+
+    /// Positions lean on the attitude.
     fn has_arm(&self) -> bool {
-        self.arms_used
-            .iter()
-            .any(|(_, arm_m)| *arm_m != DVec3::ZERO)
+        let on_arm = |(_, source): &(UtcNs, u16)| {
+            let place = self.places.get(usize::from(*source));
+            place.is_some_and(|p| p.arm_m != DVec3::ZERO)
+        };
+        self.tow.is_some() || self.spoke[index(NavChannel::Position)].iter().any(on_arm)
+    }
+
+    /// So do heaves or depths.
+    fn vertical_has_arm(&self) -> bool {
+        let Some(channel) = self.vertical_channel() else {
+            return false;
+        };
+        let on_arm = |(_, source): &(UtcNs, u16)| {
+            let place = self.places.get(usize::from(*source));
+            place.is_some_and(|p| p.vertical_arm_m(channel) != DVec3::ZERO)
+        };
+        self.spoke[index(channel)].iter().any(on_arm)
     }
 
     /// The channel heading is made of, and how many knots past a time it takes to settle it there.
@@ -439,14 +513,19 @@ impl NavHistory {
             reach.unwrap_or(to)
         };
         let position_to = reach(NavChannel::Position, to, 2);
-        if self.uses_heave() {
-            reach(NavChannel::Heave, to, 2);
-        }
         // What the next channel must reach, and whose knots ask for it; none: the window itself.
         let (mut needed_to, mut asking) = match self.has_arm() {
             true => (position_to, Some(NavChannel::Position)),
             false => (to, None),
         };
+        if let Some(vertical) = self.vertical_channel() {
+            // How far behind a towed body lies depends on its depth, at every fix.
+            let upto = if self.tow.is_some() { position_to } else { to };
+            let vertical_to = reach(vertical, upto, 2);
+            if self.vertical_has_arm() && vertical_to > needed_to {
+                (needed_to, asking) = (vertical_to, Some(vertical));
+            }
+        }
         if self.owns(NavChannel::RollPitch) {
             let ahead = self.knots_ahead(NavChannel::RollPitch, 2, asking, needed_to);
             needed_to = reach(NavChannel::RollPitch, needed_to, ahead);
@@ -482,13 +561,25 @@ impl NavHistory {
     }
 }
 
-const ALL_CHANNELS: [NavChannel; 5] = [
+const CHANNELS: usize = 6;
+const ALL_CHANNELS: [NavChannel; CHANNELS] = [
     NavChannel::Position,
     NavChannel::CourseSpeed,
     NavChannel::Heading,
     NavChannel::RollPitch,
     NavChannel::Heave,
+    NavChannel::Depth,
 ];
+
+impl Place {
+    /// Where the sensor of this vertical channel sits.
+    fn vertical_arm_m(&self, channel: NavChannel) -> DVec3 {
+        match channel {
+            NavChannel::Heave => self.sensor.heave_arm_m,
+            _ => self.arm_m,
+        }
+    }
+}
 
 fn index(channel: NavChannel) -> usize {
     channel as usize
@@ -501,5 +592,6 @@ fn channel_of(quantity: &NavQuantity) -> NavChannel {
         NavQuantity::Heading { .. } => NavChannel::Heading,
         NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
         NavQuantity::Heave { .. } => NavChannel::Heave,
+        NavQuantity::Depth { .. } => NavChannel::Depth,
     }
 }

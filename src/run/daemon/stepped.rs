@@ -60,6 +60,10 @@ impl Pacer {
             else {
                 continue;
             };
+            settings.pinged(timeline.mono(order.transmit_utc));
+            if self.is_missed(sonar, &order) {
+                continue;
+            }
             if !self.rig.read_on(&mut self.inputs, sonar, &order) {
                 return;
             }

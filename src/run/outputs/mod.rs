@@ -1,11 +1,14 @@
 //! What leaves the house live: the configured outputs of one sonar, one file per family, all fed by the same pings.
 
 mod files;
+mod imagenex872;
+mod jsf;
 mod ping_protocol;
 mod server_lines;
 mod sevenk;
 mod vita49;
 mod wbms;
+mod xtf;
 
 use std::sync::Arc;
 
@@ -14,10 +17,12 @@ use thiserror::Error;
 
 use crate::config::spec::{OutputSpec, RigSpec};
 use crate::io::record::RecordError;
-use crate::io::sonar::{OpenError, RigTime};
+use crate::io::sonar::{OpenError, RigTime, ServerReport};
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
 use crate::time::UtcNs;
+
+pub(super) use jsf::row_filter;
 
 #[derive(Debug, Error)]
 pub enum OutputError {
@@ -120,6 +125,11 @@ impl Outputs {
             .map(|output| -> Result<Box<dyn Output>, OutputError> {
                 Ok(match output {
                     OutputSpec::SevenK(output) => Box::new(sevenk::SevenK::open(output, &opening)?),
+                    OutputSpec::Jsf(output) => Box::new(jsf::Jsf::open(output, &opening)?),
+                    OutputSpec::Xtf(output) => Box::new(xtf::Xtf::open(output, &opening)?),
+                    OutputSpec::Imagenex872(output) => {
+                        Box::new(imagenex872::Imagenex872::open(output, &opening)?)
+                    }
                     OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, &opening)?),
                     OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, &opening)?),
                     OutputSpec::Ping(output) => {
@@ -183,4 +193,45 @@ impl OutputReports {
         let reports = self.all.iter();
         reports.flat_map(|report| report.streams()).collect()
     }
+}
+
+/// A line for a server and those of its clients that have gone, and one per client.
+fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
+    let totals = report.totals();
+    let mut lines = vec![format!(
+        "{family} {name}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
+        report.clients.len(),
+        report.admitted,
+        report.refused,
+        totals.bytes_sent as f64 / 1e6,
+        totals.commands,
+        totals.nacks,
+        totals.framing_errors,
+    )];
+    lines.extend(report.clients.iter().map(|client| {
+        format!(
+            "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
+            client.transport,
+            client.peer,
+            client.counts.bytes_sent as f64 / 1e6,
+            client.counts.records_sent,
+            client.counts.records_dropped,
+            client.queued_bytes as f64 / 1e6,
+        )
+    }));
+    lines
+}
+
+/// What each client of a server was sent.
+fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
+    let clients = report.clients.iter();
+    let counts = clients.map(|client| StreamCounts {
+        family,
+        peer: format!("{} {}", client.transport, client.peer),
+        bytes_sent: client.counts.bytes_sent,
+        records_sent: client.counts.records_sent,
+        records_dropped: client.counts.records_dropped,
+        queued_bytes: client.queued_bytes as u64,
+    });
+    counts.collect()
 }

@@ -2,24 +2,33 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, StreamCounts};
+use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
 use crate::config::spec::SevenKSpec;
+use crate::emit::sevenk::kept::Kept;
 use crate::emit::sevenk::records::DeviceSheet;
 use crate::emit::sevenk::{RecordSet, SevenKEmitter};
 use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
+use crate::run::faults::PingMark;
+use crate::run::faults::line::Line;
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
+use crate::run::settings::SettingsStore;
 
 pub struct SevenK {
     name: String,
     emitter: SevenKEmitter,
     server: Arc<SonarServer>,
     recorder: Option<S7kRecorder>,
+    settings: Arc<SettingsStore>,
+    /// Of the settings that the emitter reports.
+    kept_version: Option<u64>,
     /// Records of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    /// To the clients; what is recorded does not pass it.
+    line: Line,
 }
 
 impl SevenK {
@@ -58,7 +67,10 @@ impl SevenK {
             emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
             server: Arc::new(server),
             recorder,
+            settings: Arc::clone(settings),
+            kept_version: None,
             pending: Vec::new(),
+            line: Line::new(unit.faults.clone()),
         })
     }
 }
@@ -83,7 +95,16 @@ impl Output for SevenK {
         } else {
             RecordSet::EMPTY
         };
+        if self.kept_version != Some(self.settings.version()) {
+            self.kept_version = Some(self.settings.version());
+            self.emitter.keep(Kept::of(self.settings.as_ref()));
+        }
         self.pending.clear();
+        self.line.begin(PingMark {
+            sonar: slot.plan.sonar,
+            number: slot.plan.ping_number,
+            utc: slot.plan.transmit_utc,
+        });
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
@@ -93,7 +114,7 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.server.deliver(&self.pending);
+        self.server.deliver(self.line.pass(&self.pending));
         let mut outcome = Ok(());
         if let Some(recorder) = &mut self.recorder {
             outcome = self
@@ -120,45 +141,11 @@ struct SevenKReport {
 }
 
 impl Report for SevenKReport {
-    /// A line per client, and one for those that have gone.
     fn lines(&self) -> Vec<String> {
-        let report = self.server.report();
-        let totals = report.totals();
-        let mut lines = vec![format!(
-            "7k {}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
-            self.name,
-            report.clients.len(),
-            report.admitted,
-            report.refused,
-            totals.bytes_sent as f64 / 1e6,
-            totals.commands,
-            totals.nacks,
-            totals.framing_errors,
-        )];
-        lines.extend(report.clients.iter().map(|client| {
-            format!(
-                "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
-                client.transport,
-                client.peer,
-                client.counts.bytes_sent as f64 / 1e6,
-                client.counts.records_sent,
-                client.counts.records_dropped,
-                client.queued_bytes as f64 / 1e6,
-            )
-        }));
-        lines
+        server_lines("7k", &self.name, &self.server.report())
     }
 
     fn streams(&self) -> Vec<StreamCounts> {
-        let clients = self.server.report().clients.into_iter();
-        let counts = clients.map(|client| StreamCounts {
-            family: "7k",
-            peer: format!("{} {}", client.transport, client.peer),
-            bytes_sent: client.counts.bytes_sent,
-            records_sent: client.counts.records_sent,
-            records_dropped: client.counts.records_dropped,
-            queued_bytes: client.queued_bytes as u64,
-        });
-        counts.collect()
+        server_streams("7k", &self.server.report())
     }
 }

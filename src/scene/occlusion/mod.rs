@@ -61,6 +61,8 @@ pub struct Occlusion {
     horizons: Vec<Horizon>,
     /// Of each footprint: the transmitter's eye and the receiver's.
     pairs: Vec<(usize, usize)>,
+    /// Targets that are solid and near enough to hide something that is heard.
+    solids: Vec<usize>,
     hilly: bool,
 }
 
@@ -71,14 +73,22 @@ impl Occlusion {
             eyes_m: Vec::new(),
             horizons: Vec::new(),
             pairs: Vec::new(),
+            solids: Vec::new(),
             hilly: false,
         }
     }
 
     /// A new ping. `spacing_m`: between scatterers at the longest range; none where there is no seabed that could hide anything.
-    pub fn start(&mut self, heard: &[Footprint], anchor_m: DVec3, spacing_m: Option<f64>) {
+    pub fn start(
+        &mut self,
+        heard: &[Footprint],
+        anchor_m: DVec3,
+        spacing_m: Option<f64>,
+        targets: &Targets,
+    ) {
         self.eyes_m.clear();
         self.pairs.clear();
+        self.solids.clear();
         if self.rule == OcclusionSpec::None {
             return;
         }
@@ -88,6 +98,15 @@ impl Occlusion {
         }
         self.hilly = spacing_m.is_some();
         let longest_m = heard.iter().map(|f| f.max_range_m).fold(1.0, f64::max);
+        let eyes_m = &self.eyes_m;
+        // For all, so that no later ping allocates.
+        self.solids.reserve(targets.len());
+        self.solids.extend((0..targets.len()).filter(|&target| {
+            let (center_m, radius_m) = targets.ball_m(target);
+            // Twice: what a transmitter lights may lie beyond a receiver's range, never that far.
+            let near = |eye_m: &DVec3| eye_m.distance(center_m) <= 2.0 * longest_m + radius_m;
+            targets.solid(target).is_some() && eyes_m.iter().any(near)
+        }));
         if let Some(spacing_m) = spacing_m {
             if self.horizons.len() < self.eyes_m.len() {
                 self.horizons
@@ -182,7 +201,7 @@ impl Occlusion {
         around.solids.is_some_and(|solids| {
             let ray_m = self.eyes_m[eye] - at_m;
             let distance_m = ray_m.length();
-            solids.hits(at_m, ray_m / distance_m, distance_m)
+            solids.hits(&self.solids, at_m, ray_m / distance_m, distance_m)
         })
     }
 
@@ -201,9 +220,10 @@ impl Occlusion {
             // The cone from the eye to the tile is nowhere wider than the tile.
             nearest_m.distance(center_m) <= solid_m + radius_m * SQRT_2
         };
-        let any = (0..solids.len())
-            .filter(|&k| solids.solid(k).is_some())
-            .any(|k| self.eyes_m.iter().any(|eye_m| near(eye_m, k)));
+        let any = self
+            .solids
+            .iter()
+            .any(|&k| self.eyes_m.iter().any(|eye_m| near(eye_m, k)));
         any.then_some(solids)
     }
 }

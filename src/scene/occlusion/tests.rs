@@ -290,3 +290,44 @@ fn a_ball_in_the_water_throws_the_shadow_that_geometry_gives_it() {
         assert!(dark > 50, "{shape}: {dark} in the shadow");
     }
 }
+
+/// The ground that is left in the light is scatterer for scatterer what a box of the same place leaves.
+#[test]
+fn a_mesh_throws_the_shadow_of_the_box_that_it_is() {
+    let (_keep, path) = written(|n, e| 20.0 + 0.02 * n - 0.03 * e);
+    let folder = tempfile::tempdir().unwrap();
+    let corners = (0..8).map(|k| [0, 1, 2].map(|bit| if k >> bit & 1 == 1 { 1.0 } else { -1.0 }));
+    let corners = corners.map(|[x, y, z]: [f64; 3]| format!("v {} {} {}\n", x, 1.5 * y, 0.75 * z));
+    let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
+    let obj = corners.collect::<String>() + faces;
+    std::fs::write(folder.path().join("box.obj"), obj).unwrap();
+    let place =
+        "north_m = 5.0\neast_m = 12.0\ndown_m = 15.0\nheading_deg = 20.0\nlambert_db = -15.0\n";
+    let footprint = Footprint {
+        receiver_m: DVec3::new(0.5, 0.3, 5.2),
+        ..Footprint::all_round(DVec3::new(0.0, 0.0, 5.0), RANGE)
+    };
+    // The mesh's y is north: along its heading.
+    let [mesh, solid] = [
+        "shape = \"mesh\"\nfile = \"box.obj\"\n",
+        "shape = \"box\"\nsize_m = [3.0, 2.0, 1.5]\n",
+    ]
+    .map(|shape| {
+        let targets = folder.path().join("targets.toml");
+        std::fs::write(
+            &targets,
+            format!("[[target]]\nname = \"it\"\n{shape}{place}"),
+        )
+        .unwrap();
+        let mut spec = spec(path.clone(), OcclusionSpec::Horizon);
+        spec.targets = Some(targets);
+        let (seen, shadowed) = gathered(&spec, &[footprint]);
+        let ground = seen.into_iter().filter(|at| at.z > 17.0);
+        (ground.map(key).collect::<HashSet<_>>(), shadowed)
+    });
+    let open = gathered(&spec(path.clone(), OcclusionSpec::None), &[footprint]);
+    let dark = open.0.len() - mesh.0.len();
+    println!("{dark} of {} in the shadow", open.0.len());
+    assert!(dark > 50, "{dark}");
+    assert!(mesh.0 == solid.0);
+}

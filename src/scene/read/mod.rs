@@ -30,7 +30,7 @@ mod xyz;
 
 pub use crs::Crs;
 pub use fault::Fault;
-pub use shapes::{Depth, HeightField, PointCloud, TriangleMesh};
+pub use shapes::{Depth, HeightField, TriangleMesh};
 pub use survey::{Georeference, Survey};
 
 use glam::DVec3;

@@ -1,4 +1,4 @@
-//! What every reader ends in: height fields, point clouds and triangle meshes, in the scene's own metres.
+//! What every reader ends in: height fields and triangle meshes, in the scene's own metres.
 
 use glam::DVec3;
 
@@ -110,12 +110,6 @@ impl HeightField {
 fn split(cells: f64, count: usize) -> (usize, f64) {
     let index = (cells as usize).min(count - 2);
     (index, cells - index as f64)
-}
-
-/// Points without order: metres north, east and down of the cloud's own zero.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PointCloud {
-    pub points_m: Vec<DVec3>,
 }
 
 /// A surface of triangles: metres north, east and down of the mesh's own zero. Every index lies inside `vertices_m`. Which side is out is

@@ -120,6 +120,7 @@ fn keep(s: &mut Scatterers, selection: &Selection) {
         s.normal[to] = s.normal[from];
         s.strength[to] = s.strength[from] * *gain;
         s.law[to] = s.law[from];
+        s.loud[to] = s.loud[from];
     }
     s.truncate(selection.kept.len());
 }

@@ -3,7 +3,7 @@
 //! ```toml
 //! [[target]]
 //! name = "pier A"
-//! shape = "cylinder"           # point, sphere, cylinder, box, rope
+//! shape = "cylinder"           # point, sphere, cylinder, box, rope, mesh
 //! north_m = 0.0
 //! east_m = 20.0
 //! height_above_seabed_m = 0.0  # of its lowest point over the seabed there; or: down_m = 7.5, the depth of its centre
@@ -15,16 +15,19 @@
 
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
+use std::path::Path;
 
 use glam::{DMat3, DVec2, DVec3};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::mesh::Mesh;
 use super::solid::Solid;
 use super::{
     Body, MAX_TARGETS, Placed, STRENGTHS_DB, check_name, lambert_of_mean, mean_strength_db,
 };
 use crate::flow::Target;
+use crate::scene::read::mesh::{self, MeshAxes};
 use crate::scene::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
 
 /// Radii and sides, metres: from a fishing line to an island.
@@ -58,12 +61,26 @@ const SHAPES: &[(&str, &[&str])] = &[
     ),
     ("box", &["size_m", "heading_deg"]),
     ("rope", &["radius_m", "path_m"]),
+    ("mesh", &["file", "axes", "scale", "heading_deg"]),
 ];
+/// Where a mesh's x, y and z point, the first where nothing is said.
+const AXES: [(&str, MeshAxes); 3] = [
+    ("east-north-up", MeshAxes::EastNorthUp),
+    ("north-east-down", MeshAxes::NorthEastDown),
+    ("east-up-south", MeshAxes::EastUpSouth),
+];
+/// Metres to a mesh's unit: from micrometres to kilometres.
+const SCALES: RangeInclusive<f64> = 1e-6..=1e3;
 
 /// Depth of the seabed at (north, east), none where there is none.
 pub(super) type SeabedDown<'a> = &'a dyn Fn(f64, f64) -> Option<f64>;
 
-pub(super) fn parse(bytes: &[u8], seabed: SeabedDown) -> Result<Vec<Placed>, Misread> {
+/// `folder`: what the names of meshes count from.
+pub(super) fn parse(
+    bytes: &[u8],
+    folder: &Path,
+    seabed: SeabedDown,
+) -> Result<Vec<Placed>, Misread> {
     let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
         let line = bytes[..e.valid_up_to()]
             .iter()
@@ -90,7 +107,7 @@ pub(super) fn parse(bytes: &[u8], seabed: SeabedDown) -> Result<Vec<Placed>, Mis
                 return Err(Misread::new(line, "target", "must be a table"));
             };
             let fields = Fields { text, table, line };
-            let one = target(&fields, seabed)?;
+            let one = target(&fields, folder, seabed)?;
             if placed.len() == MAX_TARGETS {
                 let rule = format!("at most {MAX_TARGETS} targets are read");
                 return Err(fields.misread("name", rule));
@@ -104,7 +121,7 @@ pub(super) fn parse(bytes: &[u8], seabed: SeabedDown) -> Result<Vec<Placed>, Mis
     Ok(placed)
 }
 
-fn target(fields: &Fields, seabed: SeabedDown) -> Result<Placed, Misread> {
+fn target(fields: &Fields, folder: &Path, seabed: SeabedDown) -> Result<Placed, Misread> {
     let name = fields.needed_text("name")?;
     check_name(name).map_err(|rule| fields.misread("name", rule))?;
     let shape = fields.text("shape")?.unwrap_or("point");
@@ -130,6 +147,7 @@ fn target(fields: &Fields, seabed: SeabedDown) -> Result<Placed, Misread> {
                 half_m: DVec3::new(x, y, z) / 2.0,
             }
         }
+        "mesh" => mesh_of_file(fields, folder)?,
         _ => rope(fields, seabed)?,
     };
     let (solid, position_m) = match shape {
@@ -214,6 +232,33 @@ fn cylinder(fields: &Fields) -> Result<Solid, Misread> {
         ends_m: [-half_m, half_m],
         radius_m,
     })
+}
+
+/// The middle of its bounds at zero.
+fn mesh_of_file(fields: &Fields, folder: &Path) -> Result<Solid, Misread> {
+    let file = fields.needed_text("file")?;
+    let axes = match fields.text("axes")? {
+        None => AXES[0].1,
+        Some(name) => match AXES.iter().find(|(known, _)| *known == name) {
+            Some((_, axes)) => *axes,
+            None => {
+                let names = AXES.map(|(known, _)| known).join(", ");
+                return Err(fields.misread("axes", format!("must be one of {names}")));
+            }
+        },
+    };
+    let scale = fields.number("scale", SCALES)?.unwrap_or(1.0);
+    let turned = DMat3::from_rotation_z(fields.heading_rad()?) * scale;
+    let mut read = mesh::open(&folder.join(file), axes)
+        .map_err(|error| fields.misread("file", error.to_string()))?;
+    for vertex_m in &mut read.vertices_m {
+        *vertex_m = turned * *vertex_m;
+    }
+    let mesh = Mesh::new(&read);
+    let mesh = mesh.ok_or_else(|| fields.misread("file", "has no triangle with an area"))?;
+    let solid = Solid::Mesh(mesh);
+    let (low, high) = solid.bounds_m();
+    Ok(solid.moved(-(low + high) / 2.0))
 }
 
 fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {

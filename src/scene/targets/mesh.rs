@@ -1,29 +1,21 @@
-//! Triangle meshes as solids: ray tests through a tree of boxes, places spread evenly over the area.
+//! A [`TriangleMesh`] as a solid: ray tests through a tree of boxes, places spread evenly over the area.
 //!
-//! Triangles without area are dropped. Which side is out is as the mesh has it: anticlockwise seen from outside.
+//! Triangles without area to speak of are dropped: no ray test is sound for them. Which side is out is as the mesh has it, anticlockwise seen from outside; a closed mesh that has it the
+//! other way round throughout is turned.
 
 use glam::DVec3;
 
 use super::solid::{SKIN_M, SurfacePoint};
+use crate::scene::read::TriangleMesh;
 
 /// Triangles in a leaf of the tree.
 const LEAF: usize = 8;
-
-/// Why a mesh cannot be a target.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum MeshFault {
-    #[error("holds no triangle with an area")]
-    Empty,
-    #[error("triangle {triangle} names a vertex that is not there")]
-    NoSuchVertex { triangle: usize },
-    #[error("holds a coordinate that is not a finite number")]
-    NotFinite,
-    #[error("may have {} triangles at most", MAX_TRIANGLES)]
-    TooMany,
-}
-
-/// Triangles at most: 4 million take some 700 MiB.
-pub const MAX_TRIANGLES: usize = 1 << 22;
+/// Least area of a triangle, as a share of the square of its longest side: thinner than the rounding of f32 coordinates.
+const SLIVER: f64 = 1e-9;
+/// A ray is let past a triangle's edge by this share of the triangle, so that it does not slip between two.
+const EDGE: f64 = 1e-9;
+/// A mesh is closed if the vectors of its triangles' areas add up to less than this share of its area: rounding of f32 coordinates.
+const CLOSED: f64 = 1e-5;
 
 #[derive(Clone, Debug)]
 pub struct Mesh {
@@ -51,31 +43,28 @@ struct Node {
 }
 
 impl Mesh {
-    pub fn new(vertices_m: &[DVec3], triangles: &[[u32; 3]]) -> Result<Self, MeshFault> {
-        if triangles.len() > MAX_TRIANGLES {
-            return Err(MeshFault::TooMany);
-        }
-        if !vertices_m.iter().all(|v| v.is_finite()) {
-            return Err(MeshFault::NotFinite);
-        }
-        let mut kept = Vec::with_capacity(triangles.len());
-        for (index, corners) in triangles.iter().enumerate() {
-            let corner = |k: usize| vertices_m.get(corners[k] as usize).copied();
-            let (Some(a_m), Some(b), Some(c)) = (corner(0), corner(1), corner(2)) else {
-                return Err(MeshFault::NoSuchVertex { triangle: index });
-            };
-            let triangle = Triangle {
-                a_m,
-                ab_m: b - a_m,
-                ac_m: c - a_m,
-            };
-            let area_m2 = triangle.area_m2();
-            if area_m2 > 0.0 && area_m2.is_finite() {
-                kept.push(triangle);
-            }
-        }
+    /// None where no triangle has an area. The readers have seen to it that every index is a vertex's and every coordinate finite.
+    pub fn new(mesh: &TriangleMesh) -> Option<Self> {
+        let mut kept: Vec<Triangle> = mesh
+            .triangles
+            .iter()
+            .map(|corners| {
+                let [a_m, b, c] = corners.map(|i| mesh.vertices_m[i as usize]);
+                Triangle {
+                    a_m,
+                    ab_m: b - a_m,
+                    ac_m: c - a_m,
+                }
+            })
+            .filter(|triangle| !triangle.is_sliver())
+            .collect();
         if kept.is_empty() {
-            return Err(MeshFault::Empty);
+            return None;
+        }
+        if is_inside_out(&kept) {
+            for triangle in &mut kept {
+                std::mem::swap(&mut triangle.ab_m, &mut triangle.ac_m);
+            }
         }
         let mut nodes = Vec::with_capacity(2 * kept.len() / LEAF + 1);
         build(&mut kept, 0, &mut nodes);
@@ -87,7 +76,7 @@ impl Mesh {
                 sum
             })
             .collect();
-        Ok(Self {
+        Some(Self {
             triangles: kept,
             area_up_to_m2,
             nodes,
@@ -166,6 +155,11 @@ impl Triangle {
     fn area_m2(&self) -> f64 {
         self.ab_m.cross(self.ac_m).length() / 2.0
     }
+    fn is_sliver(&self) -> bool {
+        let bc_m = self.ac_m - self.ab_m;
+        let sides = [self.ab_m, self.ac_m, bc_m].map(DVec3::length_squared);
+        self.area_m2() <= SLIVER * sides.into_iter().fold(0.0, f64::max)
+    }
     fn bounds_m(&self) -> (DVec3, DVec3) {
         let (b, c) = (self.a_m + self.ab_m, self.a_m + self.ac_m);
         (self.a_m.min(b).min(c), self.a_m.max(b).max(c))
@@ -184,7 +178,7 @@ impl Triangle {
         let u = from.dot(p) / determinant;
         let q = from.cross(self.ab_m);
         let v = direction.dot(q) / determinant;
-        if u < 0.0 || v < 0.0 || u + v > 1.0 {
+        if u < -EDGE || v < -EDGE || u + v > 1.0 + EDGE {
             return None;
         }
         let t = self.ac_m.dot(q) / determinant;
@@ -210,6 +204,20 @@ impl Node {
         }
         enter <= leave
     }
+}
+
+/// Whether the triangles close round a volume that they face.
+fn is_inside_out(triangles: &[Triangle]) -> bool {
+    let (mut area_m2, mut sum_m2, mut volume_m3) = (0.0, DVec3::ZERO, 0.0);
+    // From a corner of the mesh, so that far from zero nothing cancels.
+    let from_m = triangles[0].a_m;
+    for triangle in triangles {
+        let twice_m2 = triangle.ab_m.cross(triangle.ac_m);
+        area_m2 += triangle.area_m2();
+        sum_m2 += twice_m2 / 2.0;
+        volume_m3 += (triangle.a_m - from_m).dot(twice_m2) / 6.0;
+    }
+    sum_m2.length() < CLOSED * area_m2 && volume_m3 < 0.0
 }
 
 /// Lays the tree of `triangles` (which begin at `offset` of all) behind what `nodes` holds, in depth-first order.

@@ -18,6 +18,7 @@ pub mod solid;
 mod tests;
 
 use std::ops::{Range, RangeInclusive};
+use std::path::Path;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -82,19 +83,21 @@ pub struct Targets {
     area_m2: Vec<f64>,
     /// First scatterer of each target, and one past the last.
     spans: Vec<Range<usize>>,
+    /// Of each target: echo pressure at 1 m of all its scatterers, facing and with random phases.
+    strengths: Vec<f64>,
 }
 
 impl Targets {
-    /// Reads a CSV table, or a TOML one where `toml` says so. `seabed_down_m` gives the seabed at (north, east), none where there is none.
+    /// Reads a CSV table, or a TOML one that lies in the folder `toml`, if there is one. `seabed_down_m` gives the seabed at (north, east), none where there is none.
     pub fn parse(
         bytes: &[u8],
-        toml: bool,
+        toml: Option<&Path>,
         seed: u64,
         seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
     ) -> Result<Self, Misread> {
         let placed = match toml {
-            true => file::parse(bytes, &seabed_down_m)?,
-            false => parse(bytes, seabed_down_m)?
+            Some(folder) => file::parse(bytes, folder, &seabed_down_m)?,
+            None => parse(bytes, seabed_down_m)?
                 .into_iter()
                 .map(|target| Placed {
                     target,
@@ -156,6 +159,9 @@ impl Targets {
                     all.solids.push(Some(solid));
                 }
             }
+            let own = &all.scatterers.strength[first..];
+            all.strengths
+                .push(own.iter().map(|s| s.norm_sqr()).sum::<f64>().sqrt());
             all.spans.push(first..all.scatterers.len());
             all.named.push(target);
         }
@@ -195,25 +201,28 @@ impl Targets {
         self.spans.partition_point(|span| span.end <= scatterer)
     }
 
-    /// Whether any solid lies on the ray from `origin_m` (the scene's own coordinates) along the unit `direction`, nearer than `max_m`.
-    /// From a solid's own surface outward it is not met.
-    pub fn hits(&self, origin_m: DVec3, direction: DVec3, max_m: f64) -> bool {
-        self.solids
-            .iter()
-            .zip(&self.balls_m)
-            .any(|(solid, &(center_m, radius_m))| {
-                let Some(solid) = solid else {
-                    return false;
-                };
-                let to_m = center_m - origin_m;
-                let along_m = to_m.dot(direction).clamp(0.0, max_m.max(0.0));
-                let nearest_m = (to_m - direction * along_m).length_squared();
-                nearest_m <= radius_m * radius_m && solid.hits(origin_m, direction, max_m)
-            })
+    /// Whether any of the solids among `which` lies on the ray from `origin_m` (the scene's own coordinates) along the unit `direction`, nearer than
+    /// `max_m`. From a solid's own surface outward it is not met.
+    pub fn hits(&self, which: &[usize], origin_m: DVec3, direction: DVec3, max_m: f64) -> bool {
+        which.iter().any(|&target| {
+            let Some(solid) = &self.solids[target] else {
+                return false;
+            };
+            let (center_m, radius_m) = self.balls_m[target];
+            let to_m = center_m - origin_m;
+            let along_m = to_m.dot(direction).clamp(0.0, max_m.max(0.0));
+            let nearest_m = (to_m - direction * along_m).length_squared();
+            nearest_m <= radius_m * radius_m && solid.hits(origin_m, direction, max_m)
+        })
     }
 
-    /// Adds the scatterers of one target to `out`, moved by `anchor_m`.
-    pub fn gather(&self, target: usize, anchor_m: DVec3, out: &mut Scatterers) {
+    /// Echo pressure at 1 m of all scatterers of a target together, as if all faced the sonar.
+    pub fn strength(&self, target: usize) -> f64 {
+        self.strengths[target]
+    }
+
+    /// Adds the scatterers of one target to `out`, moved by `anchor_m`, each `loud`.
+    pub fn gather(&self, target: usize, anchor_m: DVec3, loud: f32, out: &mut Scatterers) {
         let span = self.span(target);
         let own = &self.scatterers;
         out.north_m
@@ -225,6 +234,7 @@ impl Targets {
         out.normal.extend_from_slice(&own.normal[span.clone()]);
         out.strength.extend_from_slice(&own.strength[span.clone()]);
         out.law.extend_from_slice(&own.law[span]);
+        out.loud.resize(out.len(), loud);
     }
 }
 

@@ -10,7 +10,7 @@ use echotank::config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavSourceSpec, TimePolicy,
 };
 use echotank::nav::NavDecoder;
-use echotank::nav::log::split_line;
+use echotank::nav::stamp::split_line;
 use echotank::time::UtcNs;
 use glam::DVec3;
 
@@ -57,6 +57,7 @@ pub fn run(
         time: TimePolicy::Arrival { latency_s: 0.0 },
         checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::ZERO,
+        mounting: Default::default(),
         dialect: NavDialect::default(),
         provides: vec![
             NavChannel::Position,

@@ -24,6 +24,7 @@ use rayon::prelude::*;
 
 use super::report::Report;
 use super::scene::{ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
+use super::stages::Profile;
 use super::transform::dialect_named;
 
 /// Holds 30 kHz and the Doppler of 10 m/s over +-60 degrees.
@@ -510,7 +511,7 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
     ))
 }
 
-fn gridded_2d(ready: &mut Ready, dialect: Dialect) -> Outcome {
+fn gridded_2d(ready: &mut Ready, dialect: Dialect, stages: bool) -> Outcome {
     let plan = ready.plan(|_| true);
     let velocity = ready.ping.velocity_m_per_s;
     let mut engine = Gridded2d::new(&gridded2d::Spec {
@@ -540,8 +541,11 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect) -> Outcome {
     let mut lit = Illuminated::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
+    let mut profile = Profile::default();
     let took = timed(this.effort, || {
+        let start = Instant::now();
         this.light(&plan, &mut lit);
+        let illuminated = start.elapsed();
         let echoes = LineEchoes {
             plan: &plan,
             array: &this.array,
@@ -549,7 +553,14 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect) -> Outcome {
             work: &work,
         };
         engine.synthesise(&plan, &echoes, &mut iq);
+        if stages {
+            let reports = engine.reports().copied().collect();
+            profile.keep(illuminated, start.elapsed() - illuminated, reports);
+        }
     });
+    if stages {
+        profile.print(rayon::current_num_threads());
+    }
     ready.iq = iq;
     Ok((
         took,
@@ -565,6 +576,8 @@ pub struct Selection<'a> {
     pub dialects: &'a [String],
     pub threads: &'a [usize],
     pub effort: Effort,
+    /// Where the time of `gridded-2d` goes.
+    pub stages: bool,
 }
 
 /// Prints and keeps one line per ping, method, dialect and number of threads.
@@ -624,7 +637,7 @@ fn one(
             add("gridded-1d", ready, outcome);
         }
         if ping.elements >= LEAST_LINE && wanted("gridded-2d") {
-            let outcome = gridded_2d(ready, dialect);
+            let outcome = gridded_2d(ready, dialect, selection.stages);
             add("gridded-2d", ready, outcome);
         }
         // What is the same in every dialect.

@@ -99,18 +99,27 @@ fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
     grid
 }
 
-/// One pier as its ping shows it.
+/// One column as its ping shows it.
 struct Pier {
     name: String,
     sway_m: f64,
     true_east_m: f64,
     slant_range_m: f64,
     shown_range_m: f64,
-    /// On a straight track at east 0, the depth of the pier's middle.
+    /// On a straight track at east 0: of the upper edge that the first echo comes from.
     shown_east_m: f64,
 }
 
-/// Piers that nothing stands before, by the brightest echo about their near wall.
+/// Upper edge of the columns under their middle, metres, and their radius (`data/lake_piers.toml`).
+const HALF_LENGTH_M: f64 = 9.0;
+const RADIUS_M: f64 = 1.0;
+/// How far about the place that is expected an echo is looked for.
+const LOOK_M: f64 = 3.0;
+/// The first echo is over when a stretch of so many metres is this share of the strongest there.
+const STRETCH_M: f64 = 0.15;
+const FIRST_SHARE: f32 = 0.2;
+
+/// Columns that nothing stands before, by the first echo of their near wall's upper edge.
 fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
     let hidden = |t: &Target| {
         targets.iter().any(|o| {
@@ -125,16 +134,25 @@ fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
             continue;
         };
         let pose = &ping.plan.nav.pose;
-        let east_m = target.position_m.y - pose.position_m.y;
-        let down_m = target.position_m.z - pose.position_m.z;
+        let east_m = target.position_m.y - pose.position_m.y - RADIUS_M;
+        let down_m = target.position_m.z - HALF_LENGTH_M - pose.position_m.z;
         let slant_range_m = east_m.hypot(down_m);
         let line = &ping.output.lines[0].amplitude;
-        let near = axis.sample(slant_range_m - 4.0)..axis.sample(slant_range_m + 1.0);
+        let near = axis.sample(slant_range_m - LOOK_M)..axis.sample(slant_range_m + LOOK_M);
         let Some(inside) = line.get(near.clone()) else {
             continue;
         };
-        let brightest = (0..inside.len()).fold(0, |b, k| if inside[k] > inside[b] { k } else { b });
-        let shown_range_m = axis.slant_range_m(near.start + brightest);
+        let stretch = axis.sample(STRETCH_M).max(1);
+        let power: Vec<f32> = inside
+            .windows(stretch)
+            .map(|w| w.iter().map(|a| a * a).sum())
+            .collect();
+        let strongest = power.iter().copied().fold(0.0, f32::max);
+        let Some(first) = power.iter().position(|p| *p > FIRST_SHARE * strongest) else {
+            continue;
+        };
+        // The stretch that rose has the echo in its last part.
+        let shown_range_m = axis.slant_range_m(near.start + first + stretch - 1);
         rows.push(Pier {
             name: target.name.clone(),
             sway_m: pose.position_m.y,

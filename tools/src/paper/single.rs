@@ -40,6 +40,7 @@ pub fn figure_10(out: &Path) -> Result<Value, String> {
             "config": name, "knots": knots, "speed_m_per_s": speed, "ping_period_s": period_s, "beam_deg": theta_rad.to_degrees(),
             "gaps_nearer_than_m": { "predicted_r_eq_vT_over_theta": predicted_m, "measured_in_picture": measured_m, "measured_by_echo_between_pings": echo_m },
             "eq2_fastest_m_per_s_at_75_m": theta_rad * c / 2.0,
+            "gaps_nearer_than_m_if_a_ping_followed_the_other_at_once_2Rv_over_c_theta": 2.0 * sonar.settings.range_m * speed / (c * theta_rad),
         }));
         grids.push(grid);
     }

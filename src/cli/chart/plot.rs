@@ -1,0 +1,488 @@
+//! The pictures: error against milliseconds, and milliseconds against work.
+
+use std::fmt::Write;
+
+use crate::flow::Synthesis;
+use crate::run::chart::methods::Method;
+use crate::run::chart::work::{Curve, Work};
+use crate::run::chart::{Chart, Measured, Row};
+
+use super::draw::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
+use super::table::{About, subtitle};
+
+const WIDTH: f64 = 1200.0;
+const HEIGHT: f64 = 760.0;
+const LABEL: f64 = 11.0;
+
+/// Colours that people with any colour vision tell apart (Okabe and Ito 2008).
+fn colour(synthesis: Synthesis) -> &'static str {
+    match synthesis {
+        Synthesis::Reference => "#000000",
+        Synthesis::Direct => "#0072b2",
+        Synthesis::Gridded1d => "#d55e00",
+        Synthesis::Gridded2d => "#009e73",
+        Synthesis::Spectral => "#cc79a7",
+        Synthesis::Nearest => "#e69f00",
+        Synthesis::Linear => "#56b4e9",
+    }
+}
+
+/// A rectangle with two logarithmic axes (or, for levels, anything that is given as one).
+struct Axes {
+    left: f64,
+    top: f64,
+    width: f64,
+    height: f64,
+    /// Decades.
+    x: (f64, f64),
+    y: (f64, f64),
+}
+
+impl Axes {
+    fn at(&self, x: f64, y: f64) -> (f64, f64) {
+        let part = |v: f64, (low, high): (f64, f64)| {
+            (v.max(f64::MIN_POSITIVE).log10() - low) / (high - low)
+        };
+        (
+            self.left + self.width * part(x, self.x).clamp(0.0, 1.0),
+            self.top + self.height * (1.0 - part(y, self.y).clamp(0.0, 1.0)),
+        )
+    }
+
+    fn draw(&self, svg: &mut Svg, x_title: &str, y_title: &str, size: f64) {
+        let (right, bottom) = (self.left + self.width, self.top + self.height);
+        for (low, high, upright) in [(self.x.0, self.x.1, true), (self.y.0, self.y.1, false)] {
+            let every = (((high - low) / 8.0).ceil() as i32).max(1);
+            for decade in low.ceil() as i32..=high.floor() as i32 {
+                let value = 10f64.powi(decade);
+                let (x, y) = self.at(value, value);
+                match upright {
+                    true => svg.line((x, self.top), (x, bottom), PALE, ""),
+                    false => svg.line((self.left, y), (right, y), PALE, ""),
+                }
+                if decade.rem_euclid(every) == 0 {
+                    let text = power(decade);
+                    match upright {
+                        true => {
+                            svg.words((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
+                        }
+                        false => svg.words(
+                            (self.left - 6.0, y + 0.35 * size),
+                            size,
+                            Anchor::End,
+                            INK,
+                            &text,
+                        ),
+                    }
+                }
+            }
+            // A short axis has no two decades: its ends are written.
+            if high.floor() - low.ceil() < 1.0 {
+                for value in [10f64.powf(low), 10f64.powf(high)] {
+                    let (x, y) = self.at(value, value);
+                    let text = short(value);
+                    match upright {
+                        true => {
+                            svg.words((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
+                        }
+                        false => svg.words(
+                            (self.left - 6.0, y + 0.35 * size),
+                            size,
+                            Anchor::End,
+                            INK,
+                            &text,
+                        ),
+                    }
+                }
+            }
+        }
+        svg.raw(&format!(
+            "<rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"{GREY}\"/>",
+            self.left, self.top, self.width, self.height
+        ));
+        let middle = self.left + 0.5 * self.width;
+        svg.words(
+            (middle, bottom + 2.6 * size),
+            size + 1.0,
+            Anchor::Middle,
+            INK,
+            x_title,
+        );
+        svg.words(
+            (self.left, self.top - 7.0),
+            size + 1.0,
+            Anchor::Start,
+            INK,
+            y_title,
+        );
+    }
+}
+
+fn power(decade: i32) -> String {
+    match decade {
+        -2..=4 => short(10f64.powi(decade)),
+        _ => format!("1e{decade}"),
+    }
+}
+
+fn short(value: f64) -> String {
+    match value {
+        v if !(1e-2..1e4).contains(&v) => format!("{v:.0e}"),
+        v if v >= 10.0 => format!("{v:.0}"),
+        v => format!("{}", (v * 100.0).round() / 100.0),
+    }
+}
+
+/// Whole decades around values, with a little room.
+fn decades(values: impl Iterator<Item = f64>, least: f64) -> (f64, f64) {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for value in values.filter(|v| *v > 0.0 && v.is_finite()) {
+        low = low.min(value.max(least).log10());
+        high = high.max(value.max(least).log10());
+    }
+    if low > high {
+        return (-1.0, 1.0);
+    }
+    ((low - 0.15).floor(), (high + 0.15).ceil())
+}
+
+fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
+    chart
+        .rows
+        .iter()
+        .enumerate()
+        .filter_map(|(k, row)| Some((k, row, row.outcome.as_ref().ok()?)))
+}
+
+/// Errors below this are drawn at it, dB or relative.
+const LEAST_ERROR: f64 = 1e-8;
+const LEAST_DB: f64 = 1e-4;
+
+pub fn chart(chart: &Chart, about: &About) -> String {
+    let mut svg = Svg::new(WIDTH, HEIGHT);
+    let title = format!("{}: accuracy against speed", chart.sonar);
+    svg.words((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
+    svg.words(
+        (24.0, 51.0),
+        11.5,
+        Anchor::Start,
+        GREY,
+        &subtitle(chart, about),
+    );
+    let times = || measured(chart).map(|(_, _, m)| m.times.median_ms);
+    let x = decades(times().chain([about.period_ms]), 1e-6);
+    let elements = |m: &Measured| Some(m.errors.elements);
+    let main = Axes {
+        left: 70.0,
+        top: 86.0,
+        width: 700.0,
+        height: 560.0,
+        x,
+        y: decades(
+            measured(chart)
+                .map(|(_, _, m)| m.errors.elements)
+                .chain([chart.tolerance]),
+            LEAST_ERROR,
+        ),
+    };
+    main.draw(
+        &mut svg,
+        "milliseconds a ping (median; whiskers: least and greatest)",
+        "relative error of element samples",
+        12.0,
+    );
+    // Below what the ruler is off by itself nothing can be told apart.
+    if let Some((error, _)) = chart.ruler_error {
+        let (_, y) = main.at(1.0, error);
+        let bottom = main.top + main.height;
+        if y < bottom {
+            svg.raw(&format!(
+                "<rect x=\"{}\" y=\"{y:.1}\" width=\"{}\" height=\"{:.1}\" fill=\"{GREY}\" fill-opacity=\"0.12\"/>",
+                main.left,
+                main.width,
+                bottom - y
+            ));
+            svg.words(
+                (main.left + 6.0, bottom - 6.0),
+                11.0,
+                Anchor::Start,
+                GREY,
+                "within the ruler's own error",
+            );
+        }
+    }
+    let (_, tolerance_y) = main.at(1.0, chart.tolerance);
+    svg.line(
+        (main.left, tolerance_y),
+        (main.left + main.width, tolerance_y),
+        INK,
+        "5 4",
+    );
+    svg.words(
+        (main.left + main.width - 6.0, tolerance_y - 5.0),
+        11.0,
+        Anchor::End,
+        INK,
+        &format!("tolerance {:.0e}", chart.tolerance),
+    );
+    let (period_x, _) = main.at(about.period_ms, 1.0);
+    svg.line(
+        (period_x, main.top),
+        (period_x, main.top + main.height),
+        INK,
+        "2 4",
+    );
+    svg.words(
+        (period_x - 5.0, main.top + 14.0),
+        11.0,
+        Anchor::End,
+        INK,
+        &format!("a ping every {:.0} ms", about.period_ms),
+    );
+    front(&mut svg, &main, chart);
+    points(&mut svg, &main, chart, elements, LEAST_ERROR, 5.5);
+    labels(&mut svg, &main, chart);
+    type Metric = fn(&Measured) -> Option<f64>;
+    let small: [(&str, f64, Metric); 3] = [
+        ("relative error of the lines", LEAST_ERROR, |m| {
+            m.errors.lines
+        }),
+        ("picture: rms of the pixels, dB", LEAST_DB, |m| {
+            m.errors.image_db
+        }),
+        ("mean level: |error|, dB", LEAST_DB, |m| {
+            Some(m.errors.level_db.abs())
+        }),
+    ];
+    for (k, (title, least, metric)) in small.into_iter().enumerate() {
+        let axes = Axes {
+            left: 850.0,
+            top: 86.0 + 204.0 * k as f64,
+            width: 325.0,
+            height: 152.0,
+            x,
+            y: decades(measured(chart).filter_map(|(_, _, m)| metric(m)), least),
+        };
+        axes.draw(
+            &mut svg,
+            if k == 2 { "milliseconds a ping" } else { "" },
+            title,
+            10.5,
+        );
+        points(&mut svg, &axes, chart, metric, least, 3.5);
+    }
+    legend(&mut svg, chart);
+    svg.finish()
+}
+
+fn front(svg: &mut Svg, axes: &Axes, chart: &Chart) {
+    let mut front: Vec<(f64, f64)> = measured(chart)
+        .filter(|(_, row, _)| row.pareto)
+        .map(|(_, _, m)| (m.times.median_ms, m.errors.elements.max(LEAST_ERROR)))
+        .collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // Steps: between two points of the front the better one costs its own time.
+    let mut steps: Vec<(f64, f64)> = Vec::new();
+    for &(ms, error) in &front {
+        if let Some(&(_, last)) = steps.last() {
+            steps.push((axes.at(ms, error).0, last));
+        }
+        steps.push(axes.at(ms, error));
+    }
+    svg.polyline(&steps, GREY, 1.5);
+}
+
+fn points(
+    svg: &mut Svg,
+    axes: &Axes,
+    chart: &Chart,
+    metric: impl Fn(&Measured) -> Option<f64>,
+    least: f64,
+    radius: f64,
+) {
+    for (k, row, m) in measured(chart) {
+        let Some(value) = metric(m) else { continue };
+        let value = value.max(least);
+        let (x, y) = axes.at(m.times.median_ms, value);
+        if radius > 4.0 {
+            let (from, _) = axes.at(m.times.least_ms, value);
+            let (to, _) = axes.at(m.times.greatest_ms, value);
+            svg.line((from, y), (to, y), colour(row.method.synthesis), "");
+        }
+        if row.configured {
+            svg.raw(&format!(
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{:.1}\" fill=\"none\" stroke=\"{INK}\" stroke-width=\"1.6\"/>",
+                radius + 4.0
+            ));
+        }
+        let mut tip = String::new();
+        let _ = write!(
+            tip,
+            "{}\n{:.2} ms ({:.2} to {:.2})\nelements {:.1e} (predicted {:.1e})",
+            row.method,
+            m.times.median_ms,
+            m.times.least_ms,
+            m.times.greatest_ms,
+            m.errors.elements,
+            row.predicted_error
+        );
+        if let Some(lines) = m.errors.lines {
+            let _ = write!(tip, "\nlines {lines:.1e}");
+        }
+        if let Some(image) = m.errors.image_db {
+            let _ = write!(tip, ", picture {image:.3} dB");
+        }
+        let _ = write!(tip, "\nlevel {:+.3} dB", m.errors.level_db);
+        let opacity = if row.pareto { 1.0 } else { 0.55 };
+        svg.raw(&format!(
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{}\" fill-opacity=\"{opacity}\" stroke=\"white\" stroke-width=\"0.8\" data-row=\"{k}\" data-tip=\"{}\"/>",
+            colour(row.method.synthesis),
+            escaped(&tip).replace('\n', "&#10;")
+        ));
+    }
+}
+
+/// Names beside the front's points and the configured one, where there is room.
+fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart) {
+    let mut taken: Vec<(f64, f64, f64, f64)> = measured(chart)
+        .map(|(_, _, m)| {
+            let (x, y) = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
+            (x - 5.0, y - 5.0, x + 5.0, y + 5.0)
+        })
+        .collect();
+    for (_, row, m) in measured(chart).filter(|(_, row, _)| row.pareto || row.configured) {
+        let (x, y) = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
+        let text = match row.configured {
+            true => format!("{} (configured)", row.method),
+            false => row.method.to_string(),
+        };
+        let wide = width_of(&text, LABEL);
+        let places = [
+            (x + 10.0, y - 6.0),
+            (x + 10.0, y + 14.0),
+            (x - 10.0 - wide, y + 14.0),
+            (x - 10.0 - wide, y - 6.0),
+            (x + 10.0, y - 20.0),
+            (x + 10.0, y + 28.0),
+            (x - 10.0 - wide, y + 28.0),
+            (x - 0.5 * wide, y - 22.0),
+        ];
+        let free = places.into_iter().find(|&(left, base)| {
+            let this = (left, base - LABEL, left + wide, base + 3.0);
+            this.0 > axes.left
+                && this.2 < axes.left + axes.width
+                && this.1 > axes.top
+                && this.3 < axes.top + axes.height
+                && !taken
+                    .iter()
+                    .any(|t| this.0 < t.2 && t.0 < this.2 && this.1 < t.3 && t.1 < this.3)
+        });
+        if let Some((left, base)) = free {
+            svg.words((left, base), LABEL, Anchor::Start, INK, &text);
+            taken.push((left, base - LABEL, left + wide, base + 3.0));
+        }
+    }
+}
+
+fn legend(svg: &mut Svg, chart: &Chart) {
+    let mut seen: Vec<Synthesis> = Vec::new();
+    for (_, row, _) in measured(chart) {
+        if !seen.contains(&row.method.synthesis) {
+            seen.push(row.method.synthesis);
+        }
+    }
+    let (mut x, y) = (70.0, 722.0);
+    for synthesis in seen {
+        svg.raw(&format!(
+            "<circle cx=\"{x:.1}\" cy=\"{:.1}\" r=\"5.5\" fill=\"{}\"/>",
+            y - 4.0,
+            colour(synthesis)
+        ));
+        svg.words((x + 10.0, y), 12.0, Anchor::Start, INK, synthesis.name());
+        x += 26.0 + width_of(synthesis.name(), 12.0);
+    }
+    let rest = "ring: the configuration's own; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler, culling";
+    svg.words((70.0, y + 22.0), 11.0, Anchor::Start, GREY, rest);
+}
+
+/// Of the methods in the second picture, which may share a synthesis.
+const CURVES: [&str; 3] = ["#0072b2", "#d55e00", "#009e73"];
+
+fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
+    let k = methods.iter().position(|m| *m == curve.method);
+    CURVES[k.unwrap_or(0) % CURVES.len()]
+}
+
+/// Milliseconds against four kinds of work.
+pub fn work(curves: &[Curve], about: &About) -> String {
+    let mut svg = Svg::new(WIDTH, 420.0);
+    svg.words(
+        (24.0, 32.0),
+        20.0,
+        Anchor::Start,
+        INK,
+        "Cost of a ping against the work in it",
+    );
+    let about = format!("{}, {}", about.machine, about.load_text());
+    svg.words((24.0, 51.0), 11.5, Anchor::Start, GREY, &about);
+    let y = decades(
+        curves.iter().flat_map(|c| c.points.iter().map(|p| p.1)),
+        1e-6,
+    );
+    let mut methods: Vec<Method> = Vec::new();
+    for curve in curves {
+        if !methods.contains(&curve.method) {
+            methods.push(curve.method);
+        }
+    }
+    for (k, work) in Work::ALL.into_iter().enumerate() {
+        let these = || curves.iter().filter(move |curve| curve.work == work);
+        let amounts = these().flat_map(|curve| curve.points.iter().map(|p| p.0));
+        let (mut low, mut high) = (f64::INFINITY, 0.0f64);
+        for amount in amounts {
+            (low, high) = (low.min(amount), high.max(amount));
+        }
+        if high == 0.0 {
+            continue;
+        }
+        let axes = Axes {
+            left: 62.0 + 288.0 * k as f64,
+            top: 86.0,
+            width: 240.0,
+            height: 230.0,
+            x: (low.log10() - 0.1, high.log10() + 0.1),
+            y,
+        };
+        axes.draw(
+            &mut svg,
+            work.name(),
+            if k == 0 { "milliseconds a ping" } else { "" },
+            11.0,
+        );
+        for (row, curve) in these().enumerate() {
+            let colour = nth_colour(&methods, curve);
+            let points: Vec<_> = curve.points.iter().map(|&(x, ms)| axes.at(x, ms)).collect();
+            svg.polyline(&points, colour, 1.8);
+            for (x, y) in points {
+                svg.raw(&format!(
+                    "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.5\" fill=\"{colour}\"/>"
+                ));
+            }
+            if let Some(p) = curve.exponent {
+                let text = format!("exponent {p:.2}");
+                let place = (axes.left + 10.0, axes.top + 18.0 + 15.0 * row as f64);
+                svg.words(place, 11.5, Anchor::Start, colour, &text);
+            }
+        }
+    }
+    for (k, method) in methods.iter().enumerate() {
+        let y = 382.0 + 18.0 * k as f64;
+        svg.raw(&format!(
+            "<circle cx=\"70\" cy=\"{:.1}\" r=\"5\" fill=\"{}\"/>",
+            y - 4.0,
+            colour(method.synthesis)
+        ));
+        svg.words((80.0, y), 12.0, Anchor::Start, INK, &method.to_string());
+    }
+    svg.finish()
+}

@@ -1,0 +1,252 @@
+//! `echotank mosaic`: a recording's side-scan lines as a georeferenced picture.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+
+use super::Failure;
+use crate::config::spec::{ColourMap, Contrast, Overlap};
+use crate::geodesy::LocalTangentPlane;
+use crate::image::line::first_return_m;
+use crate::image::mosaic::{MosaicBuilder, MosaicSpec, Place};
+use crate::io::record::lines::{self, RecordedPing};
+use crate::io::record::picture::write_mosaic;
+
+/// First returns are the median over so many pings to either side: one fish is no bottom.
+const NEIGHBOURS: usize = 7;
+
+#[derive(Args, Clone, Debug)]
+pub struct MosaicArgs {
+    /// What `echotank replay` or `run` recorded: .s7k or pings.npz
+    pub recording: PathBuf,
+    /// GeoTIFF to write (dB, 32-bit floats, UTM on WGS84); a PNG of the same name comes beside it
+    #[arg(long, value_name = "FILE.tif")]
+    pub out: PathBuf,
+    /// Side of a pixel
+    #[arg(long, value_name = "METRES", default_value_t = 0.25)]
+    pub pixel: f64,
+    /// Ground range to each side; without it, all there is
+    #[arg(long, value_name = "METRES")]
+    pub range: Option<f64>,
+    /// Directions nearer to the vertical than this are left out
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    pub nadir: f64,
+    /// The sonar lies so far behind the position of the records; negative is ahead. (An .npz knows where its arrays are.)
+    #[arg(
+        long,
+        value_name = "METRES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub layback: f64,
+    /// Altitude over the bottom; without it, the first return of each line
+    #[arg(long, value_name = "METRES")]
+    pub altitude: Option<f64>,
+    /// What a pixel keeps of several passes
+    #[arg(long, value_enum, default_value = "nearest")]
+    pub overlap: OverlapArg,
+    /// Colours of the PNG
+    #[arg(long, value_enum, default_value = "copper")]
+    pub colours: ColoursArg,
+    /// Shares of the pixels, in per cent, that are darkest and not brightest, e.g. 2,99.8
+    #[arg(long, value_name = "LOW,HIGH", value_parser = shares, default_value = "2,99.8")]
+    pub percentiles: (f64, f64),
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum OverlapArg {
+    Nearest,
+    Mean,
+    Last,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ColoursArg {
+    Copper,
+    Grey,
+    Blue,
+    Rainbow,
+}
+
+fn shares(text: &str) -> Result<(f64, f64), String> {
+    let (low, high) = text.split_once(',').ok_or("expected LOW,HIGH")?;
+    let parse = |s: &str| s.trim().parse::<f64>().map_err(|e| format!("{s}: {e}"));
+    let (low, high) = (parse(low)?, parse(high)?);
+    match 0.0 <= low && low < high && high <= 100.0 {
+        true => Ok((low, high)),
+        false => Err("expected 0 <= LOW < HIGH <= 100".into()),
+    }
+}
+
+/// The arguments' own faults, all at once.
+fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
+    let positive = |x: f64| x > 0.0 && x.is_finite();
+    let faults: Vec<String> = [
+        (
+            positive(args.pixel),
+            format!("--pixel {}: must be above 0", args.pixel),
+        ),
+        (
+            args.range.is_none_or(positive),
+            format!("--range {}: must be above 0", args.range.unwrap_or(0.0)),
+        ),
+        (
+            args.altitude.is_none_or(positive),
+            format!(
+                "--altitude {}: must be above 0",
+                args.altitude.unwrap_or(0.0)
+            ),
+        ),
+        (
+            (0.0..89.0).contains(&args.nadir),
+            format!("--nadir {}: must be from 0 to below 89", args.nadir),
+        ),
+        (
+            args.layback.is_finite(),
+            format!("--layback {}: must be a number", args.layback),
+        ),
+        (
+            args.out
+                .extension()
+                .is_some_and(|e| e == "tif" || e == "tiff"),
+            format!("--out {}: must end in .tif or .tiff", args.out.display()),
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(good, fault)| (!good).then_some(fault))
+    .collect();
+    match faults.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Configuration(faults.join("\n"))),
+    }
+}
+
+pub fn main(args: &MosaicArgs) -> Result<(), Failure> {
+    refuse(args)?;
+    let pings = lines::read(&args.recording).map_err(Failure::running)?;
+    let altitudes = match args.altitude {
+        Some(altitude_m) => vec![altitude_m; pings.len()],
+        None => first_returns(&pings).ok_or_else(|| {
+            Failure::Running(format!(
+                "{}: no line shows a first return of the bottom: give --altitude",
+                args.recording.display()
+            ))
+        })?,
+    };
+    let longest_m = pings
+        .iter()
+        .flat_map(|p| {
+            p.lines
+                .iter()
+                .map(|l| p.axis.slant_range_m(l.amplitude.len()))
+        })
+        .fold(0.0, f64::max);
+    let spec = MosaicSpec {
+        metres_per_pixel: args.pixel,
+        overlap: match args.overlap {
+            OverlapArg::Nearest => Overlap::Nearest,
+            OverlapArg::Mean => Overlap::Mean,
+            OverlapArg::Last => Overlap::Last,
+        },
+        range_m: args.range.unwrap_or(longest_m),
+        nadir_rad: args.nadir.to_radians(),
+        layback_m: args.layback,
+        ..MosaicSpec::default()
+    };
+    let mut builder = MosaicBuilder::new(spec);
+    for (k, (ping, altitude_m)) in pings.iter().zip(&altitudes).enumerate() {
+        builder.push(&place(&pings, k, *altitude_m), ping.axis, &ping.lines);
+    }
+    let mosaic = builder
+        .finish()
+        .map_err(|e| Failure::Running(format!("{}: {e}", args.recording.display())))?;
+    let (low, high) = args.percentiles;
+    let contrast = Contrast::Percentiles {
+        low: low / 100.0,
+        high: high / 100.0,
+    };
+    let colours = match args.colours {
+        ColoursArg::Copper => ColourMap::Copper,
+        ColoursArg::Grey => ColourMap::Grey,
+        ColoursArg::Blue => ColourMap::Blue,
+        ColoursArg::Rainbow => ColourMap::Rainbow,
+    };
+    let png = args.out.with_extension("png");
+    let written =
+        write_mosaic(&args.out, &png, &mosaic, colours, contrast).map_err(Failure::running)?;
+    if !written {
+        return Err(Failure::Running(format!(
+            "{}: the lines hold nothing beyond the nadir and the first return",
+            args.recording.display()
+        )));
+    }
+    println!(
+        "{} pings, {} x {} pixels of {} m, EPSG:{}, north-west corner {:.2} E {:.2} N\nwrote {}\nwrote {}",
+        pings.len(),
+        mosaic.width,
+        mosaic.height,
+        mosaic.metres_per_pixel,
+        mosaic.zone.epsg(),
+        mosaic.west_m,
+        mosaic.north_m,
+        args.out.display(),
+        png.display()
+    );
+    Ok(())
+}
+
+/// Altitude of each ping from its first return: the median of its neighbours; where they show none, that of the last that did.
+fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
+    let each: Vec<Option<f64>> = pings
+        .iter()
+        .map(|p| first_return_m(&p.lines, p.axis))
+        .collect();
+    let mut last = *each.iter().flatten().next()?;
+    let smooth = (0..each.len()).map(|k| {
+        let near = &each[k.saturating_sub(NEIGHBOURS)..(k + NEIGHBOURS + 1).min(each.len())];
+        let mut near: Vec<f64> = near.iter().flatten().copied().collect();
+        near.sort_by(f64::total_cmp);
+        if let Some(middle) = near.get(near.len() / 2) {
+            last = *middle;
+        }
+        last
+    });
+    Some(smooth.collect())
+}
+
+/// Where a ping's arrays are, and how fast they go ahead.
+fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
+    let ping = &pings[k];
+    let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
+    let [port, starboard] = ping.arms_m;
+    let middle = match ping.lines.as_slice() {
+        [one] => ping.arms_m[usize::from(one.side == crate::flow::Side::Starboard)],
+        _ => 0.5 * (port + starboard),
+    };
+    let (latitude_rad, longitude_rad) = plane.geodetic_rad(middle.x, middle.y);
+    let (sin, cos) = ping.heading_rad.sin_cos();
+    let to_starboard = |arm: DVec3| (arm - middle).dot(DVec3::new(-sin, cos, 0.0));
+    // Speed ahead, by the way between the neighbours.
+    let (a, b) = (
+        &pings[k.saturating_sub(1)],
+        &pings[(k + 1).min(pings.len() - 1)],
+    );
+    let seconds = (b.utc_ns - a.utc_ns) as f64 * 1e-9;
+    let (n0, e0) = plane.local_m(a.latitude_rad, a.longitude_rad);
+    let (n1, e1) = plane.local_m(b.latitude_rad, b.longitude_rad);
+    let ahead_m = (n1 - n0) * cos + (e1 - e0) * sin;
+    let speed = match seconds > 0.0 {
+        true => ahead_m / seconds,
+        false => 0.0,
+    };
+    Place {
+        latitude_rad,
+        longitude_rad,
+        heading_rad: ping.heading_rad,
+        altitude_m,
+        pitch_rad: ping.pitch_rad,
+        drift: speed / ping.sound_speed_m_per_s,
+        starboard_m: [to_starboard(port), to_starboard(starboard)],
+    }
+}

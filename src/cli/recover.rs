@@ -1,0 +1,29 @@
+//! `echotank recover`: records that were cut off, mended.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Failure;
+use crate::io::record::recover::recover;
+
+#[derive(Args, Clone, Debug)]
+pub struct RecoverArgs {
+    /// `.s7k` files; mended in place
+    #[arg(required = true)]
+    pub files: Vec<PathBuf>,
+}
+
+pub fn main(args: &RecoverArgs) -> Result<(), Failure> {
+    let mut failed = Vec::new();
+    for file in &args.files {
+        match recover(file) {
+            Ok(outcome) => println!("{} {outcome}", file.display()),
+            Err(error) => failed.push(error.to_string()),
+        }
+    }
+    match failed.as_slice() {
+        [] => Ok(()),
+        some => Err(Failure::Running(some.join("\n"))),
+    }
+}

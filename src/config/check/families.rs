@@ -1,0 +1,129 @@
+//! Side-scan families: JSF, XTF, Imagenex 872.
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+use super::sonar::Arrays;
+use super::{Listener, address, only_with};
+
+/// JSF counts channels in 8 bits.
+const MAX_JSF_CHANNELS: usize = 256;
+/// JSF counts samples in 20 bits.
+const MAX_JSF_SAMPLES: f64 = ((1 << 20) - 1) as f64;
+
+/// What a side-scan family needs to know of the sonar.
+pub struct Sonar<'a> {
+    pub arrays: &'a Arrays<'a>,
+    /// Of the longest ping.
+    pub samples: Option<f64>,
+    pub has_lines: bool,
+}
+
+fn listen<'t>(
+    table: &'t RawTable,
+    key: &str,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<std::net::SocketAddr> {
+    let address = address(table, key, problems)?;
+    listeners.push(Listener {
+        entry: table.entry(key),
+        protocol: "TCP",
+        address,
+        multicast: false,
+    });
+    Some(address)
+}
+
+fn needs_lines(table: &RawTable, key: &str, sonar: &Sonar<'_>, problems: &mut Problems) {
+    if !sonar.has_lines {
+        let rule = "needs side-scan lines: beams.port, beams.starboard or both";
+        problems.refuse(table.entry(key), rule);
+    }
+}
+
+pub fn jsf<'t>(
+    table: &'t RawTable,
+    sonar: &Sonar<'_>,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<JsfSpec> {
+    let commands = listen(table, "listen", listeners, problems);
+    let data = listen(table, "listen_data", listeners, problems);
+    let staves = table.text("channels").map(|text| text == "staves");
+    only_with(
+        table,
+        &["arrays"],
+        staves,
+        "channels = \"staves\"",
+        problems,
+    );
+    if staves == Some(false) {
+        needs_lines(table, "channels", sonar, problems);
+    }
+    let arrays = sonar.arrays.chosen(table, problems);
+    if let (Some(true), Some(arrays)) = (staves, &arrays) {
+        let specs = arrays.iter().filter_map(|&a| sonar.arrays.specs.get(a));
+        let elements: usize = specs.flatten().map(|array| array.elements).sum();
+        if elements > MAX_JSF_CHANNELS {
+            problems.refuse(
+                table.entry("arrays"),
+                format!("{elements} elements; JSF counts {MAX_JSF_CHANNELS} channels"),
+            );
+        }
+    }
+    if sonar
+        .samples
+        .is_some_and(|samples| samples > MAX_JSF_SAMPLES)
+    {
+        problems.refuse(
+            table.entry("format"),
+            format!(
+                "a ping of more than {MAX_JSF_SAMPLES} samples, which is all that JSF counts to"
+            ),
+        );
+    }
+    let silent = match table.given("silent_subsystem") {
+        true => vec![u8::try_from(table.integer("silent_subsystem")?).ok()?],
+        false => Vec::new(),
+    };
+    Some(JsfSpec {
+        listen: commands?,
+        listen_data: data?,
+        subsystem: u8::try_from(table.integer("subsystem")?).ok()?,
+        silent_subsystems: silent,
+        channels: match staves? {
+            true => JsfChannels::Staves,
+            false => JsfChannels::Sides,
+        },
+        arrays: arrays?,
+        format: match table.text("format")? {
+            "analytic" => JsfFormat::Analytic,
+            "unfiltered" => JsfFormat::Unfiltered,
+            _ => JsfFormat::Envelope,
+        },
+        record: table.bool("record")?,
+        client_queue_bytes: table.count("client_queue_mib")? << 20,
+        max_clients: table.count("max_clients")?,
+    })
+}
+
+pub fn xtf(table: &RawTable, sonar: &Sonar<'_>, problems: &mut Problems) -> Option<XtfSpec> {
+    needs_lines(table, "samples", sonar, problems);
+    Some(XtfSpec {
+        is_float: table.text("samples")? == "f32",
+    })
+}
+
+pub fn imagenex872<'t>(
+    table: &'t RawTable,
+    sonar: &Sonar<'_>,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<ImagenexSpec> {
+    needs_lines(table, "listen", sonar, problems);
+    Some(ImagenexSpec {
+        listen: listen(table, "listen", listeners, problems)?,
+        client_queue_bytes: table.count("client_queue_mib")? << 20,
+        max_clients: table.count("max_clients")?,
+    })
+}

@@ -1,0 +1,353 @@
+//! Faults: what may be wrong, for how long, and how it is asked for. The catalogue is [`FaultRequest::KINDS`].
+
+use serde::{Deserialize, Serialize};
+
+/// A fault as it is asked for, in a configuration's `[[fault]]` or live; what is left out takes its default.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FaultRequest {
+    pub kind: String,
+    /// None: every sonar.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sonar: Option<String>,
+    /// Index of a receive array; none: every one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub array: Option<usize>,
+    /// None: every element.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub element: Option<usize>,
+    /// The other element of two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub other: Option<usize>,
+    /// In the unit of the kind.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<f64>,
+    /// From so long after the first ping on, rig time; none: from now on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_s: Option<f64>,
+    /// None: for ever.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub for_s: Option<f64>,
+    /// Grows to its full size in so long.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ramp_s: Option<f64>,
+    /// Of beginning at a ping or record.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Pings in a row it then lasts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub burst: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+}
+
+/// A fault that makes sense.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FaultSpec {
+    pub kind: FaultKind,
+    /// As it was asked for.
+    pub name: &'static str,
+    pub sonar: Option<String>,
+    pub at_s: Option<f64>,
+    pub for_s: f64,
+    pub ramp_s: f64,
+    pub probability: f64,
+    pub burst: u32,
+    pub seed: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FaultKind {
+    Element {
+        fault: ElementFault,
+        array: Option<usize>,
+        element: Option<usize>,
+    },
+    Transport(TransportFault),
+    /// A pulse that is due is not sent; its number is used up.
+    TriggerMissed,
+    /// The records are stamped so much too late.
+    WrongSecond {
+        s: f64,
+    },
+}
+
+/// What is wrong with one receive channel. Amplitudes are volts at the converter's input.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ElementFault {
+    Dead,
+    /// Whatever comes in, I and Q read this.
+    Stuck {
+        volts: f64,
+    },
+    Inverted,
+    Swapped {
+        with: usize,
+    },
+    Gain {
+        db: f64,
+    },
+    Phase {
+        rad: f64,
+    },
+    /// I and Q end here.
+    Clipping {
+        volts: f64,
+    },
+    /// Added to I and Q.
+    Offset {
+        volts: f64,
+    },
+    /// Circular Gaussian, rms.
+    NoiseBurst {
+        volts: f64,
+    },
+    /// A 50 Hz tone on I and Q, rms of each, that runs on from ping to ping.
+    MainsHum {
+        volts: f64,
+    },
+    /// Of the two's complement codes of I and Q; bit 0 is the least.
+    AdcBitStuck {
+        bit: u32,
+        high: bool,
+    },
+    Crosstalk {
+        from: usize,
+        db: f64,
+    },
+    /// Samples are taken too fast by so much: the echo at t is found at t (1 + ppm 1e-6).
+    ClockDrift {
+        ppm: f64,
+    },
+    /// Samples come so many late; those before are 0.
+    SampleSlip {
+        samples: usize,
+    },
+}
+
+/// What is wrong with the line to the clients. Works on whole records; what is recorded here stays whole.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TransportFault {
+    Drop,
+    Duplicate,
+    /// The record changes places with the next ping's.
+    Reorder,
+    /// One byte of the body changes; `mended`: the checksum is made to fit.
+    Corrupt {
+        mended: bool,
+    },
+    /// The second half is missing.
+    Truncate,
+    /// Held back until the first delivery so much later, rig time.
+    Delay {
+        s: f64,
+    },
+    /// Every record of the ping is lost.
+    LinkDown,
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{key}: {rule}")]
+pub struct FaultRefused {
+    pub key: &'static str,
+    pub rule: String,
+}
+
+fn refused<T>(key: &'static str, rule: impl Into<String>) -> Result<T, FaultRefused> {
+    let rule = rule.into();
+    Err(FaultRefused { key, rule })
+}
+
+impl FaultRequest {
+    /// Kind and what its `value` means, with the least and the greatest; no meaning: it takes none.
+    pub const KINDS: &'static [(&'static str, &'static str, f64, f64)] = &[
+        ("dead", "", 0.0, 0.0),
+        ("stuck", "volts", -1e6, 1e6),
+        ("inverted", "", 0.0, 0.0),
+        ("swapped", "", 0.0, 0.0),
+        ("gain", "dB", -200.0, 100.0),
+        ("phase", "degrees", -360.0, 360.0),
+        ("clipping", "volts", 1e-12, 1e6),
+        ("offset", "volts", -1e6, 1e6),
+        ("noise-burst", "volts rms", 0.0, 1e6),
+        ("mains-hum", "volts rms", 0.0, 1e6),
+        ("adc-bit-stuck-high", "bit", 0.0, 31.0),
+        ("adc-bit-stuck-low", "bit", 0.0, 31.0),
+        ("crosstalk", "dB", -200.0, 40.0),
+        ("clock-drift", "ppm", -1000.0, 1000.0),
+        ("sample-slip", "samples", 1.0, 1e9),
+        ("drop", "", 0.0, 0.0),
+        ("duplicate", "", 0.0, 0.0),
+        ("reorder", "", 0.0, 0.0),
+        ("corrupt", "", 0.0, 0.0),
+        ("corrupt-mended", "", 0.0, 0.0),
+        ("truncate", "", 0.0, 0.0),
+        ("delay", "ms", 0.001, 600_000.0),
+        ("link-down", "", 0.0, 0.0),
+        ("trigger-missed", "", 0.0, 0.0),
+        ("wrong-second", "s", -1e6, 1e6),
+    ];
+
+    /// The fault, if what was asked for makes sense.
+    pub fn checked(&self) -> Result<FaultSpec, FaultRefused> {
+        let known = Self::KINDS.iter().find(|(name, ..)| *name == self.kind);
+        let Some(&(name, unit, min, max)) = known else {
+            let names: Vec<_> = Self::KINDS.iter().map(|(name, ..)| *name).collect();
+            return refused("kind", format!("must be one of {}", names.join(", ")));
+        };
+        let value = match (unit, self.value) {
+            ("", None) => 0.0,
+            ("", Some(_)) => return refused("value", format!("{name} takes none")),
+            (_, Some(value)) if (min..=max).contains(&value) => value,
+            _ => return refused("value", format!("must be from {min} to {max} {unit}")),
+        };
+        if matches!(unit, "bit" | "samples") && value.fract() != 0.0 {
+            return refused("value", format!("must be a whole number of {unit}s"));
+        }
+        let between = |key, value: Option<f64>, default, min: f64, max: f64| match value {
+            None => Ok(default),
+            Some(value) if (min..=max).contains(&value) => Ok(value),
+            Some(value) => refused(key, format!("{value}: must be from {min} to {max}")),
+        };
+        let kind = self.kind_of(name, value)?;
+        let at_s = match self.at_s {
+            None => None,
+            some => Some(between("at_s", some, 0.0, 0.0, 1e9)?),
+        };
+        if self.burst == Some(0) {
+            return refused("burst", "must be at least 1");
+        }
+        Ok(FaultSpec {
+            kind,
+            name,
+            sonar: self.sonar.clone(),
+            at_s,
+            for_s: between("for_s", self.for_s, f64::INFINITY, 0.0, 1e9)?,
+            ramp_s: between("ramp_s", self.ramp_s, 0.0, 0.0, 1e9)?,
+            probability: between("probability", self.probability, 1.0, 0.0, 1.0)?,
+            burst: self.burst.unwrap_or(1).min(MOST_BURST),
+            seed: self.seed.unwrap_or(0),
+        })
+    }
+
+    fn kind_of(&self, name: &'static str, value: f64) -> Result<FaultKind, FaultRefused> {
+        let other = match (name, self.other) {
+            ("swapped" | "crosstalk", Some(other)) => other,
+            ("swapped" | "crosstalk", None) => {
+                return refused("other", format!("{name} needs a second element"));
+            }
+            (_, Some(_)) => return refused("other", "only with swapped and crosstalk"),
+            (_, None) => 0,
+        };
+        if name == "swapped" && self.element.is_none() {
+            return refused("element", "swapped needs two elements");
+        }
+        let bit_stuck = |high| ElementFault::AdcBitStuck {
+            bit: value as u32,
+            high,
+        };
+        let element = match name {
+            "dead" => Some(ElementFault::Dead),
+            "stuck" => Some(ElementFault::Stuck { volts: value }),
+            "inverted" => Some(ElementFault::Inverted),
+            "swapped" => Some(ElementFault::Swapped { with: other }),
+            "gain" => Some(ElementFault::Gain { db: value }),
+            "phase" => Some(ElementFault::Phase {
+                rad: value.to_radians(),
+            }),
+            "clipping" => Some(ElementFault::Clipping { volts: value }),
+            "offset" => Some(ElementFault::Offset { volts: value }),
+            "noise-burst" => Some(ElementFault::NoiseBurst { volts: value }),
+            "mains-hum" => Some(ElementFault::MainsHum { volts: value }),
+            "adc-bit-stuck-high" => Some(bit_stuck(true)),
+            "adc-bit-stuck-low" => Some(bit_stuck(false)),
+            "crosstalk" => Some(ElementFault::Crosstalk {
+                from: other,
+                db: value,
+            }),
+            "clock-drift" => Some(ElementFault::ClockDrift { ppm: value }),
+            "sample-slip" => Some(ElementFault::SampleSlip {
+                samples: value as usize,
+            }),
+            _ => None,
+        };
+        if let Some(fault) = element {
+            return Ok(FaultKind::Element {
+                fault,
+                array: self.array,
+                element: self.element,
+            });
+        }
+        if self.array.is_some() || self.element.is_some() {
+            return refused("element", format!("{name} is no fault of an element"));
+        }
+        Ok(match name {
+            "trigger-missed" => FaultKind::TriggerMissed,
+            "wrong-second" => FaultKind::WrongSecond { s: value },
+            "drop" => FaultKind::Transport(TransportFault::Drop),
+            "duplicate" => FaultKind::Transport(TransportFault::Duplicate),
+            "reorder" => FaultKind::Transport(TransportFault::Reorder),
+            "corrupt" => FaultKind::Transport(TransportFault::Corrupt { mended: false }),
+            "corrupt-mended" => FaultKind::Transport(TransportFault::Corrupt { mended: true }),
+            "truncate" => FaultKind::Transport(TransportFault::Truncate),
+            "delay" => FaultKind::Transport(TransportFault::Delay { s: value * 1e-3 }),
+            _ => FaultKind::Transport(TransportFault::LinkDown),
+        })
+    }
+}
+
+/// Longest burst: every ping looks back so far.
+const MOST_BURST: u32 = 10_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_of_the_catalogue_can_be_asked_for_and_nothing_else() {
+        for &(name, unit, min, max) in FaultRequest::KINDS {
+            let two = matches!(name, "swapped" | "crosstalk");
+            let request = FaultRequest {
+                kind: name.into(),
+                value: (!unit.is_empty()).then_some(max),
+                element: two.then_some(1),
+                other: two.then_some(2),
+                ..FaultRequest::default()
+            };
+            let spec = request
+                .checked()
+                .unwrap_or_else(|why| panic!("{name}: {why}"));
+            assert_eq!(spec.name, name);
+            let wrong = FaultRequest {
+                value: Some(if unit.is_empty() { 1.0 } else { min - 1.0 }),
+                ..request.clone()
+            };
+            assert_eq!(wrong.checked().expect_err(name).key, "value");
+        }
+        let unknown = FaultRequest {
+            kind: "gremlin".into(),
+            ..FaultRequest::default()
+        };
+        assert_eq!(unknown.checked().expect_err("unknown").key, "kind");
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_with_its_key() {
+        let ask = |json: &str| {
+            let request: FaultRequest = serde_json::from_str(json).expect("JSON");
+            request.checked().expect_err(json).key
+        };
+        for (json, key) in [
+            (r#"{"kind": "drop", "element": 3}"#, "element"),
+            (r#"{"kind": "dead", "other": 3}"#, "other"),
+            (r#"{"kind": "swapped", "element": 3}"#, "other"),
+            (r#"{"kind": "drop", "probability": 1.5}"#, "probability"),
+            (r#"{"kind": "drop", "burst": 0}"#, "burst"),
+            (r#"{"kind": "drop", "at_s": -1}"#, "at_s"),
+            (r#"{"kind": "sample-slip", "value": 1.5}"#, "value"),
+            (r#"{"kind": "gain"}"#, "value"),
+        ] {
+            assert_eq!(ask(json), key, "{json}");
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! Imagenex 872 YellowFin: a head that answers every switch command with one side of one ping. Sans I/O.
+//!
+//! What we decided where the source says nothing:
+//! - A command is answered by the first ping whose pulse leaves after it; a sonar that rests makes one for it.
+//! - The protocol has no refusal: a range or gain beyond the limits leaves the sonar as it was, and the echo stands over the range asked for,
+//!   dark where the sonar did not listen. What is no command at all has no answer.
+//! - Data gain 0 to 100 is the receiver's gain from its lower to its upper limit. Balance gain and frequency are kept.
+//! - A point is the largest sample within it, linear, with the receiver's full scale as 255; what is beyond is counted.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+
+use echotank_protocols::imagenex872::{
+    ECHO_BYTES, Side as WireSide, SwitchCommand, SwitchFraming, SwitchStream, emit_answer,
+};
+
+use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use crate::flow::{
+    Asked, Asker, Datagram, KeptKey, KeptValue, PingOutput, PingPlan, SettingChange, SettingsPort,
+    Side,
+};
+use crate::time::UtcNs;
+
+/// How it signs what it changes.
+pub const VIA: &str = "imagenex872";
+
+/// [`Datagram::record_type`] of a side's answer: the number that the command has for it.
+fn record_type(side: Side) -> u32 {
+    match side {
+        Side::Port => 0,
+        Side::Starboard => 2,
+    }
+}
+
+fn class(side: Side) -> Wants {
+    Wants::class(record_type(side))
+}
+
+/// What the sessions tell the emitter.
+#[derive(Debug, Default)]
+struct SideAsked {
+    /// When the newest command came; 0 before there was one.
+    utc_ns: AtomicI64,
+    range_m: AtomicU32,
+}
+
+/// The two sides as they were last asked for.
+#[derive(Debug, Default)]
+pub struct Head {
+    port: SideAsked,
+    starboard: SideAsked,
+}
+
+impl Head {
+    fn side(&self, side: Side) -> &SideAsked {
+        match side {
+            Side::Port => &self.port,
+            Side::Starboard => &self.starboard,
+        }
+    }
+}
+
+/// Appends the answers of one ping that are wanted, and returns how many points did not fit.
+pub fn emit_ping(
+    head: &Head,
+    plan: &PingPlan,
+    output: &PingOutput,
+    (sample_rate_hz, full_scale_v): (f64, f64),
+    wanted: Wants,
+    into: &mut Vec<Arc<Datagram>>,
+) -> u64 {
+    let mut saturated = 0;
+    for line in &output.lines {
+        let asked = head.side(line.side);
+        let is_due = plan.stamp_utc.0 > asked.utc_ns.load(Ordering::Acquire);
+        if !wanted.meets(class(line.side)) || !is_due {
+            continue;
+        }
+        let range_m = f64::from(asked.range_m.load(Ordering::Acquire));
+        let samples_per_point =
+            2.0 * range_m / plan.sound_speed_m_per_s * sample_rate_hz / ECHO_BYTES as f64;
+        let mut echo = [0; ECHO_BYTES];
+        for (k, point) in echo.iter_mut().enumerate() {
+            let from = (k as f64 * samples_per_point) as usize;
+            let to = (((k + 1) as f64 * samples_per_point) as usize).max(from + 1);
+            let row = &line.amplitude;
+            let largest = row[from.min(row.len())..to.min(row.len())]
+                .iter()
+                .fold(0.0_f32, |largest, &v| largest.max(v));
+            let counts = (f64::from(largest) / full_scale_v * 255.0).round();
+            saturated += u64::from(counts > 255.0);
+            *point = counts.min(255.0) as u8;
+        }
+        let mut bytes = Vec::new();
+        emit_answer(&mut bytes, &echo);
+        into.push(Arc::new(Datagram {
+            record_type: record_type(line.side),
+            bytes,
+        }));
+    }
+    saturated
+}
+
+/// The head on one port.
+pub struct ImagenexProtocol {
+    pub settings: Arc<dyn SettingsPort>,
+    pub head: Arc<Head>,
+}
+
+impl Protocol for ImagenexProtocol {
+    fn name(&self) -> &'static str {
+        VIA
+    }
+    fn connect(&self, _transport: Transport, peer: SocketAddr) -> Box<dyn Session> {
+        Box::new(Client {
+            stream: Some(SwitchStream::new(SwitchFraming)),
+            link: Link {
+                settings: Arc::clone(&self.settings),
+                head: Arc::clone(&self.head),
+                by: Asker {
+                    via: VIA,
+                    peer: Some(peer),
+                },
+                requested: Wants::NONE,
+                counts: SessionCounts::default(),
+            },
+            held: 0,
+        })
+    }
+    fn class(&self, record_type: u32) -> Wants {
+        Wants::class(record_type)
+    }
+}
+
+struct Client {
+    /// Taken out while it hands commands on.
+    stream: Option<SwitchStream>,
+    link: Link,
+    held: usize,
+}
+
+struct Link {
+    settings: Arc<dyn SettingsPort>,
+    head: Arc<Head>,
+    by: Asker,
+    requested: Wants,
+    counts: SessionCounts,
+}
+
+impl Client {
+    fn work(&mut self, bytes: &[u8], is_end: bool, now: UtcNs) {
+        let Some(mut stream) = self.stream.take() else {
+            return;
+        };
+        if is_end {
+            stream.finish();
+        }
+        let (before, mut taken) = (stream.skipped_bytes(), 0);
+        stream.feed(bytes, |item| match item {
+            Ok(bytes) => {
+                taken += bytes.len();
+                self.link.command(bytes, now);
+            }
+            Err(_) => self.link.counts.framing_errors += 1,
+        });
+        let passed = (stream.skipped_bytes() - before) as usize;
+        self.held = (self.held + bytes.len()).saturating_sub(taken + passed);
+        self.stream = Some(stream);
+    }
+}
+
+impl Session for Client {
+    fn receive(&mut self, bytes: &[u8], now: UtcNs, _out: &mut Vec<Outgoing>) {
+        self.work(bytes, false, now);
+    }
+    fn is_waiting(&self) -> bool {
+        self.held > 0
+    }
+    fn give_up_waiting(&mut self, now: UtcNs, _out: &mut Vec<Outgoing>) {
+        self.work(&[], true, now);
+    }
+    fn wants(&self) -> Wants {
+        Wants::NONE
+    }
+    fn take_requested(&mut self) -> Wants {
+        std::mem::take(&mut self.link.requested)
+    }
+    fn counts(&self) -> SessionCounts {
+        self.link.counts
+    }
+}
+
+impl Link {
+    fn command(&mut self, bytes: &[u8], now: UtcNs) {
+        self.counts.commands += 1;
+        let Ok(command) = SwitchCommand::parse(bytes) else {
+            self.counts.nacks += 1;
+            return;
+        };
+        let side = match command.side {
+            WireSide::Port => Side::Port,
+            WireSide::Starboard => Side::Starboard,
+        };
+        let asked = Asked {
+            utc: now,
+            by: self.by,
+        };
+        let (least_db, most_db) = self.settings.limits().gain_db;
+        let gain_db = least_db + (most_db - least_db) * f64::from(command.data_gain) / 100.0;
+        let is = self.settings.settings();
+        let range_m = f64::from(command.range_m);
+        // What is so already is not told again: every ping has its command, and the others would be told of every one.
+        let mut changes = Vec::new();
+        changes.extend((is.range_m != range_m).then_some(SettingChange::RangeM(range_m)));
+        changes.extend((is.gain_db != gain_db).then_some(SettingChange::GainDb(gain_db)));
+        changes.extend((!is.pinging).then_some(SettingChange::PingTimes(1)));
+        for change in changes {
+            let refused = self.settings.apply(change, asked).is_err();
+            self.counts.nacks += u64::from(refused);
+        }
+        for (name, value) in [
+            ("frequency index", command.frequency_index),
+            ("balance gain", command.balance_gain),
+        ] {
+            let key = KeptKey {
+                via: VIA,
+                name,
+                place: record_type(side),
+            };
+            let value = KeptValue::Integer(value.into());
+            if self.settings.kept(key).as_ref() != Some(&value) {
+                // Refused only when thousands are kept, which the head does not need to know.
+                let _ = self.settings.keep(key, value, asked);
+            }
+        }
+        let told = self.head.side(side);
+        told.range_m
+            .store(command.range_m.into(), Ordering::Release);
+        told.utc_ns.store(now.0, Ordering::Release);
+        self.requested = self.requested.union(class(side));
+    }
+}

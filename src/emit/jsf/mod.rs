@@ -1,0 +1,479 @@
+//! EdgeTech JSF messages of a ping, and the sessions of its command and data connections.
+//!
+//! - [`JsfEmitter`]: a ping's plan and output to messages 80, 2002, 2020, 2060, 2080, 2091
+//! - [`JsfSheet`]: what the sonar is to a JSF client
+//! - [`session`]: commands in, answers out
+//!
+//! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: nothing saturates, and
+//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Not modelled: pulse files, the
+//! sonar's own clock, a coupling of subsystems.
+
+pub mod session;
+
+use std::f64::consts::PI;
+use std::fmt::Write;
+use std::sync::Arc;
+
+use num_complex::Complex64;
+
+use echotank_protocols::jsf::block_float;
+use echotank_protocols::jsf::control::system_type;
+use echotank_protocols::jsf::sensors::SensorTime;
+use echotank_protocols::jsf::sonar_data::validity;
+use echotank_protocols::jsf::{
+    DataFormat, Dvl2080, FileTime426, Nmea2002, PitchRoll2020, Pressure2060, Situation2091,
+    SonarDataHeader, SystemInformation182, emit_80, message_type,
+};
+
+use crate::config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
+use crate::flow::{Datagram, NavState, PingOutput, PingPlan, PulseKind, Side};
+use crate::time::UtcNs;
+
+/// Thousandths of a pound per square inch in a metre of sea water: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
+const MPSI_PER_M: f64 = 1025.0 * 9.81 / 6.894_757;
+/// One atmosphere: pressure is absolute.
+const SURFACE_MPSI: f64 = 14_695.9;
+/// Counts of pitch and roll in a radian.
+const TILT_COUNTS_PER_RAD: f64 = 32_768.0 / PI;
+/// Steps of 500 x 1.5 / 32768 deg/s.
+const RATE_STEP_RAD_PER_S: f64 = 500.0 * 1.5 / 32_768.0 * PI / 180.0;
+/// What pings of a client that reads annotations say they are.
+const ANNOTATION: [u8; 24] = *b"ECHOTANK SIMULATION\0\0\0\0\0";
+const SOFTWARE_VERSION: [u8; 6] = *b"ETANK\0";
+
+/// Matched filter of a row of samples, in place.
+pub type RowFilter = Box<dyn FnMut(&PingPlan, &mut [Complex64]) + Send>;
+
+/// [`Datagram::record_type`] of a message: type, subsystem and channel.
+pub fn record_type(message_type: u16, subsystem: u8, channel: u8) -> u32 {
+    u32::from(message_type) | u32::from(subsystem) << 16 | u32::from(channel) << 24
+}
+
+/// What one sonar is, to a JSF client. Fixed for a run.
+#[derive(Clone, Debug)]
+pub struct JsfSheet {
+    pub output: JsfSpec,
+    pub sonar: SonarSpec,
+}
+
+impl JsfSheet {
+    /// Channels of its messages 80, at most 256.
+    pub fn channels(&self) -> usize {
+        match self.output.channels {
+            JsfChannels::Sides => self.sonar.beams.lines.len(),
+            JsfChannels::Staves => self
+                .output
+                .arrays
+                .iter()
+                .map(|&array| self.sonar.receive[array].elements)
+                .sum(),
+        }
+    }
+
+    pub fn system_type(&self) -> i32 {
+        match self.output.channels {
+            JsfChannels::Sides => system_type::SINGLE_FREQUENCY_SIDE_SCAN,
+            JsfChannels::Staves => system_type::BATHYMETRIC_SINGLE_PULSE,
+        }
+    }
+
+    /// Source level of a full gain, dB.
+    fn full_level_db(&self) -> f64 {
+        self.sonar.limits.source_level_db.1
+    }
+
+    /// 182: what the system is.
+    pub fn information(&self) -> Datagram {
+        let mut bytes = Vec::new();
+        SystemInformation182 {
+            system_type: self.system_type(),
+            low_rate_io: 0,
+            software_version: 0,
+            subsystems: 1 + self.output.silent_subsystems.len() as i32,
+            serial_ports: 0,
+            serial_number: (self.sonar.serial & 0x7FFF_FFFF) as i32,
+        }
+        .emit_message(&mut bytes);
+        Datagram {
+            record_type: record_type(message_type::SYSTEM_INFORMATION, 0, 0),
+            bytes,
+        }
+    }
+
+    /// What a file begins with: 182 and 426.
+    pub fn file_head(&self, now: UtcNs) -> Vec<u8> {
+        let mut bytes = self.information().bytes;
+        bytes.extend(file_time(now));
+        bytes
+    }
+}
+
+/// 426: when a file was begun or ended.
+pub fn file_time(now: UtcNs) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let time = SensorTime::from_utc_ns(now.0);
+    FileTime426 { time }.emit_message(&mut bytes);
+    bytes
+}
+
+/// Turns pings into JSF messages. Holds its buffers; one thread's.
+pub struct JsfEmitter {
+    sheet: Arc<JsfSheet>,
+    /// For samples after a matched filter.
+    filter: RowFilter,
+    row: Vec<Complex64>,
+    floats: Vec<f32>,
+    shorts: Vec<i16>,
+}
+
+impl JsfEmitter {
+    pub fn new(sheet: Arc<JsfSheet>, filter: RowFilter) -> Self {
+        Self {
+            sheet,
+            filter,
+            row: Vec::new(),
+            floats: Vec::new(),
+            shorts: Vec::new(),
+        }
+    }
+
+    pub fn sheet(&self) -> &Arc<JsfSheet> {
+        &self.sheet
+    }
+
+    /// Appends the messages of one ping: those of the sensors, then 80 of every channel that `active` says is wanted. Returns the samples
+    /// that were no numbers.
+    pub fn emit_ping(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        active: impl Fn(u8) -> bool,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> u64 {
+        sensors(plan, output, into);
+        let sheet = Arc::clone(&self.sheet);
+        let header = header(&sheet, plan, output);
+        let mut not_finite = 0;
+        let mut channel: usize = 0;
+        match sheet.output.channels {
+            JsfChannels::Sides => {
+                for line in &sheet.sonar.beams.lines {
+                    let number = match line.side {
+                        Side::Port => 0,
+                        Side::Starboard => 1,
+                    };
+                    if active(number) {
+                        not_finite +=
+                            self.side(plan, output, line.side, line.array, number, header, into);
+                    }
+                }
+            }
+            JsfChannels::Staves => {
+                for &array in &sheet.output.arrays {
+                    let Some(frame) = output.elements.iter().find(|f| f.array == array) else {
+                        continue;
+                    };
+                    for e in 0..frame.elements {
+                        // The configuration keeps them to 256.
+                        let number = channel as u8;
+                        channel += 1;
+                        if active(number) {
+                            self.row.clear();
+                            self.row.extend_from_slice(frame.element(e));
+                            not_finite += self.row_message(plan, number, header, into);
+                        }
+                    }
+                }
+            }
+        }
+        not_finite
+    }
+
+    #[allow(clippy::too_many_arguments)] // one call, above
+    fn side(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        side: Side,
+        array: usize,
+        number: u8,
+        header: SonarDataHeader,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> u64 {
+        if self.sheet.output.format == JsfFormat::Envelope {
+            let Some(line) = output.lines.iter().find(|line| line.side == side) else {
+                return 0;
+            };
+            self.floats.clear();
+            self.floats.extend_from_slice(&line.amplitude);
+            // A line begins with the pulse.
+            let header = SonarDataHeader {
+                starting_depth_samples: 0,
+                ..header
+            };
+            return self.message(number, header, DataFormat::Envelope, into);
+        }
+        // The whole face is one hydrophone: the mean of its elements.
+        let Some(frame) = output.elements.iter().find(|frame| frame.array == array) else {
+            return 0;
+        };
+        self.row.clear();
+        self.row.resize(frame.samples, Complex64::ZERO);
+        let weight = 1.0 / frame.elements as f64;
+        for e in 0..frame.elements {
+            for (sum, sample) in self.row.iter_mut().zip(frame.element(e)) {
+                *sum += sample * weight;
+            }
+        }
+        self.row_message(plan, number, header, into)
+    }
+
+    /// `self.row` as the format asks.
+    fn row_message(
+        &mut self,
+        plan: &PingPlan,
+        number: u8,
+        header: SonarDataHeader,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> u64 {
+        let format = match self.sheet.output.format {
+            JsfFormat::Envelope => DataFormat::Envelope,
+            JsfFormat::Analytic => DataFormat::Analytic,
+            JsfFormat::Unfiltered => DataFormat::AnalyticUnfiltered,
+        };
+        if format != DataFormat::AnalyticUnfiltered {
+            (self.filter)(plan, &mut self.row);
+        }
+        self.floats.clear();
+        if format == DataFormat::Envelope {
+            self.floats.extend(self.row.iter().map(|v| v.norm() as f32));
+        } else {
+            self.floats
+                .extend(self.row.iter().flat_map(|v| [v.re as f32, v.im as f32]));
+        }
+        self.message(number, header, format, into)
+    }
+
+    /// `self.floats` as one message 80.
+    fn message(
+        &mut self,
+        channel: u8,
+        mut header: SonarDataHeader,
+        format: DataFormat,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> u64 {
+        self.shorts.clear();
+        let scaled = block_float::quantise(&self.floats, &mut self.shorts);
+        header.data_format = format.code();
+        header.weighting = scaled.weighting;
+        header.adc_largest = scaled.largest;
+        header.set_samples(self.shorts.len() / format.shorts_per_sample());
+        let subsystem = self.sheet.output.subsystem;
+        push(into, message_type::SONAR_DATA, subsystem, channel, |buf| {
+            emit_80(buf, subsystem, channel, &header, &self.shorts);
+        });
+        scaled.not_finite as u64
+    }
+}
+
+fn push(
+    into: &mut Vec<Arc<Datagram>>,
+    kind: u16,
+    subsystem: u8,
+    channel: u8,
+    fill: impl FnOnce(&mut Vec<u8>),
+) {
+    let mut bytes = Vec::new();
+    fill(&mut bytes);
+    into.push(Arc::new(Datagram {
+        record_type: record_type(kind, subsystem, channel),
+        bytes,
+    }));
+}
+
+/// Height above the bottom: the shallowest of the soundings, if there are any.
+pub fn altitude_m(output: &PingOutput, sound_speed_m_per_s: f64) -> Option<f64> {
+    output
+        .soundings
+        .iter()
+        .map(|s| 0.5 * s.twtt_s * sound_speed_m_per_s * s.angle_rad.cos())
+        .min_by(f64::total_cmp)
+}
+
+fn header(sheet: &JsfSheet, plan: &PingPlan, output: &PingOutput) -> SonarDataHeader {
+    let rate_hz = sheet.sonar.receiver.sample_rate_hz;
+    let nav = &plan.nav;
+    let mut h = SonarDataHeader {
+        starting_depth_samples: (plan.first_sample_s * rate_hz).round().max(0.0) as u32,
+        ping_number: plan.ping_number,
+        annotation: ANNOTATION,
+        validity: validity::ANNOTATION,
+        sample_interval_ns: (1e9 / rate_hz).round() as u32,
+        adc_gain_factor: 10_f64
+            .powf(plan.settings.gain_db / 20.0)
+            .clamp(0.0, 65_535.0)
+            .round() as u16,
+        transmit_level_percent: (100.0
+            * 10_f64.powf((plan.settings.source_level_db - sheet.full_level_db()) / 20.0))
+        .round()
+        .clamp(0.0, 100.0) as i16,
+        sample_frequency_hz: (rate_hz.round() as u64 % 65_536) as u16,
+        software_version: SOFTWARE_VERSION,
+        ..SonarDataHeader::default()
+    };
+    h.set_utc_ns(plan.stamp_utc.0);
+    let half = 0.5 * plan.pulse.bandwidth_hz;
+    let center = plan.pulse.center_frequency_hz;
+    let (start, end) = match plan.pulse.kind {
+        PulseKind::LfmUp => (center - half, center + half),
+        PulseKind::LfmDown => (center + half, center - half),
+        PulseKind::Cw => (center, center),
+    };
+    h.set_frequencies_hz(start, end);
+    h.set_sweep_length_s(plan.pulse.duration_s);
+    h.set_position_rad(nav.latitude_rad, nav.longitude_rad);
+    h.set_heading_rad(nav.heading_rad);
+    h.set_pitch_roll_rad(nav.pitch_rad, nav.roll_rad);
+    h.set_sound_speed_m_per_s(plan.sound_speed_m_per_s as f32);
+    h.set_depth_m(depth_m(nav));
+    let velocity = nav.pose.velocity_m_per_s;
+    h.set_course_rad(velocity.y.atan2(velocity.x).rem_euclid(2.0 * PI));
+    h.set_speed_m_per_s(velocity.truncate().length());
+    if let Some(altitude_m) = altitude_m(output, plan.sound_speed_m_per_s) {
+        h.set_altitude_m(altitude_m);
+    }
+    h
+}
+
+/// Below the world's zero, 0 above it.
+fn depth_m(nav: &NavState) -> f64 {
+    (-nav.height_m).max(0.0)
+}
+
+/// 2002, 2020, 2060, 2080 and 2091 of one ping, all from the navigation as the ping has it.
+fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) {
+    const RAW: u8 = echotank_protocols::jsf::subsystem::RAW_SERIAL;
+    const PARSED: u8 = echotank_protocols::jsf::subsystem::PARSED_SERIAL;
+    let nav = &plan.nav;
+    let after_transmit_ns = nav.utc.0.saturating_sub(plan.transmit_utc.0);
+    let utc = plan.stamp_utc.plus_ns(after_transmit_ns);
+    let time = SensorTime::from_utc_ns(utc.0);
+    let sentence = position_sentence(nav, utc);
+    push(into, message_type::NMEA, RAW, 0, |buf| {
+        Nmea2002 {
+            time,
+            source: 1,
+            sentence: sentence.as_bytes(),
+        }
+        .emit_message(buf, 0);
+    });
+    let body_from_world = nav.pose.world_from_body.inverse();
+    let rate = body_from_world * nav.pose.angular_velocity_rad_per_s;
+    let counts = |value: f64| value.round().clamp(-32_767.0, 32_767.0) as i16;
+    let tilt = |rad: f64| counts(rad * TILT_COUNTS_PER_RAD);
+    let heading_cdeg = (nav.heading_rad.to_degrees() * 100.0)
+        .round()
+        .rem_euclid(36_000.0) as u16;
+    push(into, message_type::PITCH_ROLL, PARSED, 0, |buf| {
+        PitchRoll2020 {
+            time,
+            rate: [rate.x, rate.y, rate.z].map(|r| counts(r / RATE_STEP_RAD_PER_S)),
+            pitch: tilt(nav.pitch_rad),
+            roll: tilt(nav.roll_rad),
+            heave_down_mm: counts(nav.heave_down_m * 1e3),
+            heading_cdeg,
+            // Rates, pitch, roll, heave, heading.
+            validity: 0b11_1111_1000,
+            ..PitchRoll2020::default()
+        }
+        .emit_message(buf, 0);
+    });
+    let depth = depth_m(nav);
+    push(into, message_type::PRESSURE, PARSED, 0, |buf| {
+        Pressure2060 {
+            time,
+            pressure_mpsi: (SURFACE_MPSI + depth * MPSI_PER_M).round() as i32,
+            sound_velocity_mm_per_s: (plan.sound_speed_m_per_s * 1e3).round() as i32,
+            depth_m: depth.round() as i32,
+            // Pressure, sound velocity, depth.
+            validity: 0b11_0001,
+            ..Pressure2060::default()
+        }
+        .emit_message(buf, 0);
+    });
+    let altitude = altitude_m(output, plan.sound_speed_m_per_s);
+    let v = nav.pose.velocity_m_per_s;
+    let v_body = body_from_world * v;
+    push(into, message_type::DVL, PARSED, 0, |buf| {
+        let distance_cm = altitude.map_or(0, |m| (m * 100.0).round() as i32);
+        Dvl2080 {
+            time,
+            distance_cm: [distance_cm; 4],
+            // Starboard, forward, up.
+            velocity_mm_per_s: [v_body.y, v_body.x, -v_body.z].map(|v| counts(v * 1e3)),
+            depth_dm: (depth * 10.0).round().min(65_535.0) as u16,
+            pitch_cdeg: counts(nav.pitch_rad.to_degrees() * 100.0),
+            roll_cdeg: counts(nav.roll_rad.to_degrees() * 100.0),
+            heading_cdeg,
+            sound_velocity_m_per_s: counts(plan.sound_speed_m_per_s),
+            // Velocities in the ship's axes, heading, pitch, roll, depth, sound velocity; the distance where it is known.
+            validity: 0b1_0101_1100_0111 | u32::from(altitude.is_some()) << 5,
+            ..Dvl2080::default()
+        }
+        .emit_message(buf, 0);
+    });
+    push(into, message_type::SITUATION, PARSED, 0, |buf| {
+        Situation2091 {
+            time,
+            // All but altitude, which may be there, and water temperature.
+            validity: 0b1111_1110_1111 | u32::from(altitude.is_some()) << 4,
+            velocity_axes: 0,
+            source_time_100ns: (utc.0 / 100).max(0) as u64,
+            latitude_deg: nav.latitude_rad.to_degrees(),
+            longitude_deg: nav.longitude_rad.to_degrees(),
+            depth_m: depth as f32,
+            altitude_m: altitude.unwrap_or(0.0) as f32,
+            heave_down_m: nav.heave_down_m as f32,
+            velocity_1_m_per_s: v.x as f32,
+            velocity_2_m_per_s: v.y as f32,
+            velocity_down_m_per_s: v.z as f32,
+            pitch_deg: nav.pitch_rad.to_degrees() as f32,
+            roll_deg: nav.roll_rad.to_degrees() as f32,
+            heading_deg: nav.heading_rad.to_degrees() as f32,
+            sound_speed_m_per_s: plan.sound_speed_m_per_s as f32,
+            water_temperature_c: 0.0,
+        }
+        .emit_message(buf, 0);
+    });
+}
+
+/// Latitude and longitude as a GLL sentence: 1e-5 minutes of arc, 2 cm.
+fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
+    let (minutes_of_day, ns) = {
+        let ns_of_day = utc.0.rem_euclid(86_400_000_000_000);
+        (ns_of_day / 60_000_000_000, ns_of_day % 60_000_000_000)
+    };
+    let parts = |rad: f64| {
+        let hundred_thousandths = (rad.to_degrees().abs() * 60.0 * 1e5).round() as u64;
+        (
+            hundred_thousandths / 6_000_000,
+            (hundred_thousandths % 6_000_000) as f64 / 1e5,
+        )
+    };
+    let (lat_deg, lat_min) = parts(nav.latitude_rad);
+    let (lon_deg, lon_min) = parts(nav.longitude_rad);
+    let mut text = format!(
+        "GPGLL,{lat_deg:02}{lat_min:08.5},{},{lon_deg:03}{lon_min:08.5},{},{:02}{:02}{:05.2},A",
+        if nav.latitude_rad < 0.0 { 'S' } else { 'N' },
+        if nav.longitude_rad < 0.0 { 'W' } else { 'E' },
+        minutes_of_day / 60,
+        minutes_of_day % 60,
+        // Cut, not rounded: 59.999 stays within its minute.
+        (ns / 10_000_000) as f64 / 100.0,
+    );
+    let checksum = text.bytes().fold(0, |sum, byte| sum ^ byte);
+    text.insert(0, '$');
+    // A string takes everything that is written to it.
+    let _ = write!(text, "*{checksum:02X}");
+    text
+}

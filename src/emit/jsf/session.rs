@@ -1,0 +1,387 @@
+//! The two connections of a JSF client: commands in and answers out on one, data one way on the other. Sans I/O.
+//!
+//! What we decided where no manual says:
+//! - A SET that is obeyed has no answer, a GET has a REPLY, anything that cannot be done has an ERROR. 41 is echoed either way.
+//! - Settings belong to the sonar whatever connection they came by; 83 too: a client that connects anew finds what was set. Data are active
+//!   until told otherwise.
+//! - 121 is the amplitude of the transmitter over its largest, times 1000: 20 log10 of it goes on the source level's upper limit. 140 is the
+//!   receiver's gain as a factor, times 1000.
+//! - Subsystems that the sonar answers for without having them (`silent_subsystems`) keep and report all they are told, and change nothing.
+//! - 25 stops the pings, as a client in wide use sends it when it leaves; the daemon goes on.
+//! - 22 cannot be set: the time is the navigation's.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use echotank_protocols::jsf::control::{error_code, error_code_for, trigger};
+use echotank_protocols::jsf::sensors::SensorTime;
+use echotank_protocols::jsf::{
+    Control, JsfFraming, JsfStream, Message, Value, command_type, message_type,
+};
+
+use super::{JsfSheet, record_type};
+use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use crate::flow::{
+    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingsPort, TriggerSource,
+};
+use crate::time::UtcNs;
+
+/// How JSF signs what it changes.
+pub const VIA: &str = "jsf";
+
+/// The longest body a client may send.
+const MAX_COMMAND_BODY_BYTES: u32 = 4096;
+
+/// The command connection.
+pub struct JsfCommands {
+    pub sheet: Arc<JsfSheet>,
+    pub settings: Arc<dyn SettingsPort>,
+}
+
+/// The data connection: whoever connects gets all data that are active.
+pub struct JsfData {
+    pub sheet: Arc<JsfSheet>,
+}
+
+fn key(message_type: u16, subsystem: u8, channel: u8) -> KeptKey {
+    KeptKey {
+        via: VIA,
+        name: "message",
+        place: record_type(message_type, subsystem, channel),
+    }
+}
+
+/// Whether data of a channel were asked for (83); they are until somebody says no.
+pub fn is_active(settings: &dyn SettingsPort, subsystem: u8, channel: u8) -> bool {
+    let kept = settings.kept(key(message_type::DATA_ACTIVE, subsystem, channel));
+    kept != Some(KeptValue::Integer(0))
+}
+
+impl Protocol for JsfCommands {
+    fn name(&self) -> &'static str {
+        VIA
+    }
+    fn connect(&self, _transport: Transport, peer: SocketAddr) -> Box<dyn Session> {
+        let framing = JsfFraming {
+            max_body_bytes: MAX_COMMAND_BODY_BYTES,
+        };
+        Box::new(CommandSession {
+            stream: Some(JsfStream::new(framing)),
+            held: 0,
+            client: Client {
+                sheet: Arc::clone(&self.sheet),
+                settings: Arc::clone(&self.settings),
+                by: Asker {
+                    via: VIA,
+                    peer: Some(peer),
+                },
+                counts: SessionCounts::default(),
+            },
+        })
+    }
+    /// Only answers leave by this connection.
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::NONE
+    }
+}
+
+impl Protocol for JsfData {
+    fn name(&self) -> &'static str {
+        "jsf data"
+    }
+    fn connect(&self, _transport: Transport, _peer: SocketAddr) -> Box<dyn Session> {
+        Box::new(DataSession {
+            sheet: Arc::clone(&self.sheet),
+            counts: SessionCounts::default(),
+        })
+    }
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::class(0)
+    }
+}
+
+struct DataSession {
+    sheet: Arc<JsfSheet>,
+    counts: SessionCounts,
+}
+
+impl Session for DataSession {
+    fn greet(&mut self, _now: UtcNs, out: &mut Vec<Outgoing>) {
+        out.push(Outgoing::Reply(self.sheet.information()));
+    }
+    /// Nothing is asked for here.
+    fn receive(&mut self, _bytes: &[u8], _now: UtcNs, _out: &mut Vec<Outgoing>) {
+        self.counts.other_records += 1;
+    }
+    fn wants(&self) -> Wants {
+        Wants::class(0)
+    }
+    fn counts(&self) -> SessionCounts {
+        self.counts
+    }
+}
+
+struct CommandSession {
+    /// Taken out while it hands messages on.
+    stream: Option<JsfStream>,
+    /// Bytes of a message that waits for its rest.
+    held: usize,
+    client: Client,
+}
+
+struct Client {
+    sheet: Arc<JsfSheet>,
+    settings: Arc<dyn SettingsPort>,
+    by: Asker,
+    counts: SessionCounts,
+}
+
+impl CommandSession {
+    fn work(&mut self, bytes: &[u8], is_end: bool, now: UtcNs, out: &mut Vec<Outgoing>) {
+        let Some(mut stream) = self.stream.take() else {
+            return;
+        };
+        let before = stream.skipped_bytes();
+        let mut taken = 0;
+        if is_end {
+            stream.finish();
+        }
+        stream.feed(bytes, |item| match item {
+            Ok(bytes) => {
+                taken += bytes.len();
+                self.client.message(bytes, now, out);
+            }
+            Err(_) => self.client.counts.framing_errors += 1,
+        });
+        let passed = (stream.skipped_bytes() - before) as usize;
+        self.held = (self.held + bytes.len()).saturating_sub(taken + passed);
+        self.stream = Some(stream);
+    }
+}
+
+impl Session for CommandSession {
+    fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>) {
+        self.work(bytes, false, now, out);
+    }
+    fn is_waiting(&self) -> bool {
+        self.held > 0
+    }
+    fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
+        self.work(&[], true, now, out);
+    }
+    fn wants(&self) -> Wants {
+        Wants::NONE
+    }
+    fn counts(&self) -> SessionCounts {
+        self.client.counts
+    }
+}
+
+impl Client {
+    fn message(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>) {
+        let Ok(message) = Message::parse(bytes) else {
+            self.counts.framing_errors += 1;
+            return;
+        };
+        self.counts.commands += 1;
+        let header = &message.header;
+        let answer = match Control::parse(&message) {
+            Ok(control) => self.answer(&control, now),
+            Err(error) => {
+                let control = Control {
+                    message_type: header.message_type,
+                    command_type: header.command_type,
+                    subsystem: header.subsystem,
+                    channel: header.channel,
+                    session: header.session,
+                    sequence: header.sequence,
+                    value: Value::None,
+                };
+                Some(control.refuse(error_code_for(&error)))
+            }
+        };
+        let Some(answer) = answer else {
+            return;
+        };
+        if answer.command_type == command_type::ERROR {
+            self.counts.nacks += 1;
+        }
+        let mut bytes = Vec::new();
+        answer.emit(&mut bytes);
+        out.push(Outgoing::Reply(Datagram {
+            record_type: record_type(answer.message_type, answer.subsystem, answer.channel),
+            bytes,
+        }));
+    }
+
+    fn answer(&self, control: &Control, now: UtcNs) -> Option<Control> {
+        let done = match control.command_type {
+            command_type::SET => self.set(control, now).map(|()| {
+                (control.message_type == message_type::ALIVE).then(|| control.value.clone())
+            }),
+            command_type::GET => self.get(control, now).map(Some),
+            // Somebody else's answers are nothing to us.
+            _ => return None,
+        };
+        match done {
+            Ok(value) => value.map(|value| control.reply(value)),
+            Err(code) => Some(control.refuse(code)),
+        }
+    }
+
+    /// Whether the command is for the subsystem that the sonar has; an error where the sonar does not even answer for it.
+    fn is_ours(&self, control: &Control) -> Result<bool, i32> {
+        let output = &self.sheet.output;
+        let kind = control.message_type;
+        let for_the_whole = matches!(
+            kind,
+            message_type::SYSTEM_TIME
+                | message_type::SHUTDOWN
+                | message_type::ALIVE
+                | message_type::SYSTEM_TYPE
+                | message_type::OPERATIONAL
+        );
+        if for_the_whole || control.subsystem == output.subsystem {
+            if kind == message_type::DATA_ACTIVE
+                && usize::from(control.channel) >= self.sheet.channels().max(2)
+            {
+                return Err(error_code::UNKNOWN_CHANNEL);
+            }
+            return Ok(true);
+        }
+        if output.silent_subsystems.contains(&control.subsystem) {
+            return Ok(false);
+        }
+        Err(error_code::UNKNOWN_SUBSYSTEM)
+    }
+
+    fn set(&self, control: &Control, now: UtcNs) -> Result<(), i32> {
+        let asked = Asked {
+            utc: now,
+            by: self.by,
+        };
+        let ours = self.is_ours(control)?;
+        let kept = match &control.value {
+            Value::Number(number) => KeptValue::Integer(i64::from(*number)),
+            Value::Coupling {
+                master_subsystem,
+                divisor,
+                delay_us,
+            } => KeptValue::Numbers(vec![
+                f64::from(*master_subsystem),
+                f64::from(*divisor),
+                f64::from(*delay_us),
+            ]),
+            Value::PulseName(name) if name.is_empty() => return Err(error_code::UNKNOWN_PULSE),
+            Value::PulseName(name) => KeptValue::Text(name.clone()),
+            _ => return Err(error_code::FAILED),
+        };
+        if ours && let KeptValue::Integer(number) = kept {
+            self.obey(control.message_type, number, asked)?;
+        }
+        let key = key(control.message_type, control.subsystem, control.channel);
+        self.settings
+            .keep(key, kept, asked)
+            .map_err(|_| error_code::FAILED)
+    }
+
+    /// Does what the model can do; what it cannot is only kept.
+    fn obey(&self, message_type: u16, number: i64, asked: Asked) -> Result<(), i32> {
+        let value = number as f64;
+        let changes: &[SettingChange] = match message_type {
+            message_type::PING_RANGE => &[SettingChange::RangeM(value * 1e-3)],
+            message_type::PING_RATE => &[SettingChange::MaxPingRateHz(value * 1e-3)],
+            message_type::PING_GAIN => &[SettingChange::SourceLevelDb(
+                self.sheet.full_level_db() + 20.0 * (value * 1e-3).log10(),
+            )],
+            message_type::ADC_GAIN => &[SettingChange::GainDb(20.0 * (value * 1e-3).log10())],
+            message_type::PING => match number {
+                0 => &[SettingChange::Stop],
+                1 => &[SettingChange::Start],
+                2 => &[SettingChange::PingTimes(1)],
+                _ => return Err(error_code::FAILED),
+            },
+            message_type::SHUTDOWN if number != 0 => &[SettingChange::Stop],
+            message_type::PING_TRIGGER => match i32::try_from(number) {
+                // Coupled to a subsystem that has no pings of its own: the sonar's own beat.
+                Ok(trigger::INTERNAL | trigger::COUPLED) => {
+                    &[SettingChange::Trigger(TriggerSource::Internal)]
+                }
+                Ok(trigger::EXTERNAL) => &[SettingChange::Trigger(TriggerSource::External)],
+                _ => return Err(error_code::FAILED),
+            },
+            message_type::DATA_ACTIVE if !(0..=1).contains(&number) => {
+                return Err(error_code::FAILED);
+            }
+            _ => &[],
+        };
+        for &change in changes {
+            let applied = self.settings.apply(change, asked);
+            applied.map_err(|_| error_code::FAILED)?;
+        }
+        Ok(())
+    }
+
+    fn get(&self, control: &Control, now: UtcNs) -> Result<Value, i32> {
+        let ours = self.is_ours(control)?;
+        let kind = control.message_type;
+        if kind == message_type::SYSTEM_TIME {
+            let time = SensorTime::from_utc_ns(now.0);
+            return Ok(Value::Time {
+                seconds: time.seconds,
+                milliseconds: time.milliseconds,
+            });
+        }
+        let settings = self.settings.settings();
+        let thousandths = |value: f64| Value::Number((value * 1e3).round() as i32);
+        if ours {
+            let now = match kind {
+                message_type::SYSTEM_TYPE => Some(Value::Number(self.sheet.system_type())),
+                message_type::OPERATIONAL => Some(Value::Number(0)),
+                message_type::PING => Some(Value::Number(i32::from(settings.pinging))),
+                message_type::PING_RANGE => Some(thousandths(settings.range_m)),
+                message_type::PING_RATE => Some(thousandths(settings.max_ping_rate_hz)),
+                message_type::PING_GAIN => Some(thousandths(
+                    10_f64.powf((settings.source_level_db - self.sheet.full_level_db()) / 20.0),
+                )),
+                message_type::ADC_GAIN => Some(thousandths(10_f64.powf(settings.gain_db / 20.0))),
+                message_type::PING_TRIGGER
+                    if self.settings.trigger() == TriggerSource::External =>
+                {
+                    Some(Value::Number(trigger::EXTERNAL))
+                }
+                _ => None,
+            };
+            if let Some(value) = now {
+                return Ok(value);
+            }
+        }
+        let key = key(kind, control.subsystem, control.channel);
+        Ok(match (kind, self.settings.kept(key)) {
+            // Somebody else has made it internal again.
+            (message_type::PING_TRIGGER, Some(KeptValue::Integer(was)))
+                if ours && was == i64::from(trigger::EXTERNAL) =>
+            {
+                Value::Number(trigger::INTERNAL)
+            }
+            (_, Some(KeptValue::Integer(number))) => Value::Number(number as i32),
+            (_, Some(KeptValue::Text(name))) => Value::PulseName(name),
+            (_, Some(KeptValue::Numbers(n))) if n.len() == 3 => Value::Coupling {
+                master_subsystem: n[0] as u32,
+                divisor: n[1] as u32,
+                delay_us: n[2] as u32,
+            },
+            (message_type::PING_COUPLING, _) => Value::Coupling {
+                master_subsystem: control.subsystem.into(),
+                divisor: 1,
+                delay_us: 0,
+            },
+            (message_type::PING_SELECT, _) => Value::PulseName(self.sheet.sonar.name.clone()),
+            (message_type::DATA_ACTIVE, _) => Value::Number(i32::from(ours)),
+            (message_type::ADC_RATE, _) if ours => {
+                Value::Number(self.sheet.sonar.receiver.sample_rate_hz.round() as i32)
+            }
+            _ => Value::Number(0),
+        })
+    }
+}

@@ -1,0 +1,357 @@
+//! Records about the bottom and of calibrated samples: 7027, 7028, 7058, 7042, 7057.
+//!
+//! Levels go back from volts to the water by undoing sensitivity, gain and time-varying gain. A scattering strength is the echo level minus
+//! source level and footprint plus two transmission losses (20 log r + absorption), with the pattern of the transmitter left out, as the
+//! record's own flags say.
+
+use std::f64::consts::PI;
+
+use num_complex::Complex64;
+
+use echotank_protocols::sevenk::RecordStamp;
+use echotank_protocols::sevenk::records::{
+    BeamSamples, Detection7027, PHASE_COUNTS_PER_RAD, Rth7027, Rth7028, Rth7042, Rth7058,
+    SnippetDescriptor, SnippetSamples, emit_7027, emit_7028, emit_7042, emit_7058, flags_7042,
+};
+
+use super::kept::Kept;
+use super::quantise::MAGNITUDE_FULL_SCALE;
+use crate::config::spec::SonarSpec;
+use crate::flow::{
+    BeamFrame, Detection, PingOutput, PingPlan, PulseKind, Sounding, TimeVaryingGain,
+};
+
+/// Both quality tests passed, brightness and colinearity: what is detected at all has passed ours.
+const QUALITY_PASSED: u32 = 0b11;
+/// Type 1 of the quality, in the flags of a detection.
+const QUALITY_TYPE_1: u32 = 1 << 2;
+/// The algorithm that takes amplitude or phase, whichever is better.
+const ALGORITHM_G2: u8 = 2;
+/// Samples of a snippet on either side of the footprint.
+const SNIPPET_MARGIN: f64 = 8.0;
+/// dB that 8 bits of 7042 span: 20 log10 of 65535.
+const DB_OF_16_BITS: f64 = 96.329_6;
+/// Bits of the 7042 set-up that we cannot do: compression factor, segments, delay in the first sample.
+const NOT_DONE: u32 =
+    flags_7042::COMPRESSION_FACTOR | flags_7042::SEGMENTS | flags_7042::FIRST_SAMPLE_IS_DELAY;
+
+/// Whether 7042 can be made with these flags.
+pub fn can_compress(flags: u32) -> bool {
+    let both = flags_7042::DB_IN_8_BITS | flags_7042::MAGNITUDE_IN_32_BITS;
+    flags & NOT_DONE == 0 && flags & both != both
+}
+
+/// Buffers of this module's records.
+#[derive(Default)]
+pub struct Workspace {
+    detections: Vec<Detection7027>,
+    descriptors: Vec<SnippetDescriptor>,
+    intensities: Vec<u16>,
+    strengths_db: Vec<f32>,
+    footprints_m2: Vec<f32>,
+    magnitudes: Vec<u32>,
+    phases: Vec<i16>,
+}
+
+/// One ping, and where its samples lie.
+pub struct Source<'a> {
+    pub plan: &'a PingPlan,
+    pub output: &'a PingOutput,
+    pub sonar: &'a SonarSpec,
+    pub kept: &'a Kept,
+    /// Samples between the start of the pulse and the first computed.
+    pub silent: usize,
+    pub stamp: RecordStamp,
+}
+
+impl Source<'_> {
+    fn rate_hz(&self) -> f64 {
+        self.sonar.receiver.sample_rate_hz
+    }
+    fn full_scale_v(&self) -> f64 {
+        self.sonar.receiver.full_scale_v
+    }
+    fn metres_per_sample(&self) -> f64 {
+        0.5 * self.plan.sound_speed_m_per_s / self.rate_hz()
+    }
+    /// Length of a compressed pulse, seconds.
+    fn compressed_s(&self) -> f64 {
+        match self.plan.pulse.kind {
+            PulseKind::Cw => self.plan.pulse.duration_s,
+            PulseKind::LfmUp | PulseKind::LfmDown => 1.0 / self.plan.pulse.bandwidth_hz.max(1.0),
+        }
+    }
+    /// The receiver's gain over the sensitivity of an array, dB re 1 V/uPa, at a slant range.
+    pub fn gain_db(&self, array: usize, range_m: f64) -> f64 {
+        self.sonar.receive[array].sensitivity_db
+            + self.plan.settings.gain_db
+            + tvg_db(&self.sonar.receiver.tvg, range_m)
+    }
+}
+
+/// Time-varying gain at a slant range, dB.
+fn tvg_db(tvg: &TimeVaryingGain, range_m: f64) -> f64 {
+    match tvg {
+        TimeVaryingGain::None => 0.0,
+        TimeVaryingGain::Law {
+            spreading,
+            absorption_db_per_m,
+            max_db,
+        } => (spreading * range_m.max(f64::MIN_POSITIVE).log10()
+            + 2.0 * absorption_db_per_m * range_m)
+            .clamp(0.0, *max_db),
+        TimeVaryingGain::Table(rows) => {
+            let after = rows.partition_point(|&(r, _)| r <= range_m);
+            match (after.checked_sub(1).map(|k| rows[k]), rows.get(after)) {
+                (Some((r0, g0)), Some(&(r1, g1))) => g0 + (g1 - g0) * (range_m - r0) / (r1 - r0),
+                (Some((_, g)), None) | (None, Some(&(_, g))) => g,
+                (None, None) => 0.0,
+            }
+        }
+    }
+}
+
+/// 7027.
+pub fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Vec<u8>) {
+    let (plan, rate_hz) = (source.plan, source.rate_hz());
+    let end = (source.silent + plan.sample_count) as f32;
+    work.detections.clear();
+    let scale = MAGNITUDE_FULL_SCALE / source.full_scale_v();
+    work.detections
+        .extend(source.output.soundings.iter().map(|s| Detection7027 {
+            beam: s.beam as u16,
+            detection_sample: (s.twtt_s * rate_hz) as f32,
+            rx_angle_rad: s.angle_rad as f32,
+            flags: QUALITY_TYPE_1
+                | match s.detection {
+                    Detection::Amplitude => 1,
+                    Detection::Phase => 2,
+                },
+            quality: QUALITY_PASSED,
+            uncertainty: (s.error_s / s.twtt_s) as f32,
+            intensity: (s.level_v * scale) as f32,
+            min_limit_sample: source.silent as f32,
+            max_limit_sample: end,
+        }));
+    let rth = Rth7027 {
+        sonar_id: source.sonar.serial,
+        ping_number: plan.ping_number,
+        detection_algorithm: ALGORITHM_G2,
+        sampling_rate_hz: rate_hz as f32,
+        ..Rth7027::default()
+    };
+    emit_7027(buf, &source.stamp, &rth, &work.detections);
+}
+
+/// Half the time that a flat bottom stays in the beam of a sounding, in samples.
+fn half_footprint_samples(sounding: &Sounding, fan: &BeamFrame, rate_hz: f64) -> f64 {
+    let width_rad = fan.width_rad.get(sounding.beam).copied().unwrap_or(0.0);
+    0.5 * width_rad * sounding.angle_rad.abs().min(1.45).tan() * sounding.twtt_s * rate_hz
+}
+
+/// Where the snippets of a ping lie, counted from range 0.
+fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
+    let window = source.kept.snippets;
+    let last = (source.silent + fan.samples).saturating_sub(1) as u32;
+    work.descriptors.clear();
+    for sounding in &source.output.soundings {
+        let at = sounding.twtt_s * source.rate_hz();
+        let half = half_footprint_samples(sounding, fan, source.rate_hz()) + SNIPPET_MARGIN;
+        let mut samples = if window.flags & 1 == 0 {
+            f64::from(window.most_samples)
+        } else {
+            2.0 * half + 1.0
+        };
+        samples = samples
+            .max(f64::from(window.least_samples))
+            .min(f64::from(window.most_samples))
+            .max(1.0);
+        let half = (0.5 * (samples - 1.0)).round() as u32;
+        let detection = (at.round().max(0.0) as u32).clamp(source.silent as u32, last);
+        work.descriptors.push(SnippetDescriptor {
+            beam: sounding.beam as u16,
+            start_sample: detection.saturating_sub(half).max(source.silent as u32),
+            detection_sample: detection,
+            end_sample: detection.saturating_add(half).min(last),
+        });
+    }
+}
+
+/// The samples of a snippet.
+fn samples_of<'a>(
+    descriptor: &SnippetDescriptor,
+    fan: &'a BeamFrame,
+    silent: usize,
+) -> &'a [Complex64] {
+    let beam = fan.beam(descriptor.beam.into());
+    let from = (descriptor.start_sample as usize).saturating_sub(silent);
+    let to = (descriptor.end_sample as usize + 1).saturating_sub(silent);
+    &beam[from.min(beam.len())..to.min(beam.len())]
+}
+
+/// 7028; how many intensities did not fit.
+pub fn snippets_7028(
+    work: &mut Workspace,
+    source: &Source<'_>,
+    fan: &BeamFrame,
+    buf: &mut Vec<u8>,
+) -> u64 {
+    snippets(work, source, fan);
+    let scale = MAGNITUDE_FULL_SCALE / source.full_scale_v();
+    let mut saturated = 0;
+    work.intensities.clear();
+    for descriptor in &work.descriptors {
+        for v in samples_of(descriptor, fan, source.silent) {
+            let counts = (v.norm() * scale).round();
+            saturated += u64::from(!(0.0..=MAGNITUDE_FULL_SCALE).contains(&counts));
+            work.intensities
+                .push(counts.min(MAGNITUDE_FULL_SCALE) as u16);
+        }
+    }
+    let rth = Rth7028 {
+        sonar_id: source.sonar.serial,
+        ping_number: source.plan.ping_number,
+        control_flags: source.kept.snippets.flags as u8,
+        ..Rth7028::default()
+    };
+    let samples = SnippetSamples::U16(&work.intensities);
+    emit_7028(buf, &source.stamp, &rth, &work.descriptors, samples);
+    saturated
+}
+
+/// 7058: the same snippets as scattering strengths, with their footprints.
+pub fn strengths_7058(
+    work: &mut Workspace,
+    source: &Source<'_>,
+    (fan, array): (&BeamFrame, usize),
+    along_track_width_rad: f64,
+    buf: &mut Vec<u8>,
+) {
+    snippets(work, source, fan);
+    let plan = source.plan;
+    let transmit = &source.sonar.transmit[source.sonar.receive[array].transmit];
+    let source_level_db = plan.settings.source_level_db + transmit.level_offset_db;
+    let cell_m = 0.5 * plan.sound_speed_m_per_s * source.compressed_s();
+    work.strengths_db.clear();
+    work.footprints_m2.clear();
+    for descriptor in &work.descriptors {
+        let beam = usize::from(descriptor.beam);
+        let angle_rad = fan.angle_rad[beam].abs();
+        let volts = samples_of(descriptor, fan, source.silent);
+        for (k, v) in volts.iter().enumerate() {
+            let sample = f64::from(descriptor.start_sample) + k as f64;
+            let range_m = (sample * source.metres_per_sample()).max(source.metres_per_sample());
+            // Across: the pulse on the bottom, or the beam on it where that is shorter.
+            let beam_m = range_m * fan.width_rad[beam] / angle_rad.cos().max(1e-3);
+            let pulse_m = cell_m / angle_rad.sin().max(1e-6);
+            let footprint_m2 = range_m * along_track_width_rad.min(PI) * beam_m.min(pulse_m);
+            let level_db =
+                20.0 * v.norm().max(f64::MIN_POSITIVE).log10() - source.gain_db(array, range_m);
+            let loss_db = 20.0 * range_m.log10() + plan.absorption_db_per_m * range_m;
+            let strength_db =
+                level_db - source_level_db + 2.0 * loss_db - 10.0 * footprint_m2.log10();
+            work.strengths_db.push(strength_db as f32);
+            work.footprints_m2.push(footprint_m2 as f32);
+        }
+    }
+    let rth = Rth7058 {
+        sonar_id: source.sonar.serial,
+        ping_number: plan.ping_number,
+        // Bit 8: one absorption for all.
+        control_flags: 1 << 8,
+        absorption_db_per_km: (plan.absorption_db_per_m * 1e3) as f32,
+        ..Rth7058::default()
+    };
+    emit_7058(
+        buf,
+        &source.stamp,
+        &rth,
+        &work.descriptors,
+        &work.strengths_db,
+        Some(&work.footprints_m2),
+    );
+}
+
+/// 7042, as its set-up asks; how many magnitudes did not fit.
+pub fn water_column_7042(
+    work: &mut Workspace,
+    source: &Source<'_>,
+    fan: &BeamFrame,
+    buf: &mut Vec<u8>,
+) -> u64 {
+    let flags = source.kept.water_column_flags;
+    let divisor = match (flags >> flags_7042::DIVISOR_SHIFT) & 0xF {
+        0 => 1,
+        divisor => divisor as usize,
+    };
+    let largest = if flags & flags_7042::MAGNITUDE_IN_32_BITS == 0 {
+        MAGNITUDE_FULL_SCALE
+    } else {
+        f64::from(u32::MAX)
+    };
+    let scale = largest / source.full_scale_v();
+    let mut saturated = 0;
+    work.magnitudes.clear();
+    work.phases.clear();
+    let mut ends = Vec::with_capacity(fan.beams);
+    for beam in 0..fan.beams {
+        let row = fan.beam(beam);
+        let len = match source.output.soundings.iter().find(|s| s.beam == beam) {
+            Some(s) if flags & flags_7042::LIMITED_BY_DETECTION != 0 => {
+                let at = (s.twtt_s * source.rate_hz()).ceil() as usize + 1;
+                at.saturating_sub(source.silent).min(row.len())
+            }
+            _ => row.len(),
+        };
+        for window in row[..len].chunks(divisor) {
+            let magnitude = window_magnitude(window, (flags >> 8) & 0xF) * scale;
+            let middle = window[window.len() / 2];
+            saturated += u64::from(!(0.0..largest + 0.5).contains(&magnitude));
+            let held = magnitude.clamp(0.0, largest).round();
+            work.magnitudes
+                .push(if flags & flags_7042::DB_IN_8_BITS == 0 {
+                    held as u32
+                } else {
+                    (20.0 * held.max(1.0).log10() / DB_OF_16_BITS * 255.0).round() as u32
+                });
+            let phase = middle.im.atan2(middle.re) * f64::from(PHASE_COUNTS_PER_RAD);
+            work.phases.push(phase.round() as i16);
+        }
+        ends.push(work.magnitudes.len());
+    }
+    let mut start = 0;
+    let beams: Vec<_> = ends
+        .iter()
+        .enumerate()
+        .map(|(beam, &end)| {
+            let range = start..end;
+            start = end;
+            BeamSamples {
+                beam: beam as u16,
+                segment: 0,
+                magnitudes: &work.magnitudes[range.clone()],
+                phases: &work.phases[range],
+            }
+        })
+        .collect();
+    let rth = Rth7042 {
+        sonar_id: source.sonar.serial,
+        ping_number: source.plan.ping_number,
+        samples: (source.silent + fan.samples) as u32,
+        flags,
+        first_sample: source.silent as u32,
+        sample_rate_hz: (source.rate_hz() / divisor as f64) as f32,
+        ..Rth7042::default()
+    };
+    emit_7042(buf, &source.stamp, &rth, &beams);
+    saturated
+}
+
+/// One magnitude for a window: 0 its middle, 1 its largest, 2 the mean.
+fn window_magnitude(window: &[Complex64], kind: u32) -> f64 {
+    match kind {
+        1 => window.iter().map(|v| v.norm()).fold(0.0, f64::max),
+        2 => window.iter().map(|v| v.norm()).sum::<f64>() / window.len() as f64,
+        _ => window[window.len() / 2].norm(),
+    }
+}

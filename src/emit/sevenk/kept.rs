@@ -1,0 +1,258 @@
+//! What a SeaBat can be told and the model does not use: kept in the settings, and reported in 7503 as it was told. 7000 says what the ping
+//! had, so of these it shows only what the model has nothing of its own for.
+
+use echotank_protocols::sevenk::Command;
+use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
+use echotank_protocols::sevenk::records::{RemoteSettings7503, SonarSettings7000};
+
+use super::protocol::VIA;
+use crate::flow::{KeptKey, KeptValue, SettingsPort, TriggerSource};
+
+/// Names of kept settings and how many numbers each has.
+mod name {
+    pub const DETECTION_MASK: &str = "bottom detection mask";
+    pub const DETECTION_FILTER: &str = "bottom detection filter";
+    pub const GAIN_TYPE: &str = "gain type";
+    pub const PULSE_ENVELOPE: &str = "pulse envelope";
+    pub const PROJECTOR_STEERING: &str = "projector steering";
+    pub const PROJECTOR_WIDTHS: &str = "projector beam widths";
+    pub const MOTION: &str = "motion compensation";
+    pub const MATCH_FILTER: &str = "match filter";
+    pub const COVERAGE: &str = "coverage sector";
+    pub const TRIGGER_OUT: &str = "trigger out";
+    pub const PPS_EDGE: &str = "pps edge";
+    pub const SNIPPETS: &str = "snippet control";
+    pub const WATER_COLUMN: &str = "compressed water column";
+    pub const SOUND_VELOCITY: &str = "sound velocity";
+}
+
+pub fn key(name: &'static str) -> KeptKey {
+    KeptKey {
+        via: VIA,
+        name,
+        place: 0,
+    }
+}
+
+/// The setting that a command tells; none for a command that does something.
+pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
+    Some(match *command {
+        Command::BottomDetectionMask { flags } => (name::DETECTION_MASK, vec![flags.into()]),
+        Command::BottomDetectionFilter {
+            min_range_m,
+            max_range_m,
+            min_depth_m,
+            max_depth_m,
+            gate_tilt_rad,
+        } => (
+            name::DETECTION_FILTER,
+            [
+                min_range_m,
+                max_range_m,
+                min_depth_m,
+                max_depth_m,
+                gate_tilt_rad.unwrap_or(0.0),
+            ]
+            .map(f64::from)
+            .to_vec(),
+        ),
+        Command::GainType(kind) => (
+            name::GAIN_TYPE,
+            vec![match kind {
+                GainType::Tvg => 0.0,
+                GainType::Fixed => 2.0,
+            }],
+        ),
+        Command::PulseEnvelope { envelope, shading } => (
+            name::PULSE_ENVELOPE,
+            vec![
+                match envelope {
+                    // As 7503 counts them.
+                    PulseEnvelope::Rectangle => 4.0,
+                    PulseEnvelope::Tukey => 1.0,
+                },
+                shading.into(),
+            ],
+        ),
+        Command::ProjectorSteering {
+            vertical_rad,
+            horizontal_rad,
+        } => (
+            name::PROJECTOR_STEERING,
+            vec![vertical_rad.into(), horizontal_rad.into()],
+        ),
+        Command::ProjectorBeamWidths {
+            vertical_rad,
+            horizontal_rad,
+        } => (
+            name::PROJECTOR_WIDTHS,
+            vec![vertical_rad.into(), horizontal_rad.into()],
+        ),
+        Command::MotionCompensation { roll, pitch } => {
+            (name::MOTION, vec![roll.into(), pitch.into()])
+        }
+        Command::MatchFilter { window, shading } => {
+            (name::MATCH_FILTER, vec![window.into(), shading.into()])
+        }
+        Command::CoverageSector {
+            sector_rad,
+            rx_steering_rad,
+        } => (
+            name::COVERAGE,
+            vec![sector_rad.into(), rx_steering_rad.into()],
+        ),
+        Command::TriggerOut {
+            flags,
+            length_s,
+            offset_s,
+        } => (name::TRIGGER_OUT, vec![flags.into(), length_s, offset_s]),
+        Command::PpsEdge { edge } => (name::PPS_EDGE, vec![edge.into()]),
+        Command::SnippetControl {
+            flags,
+            min_window_samples,
+            max_window_samples,
+        } => (
+            name::SNIPPETS,
+            vec![
+                flags.into(),
+                min_window_samples.into(),
+                max_window_samples.into(),
+            ],
+        ),
+        Command::CompressedWaterColumn { flags } => (name::WATER_COLUMN, vec![flags.into()]),
+        Command::SoundVelocity {
+            flags,
+            sound_velocity_m_per_s,
+            filter,
+        } => (
+            name::SOUND_VELOCITY,
+            vec![flags.into(), sound_velocity_m_per_s.into(), filter.into()],
+        ),
+        _ => return None,
+    })
+}
+
+/// How long snippets may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SnippetWindow {
+    pub flags: u32,
+    pub least_samples: u32,
+    pub most_samples: u32,
+}
+
+impl Default for SnippetWindow {
+    /// As long as the beam's footprint asks for, up to what keeps a record of a thousand beams below a megabyte.
+    fn default() -> Self {
+        Self {
+            flags: 1,
+            least_samples: 1,
+            most_samples: 500,
+        }
+    }
+}
+
+/// What has been told, as the records want it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Kept {
+    pub snippets: SnippetWindow,
+    /// Flags of 7042.
+    pub water_column_flags: u32,
+    detection_filter: Option<[f64; 5]>,
+    envelope: Option<[f64; 2]>,
+    steering: Option<[f64; 2]>,
+    widths: Option<[f64; 2]>,
+    motion: Option<[f64; 2]>,
+    coverage: Option<[f64; 2]>,
+    trigger_out: Option<[f64; 3]>,
+    sound_velocity: Option<[f64; 3]>,
+    /// Somebody else's pulse starts the pings.
+    pub foreign_trigger: bool,
+}
+
+impl Kept {
+    pub fn of(settings: &dyn SettingsPort) -> Self {
+        fn numbers<const N: usize>(
+            settings: &dyn SettingsPort,
+            name: &'static str,
+        ) -> Option<[f64; N]> {
+            match settings.kept(key(name)) {
+                Some(KeptValue::Numbers(numbers)) => numbers.try_into().ok(),
+                _ => None,
+            }
+        }
+        let snippets = numbers::<3>(settings, name::SNIPPETS).map(|n| n.map(|v| v as u32));
+        Self {
+            snippets: snippets.map_or_else(
+                SnippetWindow::default,
+                |[flags, least_samples, most_samples]| SnippetWindow {
+                    flags,
+                    least_samples,
+                    most_samples,
+                },
+            ),
+            water_column_flags: numbers::<1>(settings, name::WATER_COLUMN)
+                .map_or(0, |[flags]| flags as u32),
+            detection_filter: numbers(settings, name::DETECTION_FILTER),
+            envelope: numbers(settings, name::PULSE_ENVELOPE),
+            steering: numbers(settings, name::PROJECTOR_STEERING),
+            widths: numbers(settings, name::PROJECTOR_WIDTHS),
+            motion: numbers(settings, name::MOTION),
+            coverage: numbers(settings, name::COVERAGE),
+            trigger_out: numbers(settings, name::TRIGGER_OUT),
+            sound_velocity: numbers(settings, name::SOUND_VELOCITY),
+            foreign_trigger: settings.trigger() == TriggerSource::External,
+        }
+    }
+
+    /// What was told, over what is.
+    pub fn report_7503(&self, s: &mut RemoteSettings7503) {
+        if let Some([min_range, max_range, min_depth, max_depth, tilt]) = self.detection_filter {
+            s.bottom_filter_min_range_m = min_range as f32;
+            s.bottom_filter_max_range_m = max_range as f32;
+            s.bottom_filter_min_depth_m = min_depth as f32;
+            s.bottom_filter_max_depth_m = max_depth as f32;
+            s.depth_gate_tilt_rad = tilt as f32;
+        }
+        if let Some([envelope, shading]) = self.envelope {
+            s.tx_pulse_envelope = envelope as u32;
+            s.tx_pulse_envelope_parameter = shading as f32;
+        }
+        if let Some([vertical, horizontal]) = self.steering {
+            s.projector_steer_vertical_rad = vertical as f32;
+            s.projector_steer_horizontal_rad = horizontal as f32;
+        }
+        if let Some([vertical, horizontal]) = self.widths {
+            s.projector_beam_width_vertical_rad = vertical as f32;
+            s.projector_beam_width_horizontal_rad = horizontal as f32;
+        }
+        if let Some([roll, pitch]) = self.motion {
+            s.receive_flags |= u32::from(roll != 0.0);
+            s.transmit_flags |= u32::from(pitch != 0.0);
+        }
+        if let Some([sector, steering]) = self.coverage {
+            s.coverage_angle_rad = sector as f32;
+            s.rx_horizontal_steering_rad = steering as f32;
+        }
+        if let Some([_, width_s, offset_s]) = self.trigger_out {
+            s.trigger_out_width_s = width_s;
+            s.trigger_out_offset_s = offset_s;
+        }
+        if let Some([flags, velocity, _]) = self.sound_velocity
+            && flags as u32 & 0b11 != 0
+        {
+            s.sound_velocity_m_per_s = velocity as f32;
+        }
+        if self.foreign_trigger && s.ping_state == RemoteSettings7503::PING_DISABLED {
+            s.ping_state = RemoteSettings7503::PING_EXTERNAL_TRIGGER;
+        }
+    }
+
+    pub fn report_7000(&self, s: &mut SonarSettings7000) {
+        if let Some([min_range, max_range, min_depth, max_depth, _]) = self.detection_filter {
+            s.bottom_filter_min_range_m = min_range as f32;
+            s.bottom_filter_max_range_m = max_range as f32;
+            s.bottom_filter_min_depth_m = min_depth as f32;
+            s.bottom_filter_max_depth_m = max_depth as f32;
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! XTF packets of a ping: side-scan lines with the navigation in their header, and the attitude. Files only.
+//!
+//! A sample is the envelope of a line: u16 with the receiver's full scale as 65535, saturations counted, or f32 in volts. Sample 0 is the start
+//! of the pulse. Not modelled: a tow behind a ship (ship and sensor are one place), notes, bathymetry.
+
+use echotank_protocols::xtf::{
+    Attitude, ChannelHeader, ChannelInfo, ChannelKind, FileHeader, NavUnits, PingHeader,
+    SampleFormat, Samples, emit_ping,
+};
+
+use super::jsf::altitude_m;
+use super::sevenk::quantise;
+use crate::config::spec::{SonarSpec, XtfSpec};
+use crate::flow::{Pattern, PingOutput, PingPlan, Side};
+use crate::frames::angles_from_rotation;
+
+const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
+
+/// Turns pings into XTF packets. Holds its buffers; one thread's.
+pub struct XtfEmitter {
+    output: XtfSpec,
+    sonar: SonarSpec,
+    header: FileHeader,
+    counts: Vec<Vec<u16>>,
+}
+
+impl XtfEmitter {
+    /// The configuration gives the sonar one line or two.
+    pub fn new(output: &XtfSpec, sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Self {
+        let format = if output.is_float {
+            SampleFormat::F32
+        } else {
+            SampleFormat::U16
+        };
+        let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
+        let channels = sonar.beams.lines.iter().map(|line| {
+            let array = &sonar.receive[line.array];
+            let p = array.mounting.position_m;
+            let (_, pitch_rad, yaw_rad) = angles_from_rotation(array.mounting.body_from_array);
+            let length_m = array.elements as f64 * array.spacing_m;
+            let across_m = match array.element_pattern {
+                Pattern::Rectangle { width_m, .. } => width_m,
+                Pattern::Omnidirectional => 0.0,
+            };
+            // 0.886 wavelengths over the length; 0 where it has none.
+            let width_deg = |length_m: f64| {
+                if length_m > 0.0 {
+                    (0.886 * wavelength_m / length_m).to_degrees().min(360.0) as f32
+                } else {
+                    0.0
+                }
+            };
+            let boresight = array.mounting.body_from_array * glam::DVec3::Z;
+            ChannelInfo {
+                kind: match line.side {
+                    Side::Port => ChannelKind::Port,
+                    Side::Starboard => ChannelKind::Starboard,
+                },
+                format,
+                name: match line.side {
+                    Side::Port => "port".into(),
+                    Side::Starboard => "starboard".into(),
+                },
+                frequency_khz: (sonar.pulse.center_frequency_hz / 1e3) as f32,
+                horizontal_beam_deg: width_deg(length_m),
+                // Down from the horizontal.
+                tilt_deg: boresight.z.clamp(-1.0, 1.0).asin().to_degrees() as f32,
+                beam_width_deg: width_deg(across_m),
+                volt_scale: sonar.receiver.full_scale_v as f32,
+                offset_m: [p.y as f32, p.x as f32, p.z as f32],
+                offset_yaw_pitch_roll_deg: [
+                    yaw_rad.to_degrees() as f32,
+                    pitch_rad.to_degrees() as f32,
+                    0.0,
+                ],
+            }
+        });
+        let header = FileHeader {
+            program: "etank".into(),
+            program_version: env!("CARGO_PKG_VERSION").into(),
+            sonar_name: ascii(&sonar.name, 15),
+            sonar_type: 0,
+            note: "Simulated by Echotank".into(),
+            file_name: String::new(),
+            nav_units: NavUnits::LatitudeLongitude,
+            nav_latency_ms: 0,
+            channels: channels.collect(),
+        };
+        Self {
+            counts: vec![Vec::new(); header.channels.len()],
+            output: *output,
+            sonar: sonar.clone(),
+            header,
+        }
+    }
+
+    /// What a file begins with.
+    pub fn file_head(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.header.emit(&mut bytes);
+        bytes
+    }
+
+    /// Appends the packets of one ping, if it has lines, and returns how many samples did not fit.
+    pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, buf: &mut Vec<u8>) -> u64 {
+        let lines = &self.sonar.beams.lines;
+        let found: Vec<_> = lines
+            .iter()
+            .filter_map(|spec| output.lines.iter().find(|line| line.side == spec.side))
+            .collect();
+        if found.len() != lines.len() || found.is_empty() {
+            return 0;
+        }
+        let nav = &plan.nav;
+        let after_transmit_ns = nav.utc.0.saturating_sub(plan.transmit_utc.0);
+        Attitude {
+            utc_ns: plan.stamp_utc.plus_ns(after_transmit_ns).0,
+            pitch_deg: nav.pitch_rad.to_degrees() as f32,
+            roll_deg: nav.roll_rad.to_degrees() as f32,
+            heave_up_m: -nav.heave_down_m as f32,
+            heading_deg: nav.heading_rad.to_degrees() as f32,
+        }
+        .emit(buf);
+        let rate_hz = self.sonar.receiver.sample_rate_hz;
+        let mut saturated = 0;
+        for (counts, line) in self.counts.iter_mut().zip(&found) {
+            counts.clear();
+            if !self.output.is_float {
+                let full_scale_v = self.sonar.receiver.full_scale_v;
+                saturated += quantise::line(&line.amplitude, full_scale_v, counts);
+            }
+        }
+        let channels: Vec<_> = found
+            .iter()
+            .zip(&self.counts)
+            .enumerate()
+            .map(|(index, (line, counts))| {
+                let duration_s = line.amplitude.len() as f64 / rate_hz;
+                let header = ChannelHeader {
+                    channel: index as u16,
+                    slant_range_m: (0.5 * plan.sound_speed_m_per_s * duration_s) as f32,
+                    time_duration_s: duration_s as f32,
+                    seconds_per_ping: (1.0 / plan.ping_rate_hz) as f32,
+                    frequency_khz: (plan.pulse.center_frequency_hz / 1e3).round() as u16,
+                    bandwidth_khz: (plan.pulse.bandwidth_hz / 1e3).round() as u16,
+                    ..ChannelHeader::default()
+                };
+                let samples = if self.output.is_float {
+                    Samples::F32(&line.amplitude)
+                } else {
+                    Samples::U16(counts)
+                };
+                (header, samples)
+            })
+            .collect();
+        emit_ping(buf, &self.header, &ping_header(plan, output), &channels);
+        saturated
+    }
+}
+
+fn ping_header(plan: &PingPlan, output: &PingOutput) -> PingHeader {
+    let nav = &plan.nav;
+    let speed_kn = nav.pose.velocity_m_per_s.truncate().length() * KNOTS_PER_M_PER_S;
+    let (y_deg, x_deg) = (
+        nav.latitude_rad.to_degrees(),
+        nav.longitude_rad.to_degrees(),
+    );
+    let mut header = PingHeader {
+        ping_number: plan.ping_number,
+        event_number: plan.ping_number,
+        sound_velocity_one_way_m_per_s: (0.5 * plan.sound_speed_m_per_s) as f32,
+        computed_sound_velocity_m_per_s: plan.sound_speed_m_per_s as f32,
+        ship_speed_kn: speed_kn as f32,
+        sensor_speed_kn: speed_kn as f32,
+        ship_gyro_deg: nav.heading_rad.to_degrees() as f32,
+        sensor_heading_deg: nav.heading_rad.to_degrees() as f32,
+        ship_y: y_deg,
+        ship_x: x_deg,
+        sensor_y: y_deg,
+        sensor_x: x_deg,
+        sensor_depth_m: (-nav.height_m).max(0.0) as f32,
+        sensor_altitude_m: altitude_m(output, plan.sound_speed_m_per_s).unwrap_or(0.0) as f32,
+        sensor_pitch_deg: nav.pitch_rad.to_degrees() as f32,
+        sensor_roll_deg: nav.roll_rad.to_degrees() as f32,
+        heave_up_m: -nav.heave_down_m as f32,
+        ..PingHeader::default()
+    };
+    header.set_utc_ns(plan.stamp_utc.0);
+    header
+}
+
+fn ascii(text: &str, most: usize) -> String {
+    text.chars()
+        .filter(|c| c.is_ascii_graphic() || *c == ' ')
+        .take(most)
+        .collect()
+}

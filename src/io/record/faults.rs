@@ -1,0 +1,50 @@
+//! `faults-*.jsonl`: every injected fault, one JSON object per line, so that what a device reports can be scored.
+//!
+//! | key | |
+//! |---|---|
+//! | `fault`, `kind` | its number in this run and its kind |
+//! | `sonar`, `ping_number`, `utc_ns` | the ping it struck, and the start of its pulse in rig time |
+//! | `record_type` | of faults of the line: the record |
+//! | `array`, `element` | of faults of elements: where; absent: all |
+//! | `strength` | how far it had grown, 0 to 1 |
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::RecordError;
+
+/// Grows line by line; readable up to the last whole line whenever it is cut off.
+pub struct FaultLog {
+    path: PathBuf,
+    file: File,
+    lines: String,
+}
+
+impl FaultLog {
+    /// Replaces what has this name.
+    pub fn create(path: &Path) -> Result<Self, RecordError> {
+        Ok(Self {
+            path: path.to_owned(),
+            file: File::create(path).map_err(RecordError::io(path, "create"))?,
+            lines: String::new(),
+        })
+    }
+
+    /// Appends a line for each.
+    pub fn write<T: Serialize>(&mut self, injections: &[T]) -> Result<(), RecordError> {
+        self.lines.clear();
+        for injection in injections {
+            // Plain data: it can always be written.
+            if let Ok(line) = serde_json::to_string(injection) {
+                self.lines += &line;
+                self.lines.push('\n');
+            }
+        }
+        self.file
+            .write_all(self.lines.as_bytes())
+            .map_err(RecordError::io(&self.path, "write"))
+    }
+}

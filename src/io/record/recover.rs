@@ -1,0 +1,277 @@
+//! Mends a `.s7k` that was cut off: what is behind the last whole record goes, the catalogue is written, the header points at it.
+//!
+//! A file that is being recorded is locked by its recorder, and left alone.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use echotank_protocols::sevenk::file::{CataloguePointer, FileBuilder, FileHeader7200};
+use echotank_protocols::sevenk::{DataRecordFrame, Record, RecordStamp, WireError, record_id};
+
+use super::RecordError;
+
+/// Bytes that tell how long a record is.
+const FRAME_BYTES: usize = 64;
+/// No record of ours is longer.
+const MOST_RECORD_BYTES: u32 = 1 << 30;
+
+/// What came of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recovered {
+    /// It had been closed.
+    Whole,
+    /// Somebody records into it.
+    InUse,
+    Mended {
+        /// The header among them.
+        records: u64,
+        /// Of a record begun, taken away.
+        cut_bytes: u64,
+    },
+}
+
+impl std::fmt::Display for Recovered {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Whole => f.write_str("is whole"),
+            Self::InUse => f.write_str("is being recorded; left alone"),
+            Self::Mended { records, cut_bytes } => write!(
+                f,
+                "had been cut off: mended, {records} records, {cut_bytes} bytes of an unfinished one taken away"
+            ),
+        }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum RecoverError {
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    #[error("{}: does not begin with a 7k file header: {why}", path.display())]
+    NoHeader { path: PathBuf, why: WireError },
+}
+
+/// Mends one file in place.
+pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
+    let io = |action| RecordError::io(path, action);
+    let opened = File::options().read(true).write(true).open(path);
+    let mut file = opened.map_err(io("open"))?;
+    match file.try_lock() {
+        Ok(()) => {}
+        Err(std::fs::TryLockError::WouldBlock) => return Ok(Recovered::InUse),
+        Err(std::fs::TryLockError::Error(source)) => return Err(io("lock")(source).into()),
+    }
+    let length = file.metadata().map_err(io("read"))?.len();
+    let no_header = |why| RecoverError::NoHeader {
+        path: path.to_owned(),
+        why,
+    };
+    let mut bytes = Vec::new();
+    next_record(&mut file, &mut bytes).map_err(io("read"))?;
+    let first = Record::parse(&bytes).map_err(no_header)?;
+    if first.frame.record_type_id != record_id::FILE_HEADER {
+        return Err(no_header(WireError::Unsupported {
+            what: "first record",
+            got: u64::from(first.frame.record_type_id),
+        }));
+    }
+    let points_at_end =
+        |pointer: CataloguePointer| pointer.offset_bytes + u64::from(pointer.size_bytes) == length;
+    if CataloguePointer::of_record(&first).is_some_and(points_at_end) {
+        return Ok(Recovered::Whole);
+    }
+    let header = FileHeader7200::parse(first.body()).map_err(no_header)?;
+    let stamp = RecordStamp {
+        time: first.frame.time,
+        device_id: first.frame.device_id,
+        system_enumerator: first.frame.system_enumerator,
+    };
+    let mut again = Vec::new();
+    let mut builder = FileBuilder::begin(header, stamp, &mut again);
+    debug_assert_eq!(again.len(), bytes.len());
+    // What is no whole record, or none that may stand here, is where it was cut off: a catalogue without a pointer to it too.
+    loop {
+        next_record(&mut file, &mut bytes).map_err(io("read"))?;
+        if Record::parse(&bytes).is_err() || builder.append(&bytes).is_err() {
+            break;
+        }
+    }
+    let end_of_records = builder.position_bytes();
+    let records = builder.records() as u64;
+    let end = builder.close();
+    file.set_len(end_of_records)
+        .and_then(|()| file.seek(SeekFrom::Start(end_of_records)))
+        .and_then(|_| file.write_all(&end.catalogue))
+        // The pointer only once there is something to point at.
+        .and_then(|()| file.sync_data())
+        .and_then(|()| file.seek(SeekFrom::Start(0)))
+        .and_then(|_| file.write_all(&end.header))
+        .and_then(|()| file.sync_data())
+        .map_err(io("mend"))?;
+    Ok(Recovered::Mended {
+        records,
+        cut_bytes: length - end_of_records,
+    })
+}
+
+/// Mends what was cut off among a folder's records, and says so of each; what cannot be mended is said as well. No folder: nothing.
+pub fn recover_folder(folder: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return Vec::new();
+    };
+    let paths = entries.flatten().map(|entry| entry.path());
+    let mut paths: Vec<_> = paths
+        .filter(|path| path.extension().is_some_and(|e| e == "s7k"))
+        .collect();
+    paths.sort();
+    let mend = |path: &PathBuf| match recover(path) {
+        Ok(Recovered::Whole | Recovered::InUse) => None,
+        Ok(mended) => Some(format!("{} {mended}", path.display())),
+        Err(error) => Some(format!("warning: {error}")),
+    };
+    paths.iter().filter_map(mend).collect()
+}
+
+/// The next record as far as it is there; shorter than it says where the file was cut off.
+fn next_record(file: &mut File, bytes: &mut Vec<u8>) -> io::Result<()> {
+    bytes.clear();
+    file.take(FRAME_BYTES as u64).read_to_end(bytes)?;
+    let size = DataRecordFrame::parse(bytes).map_or(0, |frame| frame.size_bytes);
+    if (FRAME_BYTES as u32..=MOST_RECORD_BYTES).contains(&size) {
+        let rest = u64::from(size) - FRAME_BYTES as u64;
+        file.take(rest).read_to_end(bytes)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::record::s7k::S7kRecorder;
+    use echotank_protocols::sevenk::file::{Catalogue7300, FileReader};
+    use echotank_protocols::sevenk::{OpenRecord, SevenKTime};
+    use proptest::prelude::*;
+
+    fn stamp() -> RecordStamp {
+        RecordStamp {
+            time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),
+            device_id: 104,
+            system_enumerator: 1,
+        }
+    }
+
+    fn header() -> FileHeader7200 {
+        FileHeader7200 {
+            recording_name: "test".into(),
+            ..FileHeader7200::default()
+        }
+    }
+
+    fn record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let open = OpenRecord::begin(&mut bytes, record_type_id, &stamp());
+        bytes.extend_from_slice(data);
+        open.finish(&mut bytes);
+        bytes
+    }
+
+    /// A closed file of five pings' records, and where each of them ends.
+    fn closed(path: &Path) -> (Vec<u8>, Vec<usize>) {
+        let mut s7k = S7kRecorder::create(path, header(), stamp()).expect("create");
+        let mut ends = vec![s7k.length_bytes() as usize];
+        for k in 0..5_u8 {
+            for (kind, bytes) in [(7000, 40), (7038, 300 + 100 * usize::from(k))] {
+                s7k.write(&record(kind, &vec![k; bytes])).expect("write");
+                ends.push(s7k.length_bytes() as usize);
+            }
+        }
+        s7k.close().expect("close");
+        (std::fs::read(path).expect("read"), ends)
+    }
+
+    fn types(bytes: &[u8]) -> Vec<u32> {
+        FileReader::new(bytes)
+            .map(|r| r.expect("whole records").record.frame.record_type_id)
+            .collect()
+    }
+
+    /// The catalogue is where the header says and has a row for every other record.
+    fn assert_closed(bytes: &[u8], records: usize) {
+        let first = FileReader::new(bytes).next().expect("one").expect("whole");
+        let pointer = CataloguePointer::of_record(&first.record).expect("closed");
+        let at = pointer.offset_bytes as usize;
+        assert_eq!(at + pointer.size_bytes as usize, bytes.len());
+        let catalogue = Record::parse(&bytes[at..]).expect("a record");
+        let catalogue = Catalogue7300::parse(catalogue.body()).expect("a catalogue");
+        assert_eq!(catalogue.rows().count(), records);
+    }
+
+    #[test]
+    fn cut_off_at_any_byte_a_file_keeps_every_whole_record() {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("cut.s7k");
+        let (whole, ends) = closed(&path);
+        assert_eq!(recover(&path).expect("fine"), Recovered::Whole);
+        // As a kill leaves it: no catalogue, and a header that points nowhere.
+        let mut open = Vec::new();
+        FileBuilder::begin(header(), stamp(), &mut open);
+        let last = *ends.last().expect("records");
+        open.extend_from_slice(&whole[ends[0]..last]);
+        for length in (ends[0]..=last).step_by(37).chain([last]) {
+            std::fs::write(&path, &open[..length]).expect("written");
+            let kept = ends.iter().filter(|&&end| end <= length).count();
+            let cut_bytes = (length - ends[kept - 1]) as u64;
+            let got = recover(&path).expect("mended");
+            let want = Recovered::Mended {
+                records: kept as u64,
+                cut_bytes,
+            };
+            assert_eq!(got, want, "cut at {length}");
+            let bytes = std::fs::read(&path).expect("read");
+            assert_eq!(types(&bytes).len(), kept + 1, "and a catalogue");
+            assert_closed(&bytes, kept);
+            assert_eq!(recover(&path).expect("again"), Recovered::Whole);
+        }
+        std::fs::write(&path, &open).expect("written");
+        recover(&path).expect("mended");
+        assert!(std::fs::read(&path).expect("read") == whole, "as if closed");
+    }
+
+    #[test]
+    fn killed_between_catalogue_and_pointer_it_is_mended_too() {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("cut.s7k");
+        let (whole, ends) = closed(&path);
+        let mut open = Vec::new();
+        FileBuilder::begin(header(), stamp(), &mut open);
+        open.extend_from_slice(&whole[ends[0]..]);
+        std::fs::write(&path, &open).expect("written");
+        assert!(matches!(recover(&path), Ok(Recovered::Mended { .. })));
+        assert!(std::fs::read(&path).expect("read") == whole);
+    }
+
+    #[test]
+    fn a_file_that_is_being_recorded_is_left_alone() {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("live.s7k");
+        let mut s7k = S7kRecorder::create(&path, header(), stamp()).expect("create");
+        s7k.write(&record(7000, &[1; 40])).expect("write");
+        assert_eq!(recover(&path).expect("looked at"), Recovered::InUse);
+        s7k.write(&record(7000, &[2; 40])).expect("goes on");
+        s7k.close().expect("close");
+        assert_eq!(recover(&path).expect("looked at"), Recovered::Whole);
+        assert_eq!(recover_folder(dir.path()), Vec::<String>::new());
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_no_record_of_ours_is_refused_and_left_as_it_was(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+            let dir = tempfile::tempdir().expect("dir");
+            let path = dir.path().join("noise.s7k");
+            std::fs::write(&path, &bytes).expect("written");
+            prop_assert!(recover(&path).is_err());
+            prop_assert_eq!(std::fs::read(&path).expect("read"), bytes);
+        }
+    }
+}

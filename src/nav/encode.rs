@@ -1,0 +1,232 @@
+//! Sentences that go out: ZDA, GGA and HDT, with checksum and line end. Comes in: an instant and what is known then. Goes out: bytes.
+//!
+//! What is not known stands as empty fields, GGA's quality 0 and HDT's empty heading: so does a receiver say that it does not know.
+//! Satellites, dilution and geoid are never known here. Layouts: NMEA 0183.
+
+use std::io::Write;
+
+use super::framing::checksum_of;
+use crate::flow::FixQuality;
+use crate::time::{NS_PER_S, UtcNs};
+
+/// Minutes of arc are written to this many of a minute: 0.2 mm.
+const MINUTE_STEPS: i64 = 10_000_000;
+
+/// A position as GGA wants it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fix {
+    pub latitude_rad: f64,
+    pub longitude_rad: f64,
+    /// Above the source's own zero, metres.
+    pub height_m: f64,
+    pub quality: FixQuality,
+}
+
+/// `$GPZDA,hhmmss.ss,dd,mm,yyyy,00,00*hh`: the time zone is UTC.
+pub fn zda(out: &mut Vec<u8>, talker: &str, utc: UtcNs) {
+    let date = chrono::DateTime::from_timestamp_nanos(utc.0).format("%d,%m,%Y");
+    sentence(out, &format!("{talker}ZDA,{},{date},00,00", clock(utc)));
+}
+
+/// `$GPGGA,hhmmss.ss,llll.lllllll,N,yyyyy.yyyyyyy,E,q,,,h.hhh,M,,M,,*hh`.
+pub fn gga(out: &mut Vec<u8>, talker: &str, utc: UtcNs, fix: Option<&Fix>) {
+    let time = clock(utc);
+    let fix = fix.filter(|f| f.quality != FixQuality::None);
+    let body = match fix {
+        None => format!("{talker}GGA,{time},,,,,0,,,,M,,M,,"),
+        Some(f) => format!(
+            "{talker}GGA,{time},{},{},{},,,{:.3},M,,M,,",
+            arc(f.latitude_rad, 2, ['N', 'S']),
+            arc(f.longitude_rad, 3, ['E', 'W']),
+            quality(f.quality),
+            f.height_m
+        ),
+    };
+    sentence(out, &body);
+}
+
+/// `$GPHDT,ddd.ddd,T*hh`.
+pub fn hdt(out: &mut Vec<u8>, talker: &str, heading_rad: Option<f64>) {
+    let body = match heading_rad {
+        None => format!("{talker}HDT,,T"),
+        Some(rad) => {
+            // 359.9996 is 0.000, not 360.000.
+            let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0);
+            format!("{talker}HDT,{:07.3},T", steps / 1e3)
+        }
+    };
+    sentence(out, &body);
+}
+
+fn quality(fix: FixQuality) -> u8 {
+    match fix {
+        FixQuality::None => 0,
+        FixQuality::Autonomous => 1,
+        FixQuality::Differential => 2,
+        FixQuality::RtkFixed => 4,
+        FixQuality::RtkFloat => 5,
+        FixQuality::DeadReckoning => 6,
+    }
+}
+
+/// Hundredths of a second, or milliseconds where the instant needs them.
+fn clock(utc: UtcNs) -> String {
+    let ms = (utc.0 + 500_000).div_euclid(1_000_000);
+    let of_day = ms.rem_euclid(86_400_000);
+    let (h, m, s) = (of_day / 3_600_000, of_day / 60_000 % 60, of_day / 1000 % 60);
+    match of_day % 1000 {
+        f if f % 10 == 0 => format!("{h:02}{m:02}{s:02}.{:02}", f / 10),
+        f => format!("{h:02}{m:02}{s:02}.{f:03}"),
+    }
+}
+
+/// Degrees in so many digits and minutes, in whole steps, so that no minute is written as 60.
+fn arc(angle_rad: f64, digits: usize, letters: [char; 2]) -> String {
+    let steps = (angle_rad.to_degrees().abs() * 60.0 * MINUTE_STEPS as f64).round() as i64;
+    let (degrees, rest) = (steps / (60 * MINUTE_STEPS), steps % (60 * MINUTE_STEPS));
+    let letter = letters[usize::from(angle_rad < 0.0)];
+    format!(
+        "{degrees:0digits$}{:02}.{:07},{letter}",
+        rest / MINUTE_STEPS,
+        rest % MINUTE_STEPS
+    )
+}
+
+fn sentence(out: &mut Vec<u8>, body: &str) {
+    // A vector takes everything.
+    let _ = write!(out, "${body}*{:02X}\r\n", checksum_of(body));
+}
+
+/// The first tick after `utc` of a rate that is a whole number, or one over a whole number: ticks fall on whole seconds and between them.
+pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
+    if rate_hz < 1.0 {
+        let period_ns = (1.0 / rate_hz).round() as i64 * NS_PER_S;
+        return UtcNs((utc.0.div_euclid(period_ns) + 1) * period_ns);
+    }
+    let per_s = rate_hz.round().max(1.0) as i64;
+    let (second, rest) = (utc.0.div_euclid(NS_PER_S), utc.0.rem_euclid(NS_PER_S));
+    // Rounded to the nanosecond, so the tick of `rest` itself may be found again: the next one then.
+    let at = |k: i64| (k * NS_PER_S + per_s / 2) / per_s;
+    let mut k = rest * per_s / NS_PER_S;
+    while at(k) <= rest {
+        k += 1;
+    }
+    UtcNs(second * NS_PER_S + at(k))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::spec::NavDialect;
+    use crate::nav::sentence::{decode_by_crate, decode_own};
+
+    const T: i64 = 1_406_851_199; // 2014-07-31T23:59:59Z
+
+    fn text(write: impl Fn(&mut Vec<u8>)) -> String {
+        let mut out = Vec::new();
+        write(&mut out);
+        String::from_utf8(out).expect("ASCII")
+    }
+
+    #[test]
+    fn sentences_are_those_of_the_standard_to_the_byte() {
+        let utc = UtcNs(T * NS_PER_S + 250_000_000);
+        assert_eq!(
+            text(|out| zda(out, "GP", utc)),
+            "$GPZDA,235959.25,31,07,2014,00,00*61\r\n"
+        );
+        let fix = Fix {
+            latitude_rad: -22.001_75_f64.to_radians(),
+            longitude_rad: (-17.0 - 59.999_999_99 / 60.0_f64).to_radians(),
+            height_m: -2.76,
+            quality: FixQuality::RtkFixed,
+        };
+        let got = text(|out| gga(out, "IN", utc, Some(&fix)));
+        let body = "INGGA,235959.25,2200.1050000,S,01800.0000000,W,4,,,-2.760,M,,M,,";
+        assert_eq!(got, format!("${body}*{:02X}\r\n", checksum_of(body)));
+        assert!(
+            text(|out| gga(out, "GP", utc, None)).starts_with("$GPGGA,235959.25,,,,,0,,,,M,,M,,*")
+        );
+        assert!(text(|out| hdt(out, "HE", Some(-1e-9))).starts_with("$HEHDT,000.000,T*"));
+        assert!(text(|out| hdt(out, "HE", Some(1.0))).starts_with("$HEHDT,057.296,T*"));
+        assert!(text(|out| hdt(out, "HE", None)).starts_with("$HEHDT,,T*"));
+    }
+
+    #[test]
+    fn our_decoder_and_the_crate_read_back_what_was_written() {
+        for i in 0..2000_i64 {
+            let turn = |k: f64| (i as f64 * k).rem_euclid(2.0) - 1.0;
+            let utc = UtcNs(T * NS_PER_S + i * 1_010_000_000);
+            let fix = Fix {
+                latitude_rad: turn(0.137) * std::f64::consts::FRAC_PI_2,
+                longitude_rad: turn(0.713) * std::f64::consts::PI,
+                height_m: turn(0.31) * 100.0,
+                quality: FixQuality::RtkFloat,
+            };
+            let heading = turn(0.519) * std::f64::consts::PI;
+            let lines = [
+                text(|out| zda(out, "GP", utc)),
+                text(|out| gga(out, "GP", utc, Some(&fix))),
+                text(|out| hdt(out, "GP", Some(heading))),
+            ];
+            for (k, line) in lines.iter().enumerate() {
+                let body = &line[1..line.len() - 5];
+                let own = decode_own(body, &NavDialect::default()).expect(line);
+                let by_crate = decode_by_crate(body, &mut String::new());
+                for r in [Some(own), by_crate.map(|r| r.expect(line))]
+                    .into_iter()
+                    .flatten()
+                {
+                    let when_ms = r
+                        .time_of_day_ns()
+                        .map(|ns| (ns as f64 / 1e6).round() as i64);
+                    let want_ms = (utc.0 / 1_000_000).rem_euclid(86_400_000);
+                    if k < 2 {
+                        assert_eq!(when_ms, Some(want_ms), "{line}");
+                    }
+                    match k {
+                        0 => assert_eq!(
+                            r.instant().map(|t| (t.0 + 500_000) / 1_000_000),
+                            Some(utc.0 / 1_000_000),
+                            "{line}"
+                        ),
+                        1 => {
+                            let (latitude, longitude) = r.position_rad.expect(line);
+                            // Half a step of 1e-7 minutes, and the crate's arithmetic.
+                            let most = 2e-11;
+                            assert!((latitude - fix.latitude_rad).abs() < most, "{line}");
+                            assert!((longitude - fix.longitude_rad).abs() < most, "{line}");
+                            assert!(
+                                (r.height_m.expect(line) - fix.height_m).abs() < 6e-4,
+                                "{line}"
+                            );
+                            assert_eq!(r.fix, FixQuality::RtkFloat);
+                        }
+                        _ => {
+                            let off = (r.heading_rad.expect(line) - heading).to_degrees();
+                            let off = off - 360.0 * (off / 360.0).round();
+                            assert!(off.abs() < 5.2e-4, "{line}: {off}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn ticks_fall_on_whole_seconds_and_evenly_between_them() {
+        for (rate_hz, want) in [(1.0, 1), (3.0, 3), (50.0, 50), (200.0, 200)] {
+            let mut at = UtcNs(T * NS_PER_S);
+            let mut count = 0;
+            while at.0 < (T + 1) * NS_PER_S {
+                let next = next_tick(at, rate_hz);
+                assert!(next > at);
+                at = next;
+                count += 1;
+            }
+            assert_eq!((at.0, count), ((T + 1) * NS_PER_S, want), "{rate_hz}");
+        }
+        assert_eq!(next_tick(UtcNs(7 * NS_PER_S), 0.2), UtcNs(10 * NS_PER_S));
+        assert_eq!(next_tick(UtcNs(10 * NS_PER_S), 0.2), UtcNs(15 * NS_PER_S));
+    }
+}

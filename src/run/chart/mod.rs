@@ -1,0 +1,318 @@
+//! Accuracy against speed: every method and setting on the operator's own scene, sonar and motion.
+//!
+//! In: a configuration with recorded navigation. Out: for every method the error of element samples, lines and picture, the error of the
+//! mean level and the milliseconds of a ping; or why it does not apply. Noise and converter are left out: they are the same for all.
+//!
+//! The ruler is the direct sum of all scatterers on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
+//! samples by the reference's equation and stands in the results: an error near it is only a bound.
+
+pub mod methods;
+pub mod metrics;
+pub mod work;
+
+use std::time::Instant;
+
+use thiserror::Error;
+
+use crate::array::cards::synthesis_card;
+use crate::config::spec::{MediumSpec, RigSpec, SonarSpec};
+use crate::echo::cards::{doppler_card, path_card};
+use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
+use crate::run::chart::methods::Method;
+use crate::run::chart::metrics::{Errors, errors};
+use crate::run::conditions::conditions;
+use crate::run::pipeline::SonarPipeline;
+use crate::run::recorded::{RecordedError, RecordedRig};
+use crate::run::rig::pool;
+use crate::time::UtcNs;
+
+#[derive(Debug, Error)]
+pub enum ChartError {
+    #[error(transparent)]
+    Recorded(#[from] RecordedError),
+    #[error("threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+    #[error("ping {ping} of sonar {sonar}: the recorded navigation has a gap there")]
+    Gap { ping: u32, sonar: String },
+    #[error("the recorded navigation ends before ping {0}")]
+    Short(u32),
+    #[error("sonar {0} hears nothing in the pings looked at: there is nothing to compare")]
+    Silent(String),
+    #[error("the ruler cannot be made for sonar {sonar}: {why}")]
+    Ruler { sonar: String, why: String },
+}
+
+#[derive(Clone, Debug)]
+pub struct ChartOptions {
+    /// Pings looked at, evenly over `span_pings`.
+    pub pings: u32,
+    /// The last of them.
+    pub span_pings: u32,
+    /// Timed runs of each ping and method.
+    pub repeats: usize,
+    pub threads: usize,
+    /// Which sonar.
+    pub sonar: usize,
+    /// Fewer methods.
+    pub quick: bool,
+}
+
+/// One ping as every method gets it.
+pub struct Scene {
+    pub plan: PingPlan,
+    pub scatterers: Scatterers,
+}
+
+/// Times of one method over pings and repeats, milliseconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Times {
+    pub median_ms: f64,
+    pub least_ms: f64,
+    pub greatest_ms: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct Measured {
+    pub errors: Errors,
+    pub times: Times,
+    /// Making the method's tables, once.
+    pub making_ms: f64,
+}
+
+/// One method with what it promised and what it did.
+pub struct Row {
+    pub method: Method,
+    /// Path, Doppler and synthesis, as their cards have it; culling has none.
+    pub predicted_error: f64,
+    pub outcome: Result<Measured, String>,
+    /// Nothing measured is both faster and better, by element samples.
+    pub pareto: bool,
+    /// What the configuration itself asks for.
+    pub configured: bool,
+}
+
+pub struct Chart {
+    pub sonar: String,
+    pub scatterers: usize,
+    pub elements: usize,
+    pub pings: usize,
+    pub threads: usize,
+    pub tolerance: f64,
+    /// Of the ruler against the reference: relative l2 over `samples` random samples.
+    pub ruler_error: Option<(f64, u32)>,
+    /// Gathering the scatterers, the same for every method.
+    pub gather_ms: f64,
+    pub rows: Vec<Row>,
+}
+
+/// Noise, converter and certificates are no part of what is compared.
+pub fn bare(spec: &SonarSpec) -> SonarSpec {
+    let mut spec = spec.clone();
+    spec.receiver.noise_db = None;
+    spec.receiver.adc_bits = None;
+    spec.synthesis.certificate = false;
+    spec
+}
+
+/// The pings that are looked at, as [`Scene`]s, and the mean milliseconds that gathering them took.
+pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64), ChartError> {
+    // The rig itself computes nothing here: the cheapest pipeline will do, and it makes no tables.
+    let mut spec = spec.clone();
+    for sonar in &mut spec.sonars {
+        *sonar = methods::ruler().on(&bare(sonar));
+    }
+    let mut recorded = RecordedRig::open(&spec)?;
+    let name = spec.sonars[options.sonar].name.clone();
+    let step = (options.span_pings / options.pings.max(1)).max(1);
+    let mut scenes = Vec::new();
+    let mut gather_ms = 0.0;
+    let mut slot = recorded.rig.slot(options.sonar);
+    while scenes.len() < options.pings as usize {
+        let Some((sonar, order)) = recorded.next_order(u32::MAX) else {
+            return Err(ChartError::Short(options.span_pings));
+        };
+        if sonar != options.sonar || !(order.ping_number - 1).is_multiple_of(step) {
+            continue;
+        }
+        if !recorded.settle(sonar, &order) {
+            match scenes.is_empty() {
+                true => return Err(ChartError::Short(order.ping_number)),
+                false => break,
+            }
+        }
+        let began = Instant::now();
+        recorded
+            .rig
+            .prepare(sonar, &order, spec.nav.mode, UtcNs(0), &mut slot)
+            .map_err(|_| ChartError::Gap {
+                ping: order.ping_number,
+                sonar: name.clone(),
+            })?;
+        gather_ms += began.elapsed().as_secs_f64() * 1e3;
+        scenes.push(Scene {
+            plan: slot.plan.clone(),
+            scatterers: recorded.rig.scatterers().clone(),
+        });
+    }
+    if scenes.iter().all(|scene| scene.scatterers.is_empty()) {
+        return Err(ChartError::Silent(name));
+    }
+    gather_ms /= scenes.len() as f64;
+    Ok((scenes, gather_ms))
+}
+
+/// The scene's ping under another choice of methods.
+fn plan_under(scene: &Scene, spec: &SonarSpec) -> PingPlan {
+    let mut plan = scene.plan.clone();
+    plan.model = spec.model;
+    let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+    let segment_s = spec.model.segment_s;
+    crate::ping::polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
+    plan
+}
+
+/// Runs one method over all scenes: its outputs and times. `repeats` timed runs after one that warms up.
+pub fn run_method(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    scenes: &[Scene],
+    repeats: usize,
+) -> Result<(Vec<PingOutput>, Times, f64), String> {
+    let began = Instant::now();
+    let mut pipeline = SonarPipeline::new(spec, medium).map_err(|why| why.to_string())?;
+    let making_ms = began.elapsed().as_secs_f64() * 1e3;
+    let mut outputs = Vec::new();
+    let mut times_ms = Vec::new();
+    for scene in scenes {
+        let plan = plan_under(scene, spec);
+        let mut output = pipeline.blank_output();
+        for run in 0..=repeats {
+            let began = Instant::now();
+            pipeline.compute_ping(&plan, &scene.scatterers, &mut output);
+            if run > 0 {
+                times_ms.push(began.elapsed().as_secs_f64() * 1e3);
+            }
+        }
+        outputs.push(output);
+    }
+    times_ms.sort_by(f64::total_cmp);
+    let at = |share: f64| {
+        let last = times_ms.len().saturating_sub(1) as f64;
+        times_ms.get((share * last).round() as usize).copied()
+    };
+    let times = Times {
+        median_ms: at(0.5).unwrap_or(0.0),
+        least_ms: at(0.0).unwrap_or(0.0),
+        greatest_ms: at(1.0).unwrap_or(0.0),
+    };
+    Ok((outputs, times, making_ms))
+}
+
+/// Measures every method; `progress` is told what comes next and how many there are.
+pub fn measure(
+    spec: &RigSpec,
+    options: &ChartOptions,
+    mut progress: impl FnMut(&str, usize) + Send,
+) -> Result<Chart, ChartError> {
+    let pool = pool(options.threads)?;
+    pool.install(move || {
+        let sonar = bare(&spec.sonars[options.sonar]);
+        let medium = &spec.medium;
+        let methods = methods::all(&sonar, options.quick);
+        progress("scene", methods.len() + 1);
+        let (scenes, gather_ms) = scenes(spec, options)?;
+        progress("ruler", methods.len() + 1);
+        let (truth, ruler_error) = ruler(&sonar, medium, &scenes)?;
+        let configured = Method::of(&sonar);
+        let mut rows = Vec::new();
+        for method in methods {
+            progress(&method.to_string(), 0);
+            let under = method.on(&sonar);
+            let predicted_error = scenes
+                .iter()
+                .map(|scene| predicted(&under, &plan_under(scene, &under), &scene.scatterers))
+                .fold(0.0, f64::max);
+            let outcome = method.applies(&sonar).and_then(|()| {
+                let (outputs, times, making_ms) =
+                    run_method(&under, medium, &scenes, options.repeats)?;
+                Ok(Measured {
+                    errors: errors(&outputs, &truth),
+                    times,
+                    making_ms,
+                })
+            });
+            rows.push(Row {
+                configured: method == configured,
+                method,
+                predicted_error,
+                outcome,
+                pareto: false,
+            });
+        }
+        mark_pareto(&mut rows);
+        Ok(Chart {
+            sonar: sonar.name.clone(),
+            scatterers: scenes[0].scatterers.len(),
+            elements: sonar.receive.iter().map(|array| array.elements).sum(),
+            pings: scenes.len(),
+            threads: rayon::current_num_threads(),
+            tolerance: sonar.synthesis.tolerance,
+            ruler_error,
+            gather_ms,
+            rows,
+        })
+    })
+}
+
+/// Path, Doppler and synthesis together; what culling leaves out has no card.
+fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
+    let conditions = conditions(spec, plan, scatterers);
+    let model = &spec.model;
+    let synthesis = synthesis_card(model.synthesis, &conditions).error;
+    match model.synthesis {
+        // On the trajectory itself, whatever path and Doppler say.
+        Synthesis::Reference => synthesis,
+        _ => {
+            path_card(model.path, &conditions).error
+                + doppler_card(model.doppler, model.path, &conditions).error
+                + synthesis
+        }
+    }
+}
+
+/// The outputs that all others are held against, and how far they are from the reference at random samples.
+#[allow(clippy::type_complexity)]
+fn ruler(
+    sonar: &SonarSpec,
+    medium: &MediumSpec,
+    scenes: &[Scene],
+) -> Result<(Vec<PingOutput>, Option<(f64, u32)>), ChartError> {
+    let mut spec = methods::ruler().on(sonar);
+    spec.synthesis.certificate = true;
+    let (truth, ..) = run_method(&spec, medium, scenes, 1).map_err(|why| ChartError::Ruler {
+        sonar: sonar.name.clone(),
+        why,
+    })?;
+    let certificate = truth
+        .iter()
+        .rev()
+        .find_map(|output| output.certificate)
+        .map(|c| (c.error, c.samples));
+    Ok((truth, certificate))
+}
+
+fn mark_pareto(rows: &mut [Row]) {
+    let points: Vec<Option<(f64, f64)>> = rows
+        .iter()
+        .map(|row| {
+            let measured = row.outcome.as_ref().ok()?;
+            Some((measured.times.median_ms, measured.errors.elements))
+        })
+        .collect();
+    for (row, point) in rows.iter_mut().zip(&points) {
+        let Some((ms, error)) = *point else { continue };
+        row.pareto = !points.iter().flatten().any(|&(other_ms, other_error)| {
+            other_ms <= ms && other_error <= error && (other_ms < ms || other_error < error)
+        });
+    }
+}

@@ -1,0 +1,443 @@
+//! Faults: which are wanted when, whether they strike a ping, and the log by which a device's report can be scored.
+//!
+//! Whether a fault strikes depends on its seed, its number and the ping alone (for the line: the record's type too), so that the same
+//! scenario strikes the same pings in every clock mode. Faults of elements are carried out in `array`, those of the line in [`line`].
+
+pub mod line;
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::Serialize;
+
+use crate::array::faults::ActiveFault;
+use crate::config::spec::{
+    FaultKind, FaultRefused, FaultRequest, FaultSpec, SonarSpec, TransportFault,
+};
+use crate::ping::PingOrder;
+use crate::time::UtcNs;
+
+/// Faults that may stand at once.
+const MOST_FAULTS: usize = 256;
+/// Injections that wait to be written down; what is beyond is counted.
+const MOST_WAITING: usize = 65_536;
+/// Keeps these draws apart from all others.
+const TAG: [u8; 8] = *b"faultrun";
+
+/// One injected fault. A line of `faults-*.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Injection {
+    pub fault: u32,
+    pub kind: &'static str,
+    #[serde(serialize_with = "as_text")]
+    pub sonar: Arc<str>,
+    pub ping_number: u32,
+    /// Of the pulse, rig time.
+    pub utc_ns: i64,
+    /// Of the line: which record.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub record_type: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub array: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub element: Option<usize>,
+    /// How far it has grown, 0 to 1.
+    pub strength: f64,
+}
+
+fn as_text<S: serde::Serializer>(name: &Arc<str>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(name)
+}
+
+/// A ping as faults see it.
+#[derive(Clone, Copy, Debug)]
+pub struct PingMark {
+    pub sonar: usize,
+    pub number: u32,
+    pub utc: UtcNs,
+}
+
+impl PingMark {
+    pub fn of(sonar: usize, order: &PingOrder) -> Self {
+        Self {
+            sonar,
+            number: order.ping_number,
+            utc: order.transmit_utc,
+        }
+    }
+}
+
+struct Standing {
+    id: u32,
+    spec: FaultSpec,
+    /// Index of the sonar; none: every one.
+    sonar: Option<usize>,
+    /// For one asked for live: from the first ping that it meets on.
+    since: OnceLock<UtcNs>,
+}
+
+/// What a sonar has, to check faults against.
+struct Head {
+    name: Arc<str>,
+    /// Elements of each receive array.
+    elements: Vec<usize>,
+    has_converter: bool,
+}
+
+/// All faults of a rig. Shared by every thread that carries them out.
+pub struct Faults {
+    heads: Vec<Head>,
+    /// Rig time of the first ping: what `at_s` counts from.
+    first: OnceLock<UtcNs>,
+    standing: Mutex<Vec<Arc<Standing>>>,
+    /// Of `standing`: most pings have none, and ask no lock.
+    count: AtomicU64,
+    next_id: AtomicU64,
+    waiting: Mutex<VecDeque<Injection>>,
+    injected: AtomicU64,
+    unwritten: AtomicU64,
+}
+
+impl Faults {
+    pub fn new(sonars: &[SonarSpec]) -> Self {
+        let heads = sonars.iter().map(|sonar| Head {
+            name: sonar.name.as_str().into(),
+            elements: sonar.receive.iter().map(|a| a.elements).collect(),
+            has_converter: sonar.receiver.adc_bits.is_some(),
+        });
+        Self {
+            heads: heads.collect(),
+            first: OnceLock::new(),
+            standing: Mutex::default(),
+            count: AtomicU64::new(0),
+            next_id: AtomicU64::new(1),
+            waiting: Mutex::new(VecDeque::with_capacity(1024)),
+            injected: AtomicU64::new(0),
+            unwritten: AtomicU64::new(0),
+        }
+    }
+
+    /// Adds a fault; its number in the log.
+    pub fn add(&self, request: &FaultRequest) -> Result<u32, FaultRefused> {
+        let spec = request.checked()?;
+        let refused = |key, rule: String| Err(FaultRefused { key, rule });
+        let sonar = match &spec.sonar {
+            None => None,
+            Some(name) => match self.heads.iter().position(|head| *head.name == **name) {
+                Some(at) => Some(at),
+                None => {
+                    let names: Vec<_> = self.heads.iter().map(|h| &*h.name).collect();
+                    return refused("sonar", format!("must be one of {}", names.join(", ")));
+                }
+            },
+        };
+        if let FaultKind::Element { array, element, .. } = spec.kind {
+            let heads = self.heads.iter().enumerate();
+            let mut meant = heads.filter(|(k, _)| sonar.is_none_or(|sonar| sonar == *k));
+            let fits = |elements: &[usize], wanted: usize| match array {
+                Some(array) => elements.get(array).is_some_and(|&n| wanted < n),
+                None => elements.iter().any(|&n| wanted < n),
+            };
+            let wanted = element.unwrap_or(0).max(request.other.unwrap_or(0));
+            if !meant.clone().any(|(_, head)| fits(&head.elements, wanted)) {
+                return refused("element", "there is no such element".to_owned());
+            }
+            let of_converter = request.kind.starts_with("adc-bit");
+            if of_converter && !meant.any(|(_, head)| head.has_converter) {
+                return refused("kind", "needs sonar.receiver.adc_bits".to_owned());
+            }
+        }
+        let mut standing = self.lock();
+        if standing.len() >= MOST_FAULTS {
+            return refused("kind", format!("at most {MOST_FAULTS} faults at once"));
+        }
+        // Far fewer than 2^32 are ever asked for.
+        let id = self.next_id.fetch_add(1, Ordering::Relaxed) as u32;
+        standing.push(Arc::new(Standing {
+            id,
+            spec,
+            sonar,
+            since: OnceLock::new(),
+        }));
+        self.count.store(standing.len() as u64, Ordering::Release);
+        Ok(id)
+    }
+
+    /// Takes all faults away; how many there were.
+    pub fn clear(&self) -> usize {
+        let mut standing = self.lock();
+        let were = standing.len();
+        standing.clear();
+        self.count.store(0, Ordering::Release);
+        were
+    }
+
+    pub fn standing(&self) -> usize {
+        self.count.load(Ordering::Acquire) as usize
+    }
+
+    pub fn injected(&self) -> u64 {
+        self.injected.load(Ordering::Relaxed)
+    }
+
+    /// Injections that the log has no line of.
+    pub fn unwritten(&self) -> u64 {
+        self.unwritten.load(Ordering::Relaxed)
+    }
+
+    /// What has been injected since this was last asked.
+    pub fn take_injections(&self) -> Vec<Injection> {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        waiting.drain(..).collect()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Standing>>> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What `at_s` counts from; the first call holds.
+    pub fn begin(&self, first: UtcNs) {
+        self.first.get_or_init(|| first);
+    }
+
+    /// Calls `strike` for every fault that strikes here, with its strength.
+    fn struck(
+        &self,
+        ping: PingMark,
+        record_type: u32,
+        wanted: impl Fn(&FaultKind) -> bool,
+        mut strike: impl FnMut(&FaultSpec, f64, &mut Injection),
+    ) {
+        if self.standing() == 0 {
+            return;
+        }
+        let first = *self.first.get_or_init(|| ping.utc);
+        for standing in self.lock().iter() {
+            let spec = &standing.spec;
+            if standing.sonar.is_some_and(|sonar| sonar != ping.sonar) || !wanted(&spec.kind) {
+                continue;
+            }
+            let from = match spec.at_s {
+                Some(at_s) => first.plus_s(at_s),
+                None => *standing.since.get_or_init(|| ping.utc),
+            };
+            let age_s = ping.utc.seconds_since(from);
+            if age_s < 0.0 || age_s >= spec.for_s || !begins(standing, ping.number, record_type) {
+                continue;
+            }
+            let strength = match spec.ramp_s > 0.0 {
+                true => (age_s / spec.ramp_s).min(1.0),
+                false => 1.0,
+            };
+            let mut injection = Injection {
+                fault: standing.id,
+                kind: spec.name,
+                sonar: self.heads[ping.sonar].name.clone(),
+                ping_number: ping.number,
+                utc_ns: ping.utc.0,
+                record_type: (record_type != 0).then_some(record_type),
+                array: None,
+                element: None,
+                strength,
+            };
+            strike(spec, strength, &mut injection);
+            self.injected.fetch_add(1, Ordering::Relaxed);
+            let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            if waiting.len() < MOST_WAITING {
+                waiting.push_back(injection);
+            } else {
+                self.unwritten.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// Faults of this ping's elements, into `active`.
+    pub fn elements(&self, ping: PingMark, active: &mut Vec<ActiveFault>) {
+        active.clear();
+        let of_elements = |kind: &FaultKind| matches!(kind, FaultKind::Element { .. });
+        self.struck(ping, 0, of_elements, |spec, strength, injection| {
+            if let FaultKind::Element {
+                fault,
+                array,
+                element,
+            } = spec.kind
+            {
+                (injection.array, injection.element) = (array, element);
+                active.push(ActiveFault {
+                    fault,
+                    array,
+                    element,
+                    strength,
+                    seed: spec.seed,
+                });
+            }
+        });
+    }
+
+    /// Whether the pulse that is due is missed.
+    pub fn trigger_missed(&self, ping: PingMark) -> bool {
+        let mut missed = false;
+        let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerMissed);
+        self.struck(ping, 0, of_trigger, |_, _, _| missed = true);
+        missed
+    }
+
+    /// How much too late this ping is stamped, seconds.
+    pub fn stamp_error_s(&self, ping: PingMark) -> f64 {
+        let mut error_s = 0.0;
+        let of_stamp = |kind: &FaultKind| matches!(kind, FaultKind::WrongSecond { .. });
+        self.struck(ping, 0, of_stamp, |spec, strength, _| {
+            if let FaultKind::WrongSecond { s } = spec.kind {
+                error_s += s * strength;
+            }
+        });
+        error_s
+    }
+
+    /// What becomes of one record on the line.
+    fn record(&self, ping: PingMark, record_type: u32, mut strike: impl FnMut(TransportFault)) {
+        let of_line = |kind: &FaultKind| matches!(kind, FaultKind::Transport(_));
+        self.struck(ping, record_type, of_line, |spec, _, _| {
+            if let FaultKind::Transport(fault) = spec.kind {
+                strike(fault);
+            }
+        });
+    }
+}
+
+/// Whether a fault strikes a ping: it, or one of the pings before within a burst, drew less than the probability.
+fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
+    let spec = &standing.spec;
+    if spec.probability >= 1.0 {
+        return true;
+    }
+    (0..spec.burst)
+        .take_while(|back| *back < ping_number)
+        .any(|back| chance(standing, ping_number - back, record_type) < spec.probability)
+}
+
+/// 0 up to, not including, 1.
+fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(&standing.spec.seed.to_le_bytes());
+    key[8..12].copy_from_slice(&standing.id.to_le_bytes());
+    key[12..16].copy_from_slice(&ping_number.to_le_bytes());
+    key[16..20].copy_from_slice(&record_type.to_le_bytes());
+    key[24..].copy_from_slice(&TAG);
+    let draw = ChaCha8Rng::from_seed(key).next_u64() >> 11;
+    draw as f64 / (1u64 << 53) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults() -> Faults {
+        Faults {
+            heads: vec![Head {
+                name: "main".into(),
+                elements: vec![8, 4],
+                has_converter: false,
+            }],
+            ..Faults::new(&[])
+        }
+    }
+
+    fn mark(number: u32) -> PingMark {
+        PingMark {
+            sonar: 0,
+            number,
+            utc: UtcNs(i64::from(number) * 100_000_000),
+        }
+    }
+
+    fn request(json: &str) -> FaultRequest {
+        serde_json::from_str(json).expect("JSON")
+    }
+
+    /// Strengths of the faults that strike ping 1 to 100.
+    fn strengths(json: &str) -> Vec<(u32, f64)> {
+        let faults = faults();
+        faults.begin(mark(1).utc);
+        faults.add(&request(json)).expect("sound");
+        let mut struck = Vec::new();
+        let mut active = Vec::new();
+        for number in 1..=100 {
+            faults.elements(mark(number), &mut active);
+            struck.extend(active.iter().map(|a| (number, a.strength)));
+        }
+        let log = faults.take_injections();
+        let logged: Vec<_> = log.iter().map(|i| (i.ping_number, i.strength)).collect();
+        assert_eq!(logged, struck, "every injection is logged");
+        struck
+    }
+
+    #[test]
+    fn a_timeline_begins_ends_and_grows_when_it_says() {
+        let got = strengths(
+            r#"{"kind": "gain", "value": -6, "element": 3, "at_s": 1, "for_s": 2, "ramp_s": 1}"#,
+        );
+        let numbers: Vec<_> = got.iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, (11..=30).collect::<Vec<_>>());
+        for (number, strength) in got {
+            let want = (f64::from(number - 11) * 0.1).min(1.0);
+            assert!((strength - want).abs() < 1e-9, "{number}: {strength}");
+        }
+    }
+
+    #[test]
+    fn chance_is_that_of_the_probability_and_the_same_again() {
+        let json = r#"{"kind": "dead", "element": 0, "probability": 0.3, "seed": 4}"#;
+        let got = strengths(json);
+        // 100 draws of 0.3: 30 with a standard deviation of 4.6.
+        assert!((14..=46).contains(&got.len()), "{}", got.len());
+        assert_eq!(got, strengths(json));
+        let other = strengths(&json.replace('4', "5"));
+        assert_ne!(got, other, "another seed strikes other pings");
+    }
+
+    #[test]
+    fn a_burst_lasts_so_many_pings() {
+        let one = strengths(r#"{"kind": "dead", "element": 0, "probability": 0.03, "seed": 1}"#);
+        let long = strengths(
+            r#"{"kind": "dead", "element": 0, "probability": 0.03, "seed": 1, "burst": 5}"#,
+        );
+        let mut want: Vec<u32> = one
+            .iter()
+            .flat_map(|(number, _)| *number..(*number + 5).min(101))
+            .collect();
+        want.dedup();
+        want.sort_unstable();
+        want.dedup();
+        let got: Vec<_> = long.iter().map(|(number, _)| *number).collect();
+        assert!(!got.is_empty());
+        assert_eq!(got, want);
+    }
+
+    #[test]
+    fn what_the_rig_does_not_have_is_refused() {
+        let faults = faults();
+        for (json, key) in [
+            (r#"{"kind": "dead", "sonar": "other"}"#, "sonar"),
+            (r#"{"kind": "dead", "element": 8}"#, "element"),
+            (r#"{"kind": "dead", "array": 1, "element": 4}"#, "element"),
+            (r#"{"kind": "dead", "array": 2}"#, "element"),
+            (
+                r#"{"kind": "crosstalk", "value": -20, "other": 8}"#,
+                "element",
+            ),
+            (r#"{"kind": "adc-bit-stuck-low", "value": 3}"#, "kind"),
+        ] {
+            let refused = faults.add(&request(json)).expect_err(json);
+            assert_eq!(refused.key, key, "{json}: {refused}");
+        }
+        for _ in 0..MOST_FAULTS {
+            faults.add(&request(r#"{"kind": "dead"}"#)).expect("room");
+        }
+        assert!(faults.add(&request(r#"{"kind": "dead"}"#)).is_err());
+        assert_eq!((faults.clear(), faults.standing()), (MOST_FAULTS, 0));
+    }
+}

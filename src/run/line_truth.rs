@@ -1,0 +1,269 @@
+//! What each sample of a side-scan line shows, by the scene's own knowledge: targets by the energy of their echoes, shadow and depth along the
+//! ground under the beam's axis. For masks; never on the ping path.
+//!
+//! Echo energy: both patterns, the line's array factor, the law of scattering and spreading of every scatterer that the ping heard, at its
+//! two-way range; absorption and gains are the same for all that share a sample. A target counts as far as the beam's main lobe reaches
+//! ([`MAIN_LOBE_DB`]); what is heard of it beside counts with all else.
+//!
+//! The ground is walked in the plane through the middle between where the pulse was sent and where its echo is heard, square to the
+//! transmitter, in steps of half a sample.
+
+use glam::{DQuat, DVec2, DVec3};
+
+use crate::beam::conventional::line_array_response;
+use crate::config::spec::{LineSpec, SonarSpec};
+use crate::echo::levels::Directivity;
+use crate::flow::{
+    ArrayGeometry, GroundSeen, LineTruth, Mounting, PingPlan, ScatterLaw, Scatterers, Side,
+};
+use crate::frames::Pose;
+use crate::run::rig::{PingSlot, Rig};
+
+/// Two-way pattern along the track, against its own middle, down to which an echo shows its target.
+pub const MAIN_LOBE_DB: f64 = -12.0;
+/// Poses kept of a listening window: between two of them a platform moves by millimetres.
+const POSES: usize = 128;
+
+/// Where the platform is while it listens.
+struct Motion {
+    poses: Vec<Pose>,
+    step_s: f64,
+}
+
+impl Motion {
+    fn of(plan: &PingPlan, rate_hz: f64) -> Self {
+        let step_s = plan.window_s(rate_hz) / (POSES - 1) as f64;
+        let poses = (0..POSES).map(|k| plan.trajectory.pose_at(k as f64 * step_s));
+        Self {
+            poses: poses.collect(),
+            step_s,
+        }
+    }
+    fn at(&self, time_s: f64) -> &Pose {
+        &self.poses[((time_s / self.step_s).round().max(0.0) as usize).min(POSES - 1)]
+    }
+}
+
+/// A face in the world at one instant.
+struct Face<'a> {
+    at_m: DVec3,
+    array_from_world: DQuat,
+    directivity: &'a Directivity,
+}
+
+impl<'a> Face<'a> {
+    fn new(pose: &Pose, mounting: &Mounting, directivity: &'a Directivity) -> Self {
+        Self {
+            at_m: pose.point_m(mounting.position_m),
+            array_from_world: (pose.world_from_body * mounting.body_from_array).inverse(),
+            directivity,
+        }
+    }
+    /// Range, sine along the face, response, and the response as it would be without that sine.
+    fn towards(&self, at_m: DVec3) -> (f64, DVec3, f64, f64) {
+        let way = at_m - self.at_m;
+        let range_m = way.length().max(1e-6);
+        let u = self.array_from_world * (way / range_m);
+        let middle = self.directivity.towards(0.0, u.y, u.z);
+        (range_m, u, self.directivity.towards(u.x, u.y, u.z), middle)
+    }
+}
+
+/// The truth of every line of the ping that `rig` made last in `slot`.
+pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
+    let plan = &slot.plan;
+    let spec = &rig.sonars[plan.sonar].spec;
+    let motion = Motion::of(plan, spec.receiver.sample_rate_hz);
+    let mut labels = Vec::new();
+    rig.scene.target_of_each(rig.scatterers(), &mut labels);
+    let lines = spec.beams.lines.iter().zip(&slot.output.lines);
+    lines
+        .map(|(line, made)| {
+            let mut truth = blank(line.side, made.amplitude.len());
+            let view = View {
+                spec,
+                plan,
+                motion: &motion,
+                line,
+            };
+            view.energies(rig.scatterers(), &labels, &mut truth);
+            view.ground(rig, &mut truth);
+            truth
+        })
+        .collect()
+}
+
+fn blank(side: Side, samples: usize) -> LineTruth {
+    LineTruth {
+        side,
+        target: vec![0; samples],
+        target_energy: vec![0.0; samples],
+        other_energy: vec![0.0; samples],
+        ground: vec![GroundSeen::None; samples],
+        down_m: vec![f32::NAN; samples],
+    }
+}
+
+struct View<'a> {
+    spec: &'a SonarSpec,
+    plan: &'a PingPlan,
+    motion: &'a Motion,
+    line: &'a LineSpec,
+}
+
+impl View<'_> {
+    fn array(&self) -> &ArrayGeometry {
+        &self.spec.receive[self.line.array]
+    }
+
+    fn energies(&self, scatterers: &Scatterers, labels: &[u16], truth: &mut LineTruth) {
+        let (array, c) = (self.array(), self.plan.sound_speed_m_per_s);
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let wavelength_m = c / self.plan.pulse.center_frequency_hz;
+        let transmit = &self.spec.transmit[array.transmit];
+        let sent = Directivity::new(&transmit.pattern, wavelength_m);
+        let heard = Directivity::new(&array.element_pattern, wavelength_m);
+        let sender = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
+        let hearers: Vec<Face> = (self.motion.poses.iter())
+            .map(|pose| Face::new(pose, &array.mounting, &heard))
+            .collect();
+        let spacing = array.spacing_m / wavelength_m;
+        let lobe = 10f64.powf(MAIN_LOBE_DB / 20.0);
+        let resolved_hz = self
+            .plan
+            .pulse
+            .bandwidth_hz
+            .max(1.0 / self.plan.pulse.duration_s);
+        let half = (0.5 * (rate_hz / resolved_hz - 1.0)).round().max(0.0) as usize;
+        let samples = truth.target.len();
+        let mut own = vec![0.0f32; samples];
+        let mut first = 0;
+        while first < labels.len() {
+            let label = labels[first];
+            let end = first + labels[first..].iter().take_while(|l| **l == label).count();
+            let mut touched = (usize::MAX, 0);
+            for i in first..end {
+                let at_m = scatterers.position_m(i);
+                let (out_m, u, sent, sent_middle) = sender.towards(at_m);
+                let pose = (2.0 * out_m / c / self.motion.step_s).round() as usize;
+                let hearer = &hearers[pose.min(POSES - 1)];
+                let (back_m, w, heard, heard_middle) = hearer.towards(at_m);
+                let factor = line_array_response(array.elements, spacing, w.x);
+                let middle = sent_middle * heard_middle;
+                let law = law_of(scatterers, i, &sender, &hearer.at_m);
+                let amplitude = sent * heard * factor * law / (out_m * back_m);
+                let strength = scatterers.strength[i].norm_sqr();
+                let energy = (amplitude * amplitude * strength) as f32;
+                let k = ((out_m + back_m) / c * rate_hz).round() as usize;
+                if k >= samples || energy <= 0.0 || u.z.is_nan() {
+                    continue;
+                }
+                let shown = label != 0 && (sent * heard * factor).abs() >= lobe * middle.abs();
+                let (from, to) = (k.saturating_sub(half), (k + half + 1).min(samples));
+                let part = energy / (to - from) as f32;
+                let into = match shown {
+                    true => &mut own,
+                    false => &mut truth.other_energy,
+                };
+                into[from..to].iter_mut().for_each(|e| *e += part);
+                if shown {
+                    touched = (touched.0.min(from), touched.1.max(to));
+                }
+            }
+            let from = touched.0.min(touched.1);
+            for (k, energy) in own[from..touched.1].iter_mut().enumerate() {
+                let (k, energy) = (from + k, std::mem::take(energy));
+                if energy > truth.target_energy[k] {
+                    truth.other_energy[k] += truth.target_energy[k];
+                    (truth.target[k], truth.target_energy[k]) = (label, energy);
+                } else {
+                    truth.other_energy[k] += energy;
+                }
+            }
+            first = end;
+        }
+    }
+
+    fn ground(&self, rig: &Rig, truth: &mut LineTruth) {
+        let (array, c) = (self.array(), self.plan.sound_speed_m_per_s);
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let transmit = &self.spec.transmit[array.transmit].mounting;
+        let start = self.motion.at(0.0);
+        let sent_m = start.point_m(transmit.position_m);
+        let mut along = start.world_from_body * (transmit.body_from_array * DVec3::X);
+        if along.dot(start.world_from_body * DVec3::X) < 0.0 {
+            along = -along;
+        }
+        let level = along.truncate();
+        let Some(ahead) = level.try_normalize() else {
+            return;
+        };
+        let aside = match self.line.side {
+            Side::Starboard => DVec2::new(-ahead.y, ahead.x),
+            Side::Port => DVec2::new(ahead.y, -ahead.x),
+        };
+        let samples = truth.target.len();
+        let step_m = 0.25 * c / rate_hz;
+        let mut sums = vec![(0.0f64, 0u32); samples];
+        let Some(mut down_m) = rig.scene.seabed_down_m(sent_m.x, sent_m.y) else {
+            return;
+        };
+        let mut two_way_m = 2.0 * (down_m - sent_m.z).max(0.0);
+        let mut across_m = 0.0;
+        while across_m < 0.5 * samples as f64 / rate_hz * c {
+            across_m += step_m;
+            let heard_m = self
+                .motion
+                .at(two_way_m / c)
+                .point_m(array.mounting.position_m);
+            let eye_m = 0.5 * (sent_m + heard_m);
+            // Twice: the place depends on the depth, and that little on the place.
+            let mut seen = None;
+            let mut at = DVec2::ZERO;
+            for _ in 0..2 {
+                let ahead_m = -(down_m - eye_m.z) * along.z / level.length();
+                at = eye_m.truncate() + aside * across_m + ahead * ahead_m;
+                seen = rig.scene.ground_seen(self.line.array, at.x, at.y);
+                if let Some((there_m, _)) = seen {
+                    down_m = there_m;
+                }
+            }
+            let Some((there_m, seen)) = seen else {
+                continue;
+            };
+            let at_m = at.extend(there_m);
+            two_way_m = at_m.distance(sent_m) + at_m.distance(heard_m);
+            let k = (two_way_m / c * rate_hz).round() as usize;
+            if k >= samples {
+                continue;
+            }
+            if seen {
+                truth.ground[k] = GroundSeen::Seen;
+            } else if truth.ground[k] == GroundSeen::None {
+                truth.ground[k] = GroundSeen::Hidden;
+            }
+            sums[k] = (sums[k].0 + there_m, sums[k].1 + 1);
+        }
+        for (down, sum) in truth.down_m.iter_mut().zip(sums) {
+            if sum.1 > 0 {
+                *down = (sum.0 / f64::from(sum.1)) as f32;
+            }
+        }
+    }
+}
+
+/// Pressure that the law of scatterer `i` sends from transmitter to receiver.
+fn law_of(scatterers: &Scatterers, i: usize, sender: &Face, hearer_m: &DVec3) -> f64 {
+    let at_m = scatterers.position_m(i);
+    let normal = DVec3::from_array(scatterers.normal[i].map(f64::from));
+    let cosine = |from_m: DVec3| ((from_m - at_m).normalize_or_zero().dot(normal)).max(0.0);
+    let (incoming, outgoing) = (cosine(sender.at_m), cosine(*hearer_m));
+    match scatterers.law[i] {
+        ScatterLaw::Point => 1.0,
+        ScatterLaw::Lambert => (incoming * outgoing).sqrt(),
+        ScatterLaw::LambertOneWay => incoming,
+        ScatterLaw::Curve => scatterers.curve.as_ref().map_or(0.0, |curve| {
+            curve.half(incoming.sqrt()) * curve.half(outgoing.sqrt())
+        }),
+    }
+}

@@ -1,0 +1,11 @@
+//! The side-scan families and 7k together: controls, navigation, geometry, load.
+
+#[path = "../wire_rig/mod.rs"]
+mod wire_rig;
+
+mod controls;
+mod flat_bottom;
+mod load;
+mod navigation;
+mod rig;
+mod together;

@@ -1,0 +1,524 @@
+//! Fans of one line array: milliseconds a ping and the error against delay-and-sum written out in f64, on one line; and what peers need to
+//! beamform the same samples.
+//!
+//! Scene: 128 elements half a wavelength apart at 400 kHz, at rest; 2000 points of equal level in the plane of the line and its boresight, 1 to
+//! 149 m away; 24 kHz of LFM, 1 ms; 8000 samples at 40 kHz; 256 beams over 120 degrees. One element transmits (peers know no other place).
+//! Timed: matched filter, steering, sums, one thread. Error: rms of the differences at random samples of random beams over the rms there; want:
+//! every element's matched-filtered row at its own delay by a sinc of 64 taps, times its carrier, for the focus of that very sample (or for
+//! its plane wave), nothing rounded to fractions, zones or f32.
+
+use std::f64::consts::{PI, TAU};
+use std::io::{BufRead, Write};
+use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::Instant;
+
+use echotank::beam::RowLimits;
+use echotank::beam::fan::Fan;
+use echotank::beam::matched::MatchedFilter;
+use echotank::config;
+use echotank::config::spec::{FanForm, FanSpec, Former, Shading, SonarSpec};
+use echotank::flow::*;
+use echotank::run::pipeline::SonarPipeline;
+use echotank::run::rig::pool;
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::report::Report;
+use super::rig;
+use super::scene::Chance;
+
+const C: f64 = rig::C;
+const RATE_HZ: f64 = 40e3;
+const ELEMENTS: usize = 128;
+const BEAMS: usize = 256;
+const SAMPLES: usize = 8000;
+const POINTS: usize = 2000;
+const SECTOR_RAD: f64 = 2.0 * PI / 3.0;
+const TRANSMITTING: usize = ELEMENTS / 2;
+/// Samples that are computed again.
+const PROBES: usize = 3000;
+/// No probe nearer: the points begin at 1 m.
+const FIRST_PROBE: usize = 80;
+/// Half the reference's sinc.
+const REACH: i64 = 32;
+const BETA: f64 = 9.0;
+/// Beams that peers form.
+const PEER_BEAMS: usize = 8;
+
+/// Tapered, so that next to nothing of it lies outside the sampled band: there nobody knows what is between two samples.
+fn pulse() -> Pulse {
+    Pulse {
+        taper: 0.5,
+        ..rig::lfm(24e3, 1e-3)
+    }
+}
+
+fn array() -> ArrayGeometry {
+    rig::line(DVec3::ZERO, ELEMENTS)
+}
+
+fn transmit_x_m() -> f64 {
+    array().element_x_m(TRANSMITTING)
+}
+
+fn limits() -> RowLimits {
+    RowLimits {
+        sample_rate_hz: RATE_HZ,
+        samples: SAMPLES,
+        pulse_s: 1e-3,
+    }
+}
+
+fn fan(former: Former) -> FanSpec {
+    FanSpec {
+        array: 0,
+        beams: BEAMS,
+        sector_rad: SECTOR_RAD,
+        shading: Shading::Uniform,
+        form: FanForm {
+            former,
+            ..FanForm::default()
+        },
+    }
+}
+
+fn angle_rad(beam: usize) -> f64 {
+    SECTOR_RAD * (beam as f64 / (BEAMS - 1) as f64 - 0.5)
+}
+
+fn plan() -> PingPlan {
+    let mut plan = rig::ahead(0.0);
+    plan.pulse = pulse();
+    plan.settings.pulse_duration_s = pulse().duration_s;
+    plan.sample_count = SAMPLES;
+    plan
+}
+
+/// Element samples: every point's pulse at its delay.
+fn elements() -> ElementFrame {
+    let mut chance = Chance::seeded(5);
+    let array = array();
+    let pulse = pulse();
+    let mut iq = vec![Complex64::ZERO; ELEMENTS * SAMPLES];
+    for _ in 0..POINTS {
+        let (range_m, angle) = (
+            1.0 + 148.0 * chance.uniform(),
+            2.4 * (chance.uniform() - 0.5),
+        );
+        let (x, z) = (range_m * angle.sin(), range_m * angle.cos());
+        let phase = chance.uniform();
+        for (e, row) in iq.chunks_exact_mut(SAMPLES).enumerate() {
+            let path_m = (x - transmit_x_m()).hypot(z) + (x - array.element_x_m(e)).hypot(z);
+            let delay_s = path_m / C;
+            let cycles = phase - pulse.center_frequency_hz * delay_s;
+            let carrier = Complex64::from_polar(1.0, TAU * cycles.fract());
+            let first = (delay_s * RATE_HZ).ceil() as usize;
+            let count = (pulse.duration_s * RATE_HZ) as usize + 2;
+            for (k, x) in row.iter_mut().enumerate().skip(first).take(count) {
+                *x += carrier * pulse.envelope(k as f64 / RATE_HZ - delay_s);
+            }
+        }
+    }
+    ElementFrame {
+        array: 0,
+        elements: ELEMENTS,
+        samples: SAMPLES,
+        iq,
+        saturated: 0,
+    }
+}
+
+/// The rows after the matched filter, f64.
+fn compressed(frame: &ElementFrame) -> Vec<Complex64> {
+    let mut filter = MatchedFilter::new(&pulse(), limits(), Shading::Uniform);
+    let mut rows = frame.iq.clone();
+    for row in rows.chunks_exact_mut(SAMPLES) {
+        filter.apply(row);
+    }
+    rows
+}
+
+/// Range along a beam of the point that is heard at the array's centre at `time_s`.
+fn range_m(sine: f64, time_s: f64) -> f64 {
+    let path_m = C * time_s;
+    let tx = transmit_x_m();
+    // |S - p|^2 = (path - R)^2 with |S| = R.
+    (path_m * path_m - tx * tx) / (2.0 * (path_m - tx * sine))
+}
+
+/// One sample of one beam, written out.
+fn written_out(rows: &[Complex64], beam: usize, sample: usize, focused: bool) -> Complex64 {
+    let array = array();
+    let sine = angle_rad(beam).sin();
+    let time_s = sample as f64 / RATE_HZ;
+    let r = range_m(sine, time_s);
+    let (x, z) = (r * sine, r * (1.0 - sine * sine).sqrt());
+    let taper = kaiser(BETA);
+    let mut sum = Complex64::ZERO;
+    for (e, row) in rows.chunks_exact(SAMPLES).enumerate() {
+        let at = array.element_x_m(e);
+        let late_s = match focused {
+            true => ((x - at).hypot(z) - r) / C,
+            false => -at * sine / C,
+        };
+        let place = sample as f64 + late_s * RATE_HZ;
+        let whole = place.floor() as i64;
+        let mut value = Complex64::ZERO;
+        for k in whole - REACH + 1..=whole + REACH {
+            let d = place - k as f64;
+            if let Some(y) = usize::try_from(k).ok().and_then(|k| row.get(k)) {
+                let sinc = if d == 0.0 {
+                    1.0
+                } else {
+                    (PI * d).sin() / (PI * d)
+                };
+                value += y * (sinc * taper(d / REACH as f64));
+            }
+        }
+        let cycles = rig::CARRIER_HZ * late_s;
+        sum +=
+            value * Complex64::from_polar(1.0 / ELEMENTS as f64, TAU * (cycles - cycles.round()));
+    }
+    sum
+}
+
+/// Kaiser's window over -1 to 1.
+fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
+    let i0 = |x: f64| {
+        let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
+        while term > 1e-17 * sum {
+            term *= 0.25 * x * x / (k * k);
+            sum += term;
+            k += 1.0;
+        }
+        sum
+    };
+    let middle = i0(beta);
+    move |x: f64| i0(beta * (1.0 - x * x).max(0.0).sqrt()) / middle
+}
+
+/// Times of one call of `work` on this thread, milliseconds.
+#[derive(Clone, Copy)]
+struct Took {
+    wall: f64,
+    /// On a core; as `wall` where the system does not say.
+    core: f64,
+}
+
+fn timed(work: impl FnOnce()) -> Took {
+    let on_core_ns = || -> Option<f64> {
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+        text.split_whitespace().next()?.parse().ok()
+    };
+    let (start, before) = (Instant::now(), on_core_ns());
+    work();
+    let wall = start.elapsed().as_secs_f64() * 1e3;
+    let core = before.zip(on_core_ns()).map(|(a, b)| (b - a) * 1e-6);
+    Took {
+        wall,
+        core: core.unwrap_or(wall),
+    }
+}
+
+/// The least and the median.
+fn least_and_median(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    (values[0], values[values.len() / 2])
+}
+
+struct Probe {
+    beam: usize,
+    sample: usize,
+    /// Far field, focused.
+    want: [Complex64; 2],
+}
+
+fn probes(rows: &[Complex64]) -> Vec<Probe> {
+    let mut chance = Chance::seeded(9);
+    let mut draw = |n: usize| ((chance.uniform() * n as f64) as usize).min(n - 1);
+    (0..PROBES)
+        .map(|_| {
+            let beam = draw(BEAMS);
+            let sample = FIRST_PROBE + draw(SAMPLES - FIRST_PROBE - 100);
+            Probe {
+                beam,
+                sample,
+                want: [false, true].map(|f| written_out(rows, beam, sample, f)),
+            }
+        })
+        .collect()
+}
+
+fn error(probes: &[Probe], focused: bool, out: &BeamFrame) -> f64 {
+    let (mut off, mut all) = (0.0, 0.0);
+    for p in probes {
+        let want = p.want[usize::from(focused)];
+        off += (out.beam(p.beam)[p.sample] - want).norm_sqr();
+        all += want.norm_sqr();
+    }
+    f64::sqrt(off / all)
+}
+
+fn make(former: Former) -> Fan {
+    let transmit = rig::transmitter(DVec3::X * transmit_x_m());
+    let spec = fan(former);
+    Fan::new(
+        &array(),
+        &transmit,
+        &spec,
+        limits(),
+        &pulse(),
+        Shading::Uniform,
+        C,
+    )
+}
+
+const FORMERS: [Former; 5] = [
+    Former::Exact,
+    Former::Fft,
+    Former::Phase,
+    Former::TimeDelay,
+    Former::DynamicFocus,
+];
+
+/// Elements x points (beams x samples) of a ping.
+const TERMS: f64 = (ELEMENTS * BEAMS * SAMPLES) as f64;
+
+/// Every former alone, then the focused fan while another core synthesises the echoes.
+pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
+    let mut report = Report::new();
+    let frame = elements();
+    let probes = probes(&compressed(&frame));
+    let runs = if quick { 3 } else { 12 };
+    for former in FORMERS {
+        let (took, error) = pool(1).map_err(|e| e.to_string())?.install(|| {
+            let mut fan = make(former);
+            let mut out = BeamFrame::default();
+            let mut took: Vec<Took> = (0..=runs)
+                .map(|_| timed(|| fan.form(&plan(), &frame, &mut out)))
+                .collect();
+            // The first grows the buffers.
+            took.remove(0);
+            (took, error(&probes, former == Former::DynamicFocus, &out))
+        });
+        let (best, median) = least_and_median(took.iter().map(|t| t.wall));
+        let (core, _) = least_and_median(took.iter().map(|t| t.core));
+        let rate = TERMS / core * 1e-6;
+        let line = format!(
+            "{ELEMENTS} x {BEAMS} x {SAMPLES}, {}, 1 thread: error {error:.1e}, ms best {best:.1}, median {median:.1}, on a core {core:.1}; {rate:.2} G points/s",
+            former.name()
+        );
+        report.row(
+            &line,
+            serde_json::json!({ "former": former.name(), "error": error, "ms_best": best, "ms_median": median, "ms_core": core, "points_per_s": rate * 1e9 }),
+        );
+    }
+    for scatterers in if quick {
+        vec![5000]
+    } else {
+        vec![5000, 20_000]
+    } {
+        together(scatterers, if quick { 10 } else { 40 }, &mut report)?;
+    }
+    report.keep(json)
+}
+
+/// Echoes on one core and focused beams on another, ping after ping.
+fn together(count: usize, pings: usize, report: &mut Report) -> Result<(), String> {
+    let (spec, medium) = sonar()?;
+    let mut plan = plan();
+    plan.model = spec.model;
+    plan.settings = spec.settings;
+    plan.absorption_db_per_m = 0.05;
+    let velocity = DVec3::X * 2.572;
+    plan.segments[0].velocity_m_per_s = velocity;
+    plan.trajectory =
+        echotank::frames::Trajectory::uniform(DVec3::ZERO, velocity, glam::DQuat::IDENTITY);
+    let scatterers = bottom(count);
+    let (synthesiser, former) = (
+        pool(1).map_err(|e| e.to_string())?,
+        pool(1).map_err(|e| e.to_string())?,
+    );
+    // Two frames go round, so that neither waits for the other's memory.
+    let (filled, take) = sync_channel::<PingOutput>(1);
+    let (back, empty) = sync_channel::<PingOutput>(2);
+    let mut pipeline = synthesiser
+        .install(|| SonarPipeline::new(&spec, &medium))
+        .map_err(|e| e.to_string())?;
+    for _ in 0..2 {
+        back.send(pipeline.blank_output())
+            .map_err(|e| e.to_string())?;
+    }
+    let (mut echo_ms, mut beam_ms) = (Vec::new(), Vec::new());
+    let mut ended = Vec::new();
+    std::thread::scope(|scope| {
+        let plan = &plan;
+        let echo_ms = &mut echo_ms;
+        scope.spawn(move || {
+            synthesiser.install(move || {
+                for _ in 0..pings {
+                    let Ok(mut output) = empty.recv() else { return };
+                    echo_ms.push(timed(|| {
+                        pipeline.compute_ping(plan, &scatterers, &mut output)
+                    }));
+                    if filled.send(output).is_err() {
+                        return;
+                    }
+                }
+            });
+        });
+        let (beam_ms, ended) = (&mut beam_ms, &mut ended);
+        scope.spawn(move || {
+            former.install(move || {
+                let mut fan = make(Former::DynamicFocus);
+                let mut out = BeamFrame::default();
+                while let Ok(output) = take.recv() {
+                    beam_ms.push(timed(|| fan.form(plan, &output.elements[0], &mut out)));
+                    ended.push(Instant::now());
+                    let _ = back.send(output);
+                }
+            });
+        });
+    });
+    let said = |took: &[Took]| {
+        let (_, wall) = least_and_median(took[2..].iter().map(|t| t.wall));
+        let (_, core) = least_and_median(took[2..].iter().map(|t| t.core));
+        (wall, core)
+    };
+    let ((echo, echo_core), (beam, beam_core)) = (said(&echo_ms), said(&beam_ms));
+    let per_s = (ended.len() - 3) as f64 / (ended[ended.len() - 1] - ended[2]).as_secs_f64();
+    let line = format!(
+        "{ELEMENTS} x {BEAMS} x {SAMPLES} dynamic-focus on one core, echoes of {} scatterers ({}, {:.0e}) on the other: ms median (of these on a core) beams {beam:.1} ({beam_core:.1}), echoes {echo:.1} ({echo_core:.1}); {per_s:.1} pings/s",
+        count,
+        spec.model.synthesis.name(),
+        spec.synthesis.tolerance,
+    );
+    report.row(
+        &line,
+        serde_json::json!({ "beams_ms_median": beam, "beams_ms_core": beam_core, "echo_ms_median": echo, "echo_ms_core": echo_core, "pings_per_s": per_s }),
+    );
+    Ok(())
+}
+
+/// The fan's array in a configuration (found from the repository's root) of its own: the multibeam's, with this pulse and window.
+fn sonar() -> Result<(SonarSpec, config::spec::MediumSpec), String> {
+    let file = Path::new("hil-configs/multibeam.toml");
+    let rig = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
+    let mut spec = rig.sonars[0].clone();
+    spec.pulse = pulse();
+    spec.transmit = vec![rig::transmitter(DVec3::X * transmit_x_m())];
+    spec.receive = vec![ArrayGeometry {
+        sensitivity_db: -180.0,
+        ..array()
+    }];
+    spec.receiver.sample_rate_hz = RATE_HZ;
+    let range_m = (SAMPLES as f64 / RATE_HZ - pulse().duration_s) * C / 2.0;
+    spec.settings.range_m = range_m;
+    spec.settings.pulse_duration_s = pulse().duration_s;
+    spec.limits.range_m = (range_m, range_m);
+    spec.limits.pulse_duration_s = (pulse().duration_s, pulse().duration_s);
+    spec.model.path = PathModel::Polyline;
+    spec.model.synthesis = Synthesis::Gridded1d;
+    spec.model.segment_s = 1.0;
+    spec.model.cull_db = None;
+    spec.synthesis.tolerance = 1e-3;
+    spec.beams.fan = None;
+    let mut medium = rig.medium.clone();
+    medium.sound_speed_m_per_s = C;
+    Ok((spec, medium))
+}
+
+/// A flat bottom 30 m down, 36 to 145 m away in slant range.
+fn bottom(count: usize) -> Scatterers {
+    let mut chance = Chance::seeded(3);
+    let mut scatterers = Scatterers::default();
+    for _ in 0..count {
+        let slant_m = 36.0 + 109.0 * chance.uniform();
+        let ground_m = (slant_m * slant_m - 900.0_f64).sqrt();
+        let azimuth = 2.0 * (chance.uniform() - 0.5);
+        let at_m = DVec3::new(ground_m * azimuth.sin(), ground_m * azimuth.cos(), 30.0);
+        let strength = Complex64::new(chance.normal(), chance.normal());
+        scatterers.push(at_m, [0.0, 0.0, -1.0], strength, ScatterLaw::Lambert);
+    }
+    scatterers
+}
+
+/// Beams whose samples peers form: over the whole sector.
+fn peer_beam(i: usize) -> usize {
+    i * (BEAMS - 1) / (PEER_BEAMS - 1)
+}
+
+/// For peers: matched-filtered rows, the elements' places, the points of some beams, and what their samples ought to be.
+pub fn dump(directory: &Path) -> Result<(), String> {
+    std::fs::create_dir_all(directory).map_err(|e| format!("{}: {e}", directory.display()))?;
+    let rows = compressed(&elements());
+    let flat = |v: &[Complex64]| v.iter().flat_map(|c| [c.re, c.im]).collect::<Vec<_>>();
+    let array = array();
+    let places: Vec<f64> = (0..ELEMENTS).map(|e| array.element_x_m(e)).collect();
+    let (mut points, mut want) = (Vec::new(), Vec::new());
+    for i in 0..PEER_BEAMS {
+        let sine = angle_rad(peer_beam(i)).sin();
+        for k in 0..SAMPLES {
+            let r = range_m(sine, (k as f64 / RATE_HZ).max(1e-3));
+            points.extend([r * sine, r * (1.0 - sine * sine).sqrt()]);
+            want.push(written_out(&rows, peer_beam(i), k, true));
+        }
+    }
+    let write = |name: &str, values: &[f64]| {
+        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let path = directory.join(name);
+        std::fs::write(&path, bytes).map_err(|e| format!("{}: {e}", path.display()))
+    };
+    write("rows.c128", &flat(&rows))?;
+    write("element_x_m.f64", &places)?;
+    write("point_xz_m.f64", &points)?;
+    write("want.c128", &flat(&want))?;
+    println!(
+        "{}",
+        serde_json::json!({
+            "elements": ELEMENTS, "samples": SAMPLES, "beams": BEAMS, "peer_beams": PEER_BEAMS, "rate_hz": RATE_HZ,
+            "carrier_hz": rig::CARRIER_HZ, "sound_speed_m_per_s": C, "transmitting": TRANSMITTING, "first_probe": FIRST_PROBE,
+        })
+    );
+    Ok(())
+}
+
+/// Answers one line per line of standard input: a former's name with `WALL CORE ERROR` (milliseconds) of one ping of all beams, one thread; the error over
+/// the beams that peers form.
+pub fn serve() -> Result<(), String> {
+    let frame = elements();
+    let rows = compressed(&frame);
+    let mut probes = Vec::new();
+    for i in 0..PEER_BEAMS {
+        for sample in (FIRST_PROBE..SAMPLES - 100).step_by(11) {
+            let beam = peer_beam(i);
+            let want = [false, true].map(|f| written_out(&rows, beam, sample, f));
+            probes.push(Probe { beam, sample, want });
+        }
+    }
+    let mut made: Vec<(Former, Fan)> = Vec::new();
+    let mut out = BeamFrame::default();
+    pool(1).map_err(|e| e.to_string())?.install(|| {
+        for line in std::io::stdin().lock().lines() {
+            let line = line.map_err(|e| e.to_string())?;
+            let former = FORMERS
+                .into_iter()
+                .find(|f| f.name() == line.trim())
+                .ok_or_else(|| format!("{line:?}: no former"))?;
+            let place = match made.iter().position(|(f, _)| *f == former) {
+                Some(place) => place,
+                None => {
+                    made.push((former, make(former)));
+                    made.len() - 1
+                }
+            };
+            let Took { wall, core } = timed(|| made[place].1.form(&plan(), &frame, &mut out));
+            let error = error(&probes, former == Former::DynamicFocus, &out);
+            println!("{wall:.6} {core:.6} {error:.6e}");
+            std::io::stdout().flush().map_err(|e| e.to_string())?;
+        }
+        Ok(())
+    })
+}

@@ -1,0 +1,235 @@
+//! Where the time of a line array's ping goes: core milliseconds by stage, beside what the processor's peaks would allow.
+//!
+//! Operations and bytes are counted from the sizes that the tasks report; the peaks are measured in the same run, on one core.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use echotank::array::gridded2d::{Stage, Stages, TaskReport};
+
+/// One complex number of a grid in f32.
+const COMPLEX_BYTES: f64 = 8.0;
+/// Points of interpolation in the tables of the pulse.
+const PULSE_POINTS: f64 = 8.0;
+
+/// A ping by stages: of the run that took least.
+#[derive(Default)]
+pub struct Profile {
+    pub illuminate: Duration,
+    pub stages: Stages,
+    /// Walls of all that the engine did.
+    pub synthesise: Duration,
+    pub reports: Vec<TaskReport>,
+}
+
+impl Profile {
+    pub fn keep(&mut self, illuminate: Duration, synthesise: Duration, reports: Vec<TaskReport>) {
+        let mut stages = Stages::default();
+        for report in &reports {
+            stages.add(&report.stages);
+        }
+        if self.reports.is_empty() || stages.total() < self.stages.total() {
+            *self = Self {
+                illuminate,
+                stages,
+                synthesise,
+                reports,
+            };
+        }
+    }
+
+    pub fn print(&self, threads: usize) {
+        let roof = Roof::measure();
+        println!(
+            "  one core: {:.0} GFLOP/s in f32, {:.0} GB/s from memory, {:.0} GB/s in 1 MB; {threads} threads",
+            roof.flops * 1e-9,
+            roof.memory * 1e-9,
+            roof.cache * 1e-9
+        );
+        println!(
+            "  {:<10} {:>9} {:>9} {:>8} {:>9} {:>9}",
+            "stage", "core ms", "GFLOP", "GB", "bound ms", "of bound"
+        );
+        let ms = |time: Duration| 1e3 * time.as_secs_f64();
+        println!("  {:<10} {:>9.2}", "illuminate", ms(self.illuminate));
+        for stage in Stage::ALL {
+            let spent = ms(self.stages.spent(stage));
+            let work = self
+                .reports
+                .iter()
+                .map(|report| Work::of(stage, report))
+                .fold(Work::default(), |a, b| Work {
+                    flops: a.flops + b.flops,
+                    bytes: a.bytes + b.bytes,
+                });
+            let bound = 1e3 * (work.flops / roof.flops).max(work.bytes / roof.memory);
+            let share = if bound > 0.0 {
+                format!("{:>8.1} x", spent / bound)
+            } else {
+                String::new()
+            };
+            println!(
+                "  {:<10} {spent:>9.2} {:>9.3} {:>8.3} {bound:>9.2} {share:>9}",
+                stage.name(),
+                work.flops * 1e-9,
+                work.bytes * 1e-9,
+            );
+        }
+        println!(
+            "  {:<10} {:>9.2}  wall {:.2}",
+            "all stages",
+            ms(self.stages.total()),
+            ms(self.synthesise)
+        );
+        for r in &self.reports {
+            println!(
+                "    {} elements, {} echoes: {} columns x {} rows, {} channels in {} products, {} bins, {} entries, {} powers, {:?}, left out {:.1e}, {:.2} ms",
+                r.elements,
+                r.echoes,
+                r.columns,
+                r.rows,
+                r.channels,
+                r.products,
+                r.heard,
+                r.entries,
+                r.powers,
+                r.orders,
+                r.left_out,
+                ms(r.stages.total()),
+            );
+        }
+    }
+}
+
+#[derive(Default)]
+struct Work {
+    flops: f64,
+    /// Read or written once, were there no caches.
+    bytes: f64,
+}
+
+impl Work {
+    fn of(stage: Stage, r: &TaskReport) -> Self {
+        let [columns, channels, rows, heard] =
+            [r.columns, r.channels, r.rows, r.heard].map(|n| n as f64);
+        let [instants, along, turn, products] =
+            [r.orders.instants, r.orders.along, r.orders.turn, r.products].map(|n| n as f64);
+        let [entries, powers] = [r.entries, r.powers].map(|n| n as f64);
+        let grid = columns * channels;
+        let elements = r.elements as f64;
+        let fft = |size: f64| 5.0 * size * size.max(1.0).log2();
+        let (flops, values) = match stage {
+            Stage::Transform => (grid * fft(rows), grid * (rows + heard)),
+            Stage::Combine => {
+                let pulses = instants * (4.0 * PULSE_POINTS + 4.0 * instants);
+                let weights = instants * (channels * 4.0 + products * 6.0);
+                let shape = entries * 12.0;
+                let turned = along * turn * 6.0;
+                (
+                    columns * heard * (pulses + weights + shape + turned),
+                    heard * (grid + columns * powers),
+                )
+            }
+            Stage::Elements => (
+                // Two elements at a time: their even and odd powers, then two rotors' worth of sums.
+                columns * heard * 0.5 * elements * (4.0 * powers + 16.0),
+                heard * (columns * powers + elements),
+            ),
+            Stage::Return => (elements * fft(rows / 1.5), elements * (heard + rows / 1.5)),
+            Stage::Spread => (0.0, grid * rows),
+            _ => (0.0, 0.0),
+        };
+        Self {
+            flops,
+            bytes: values * COMPLEX_BYTES,
+        }
+    }
+}
+
+/// What one core can do.
+struct Roof {
+    flops: f64,
+    memory: f64,
+    cache: f64,
+}
+
+impl Roof {
+    fn measure() -> Self {
+        let flops = (0..5).map(|_| fused_per_s()).fold(0.0, f64::max);
+        let pass = |values: usize, passes: usize| {
+            let mut buffer = vec![1.0f32; values];
+            (0..5)
+                .map(|_| {
+                    let start = Instant::now();
+                    for _ in 0..passes {
+                        for value in &mut buffer {
+                            *value += 1.0;
+                        }
+                        black_box(&mut buffer);
+                    }
+                    // Read and written.
+                    (8 * values * passes) as f64 / start.elapsed().as_secs_f64()
+                })
+                .fold(0.0, f64::max)
+        };
+        Self {
+            flops,
+            memory: pass(32 << 20, 1),
+            cache: pass(1 << 18, 200),
+        }
+    }
+}
+
+const ROUNDS: usize = 2_000_000;
+/// Independent sums: enough to hide a fused multiplication's latency.
+const SUMS: usize = 12;
+
+fn fused_per_s() -> f64 {
+    let start = Instant::now();
+    #[cfg(target_arch = "x86_64")]
+    let lanes = if std::arch::is_x86_feature_detected!("avx512f") {
+        // SAFETY: just detected.
+        unsafe { fused_avx512() };
+        16
+    } else if std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: just detected.
+        unsafe { fused_avx2() };
+        8
+    } else {
+        fused::<4>();
+        4
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let lanes = {
+        fused::<4>();
+        4
+    };
+    (2 * lanes * SUMS * ROUNDS) as f64 / start.elapsed().as_secs_f64()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512vl,fma")]
+fn fused_avx512() {
+    fused::<16>();
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn fused_avx2() {
+    fused::<8>();
+}
+
+#[inline(always)]
+fn fused<const LANES: usize>() {
+    let by = black_box([0.999f32; LANES]);
+    let plus = black_box([0.5f32; LANES]);
+    let mut sums = black_box([[1.0f32; LANES]; SUMS]);
+    for _ in 0..ROUNDS {
+        for sum in &mut sums {
+            for ((sum, by), plus) in sum.iter_mut().zip(&by).zip(&plus) {
+                *sum = sum.mul_add(*by, *plus);
+            }
+        }
+    }
+    black_box(sums);
+}

@@ -1,0 +1,313 @@
+//! Records per second: how fast each family's are made, and a load of two topsides that read and one that hardly does.
+//!
+//! Timed: frames to whole records in their buffers, one thread. Error: the worst of the samples read back, over full scale (7k, XTF) or over
+//! the largest of the message (JSF). The load is 256 elements and beams of 2000 samples at 20 pings/s: 7038 and 7018, 82 MB/s to each of two
+//! readers, while a third reads a byte a second.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use echotank::config::spec::{
+    FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, Shading, SonarSpec, XtfSpec,
+};
+use echotank::emit::jsf::{JsfEmitter, JsfSheet};
+use echotank::emit::sevenk::records::DeviceSheet;
+use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank::emit::xtf::XtfEmitter;
+use echotank::flow::{BeamFrame, ElementFrame, Line, PingOutput, Side};
+use echotank::io::sonar::client::SevenKClient;
+use echotank::io::sonar::start_sevenk;
+use echotank::io::sonar::verify::Verifier;
+use echotank_protocols::jsf::{Message, SonarData80, message_type};
+use echotank_protocols::sevenk::records::RawIq7038;
+use echotank_protocols::sevenk::{Command, Record};
+use num_complex::Complex64;
+
+use super::report::Report;
+use super::wire_rig::{
+    ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, command, output_spec, plan,
+    sonar, store,
+};
+
+const ELEMENTS: usize = 256;
+const SAMPLES: usize = 2000;
+const PINGS_PER_S: u32 = 20;
+
+fn large() -> SonarSpec {
+    let mut sonar = sonar();
+    sonar.receive = vec![sonar.receive[2].clone()];
+    sonar.receive[0].elements = ELEMENTS;
+    for line in &mut sonar.beams.lines {
+        line.array = 0;
+    }
+    sonar.beams.fan = Some(FanSpec {
+        array: 0,
+        beams: ELEMENTS,
+        sector_rad: 2.0,
+        shading: Shading::Uniform,
+        form: FanForm::default(),
+    });
+    sonar
+}
+
+fn frames() -> PingOutput {
+    let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
+    let line = |side| Line {
+        side,
+        amplitude: (0..SAMPLES).map(|k| 0.001 * (k % 1009) as f32).collect(),
+    };
+    PingOutput {
+        elements: vec![ElementFrame {
+            array: 0,
+            elements: ELEMENTS,
+            samples: SAMPLES,
+            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
+            saturated: 0,
+        }],
+        beams: vec![BeamFrame {
+            beams: ELEMENTS,
+            samples: SAMPLES,
+            angle_rad: (0..ELEMENTS).map(|b| b as f64 * 0.007 - 0.9).collect(),
+            width_rad: vec![0.01; ELEMENTS],
+            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
+        }],
+        lines: vec![line(Side::Port), line(Side::Starboard)],
+        ..PingOutput::default()
+    }
+}
+
+fn sevenk_sheet() -> Arc<DeviceSheet> {
+    let mut spec = output_spec();
+    spec.arrays = vec![0];
+    Arc::new(DeviceSheet::new(
+        &spec,
+        &large(),
+        SOUND_M_PER_S,
+        ABSORPTION_DB_PER_M,
+    ))
+}
+
+/// Runs `encode`, which returns the bytes it made, until a while has passed; GB/s of the best of three.
+fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
+    encode();
+    let mut best = 0.0_f64;
+    for _ in 0..3 {
+        let began = Instant::now();
+        let mut bytes = 0;
+        while began.elapsed().as_secs_f64() < while_s {
+            bytes += encode();
+        }
+        best = best.max(bytes as f64 / began.elapsed().as_secs_f64() / 1e9);
+    }
+    best
+}
+
+/// Prints and keeps a line per family, and one for the load if it is asked for.
+pub fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), String> {
+    let mut report = Report::new();
+    let while_s = if quick { 0.3 } else { 2.0 };
+    let (plan, output) = (plan(1, SAMPLES), frames());
+    let mut tell = |name: &str, error: f64, speed: f64, bytes: usize| {
+        report.row(
+            &format!("{name}: error {error:.1e}, {speed:.2} GB/s, {bytes} B"),
+            serde_json::json!({ "family": name, "error": error, "gb_per_s": speed, "bytes": bytes }),
+        );
+    };
+
+    let mut emitter = SevenKEmitter::new(sevenk_sheet(), 1);
+    for id in [7038, 7018, 7042, 7007] {
+        let mut records = Vec::new();
+        let mut encode = || {
+            records.clear();
+            emitter.emit_ping(&plan, &output, RecordSet::of(&[id]), &mut records);
+            records[0].bytes.len()
+        };
+        let bytes = encode();
+        let speed = gb_per_s(while_s, encode);
+        let error = match id {
+            7038 => error_7038(&records[0].bytes, &output)?,
+            // Half a count of 65535: rounded to the nearest.
+            _ => 0.5 / 65_535.0,
+        };
+        tell(&format!("7k {id}"), error, speed, bytes);
+    }
+
+    for (name, channels, format) in [
+        (
+            "jsf 80 format 0, sides",
+            JsfChannels::Sides,
+            JsfFormat::Envelope,
+        ),
+        (
+            "jsf 80 format 9, staves",
+            JsfChannels::Staves,
+            JsfFormat::Unfiltered,
+        ),
+    ] {
+        let sheet = JsfSheet {
+            output: jsf(channels, format),
+            sonar: large(),
+        };
+        let mut emitter = JsfEmitter::new(Arc::new(sheet), Box::new(|_, _| {}));
+        let mut messages = Vec::new();
+        let mut encode = || {
+            messages.clear();
+            emitter.emit_ping(&plan, &output, |_| true, &mut messages);
+            messages.iter().map(|m| m.bytes.len()).sum()
+        };
+        let bytes = encode();
+        let speed = gb_per_s(while_s, encode);
+        let error = error_80(&messages.last().ok_or("no message")?.bytes, &output, format)?;
+        tell(name, error, speed, bytes);
+    }
+
+    let mut emitter = XtfEmitter::new(&XtfSpec { is_float: false }, &large(), SOUND_M_PER_S);
+    let mut packets = Vec::new();
+    let speed = gb_per_s(while_s, || {
+        packets.clear();
+        emitter.emit_ping(&plan, &output, &mut packets);
+        packets.len()
+    });
+    tell("xtf u16", 0.5 / 65_535.0, speed, packets.len());
+
+    if let Some(seconds) = load_s {
+        load(seconds, &output, &mut report)?;
+    }
+    report.keep(json)
+}
+
+fn jsf(channels: JsfChannels, format: JsfFormat) -> JsfSpec {
+    JsfSpec {
+        listen: ([127, 0, 0, 1], 0).into(),
+        listen_data: ([127, 0, 0, 1], 0).into(),
+        subsystem: 40,
+        silent_subsystems: Vec::new(),
+        channels,
+        arrays: vec![0],
+        format,
+        record: false,
+        client_queue_bytes: 0,
+        max_clients: 0,
+    }
+}
+
+fn error_7038(bytes: &[u8], output: &PingOutput) -> Result<f64, String> {
+    let record = Record::parse(bytes).map_err(|e| e.to_string())?;
+    let raw = RawIq7038::parse(record.body()).map_err(|e| e.to_string())?;
+    let mut worst = 0.0_f64;
+    for e in 0..ELEMENTS {
+        for (k, v) in output.elements[0].element(e).iter().enumerate() {
+            let [i, q] = raw.iq(k as u32, e as u16).ok_or("a sample is missing")?;
+            let volt = |count: i16| f64::from(count) / 32_767.0 * FULL_SCALE_V;
+            let off = (volt(i) - v.re).abs().max((volt(q) - v.im).abs());
+            worst = worst.max(off / FULL_SCALE_V);
+        }
+    }
+    Ok(worst)
+}
+
+/// Of the last channel.
+fn error_80(bytes: &[u8], output: &PingOutput, format: JsfFormat) -> Result<f64, String> {
+    let message = Message::parse(bytes).map_err(|e| e.to_string())?;
+    if message.header.message_type != message_type::SONAR_DATA {
+        return Err("the last message is not sonar data".into());
+    }
+    let data = SonarData80::parse(message.body).map_err(|e| e.to_string())?;
+    let want: Vec<f64> = match format {
+        JsfFormat::Envelope => output.lines[1]
+            .amplitude
+            .iter()
+            .map(|&v| f64::from(v))
+            .collect(),
+        _ => output.elements[0]
+            .element(ELEMENTS - 1)
+            .iter()
+            .flat_map(|v| [v.re, v.im])
+            .collect(),
+    };
+    let largest = want.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    let off = data
+        .values()
+        .zip(&want)
+        .map(|(got, want)| (got - want).abs());
+    Ok(off.fold(0.0, f64::max) / largest)
+}
+
+/// Delivers in real time and says what came, and how late the deliveries were.
+fn load(seconds: u32, output: &PingOutput, report: &mut Report) -> Result<(), String> {
+    let pings = seconds * PINGS_PER_S;
+    let mut spec = output_spec();
+    spec.arrays = vec![0];
+    spec.client_queue_bytes = 64 << 20;
+    let sheet = sevenk_sheet();
+    let server = start_sevenk(&spec, sheet.clone(), store(), Arc::new(|| TRANSMIT_UTC))
+        .map_err(|e| e.to_string())?;
+    let mut third = TcpStream::connect(server.local_addr()).map_err(|e| e.to_string())?;
+    let elements = Command::Subscribe {
+        record_type_ids: vec![7038],
+    };
+    third
+        .write_all(&command(elements, 1))
+        .map_err(|e| e.to_string())?;
+    let peer = third.local_addr().map_err(|e| e.to_string())?;
+    thread::spawn(move || {
+        // Ends with the program.
+        let mut byte = [0; 1];
+        while matches!(third.read(&mut byte), Ok(1)) {
+            thread::sleep(Duration::from_secs(1));
+        }
+    });
+    let mut readers = Vec::new();
+    for _ in 0..2 {
+        let mut client = SevenKClient::connect(server.local_addr()).map_err(|e| e.to_string())?;
+        client.subscribe(&[7038, 7018]).map_err(|e| e.to_string())?;
+        readers.push(thread::spawn(move || {
+            let mut verifier = Verifier::default();
+            while verifier.tally(7038).received < u64::from(pings) {
+                match client.next_record(Duration::from_secs(5)) {
+                    Ok(Some(record)) => verifier.note(record.record_type(), record.body()),
+                    _ => break,
+                };
+            }
+            verifier
+        }));
+    }
+    let mut emitter = SevenKEmitter::new(sheet, 32);
+    let mut records = Vec::new();
+    let mut late_ms = Vec::new();
+    let began = Instant::now();
+    for ping in 1..=pings {
+        records.clear();
+        let wanted = RecordSet::from(server.wanted());
+        emitter.emit_ping(&plan(ping, SAMPLES), output, wanted, &mut records);
+        let due = began + Duration::from_secs(1) / PINGS_PER_S * ping;
+        thread::sleep(due.saturating_duration_since(Instant::now()));
+        server.deliver(&records);
+        late_ms.push(due.elapsed().as_secs_f64() * 1e3);
+    }
+    let mut received = Vec::new();
+    for reader in readers {
+        let verifier = reader.join().map_err(|_| "a reader panicked")?;
+        received.extend([7018, 7038].map(|kind| verifier.tally(kind)));
+    }
+    late_ms.sort_by(f64::total_cmp);
+    let clients = server.report().clients;
+    let dropped = clients.iter().find(|c| c.peer == peer);
+    let dropped = dropped.map_or(0, |c| c.counts.records_dropped);
+    let lost: u64 = received
+        .iter()
+        .map(|t| u64::from(pings) - (t.received - t.duplicate))
+        .sum();
+    let (median, worst) = (late_ms[late_ms.len() / 2], late_ms[late_ms.len() - 1]);
+    report.row(
+        &format!(
+            "load: {pings} pings of 7038 and 7018 to two readers: {lost} records lost; the third missed {dropped} whole records; deliveries late by {median:.2} ms median, {worst:.2} ms worst"
+        ),
+        serde_json::json!({ "load_pings": pings, "lost": lost, "third_missed": dropped, "late_ms_median": median, "late_ms_worst": worst }),
+    );
+    Ok(())
+}

@@ -1,0 +1,306 @@
+//! Soundings of whole pings (navigation, scene, echoes, elements, beams, bottom detection) against the seabed they were made from.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+
+use echotank::config::spec::{
+    BottomSpec, Density, IncidenceSpec, NavInputSpec, NavMode, RigSpec, SeabedShape, SeabedSpec,
+    VerticalSpec,
+};
+use echotank::flow::{Detection, PingPlan, Sounding};
+use echotank::io::nav::NavInputs;
+use echotank::nav::Coverage;
+use echotank::ping::Schedule;
+use echotank::run::rig::{Rig, pool};
+use echotank::time::VirtualClock;
+use glam::DVec3;
+
+/// A bottom and a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Case {
+    Flat,
+    /// 10 degrees across the track.
+    Slope,
+    /// The survey of the quickstart, on a straight track.
+    Survey,
+    /// The same in the quickstart's swell.
+    Swell,
+}
+
+impl Case {
+    pub const ALL: [Self; 4] = [Self::Flat, Self::Slope, Self::Survey, Self::Swell];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Flat => "flat, 50 m",
+            Self::Slope => "slope, 10 degrees across",
+            Self::Survey => "JD211 grid",
+            Self::Swell => "JD211 grid, in the swell",
+        }
+    }
+}
+
+/// One sounding in the world, beside the seabed under it.
+#[derive(Clone, Copy, Debug)]
+pub struct Found {
+    pub angle_rad: f64,
+    pub north_m: f64,
+    pub east_m: f64,
+    pub down_m: f64,
+    pub true_down_m: f64,
+    pub detection: Detection,
+}
+
+/// Everything one case found.
+pub struct Soundings {
+    pub case: Case,
+    pub pings: usize,
+    /// From port to starboard.
+    pub angles_rad: Vec<f64>,
+    pub found: Vec<Found>,
+}
+
+/// Beams of one stretch of angle off the vertical, both sides.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    pub from_deg: f64,
+    pub to_deg: f64,
+    pub found: usize,
+    /// Of the beams that were there.
+    pub share: f64,
+    pub by_phase: f64,
+    pub mean_m: f64,
+    /// 95 % of the errors are smaller.
+    pub p95_m: f64,
+    pub depth_m: f64,
+}
+
+/// What is changed in `hil-configs/multibeam.toml` for a case. `folder` takes the track.
+pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<RigSpec, String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut spec = echotank::config::load(&root.join("hil-configs/multibeam.toml"))
+        .map_err(|e| e.to_string())?;
+    let sonar = &mut spec.sonars[0];
+    sonar.receive[0].elements = elements;
+    sonar.settings.max_ping_rate_hz = 1.0;
+    if let Some(fan) = &mut sonar.beams.fan {
+        fan.beams = beams;
+        fan.sector_rad = 120f64.to_radians();
+        fan.form.bottom_detection = true;
+    }
+    let plane = |slope_east| SeabedSpec {
+        shape: SeabedShape::Plane {
+            depth_m: 50.0,
+            slope_north: 0.0,
+            slope_east,
+        },
+        density: Density::PerM2(10.0),
+        bottom: BottomSpec::Lambert { mu_db: -27.0 },
+        incidence: IncidenceSpec::Normal,
+        mosaic: None,
+        speckle: true,
+    };
+    match case {
+        Case::Flat => spec.scene.seabed = Some(plane(0.0)),
+        Case::Slope => {
+            spec.scene.seabed = Some(plane(10f64.to_radians().tan()));
+            // At 55 degrees the bottom that falls away lies 107 m off.
+            spec.sonars[0].settings.range_m = 120.0;
+            if let Some(fan) = &mut spec.sonars[0].beams.fan {
+                fan.sector_rad = 110f64.to_radians();
+            }
+        }
+        Case::Survey | Case::Swell => {}
+    }
+    if case != Case::Swell {
+        // Due east at 2.5 m/s; a survey's middle lies under the first fix, and half of it behind.
+        let mut track = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+        for k in 0..140 {
+            let (t, east_m) = (1_793_611_200 + 2 * k, 5 * k);
+            let _ = writeln!(track, "{t},0,{east_m},0,0,0,90");
+        }
+        let path = folder.join("track.csv");
+        std::fs::write(&path, track).map_err(|e| e.to_string())?;
+        spec.nav.vertical = VerticalSpec::Depth;
+        spec.nav.loop_log = false;
+        spec.nav.sources.truncate(1);
+        spec.nav.sources[0].input = NavInputSpec::Csv { path };
+    }
+    Ok(spec)
+}
+
+/// Soundings of so many pings, each `every_s` apart.
+pub fn measure(
+    case: Case,
+    spec: &RigSpec,
+    pings: usize,
+    every_s: f64,
+) -> Result<Soundings, String> {
+    let mut spec = spec.clone();
+    spec.sonars[0].settings.max_ping_rate_hz = 1.0 / every_s;
+    pool(0)
+        .map_err(|e| e.to_string())?
+        .install(|| run(case, &spec, pings))
+}
+
+fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
+    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let clock = Arc::new(VirtualClock::default());
+    let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
+    while rig.history.first_usable_utc().is_none() {
+        if !inputs.pull_next(&mut rig.history) {
+            return Err("the navigation has no position".into());
+        }
+    }
+    let first = rig.history.first_usable_utc().ok_or("no navigation")?;
+    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
+    let mut slot = rig.slot(0);
+    let mut out = Soundings {
+        case,
+        pings,
+        angles_rad: Vec::new(),
+        found: Vec::new(),
+    };
+    for _ in 0..pings {
+        let order = schedule
+            .due(schedule.next_utc(), |_| spec.sonars[0].settings)
+            .ok_or("the sonar does not ping")?;
+        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
+        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
+            if !inputs.pull_next(&mut rig.history) {
+                return Err("the navigation ends".into());
+            }
+        }
+        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
+            .map_err(|e| format!("{e:?}"))?;
+        out.angles_rad.clone_from(&slot.output.beams[0].angle_rad);
+        for sounding in &slot.output.soundings {
+            let at_m = place(spec, &slot.plan, sounding);
+            if let Some(true_down_m) = rig.scene.seabed_down_m(at_m.x, at_m.y) {
+                out.found.push(Found {
+                    angle_rad: sounding.angle_rad,
+                    north_m: at_m.x,
+                    east_m: at_m.y,
+                    down_m: at_m.z,
+                    true_down_m,
+                    detection: sounding.detection,
+                });
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// Where a sounding lies: on the line where the plane across the transmitter, as it stood when it sent, meets the cone about the receiver's line,
+/// as it lay when it heard; from half way between them.
+fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
+    let sonar = &spec.sonars[0];
+    let (sent, heard) = (
+        plan.trajectory.pose_at(0.0),
+        plan.trajectory.pose_at(sounding.twtt_s),
+    );
+    let transmit = &sonar.transmit[sonar.receive[0].transmit].mounting;
+    let receive = &sonar.receive[0].mounting;
+    let from_m = 0.5 * (sent.point_m(transmit.position_m) + heard.point_m(receive.position_m));
+    // Along the transmitter, square to it along the receiver, and down.
+    let along = sent.world_from_body * (transmit.body_from_array * DVec3::X);
+    let line = heard.world_from_body * (receive.body_from_array * DVec3::X);
+    let (askew, sine) = (along.dot(line), sounding.angle_rad.sin());
+    let across = (line - along * askew).normalize();
+    let across_sine = sine / (1.0 - askew * askew).sqrt();
+    let down = along.cross(across);
+    let down = if down.z < 0.0 { -down } else { down };
+    let way = across * across_sine + down * (1.0 - across_sine * across_sine).max(0.0).sqrt();
+    from_m + way * (0.5 * plan.sound_speed_m_per_s * sounding.twtt_s)
+}
+
+impl Soundings {
+    /// By angle off the boresight, in steps of `step_deg`.
+    pub fn rows(&self, step_deg: f64) -> Vec<Row> {
+        let most_deg = (self.angles_rad.iter()).fold(0.0_f64, |a, b| a.max(b.abs().to_degrees()));
+        let steps = (most_deg / step_deg).ceil() as usize;
+        (0..steps)
+            .filter_map(|k| {
+                let (from_deg, to_deg) = (k as f64 * step_deg, (k + 1) as f64 * step_deg);
+                let inside = |a: f64| (from_deg..to_deg).contains(&a.abs().to_degrees());
+                let beams = self.angles_rad.iter().filter(|a| inside(**a)).count() * self.pings;
+                let of: Vec<&Found> = self.found.iter().filter(|f| inside(f.angle_rad)).collect();
+                if of.is_empty() {
+                    return None;
+                }
+                let mut errors: Vec<f64> = of.iter().map(|f| f.down_m - f.true_down_m).collect();
+                let n = errors.len() as f64;
+                let mean_m = errors.iter().sum::<f64>() / n;
+                errors.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+                let phase = of
+                    .iter()
+                    .filter(|f| f.detection == Detection::Phase)
+                    .count();
+                Some(Row {
+                    from_deg,
+                    to_deg,
+                    found: of.len(),
+                    share: n / beams.max(1) as f64,
+                    by_phase: phase as f64 / n,
+                    mean_m,
+                    p95_m: errors[((0.95 * n) as usize).min(errors.len() - 1)].abs(),
+                    depth_m: of.iter().map(|f| f.true_down_m).sum::<f64>() / n,
+                })
+            })
+            .collect()
+    }
+
+    pub fn table(&self, step_deg: f64) -> String {
+        let mut out = format!(
+            "{}, {} pings\n off the vertical  soundings  of the beams  by phase  mean error  95 % below\n",
+            self.case.name(),
+            self.pings
+        );
+        for r in self.rows(step_deg) {
+            let _ = writeln!(
+                out,
+                " {:3.0} to {:2.0} degrees  {:9}  {:10.1} %  {:6.0} %  {:+8.3} m  {:8.3} m  {:.2} % of {:.1} m",
+                r.from_deg,
+                r.to_deg,
+                r.found,
+                100.0 * r.share,
+                100.0 * r.by_phase,
+                r.mean_m,
+                r.p95_m,
+                100.0 * r.p95_m / r.depth_m,
+                r.depth_m
+            );
+        }
+        out
+    }
+
+    /// Relief in cells of `cell_m`: pairs of mean sounding and mean truth, for cells of at least `least` soundings.
+    pub fn relief(&self, cell_m: f64, least: usize) -> Vec<(f64, f64)> {
+        let mut cells = std::collections::BTreeMap::<(i64, i64), (f64, f64, usize)>::new();
+        for f in &self.found {
+            let key = (
+                (f.north_m / cell_m).floor() as i64,
+                (f.east_m / cell_m).floor() as i64,
+            );
+            let cell = cells.entry(key).or_default();
+            *cell = (cell.0 + f.down_m, cell.1 + f.true_down_m, cell.2 + 1);
+        }
+        let means = cells.into_values().filter(|c| c.2 >= least);
+        means
+            .map(|(found, truth, n)| (found / n as f64, truth / n as f64))
+            .collect()
+    }
+}
+
+/// Correlation of the two, and the standard deviation of the second and of their difference.
+pub fn agreement(pairs: &[(f64, f64)]) -> (f64, f64, f64) {
+    let n = pairs.len() as f64;
+    let mean = |of: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / n;
+    let (a, b) = (mean(&|p| p.0), mean(&|p| p.1));
+    let aa = mean(&|p| (p.0 - a).powi(2));
+    let bb = mean(&|p| (p.1 - b).powi(2));
+    let ab = mean(&|p| (p.0 - a) * (p.1 - b));
+    let apart = mean(&|p| (p.0 - a - p.1 + b).powi(2));
+    (ab / (aa * bb).sqrt(), bb.sqrt(), apart.sqrt())
+}
