@@ -298,7 +298,7 @@ fn every_rig_that_imitates_a_device_pings() {
         let heads = if rig == "omniscan450" { 2 } else { 1 };
         assert_eq!(pings.len(), 2 * heads, "{rig}");
         for ping in &pings {
-            let heard = ping["scene"]["scatterers"].as_u64().unwrap_or(0);
+            let heard = ping["scene"]["used"].as_u64().unwrap_or(0);
             assert!(heard > 100, "{rig}: {heard} scatterers\n{ping}");
         }
     }

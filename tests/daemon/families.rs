@@ -179,7 +179,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     };
     assert_eq!(
         (said.sample_rate_hz, said.rf_reference_hz),
-        (Some(20e3), Some(240e3))
+        (Some(34e3), Some(240e3))
     );
 
     let printed = daemon.terminate();
