@@ -214,7 +214,8 @@ fn places(rig: &Rig, range_m: f64) -> Vec<f64> {
         .collect()
 }
 
-const RANGES_M: [f64; 9] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0];
+/// At 10 m two more elements join, and a zone of the former begins before it.
+const RANGES_M: [f64; 9] = [5.0, 10.4, 20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0];
 
 /// A line of 64 elements whose length in use grows with range to 1.28 m: at every range the image is as wide as the patterns say.
 #[test]

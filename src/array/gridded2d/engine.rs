@@ -23,9 +23,8 @@ use super::stages::{Stage, Stages};
 use super::task::{MOST_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
-/// Blocks of bins where the filter leaves less than this much of what each series may leave are zero: of a pulse's own spectrum a tenth at
-/// most lies out there, so that half of what a series may leave is lost.
-const FILTERED: f64 = 5.0;
+/// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
+const FILTERED: f64 = 0.1;
 /// By how much more than surveyed the spans of a task are taken, until all echoes lie within.
 const MARGINS: [f64; 3] = [0.03, 0.3, 3.0];
 

@@ -29,7 +29,7 @@ const F32_ERROR: f64 = 1e-5;
 /// column's own slope (measured).
 const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
 /// Of the tolerance (half of it where the rest is not small), what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
-const SERIES_SHARE: f64 = 0.4;
+const SERIES_SHARE: f64 = 0.2;
 /// Terms of the dilation's series that leave room for those of bend, twist and fade in the grid's channels.
 const MOST_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
