@@ -149,32 +149,11 @@ fn next_record(file: &mut File, bytes: &mut Vec<u8>) -> io::Result<()> {
 mod tests {
     use super::*;
     use crate::io::record::s7k::S7kRecorder;
+    use crate::io::record::testing::{
+        s7k_header as header, s7k_record as record, s7k_stamp as stamp,
+    };
     use echotank_protocols::sevenk::file::{Catalogue7300, FileReader};
-    use echotank_protocols::sevenk::{OpenRecord, SevenKTime};
     use proptest::prelude::*;
-
-    fn stamp() -> RecordStamp {
-        RecordStamp {
-            time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),
-            device_id: 104,
-            system_enumerator: 1,
-        }
-    }
-
-    fn header() -> FileHeader7200 {
-        FileHeader7200 {
-            recording_name: "test".into(),
-            ..FileHeader7200::default()
-        }
-    }
-
-    fn record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let open = OpenRecord::begin(&mut bytes, record_type_id, &stamp());
-        bytes.extend_from_slice(data);
-        open.finish(&mut bytes);
-        bytes
-    }
 
     /// A closed file of five pings' records, and where each of them ends.
     fn closed(path: &Path) -> (Vec<u8>, Vec<usize>) {

@@ -110,31 +110,11 @@ impl Drop for S7kRecorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::record::testing::{
+        s7k_header as header, s7k_record as record, s7k_stamp as stamp,
+    };
+    use echotank_protocols::sevenk::Record;
     use echotank_protocols::sevenk::file::{Catalogue7300, CataloguePointer, FileReader};
-    use echotank_protocols::sevenk::{OpenRecord, Record, SevenKTime};
-
-    fn stamp() -> RecordStamp {
-        RecordStamp {
-            time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),
-            device_id: 104,
-            system_enumerator: 1,
-        }
-    }
-
-    fn header() -> FileHeader7200 {
-        FileHeader7200 {
-            recording_name: "test".into(),
-            ..FileHeader7200::default()
-        }
-    }
-
-    fn record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let open = OpenRecord::begin(&mut bytes, record_type_id, &stamp());
-        bytes.extend_from_slice(data);
-        open.finish(&mut bytes);
-        bytes
-    }
 
     fn types(bytes: &[u8]) -> Vec<u32> {
         FileReader::new(bytes)

@@ -1,5 +1,7 @@
 //! A small sonar and its pings for the recorders' tests: two receive arrays of two and three elements, a fan of three beams, two lines.
 
+use echotank_protocols::sevenk::file::FileHeader7200;
+use echotank_protocols::sevenk::{OpenRecord, RecordStamp, SevenKTime};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -163,4 +165,28 @@ pub fn output(ping_number: u32) -> PingOutput {
         lines: vec![line(Side::Port, 200.0), line(Side::Starboard, 300.0)],
         ..PingOutput::default()
     }
+}
+
+/// Of the records that tests write into `.s7k` files.
+pub fn s7k_stamp() -> RecordStamp {
+    RecordStamp {
+        time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),
+        device_id: 104,
+        system_enumerator: 1,
+    }
+}
+
+pub fn s7k_header() -> FileHeader7200 {
+    FileHeader7200 {
+        recording_name: "test".into(),
+        ..FileHeader7200::default()
+    }
+}
+
+pub fn s7k_record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let open = OpenRecord::begin(&mut bytes, record_type_id, &s7k_stamp());
+    bytes.extend_from_slice(data);
+    open.finish(&mut bytes);
+    bytes
 }

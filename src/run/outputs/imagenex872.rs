@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, StreamCounts};
 use crate::config::spec::ImagenexSpec;
 use crate::emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
 use crate::flow::Datagram;

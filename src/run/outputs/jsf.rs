@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, StreamCounts, record};
 use crate::beam::RowLimits;
 use crate::beam::matched::MatchedFilter;
 use crate::config::spec::{JsfSpec, MediumSpec, SonarSpec};
@@ -137,19 +138,10 @@ impl Output for Jsf {
 
     fn deliver(&mut self) -> Result<(), OutputError> {
         self.data.deliver(&self.pending);
-        let mut outcome = Ok(());
-        if let Some(recorder) = &mut self.recorder {
-            outcome = self
-                .pending
-                .iter()
-                .try_for_each(|message| recorder.write(&message.bytes));
-            if outcome.is_err() {
-                // What was written is kept; nothing more is tried.
-                self.recorder = None;
-            }
-        }
-        self.pending.clear();
-        Ok(outcome?)
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|message| recorder.write(&message.bytes))
+        })
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {

@@ -4,7 +4,7 @@ mod files;
 mod imagenex872;
 mod jsf;
 mod ping_protocol;
-mod server_lines;
+mod server_counts;
 mod sevenk;
 mod vita49;
 mod wbms;
@@ -17,7 +17,7 @@ use thiserror::Error;
 
 use crate::config::spec::{OutputSpec, RigSpec};
 use crate::io::record::RecordError;
-use crate::io::sonar::{OpenError, RigTime, ServerReport};
+use crate::io::sonar::{OpenError, RigTime};
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
 use crate::time::UtcNs;
@@ -65,6 +65,18 @@ pub trait Report: Send + Sync {
     fn streams(&self) -> Vec<StreamCounts> {
         Vec::new()
     }
+}
+
+/// Writes with the recorder, if there is one. What a recorder that fails has written is kept, and nothing more is tried.
+fn record<R>(
+    recorder: &mut Option<R>,
+    write: impl FnOnce(&mut R) -> Result<(), RecordError>,
+) -> Result<(), OutputError> {
+    let outcome = recorder.as_mut().map_or(Ok(()), write);
+    if outcome.is_err() {
+        *recorder = None;
+    }
+    Ok(outcome?)
 }
 
 /// What one client has had.
@@ -193,45 +205,4 @@ impl OutputReports {
         let reports = self.all.iter();
         reports.flat_map(|report| report.streams()).collect()
     }
-}
-
-/// A line for a server and those of its clients that have gone, and one per client.
-fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
-    let totals = report.totals();
-    let mut lines = vec![format!(
-        "{family} {name}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
-        report.clients.len(),
-        report.admitted,
-        report.refused,
-        totals.bytes_sent as f64 / 1e6,
-        totals.commands,
-        totals.nacks,
-        totals.framing_errors,
-    )];
-    lines.extend(report.clients.iter().map(|client| {
-        format!(
-            "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
-            client.transport,
-            client.peer,
-            client.counts.bytes_sent as f64 / 1e6,
-            client.counts.records_sent,
-            client.counts.records_dropped,
-            client.queued_bytes as f64 / 1e6,
-        )
-    }));
-    lines
-}
-
-/// What each client of a server was sent.
-fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
-    let clients = report.clients.iter();
-    let counts = clients.map(|client| StreamCounts {
-        family,
-        peer: format!("{} {}", client.transport, client.peer),
-        bytes_sent: client.counts.bytes_sent,
-        records_sent: client.counts.records_sent,
-        records_dropped: client.counts.records_dropped,
-        queued_bytes: client.queued_bytes as u64,
-    });
-    counts.collect()
 }

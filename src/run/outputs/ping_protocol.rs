@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use super::server_lines::server_lines;
-use super::{Opening, Output, OutputError, Report};
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, StreamCounts, record};
 use crate::config::spec::PingProtocolSpec;
 use crate::emit::ping_protocol::session::PingPort;
 use crate::emit::ping_protocol::{Device, PingEmitter};
@@ -128,19 +128,10 @@ impl Output for PingProtocol {
         if let Some(line) = &self.line {
             line.deliver(&self.pending);
         }
-        let mut outcome = Ok(());
-        if let Some(recorder) = &mut self.recorder {
-            outcome = self
-                .pending
-                .iter()
-                .try_for_each(|frame| recorder.write(&frame.bytes));
-            if outcome.is_err() {
-                // What was written is kept; nothing more is tried.
-                self.recorder = None;
-            }
-        }
-        self.pending.clear();
-        Ok(outcome?)
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|frame| recorder.write(&frame.bytes))
+        })
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
@@ -156,7 +147,7 @@ struct PingReport {
 
 impl Report for PingReport {
     fn lines(&self) -> Vec<String> {
-        let mut lines = server_lines(&format!("ping {}", self.name), &self.server.report());
+        let mut lines = server_lines("ping", &self.name, &self.server.report());
         lines.extend(self.line.as_ref().map(|line| {
             format!(
                 "  serial: {:.1} MB sent, {} records dropped, {} commands, {} refused, {} failures",
@@ -168,5 +159,9 @@ impl Report for PingReport {
             )
         }));
         lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        server_streams("ping", &self.server.report())
     }
 }

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Opening, Output, OutputError, Report, StreamCounts, server_lines, server_streams};
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, StreamCounts, record};
 use crate::config::spec::SevenKSpec;
 use crate::emit::sevenk::kept::Kept;
 use crate::emit::sevenk::records::DeviceSheet;
@@ -115,19 +116,10 @@ impl Output for SevenK {
 
     fn deliver(&mut self) -> Result<(), OutputError> {
         self.server.deliver(self.line.pass(&self.pending));
-        let mut outcome = Ok(());
-        if let Some(recorder) = &mut self.recorder {
-            outcome = self
-                .pending
-                .iter()
-                .try_for_each(|record| recorder.write(&record.bytes));
-            if outcome.is_err() {
-                // What was written is closed and kept; nothing more is tried.
-                self.recorder = None;
-            }
-        }
-        self.pending.clear();
-        Ok(outcome?)
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|record| recorder.write(&record.bytes))
+        })
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::server_lines::server_lines;
-use super::{Opening, Output, OutputError, Report};
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, StreamCounts};
 use crate::config::spec::WbmsSpec;
 use crate::emit::session::Protocol;
 use crate::emit::wbms::control::{ControlPort, DataPort};
@@ -134,8 +134,15 @@ impl Report for WbmsReport {
             .iter()
             .zip(self.servers.iter())
             .flat_map(|(what, server)| {
-                server_lines(&format!("wbms {} {what}", self.name), &server.report())
+                server_lines("wbms", &format!("{} {what}", self.name), &server.report())
             })
+            .collect()
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let servers = self.servers.iter();
+        servers
+            .flat_map(|server| server_streams("wbms", &server.report()))
             .collect()
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Opening, Output, OutputError, Report, record};
 use crate::config::spec::XtfSpec;
 use crate::emit::xtf::XtfEmitter;
 use crate::io::record::make_folder;
@@ -71,17 +71,11 @@ impl Output for Xtf {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        let Some(recorder) = &mut self.recorder else {
-            return Ok(());
-        };
-        let outcome = recorder.write(&self.pending);
-        if outcome.is_err() {
-            // What was written is kept; nothing more is tried.
-            self.recorder = None;
+        if self.recorder.is_some() {
+            let bytes = self.pending.len() as u64;
+            self.report.bytes.fetch_add(bytes, Ordering::Relaxed);
         }
-        let bytes = self.pending.len() as u64;
-        self.report.bytes.fetch_add(bytes, Ordering::Relaxed);
-        Ok(outcome?)
+        record(&mut self.recorder, |recorder| recorder.write(&self.pending))
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {

@@ -1,0 +1,45 @@
+//! A server's counters, as text and in numbers.
+
+use super::StreamCounts;
+use crate::io::sonar::ServerReport;
+
+/// A line for a server and those of its clients that have gone, and one per client.
+pub fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
+    let totals = report.totals();
+    let mut lines = vec![format!(
+        "{family} {name}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
+        report.clients.len(),
+        report.admitted,
+        report.refused,
+        totals.bytes_sent as f64 / 1e6,
+        totals.commands,
+        totals.nacks,
+        totals.framing_errors,
+    )];
+    lines.extend(report.clients.iter().map(|client| {
+        format!(
+            "  {} {}: {:.1} MB, {} records sent, {} dropped, {:.1} MB waiting",
+            client.transport,
+            client.peer,
+            client.counts.bytes_sent as f64 / 1e6,
+            client.counts.records_sent,
+            client.counts.records_dropped,
+            client.queued_bytes as f64 / 1e6,
+        )
+    }));
+    lines
+}
+
+/// What each client of a server was sent.
+pub fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
+    let clients = report.clients.iter();
+    let counts = clients.map(|client| StreamCounts {
+        family,
+        peer: format!("{} {}", client.transport, client.peer),
+        bytes_sent: client.counts.bytes_sent,
+        records_sent: client.counts.records_sent,
+        records_dropped: client.counts.records_dropped,
+        queued_bytes: client.queued_bytes as u64,
+    });
+    counts.collect()
+}
