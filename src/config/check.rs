@@ -362,7 +362,13 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let scaled = clock.map(|clock| clock == "scaled");
     let condition = "clock = \"scaled\"";
     only_with(table, &["clock_rate"], scaled, condition, problems);
+    let spread = table.text("pace").map(|pace| pace == "spread");
+    only_with(table, &["pace_share"], spread, "pace = \"spread\"", problems);
     Some(RunSpec {
+        spread_share: match spread? {
+            true => Some(table.number("pace_share")?),
+            false => None,
+        },
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
             "fast" => ClockSpec::Fast,

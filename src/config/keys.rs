@@ -951,6 +951,18 @@ static RUN: Table = Table {
             "Only with clock = \"scaled\".",
         ),
         key(
+            "pace",
+            Kind::Choice(&["spread", "burst"], &[]),
+            Default("\"spread\""),
+            "A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock size loses most of. TCP paces itself. With clock = \"fast\" and \"lockstep\" always all at once.",
+        ),
+        key(
+            "pace_share",
+            Kind::Number(from(0.01, 0.95)),
+            Default("0.8"),
+            "The part. Only with pace = \"spread\".",
+        ),
+        key(
             "priority",
             Kind::Integer(0, 99),
             Default("40"),

@@ -774,6 +774,8 @@ pub struct RunSpec {
     pub priority: u8,
     /// Where the log of injected faults goes, if not beside the records.
     pub fault_directory: Option<PathBuf>,
+    /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.
+    pub spread_share: Option<f64>,
 }
 
 /// How fast rig time goes. The samples do not depend on it.

@@ -5,6 +5,7 @@ pub mod changes;
 pub mod elements;
 pub mod imagenex872;
 pub mod jsf;
+pub mod packets;
 pub mod passband;
 pub mod ping_protocol;
 pub mod pool;

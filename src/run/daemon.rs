@@ -196,15 +196,20 @@ impl Daemon {
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
         let mut outputs = Vec::new();
+        let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
-            outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
+            let own = Arc::new(Histograms::new());
+            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own)?;
+            outputs.push(opened);
+            histograms.push(own);
         }
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
-        let sonars = sonars.map(|((sonar, settings), outputs)| SonarControl {
+        let sonars = sonars.zip(histograms);
+        let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
-            histograms: Arc::new(Histograms::new()),
+            histograms,
             reports: outputs.reports(),
         });
         let control = Arc::new(RunControl::new(

@@ -15,6 +15,7 @@ pub struct Histograms {
     margin: Spread,
     nav_to_samples: Spread,
     hand_over: Spread,
+    pacing: Spread,
 }
 
 struct Spread(Mutex<Histogram<u64>>);
@@ -63,6 +64,7 @@ impl Histograms {
             margin: Spread::new(),
             nav_to_samples: Spread::new(),
             hand_over: Spread::new(),
+            pacing: Spread::new(),
         }
     }
 
@@ -86,8 +88,13 @@ impl Histograms {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
+    /// A group of datagrams left so long after its own instant.
+    pub fn pacing_us(&self, ns: i64) {
+        self.pacing.note((ns.max(0) / 1000) as u64);
+    }
+
     /// Name, meaning, figures.
-    pub fn all(&self) -> [(&'static str, &'static str, Figures); 4] {
+    pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
         [
             (
                 "start_error",
@@ -108,6 +115,11 @@ impl Histograms {
                 "hand_over",
                 "From the instant a ping's records were due until all were handed over",
                 self.hand_over.figures(),
+            ),
+            (
+                "send_pacing",
+                "From the instant a group of datagrams was due until it was handed to the kernel",
+                self.pacing.figures(),
             ),
         ]
     }

@@ -6,37 +6,11 @@
 use echotank_protocols::vita49::{Context, SignalStream, Trailer, VrtTime};
 
 use super::elements::{counts, elements_of, interleave_iq};
+use super::packets::Packets;
 use super::passband::Passband;
 use super::sevenk::EmitCounts;
 use crate::config::spec::{SonarSpec, Vita49Spec};
 use crate::flow::{PingOutput, PingPlan};
-
-/// The packets of one ping, one after the other.
-#[derive(Debug, Default)]
-pub struct Packets {
-    bytes: Vec<u8>,
-    ends: Vec<usize>,
-}
-
-impl Packets {
-    pub fn clear(&mut self) {
-        self.bytes.clear();
-        self.ends.clear();
-    }
-    pub(crate) fn push(&mut self, packet: &[u8]) {
-        self.bytes.extend_from_slice(packet);
-        self.ends.push(self.bytes.len());
-    }
-    pub fn len_bytes(&self) -> usize {
-        self.bytes.len()
-    }
-    pub fn iter(&self) -> impl Iterator<Item = &[u8]> {
-        let starts = std::iter::once(0).chain(self.ends.iter().copied());
-        starts
-            .zip(&self.ends)
-            .map(|(start, &end)| &self.bytes[start..end])
-    }
-}
 
 /// Turns pings into packets. Holds its buffers and the streams' counts; one thread's.
 pub struct Vita49Emitter {
@@ -146,7 +120,7 @@ impl Vita49Emitter {
         };
         self.emit_samples(start, elements, trailer, into);
         let counts = EmitCounts {
-            records: into.ends.len() as u64,
+            records: into.len() as u64,
             bytes: into.len_bytes() as u64,
             saturated,
         };

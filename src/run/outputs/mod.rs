@@ -15,12 +15,15 @@ use std::sync::Arc;
 use chrono::DateTime;
 use thiserror::Error;
 
-use crate::config::spec::{OutputSpec, RigSpec};
+use crate::config::spec::{ClockSpec, OutputSpec, RigSpec, RunSpec};
+use crate::flow::PingPlan;
+use crate::io::pace::Sending;
 use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime};
+use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
-use crate::time::UtcNs;
+use crate::time::{Clock, UtcNs};
 
 pub(super) use jsf::row_filter;
 
@@ -97,6 +100,38 @@ struct Opening<'a> {
     unit: &'a SonarUnit,
     settings: &'a Arc<SettingsStore>,
     rig_time: &'a RigTime,
+    clock: &'a Arc<dyn Clock>,
+    sending: Sending,
+    spread: Spread,
+}
+
+/// How a ping's datagrams are spread.
+#[derive(Clone, Copy)]
+struct Spread {
+    /// Machine time per rig time, times the configured share; 0: not at all.
+    share: f64,
+}
+
+impl Spread {
+    fn of(run: &RunSpec) -> Self {
+        let machine_per_rig = match run.clock {
+            ClockSpec::RealTime => 1.0,
+            ClockSpec::Scaled(rate) => 1.0 / rate,
+            // The next ping comes when it comes.
+            ClockSpec::Fast | ClockSpec::Lockstep => 0.0,
+        };
+        Self {
+            share: run.spread_share.unwrap_or(0.0) * machine_per_rig,
+        }
+    }
+
+    /// Seconds of the machine's time over which this ping's datagrams leave; 0: at once.
+    fn over_s(self, plan: &PingPlan) -> f64 {
+        match plan.ping_rate_hz > 0.0 {
+            true => self.share / plan.ping_rate_hz,
+            false => 0.0,
+        }
+    }
 }
 
 impl Opening<'_> {
@@ -123,12 +158,24 @@ impl Outputs {
         unit: &SonarUnit,
         settings: &Arc<SettingsStore>,
         rig_time: &RigTime,
+        clock: &Arc<dyn Clock>,
+        histograms: &Arc<Histograms>,
     ) -> Result<Self, OutputError> {
+        let lateness = {
+            let histograms = Arc::clone(histograms);
+            move |ns| histograms.pacing_us(ns)
+        };
         let opening = Opening {
             spec,
             unit,
             settings,
             rig_time,
+            clock,
+            sending: Sending {
+                priority: spec.run.priority,
+                lateness: Some(Arc::new(lateness)),
+            },
+            spread: Spread::of(&spec.run),
         };
         let all = unit
             .spec
