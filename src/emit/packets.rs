@@ -59,7 +59,10 @@ impl Packets {
     /// The blocks in order: the numbers of their packets, and when their last sample was heard. What no block was made of is one without a
     /// time, at the end.
     pub fn blocks(&self) -> impl Iterator<Item = (std::ops::Range<usize>, Option<f64>)> {
-        let ended = self.blocks.iter().map(|block| (block.end, Some(block.heard_s)));
+        let ended = self
+            .blocks
+            .iter()
+            .map(|block| (block.end, Some(block.heard_s)));
         let rest = (self.len(), None);
         let mut start = 0;
         ended.chain([rest]).filter_map(move |(end, heard_s)| {
@@ -77,7 +80,12 @@ mod tests {
     #[test]
     fn blocks_hold_every_packet_once_and_in_order() {
         let mut packets = Packets::default();
-        for (packet, end) in [("a", None), ("bc", Some(1e-3)), ("", Some(2e-3)), ("d", None)] {
+        for (packet, end) in [
+            ("a", None),
+            ("bc", Some(1e-3)),
+            ("", Some(2e-3)),
+            ("d", None),
+        ] {
             packets.push(packet.as_bytes());
             if let Some(heard_s) = end {
                 packets.end_block(heard_s);
@@ -86,7 +94,10 @@ mod tests {
         let all: Vec<_> = packets.iter().collect();
         assert_eq!(all, [&b"a"[..], b"bc", b"", b"d"]);
         let blocks: Vec<_> = packets.blocks().collect();
-        assert_eq!(blocks, [(0..2, Some(1e-3)), (2..3, Some(2e-3)), (3..4, None)]);
+        assert_eq!(
+            blocks,
+            [(0..2, Some(1e-3)), (2..3, Some(2e-3)), (3..4, None)]
+        );
         packets.clear();
         assert_eq!(packets.blocks().count(), 0);
     }

@@ -13,13 +13,18 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::SockAddr;
 
 use crate::emit::packets::Packets;
+use crate::emit::pool::DatagramPool;
 use crate::io::pace::Sending;
 use crate::io::pace::batch::send_batch;
 use crate::io::pace::bucket::Bucket;
+use crate::io::sonar::SonarServer;
 use crate::time::{Clock, MonoNs, SystemClock};
 
 /// Asked of the operating system for each socket, so that a group is not lost between two of our looks at the clock.
 const SEND_BUFFER_BYTES: usize = 1 << 20;
+
+/// Frames that clients of a server may hold before buffers are made anew.
+const MOST_KEPT_BUFFERS: usize = 256;
 
 /// Where packets go.
 #[derive(Clone, Debug)]
@@ -69,14 +74,45 @@ impl DatagramSender {
             .iter()
             .map(|to| Ok((socket_for(*to, &route)?, SockAddr::from(*to))))
             .collect::<std::io::Result<Vec<_>>>()?;
-        let (full, pings) = bounded(route.queue);
-        let (give_back, empty) = bounded(route.queue + 1);
+        let pace_bytes_per_s = route.pace_bytes_per_s;
+        Self::start(
+            Far::Addresses(sockets),
+            pace_bytes_per_s,
+            route.queue,
+            clock,
+            sending,
+        )
+    }
+
+    /// Sends to the clients of a server instead, which paces itself: blocks are handed over when they are due.
+    pub fn serve(
+        server: Arc<SonarServer>,
+        queue: usize,
+        clock: Arc<dyn Clock>,
+        sending: Sending,
+    ) -> std::io::Result<Self> {
+        let far = Far::Clients {
+            server,
+            pool: DatagramPool::new(0, MOST_KEPT_BUFFERS),
+        };
+        Self::start(far, f64::INFINITY, queue, clock, sending)
+    }
+
+    fn start(
+        far: Far,
+        pace_bytes_per_s: f64,
+        queue: usize,
+        clock: Arc<dyn Clock>,
+        sending: Sending,
+    ) -> std::io::Result<Self> {
+        let (full, pings) = bounded(queue);
+        let (give_back, empty) = bounded(queue + 1);
         let counts = Arc::new(DatagramCounts::default());
         let machine = SystemClock::new();
         let mut line = Line {
-            bucket: Bucket::new(route.pace_bytes_per_s, machine.mono()),
-            pace_bytes_per_s: route.pace_bytes_per_s,
-            sockets,
+            bucket: Bucket::new(pace_bytes_per_s, machine.mono()),
+            pace_bytes_per_s,
+            far,
             clock,
             machine,
             counts: Arc::clone(&counts),
@@ -149,9 +185,18 @@ fn socket_for(to: SocketAddr, route: &Route) -> std::io::Result<UdpSocket> {
     Ok(socket.into())
 }
 
+/// Who gets it.
+enum Far {
+    Addresses(Vec<(UdpSocket, SockAddr)>),
+    Clients {
+        server: Arc<SonarServer>,
+        pool: DatagramPool,
+    },
+}
+
 /// The thread's own.
 struct Line {
-    sockets: Vec<(UdpSocket, SockAddr)>,
+    far: Far,
     bucket: Bucket,
     pace_bytes_per_s: f64,
     clock: Arc<dyn Clock>,
@@ -191,8 +236,19 @@ impl Line {
             self.sending.note(now.0 - due.0);
             self.bucket.take(bytes, now);
             let group: Vec<&[u8]> = (next..next + count).map(|k| ping.packet(k)).collect();
-            for (socket, to) in &self.sockets {
-                self.counts.send(socket, to, &group);
+            match &mut self.far {
+                Far::Addresses(sockets) => {
+                    for (socket, to) in sockets {
+                        self.counts.send(socket, to, &group);
+                    }
+                }
+                Far::Clients { server, pool } => {
+                    let frames = group
+                        .iter()
+                        .map(|frame| pool.write(|buffer| buffer.extend_from_slice(frame)));
+                    server.deliver(&frames.collect::<Vec<_>>());
+                    self.counts.sent(&group);
+                }
             }
             next += count;
         }
@@ -200,15 +256,20 @@ impl Line {
 }
 
 impl DatagramCounts {
+    fn sent(&self, packets: &[&[u8]]) {
+        let bytes: usize = packets.iter().map(|packet| packet.len()).sum();
+        self.packets
+            .fetch_add(packets.len() as u64, Ordering::Relaxed);
+        self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
+
     /// Sends what can be sent: what fails costs itself only.
     fn send(&self, socket: &UdpSocket, to: &SockAddr, group: &[&[u8]]) {
         let mut rest = group;
         while !rest.is_empty() {
             let (gone, result) = send_batch(socket, to, rest);
             let failed = usize::from(result.is_err());
-            let bytes: usize = rest[..gone].iter().map(|packet| packet.len()).sum();
-            self.packets.fetch_add(gone as u64, Ordering::Relaxed);
-            self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+            self.sent(&rest[..gone]);
             self.failed.fetch_add(failed as u64, Ordering::Relaxed);
             rest = &rest[(gone + failed).min(rest.len())..];
         }
@@ -292,7 +353,9 @@ mod tests {
         // A burst lasts half a second at this pace.
         let sender = open(route(vec![to], 65_536.0));
         let large = vec![0; 32 * 1024];
-        let queued = (0..20).filter(|_| sender.send(ping_of(&[&large]), AT_ONCE)).count();
+        let queued = (0..20)
+            .filter(|_| sender.send(ping_of(&[&large]), AT_ONCE))
+            .count();
         assert!(queued < 20, "20 pings in a queue of 2");
         let dropped = sender.counts().dropped_pings.load(Ordering::Relaxed);
         assert_eq!(dropped as usize, 20 - queued);

@@ -18,22 +18,29 @@ pub struct Histograms {
     pacing: Spread,
 }
 
-struct Spread(Mutex<Histogram<u64>>);
+/// One histogram.
+pub struct Spread(Mutex<Histogram<u64>>);
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Spread {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MOST_US, DIGITS);
         Self(Mutex::new(
             histogram.expect("bounds that hdrhistogram takes"),
         ))
     }
 
-    fn note(&self, us: u64) {
+    pub fn note(&self, us: u64) {
         let mut histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         histogram.saturating_record(us);
     }
 
-    fn figures(&self) -> Figures {
+    pub fn figures(&self) -> Figures {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Figures {
             count: histogram.len(),

@@ -108,7 +108,10 @@ mod tests {
         let gone = departures(41e6, &packets);
         let bytes: usize = packets.iter().sum();
         let at_once: usize = gone.iter().filter(|g| g.0 == 0.0).map(|g| g.1).sum();
-        assert!(at_once <= DEPTH_BYTES && at_once + 1472 > DEPTH_BYTES, "{at_once}");
+        assert!(
+            at_once <= DEPTH_BYTES && at_once + 1472 > DEPTH_BYTES,
+            "{at_once}"
+        );
         let lasts_ms = gone.last().expect("groups").0;
         let want_ms = (bytes - DEPTH_BYTES) as f64 / 41e6 * 1e3;
         assert!((lasts_ms - want_ms).abs() < 1.0, "{lasts_ms} {want_ms}");

@@ -16,6 +16,7 @@
 
 pub mod client;
 mod dial;
+pub mod elements;
 mod paced;
 mod queue;
 mod sevenk;

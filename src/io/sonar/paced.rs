@@ -88,7 +88,11 @@ struct Flying {
 impl Flying {
     fn begin(mut job: Job, now: MonoNs) -> Self {
         let rate = job.burst.bytes_per_s;
-        let mut bucket = job.burst.bucket.take().unwrap_or_else(|| Bucket::new(rate, now));
+        let mut bucket = job
+            .burst
+            .bucket
+            .take()
+            .unwrap_or_else(|| Bucket::new(rate, now));
         bucket.set_rate(rate, now);
         let mut flying = Self {
             job,

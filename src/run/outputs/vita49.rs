@@ -9,6 +9,7 @@ use crate::emit::packets::Packets;
 use crate::emit::vita49::Vita49Emitter;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use crate::run::rig::PingSlot;
+use crate::time::MonoNs;
 
 pub struct Vita49 {
     name: String,
@@ -42,13 +43,27 @@ impl Vita49 {
         Ok(Self {
             name: unit.spec.name.clone(),
             send_to: output.send_to.clone(),
-            emitter: Vita49Emitter::new(output, &unit.spec),
+            emitter: Vita49Emitter::new(output, &unit.spec).in_blocks_of(opening.spread.block_s()),
             sender,
             saturated: Arc::default(),
             spread: opening.spread,
             pending: None,
             lost: false,
         })
+    }
+}
+
+impl Vita49 {
+    fn emit(&mut self, slot: &PingSlot) {
+        let mut packets = match self.pending.take() {
+            Some((packets, _)) => packets,
+            None => self.sender.buffer(),
+        };
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
+        self.saturated
+            .store(self.emitter.totals().saturated, Ordering::Relaxed);
+        self.pending = Some((packets, self.spread.over_s(&slot.plan)));
     }
 }
 
@@ -70,15 +85,7 @@ impl Output for Vita49 {
     }
 
     fn encode(&mut self, slot: &PingSlot) {
-        let mut packets = match self.pending.take() {
-            Some((packets, _)) => packets,
-            None => self.sender.buffer(),
-        };
-        self.emitter
-            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
-        self.saturated
-            .store(self.emitter.totals().saturated, Ordering::Relaxed);
-        self.pending = Some((packets, self.spread.over_s(&slot.plan)));
+        self.emit(slot);
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
@@ -86,6 +93,17 @@ impl Output for Vita49 {
             self.lost = !self.sender.send(packets, Leaving::Over(over_s));
         }
         Ok(())
+    }
+
+    fn is_stream(&self) -> bool {
+        self.spread.streaming.is_some()
+    }
+
+    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
+        self.emit(slot);
+        if let Some((packets, _)) = self.pending.take() {
+            self.lost = !self.sender.send(packets, self.spread.leaving(pulse));
+        }
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
@@ -116,7 +134,8 @@ impl Report for Vita49Report {
 
     /// One thread sends the same to all.
     fn streams(&self) -> Vec<StreamCounts> {
-        let share = |count: &AtomicU64| count.load(Ordering::Relaxed) / self.send_to.len().max(1) as u64;
+        let share =
+            |count: &AtomicU64| count.load(Ordering::Relaxed) / self.send_to.len().max(1) as u64;
         let streams = self.send_to.iter().map(|to| StreamCounts {
             family: "vita49",
             peer: format!("UDP {to}"),
