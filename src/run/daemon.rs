@@ -368,7 +368,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults);
+            fault_log.write(&faults, control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -386,7 +386,7 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults);
+        fault_log.write(&faults, control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         closed.map_err(DaemonError::Output)
@@ -408,14 +408,17 @@ impl FaultLogFile {
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, and ends the log.
-    fn write(&mut self, faults: &Faults) {
+    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
         let injections = faults.take_injections();
         if injections.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(&injections) {
             eprintln!("echotank: {error}");
+            if let Some(first) = sonars.first() {
+                add(&first.counters.recordings_stopped, 1);
+            }
             (self.directory, self.log) = (None, None);
         }
     }
@@ -864,11 +867,11 @@ fn deliver(
             }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver() {
+        outputs.deliver(|error| {
             eprintln!("echotank: {error}");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
-        }
+        });
         if let Some(deadline) = deadline {
             way.histograms
                 .handed_over_us(way.clock.mono().0 - deadline.0);
