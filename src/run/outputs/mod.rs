@@ -3,6 +3,7 @@
 mod files;
 mod imagenex872;
 mod jsf;
+mod page;
 mod ping_protocol;
 mod server_counts;
 mod sevenk;
@@ -21,6 +22,9 @@ use crate::io::sonar::{OpenError, RigTime};
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
 use crate::time::UtcNs;
+
+use page::Page;
+pub use page::PageOpening;
 
 pub(super) use jsf::row_filter;
 
@@ -80,7 +84,7 @@ fn record<R>(
 }
 
 /// What one client has had.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct StreamCounts {
     pub family: &'static str,
     /// `TCP 127.0.0.1:51234`.
@@ -123,6 +127,7 @@ impl Outputs {
         unit: &SonarUnit,
         settings: &Arc<SettingsStore>,
         rig_time: &RigTime,
+        page: Option<PageOpening>,
     ) -> Result<Self, OutputError> {
         let opening = Opening {
             spec,
@@ -130,7 +135,7 @@ impl Outputs {
             settings,
             rig_time,
         };
-        let all = unit
+        let mut all = unit
             .spec
             .outputs
             .iter()
@@ -151,7 +156,9 @@ impl Outputs {
                     OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
                 })
             })
-            .collect::<Result<_, _>>()?;
+            .collect::<Result<Vec<_>, _>>()?;
+        // Last, after everything that a topside waits for.
+        all.extend(page.map(|page| -> Box<dyn Output> { Box::new(Page::new(&unit.spec, page)) }));
         Ok(Self { all })
     }
 
