@@ -359,7 +359,11 @@ fn control<'t>(
         let condition = "a `listen` that is not this machine alone";
         needed_with(table, "token", Some(abroad), condition, problems);
     }
-    Some(ControlSpec { listen, token })
+    Some(ControlSpec {
+        listen,
+        token,
+        or_any_port: false,
+    })
 }
 
 fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {

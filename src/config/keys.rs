@@ -1008,7 +1008,7 @@ static RECORD: Table = Table {
 };
 
 static CONTROL: Table = Table {
-    doc: "Control over HTTP: POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
+    doc: "Control over HTTP: the operator's page at http://ADDRESS/, POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
     keys: &[
         key(
             "listen",
@@ -1020,7 +1020,7 @@ static CONTROL: Table = Table {
             "token",
             Kind::Text,
             Optional("\"a long secret\""),
-            "Asked of whoever controls, as `Authorization: Bearer TOKEN`. Needed where `listen` is not this machine alone.",
+            "Asked of whoever controls, as `Authorization: Bearer TOKEN` or on the page. Needed where `listen` is not this machine alone.",
         ),
     ],
     later: &[],

@@ -828,6 +828,8 @@ pub struct ControlSpec {
     pub listen: Option<SocketAddr>,
     /// There is one wherever `listen` is not a loopback address.
     pub token: Option<String>,
+    /// Where the port of `listen` is somebody else's, any other will do: nobody named it.
+    pub or_any_port: bool,
 }
 
 #[derive(Clone, Debug)]

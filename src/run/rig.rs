@@ -15,6 +15,7 @@ use crate::ping::{self, PingOrder};
 use crate::run::faults::{Faults, PingMark};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::view;
+use crate::run::world::{Placed, World};
 use crate::scene::simplify::energy::View;
 use crate::scene::simplify::stage::{Stage, StageCounts};
 use crate::scene::{Scene, SceneError};
@@ -59,6 +60,8 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     pub faults: Arc<Faults>,
     placed: bool,
+    /// For threads beside the pings.
+    pub world: Placed,
     scatterers: Scatterers,
     pub simplify_counts: StageCounts,
 }
@@ -111,6 +114,7 @@ impl Rig {
             sonars,
             faults,
             placed: false,
+            world: Placed::default(),
             scatterers: Scatterers::default(),
             simplify_counts: StageCounts::default(),
         })
@@ -190,6 +194,7 @@ impl Rig {
             };
             self.scene.place(north_m, east_m);
             self.placed = true;
+            self.world.get_or_init(|| World::of(&self.scene));
         }
     }
 

@@ -260,19 +260,8 @@ fn target_truth<'a>(
     } else {
         Side::Starboard
     };
-    let delays_s: Vec<_> = sonar
-        .receive
-        .iter()
-        .map(|array| {
-            let transmit_m = pose.point_m(sonar.transmit[array.transmit].mounting.position_m);
-            let first_leg_m = target.position_m.distance(transmit_m);
-            delay_s(
-                plan,
-                first_leg_m,
-                array.mounting.position_m,
-                target.position_m,
-            )
-        })
+    let delays_s: Vec<_> = (0..sonar.receive.len())
+        .map(|array| echo_delay_s(sonar, plan, array, target.position_m))
         .collect();
     TargetTruth {
         name: &target.name,
@@ -291,6 +280,15 @@ fn target_truth<'a>(
         across_m: body.y,
         below_m: body.z,
     }
+}
+
+/// When the leading edge of an echo from `target_m` (world) reaches the centre of a receive array, from the start of the pulse.
+pub fn echo_delay_s(sonar: &SonarSpec, plan: &PingPlan, array: usize, target_m: DVec3) -> f64 {
+    let array = &sonar.receive[array];
+    let transmit = &sonar.transmit[array.transmit].mounting;
+    let transmit_m = plan.trajectory.pose_at(0.0).point_m(transmit.position_m);
+    let first_leg_m = target_m.distance(transmit_m);
+    delay_s(plan, first_leg_m, array.mounting.position_m, target_m)
 }
 
 /// c u = first leg + |target - r(u)|, by repeated substitution: each round shrinks the error by v/c, so that twelve reach the last bit of
