@@ -5,6 +5,7 @@
 mod devices;
 mod families;
 mod faults;
+mod fidelity;
 mod samples;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
@@ -18,6 +19,7 @@ use crate::flow::{
     ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
 };
 
+pub use fidelity::AutoModel;
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
 
@@ -774,6 +776,8 @@ pub struct RunSpec {
     pub priority: u8,
     /// Where the log of injected faults goes, if not beside the records.
     pub fault_directory: Option<PathBuf>,
+    /// What methods cost on this machine; none is the table that comes with the program.
+    pub costs: Option<PathBuf>,
 }
 
 /// How fast rig time goes. The samples do not depend on it.
@@ -945,6 +949,18 @@ pub struct SynthesisSpec {
     pub frequency_step_hz: Option<f64>,
     /// Nearest scatterer for which `gridded-2d` is made.
     pub nearest_m: f64,
+    /// What an engine is made for, where models need the rest of `tolerance`; none is all of it.
+    pub engine_tolerance: Option<f64>,
+    /// What the plan of methods chooses.
+    pub auto: AutoModel,
+    /// Pictures are all that is looked at: cells of range by which things may be displaced.
+    pub image_cells: Option<f64>,
+}
+
+impl SynthesisSpec {
+    pub fn made_for(&self) -> f64 {
+        self.engine_tolerance.unwrap_or(self.tolerance)
+    }
 }
 
 impl Default for SynthesisSpec {
@@ -954,6 +970,9 @@ impl Default for SynthesisSpec {
             certificate: false,
             frequency_step_hz: None,
             nearest_m: 5.0,
+            engine_tolerance: None,
+            auto: AutoModel::default(),
+            image_cells: None,
         }
     }
 }

@@ -259,6 +259,7 @@ impl SonarPipeline {
             counts: EchoCounts::default(),
             scene: SceneCounts::default(),
             certificate: None,
+            fidelity: None,
         }
     }
 
@@ -596,7 +597,7 @@ pub fn engine_cards(
 }
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
-fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
+pub(super) fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
     let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
     if spec.model.synthesis.keeps_tolerance() {
