@@ -557,6 +557,7 @@ impl Pacer {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
             let first = self.first_recorded()?;
+            self.rig.plan_all(&mut self.inputs, first);
             self.begin_schedules(first);
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
@@ -720,6 +721,9 @@ impl Pacer {
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        if let Some(planner) = &self.rig.sonars[sonar].planner {
+            counters.plan(output.fidelity.as_ref(), &planner.counts);
+        }
         counters.nav(&slot.plan.nav);
         if let Some(deadline) = deadline {
             let now = self.clock.mono();

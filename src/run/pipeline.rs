@@ -29,7 +29,7 @@ use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, PingOutput, PingPlan,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, ModelChoice, PingOutput, PingPlan,
     Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
 };
 use crate::image::bottom::BottomDetector;
@@ -278,6 +278,11 @@ impl SonarPipeline {
         if let Some(certifier) = &mut self.certifier {
             certifier.allow(share);
         }
+    }
+
+    /// What it is made for.
+    pub fn model(&self) -> ModelChoice {
+        self.spec.model
     }
 
     /// What is wrong with the elements in the next ping.

@@ -47,6 +47,7 @@ impl RecordedRig {
                 return Err(RecordedError::NoNav(rig.history.silent()));
             }
         };
+        rig.plan_all(&mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];
         Ok(Self {

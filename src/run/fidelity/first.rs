@@ -45,11 +45,7 @@ pub struct First {
 
 /// For each sonar. To be called inside the pool that would run it.
 pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<First>, FirstError> {
-    let pings = match RecordedRig::open(&bare(spec)) {
-        Ok(recorded) => recorded_pings(recorded)?,
-        Err(RecordedError::NoLog) => supposed_pings(&bare(spec))?,
-        Err(other) => return Err(other.into()),
-    };
+    let pings = pings(spec)?;
     let is_supposed = !spec.nav.is_recorded();
     let sonars = spec.sonars.iter().zip(pings);
     Ok(sonars
@@ -71,6 +67,15 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<First>, FirstError> {
             is_supposed,
         })
         .collect())
+}
+
+/// For each sonar a ping with what it hears, down to the configuration's own floor of the patterns.
+pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstError> {
+    match RecordedRig::open(&bare(spec)) {
+        Ok(recorded) => recorded_pings(recorded),
+        Err(RecordedError::NoLog) => supposed_pings(&bare(spec)),
+        Err(other) => Err(other.into()),
+    }
 }
 
 /// Hears what the sonars hear, with pipelines that cost nothing to make.

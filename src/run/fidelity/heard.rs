@@ -25,6 +25,8 @@ const SAMPLED: f64 = 1.1;
 #[derive(Clone, Copy, Default)]
 struct Sums {
     energy: f64,
+    /// Sum of the squares of energies.
+    energy2: f64,
     squares: [f64; 6],
 }
 
@@ -35,6 +37,8 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let mut worst = [0.0f64; 6];
     let mut sounded = false;
+    // Echoes in a loud window that count, at most.
+    let mut crowd = 1.0f64;
     let mut sums = vec![Sums::default(); windows];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
@@ -46,6 +50,9 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
             let mean = sums.iter().map(|s| s.energy).sum::<f64>() / windows as f64;
             sounded |= mean > 0.0;
             for of_window in &sums {
+                if of_window.energy > mean {
+                    crowd = crowd.max(of_window.energy.powi(2) / of_window.energy2);
+                }
                 let against = of_window.energy.max(mean);
                 for (worst, square) in worst.iter_mut().zip(of_window.squares) {
                     if against > 0.0 {
@@ -64,11 +71,12 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
         across_m_per_s: across,
-        spread: spread(plan, window_s, windows * elements),
+        spread: 1.0
+            + (spread(plan, window_s, windows * elements) - 1.0) * (1.0 - 1.0 / crowd),
     })
 }
 
-/// Mean squares of n independent samples of Gaussian noise: the greatest of `looks` is 1 + 2 sqrt(L/n) + 2 L/n times the mean, L = ln looks
+/// Of many echoes at random phases. Mean squares of n independent samples of Gaussian noise: the greatest of `looks` is 1 + 2 sqrt(L/n) + 2 L/n times the mean, L = ln looks
 /// (Laurent and Massart 2000, Lemma 1, in its sharper form for two degrees of freedom each: 1 + sqrt(2L/n) + L/n).
 fn spread(plan: &PingPlan, window_s: f64, looks: usize) -> f64 {
     let independent = 1.0 + plan.pulse.bandwidth_hz * window_s;
@@ -218,6 +226,7 @@ impl Ear {
                     + bend(v_back, closing_back, at.acceleration_m_per_s2, back, back_range_m));
             let sums = &mut sums[window];
             sums.energy += energy;
+            sums.energy2 += energy * energy;
             for (sum, value) in sums.squares.iter_mut().zip([
                 (here_m - self.at[0].position_m).dot(back),
                 0.5 * (closing_out + closing_back),
