@@ -641,6 +641,7 @@ impl Pacer {
             // leaves at once.
             let first = self.first_recorded()?;
             let first = self.begin_schedules(first);
+            self.rig.plan_all(&mut self.inputs, first);
             if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
                 // Nothing of it may leave before its pulse, which is foreseen before that.
                 let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
@@ -828,6 +829,9 @@ impl Pacer {
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        if let Some(planner) = &self.rig.sonars[sonar].planner {
+            counters.plan(output.fidelity.as_ref(), &planner.counts);
+        }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
             let now = self.clock.mono();
