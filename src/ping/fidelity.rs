@@ -116,8 +116,7 @@ impl Goal {
         let Some(cells) = self.image_cells else {
             return candidate.error() / self.tolerance;
         };
-        let samples =
-            candidate.part(Family::Sum).error + candidate.part(Family::Culling).error;
+        let samples = candidate.part(Family::Sum).error + candidate.part(Family::Culling).error;
         let Displaced {
             along_cells,
             range_cells,

@@ -20,7 +20,8 @@ use crate::flow::{
     Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
     Scatterers, Synthesis,
 };
-use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
+use crate::ping::fidelity::{
+    Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
 };
 use crate::run::conditions::conditions;
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
@@ -176,10 +177,9 @@ enum Engine {
 impl<'a> Maker<'a> {
     fn new(scene: &'a Scene<'a>) -> Self {
         let spec = scene.spec;
-        let mut conditions =
-            scene
-                .swell
-                .on(conditions(spec, scene.plan, scene.scatterers));
+        let mut conditions = scene
+            .swell
+            .on(conditions(spec, scene.plan, scene.scatterers));
         conditions.scatterers = scene.count;
         let floors = floors(spec, scene.plan);
         let kept = kept_shares(
@@ -222,10 +222,12 @@ impl<'a> Maker<'a> {
                 _ => paths.push((path, spec.model.segment_s)),
             }
         }
-        let dopplers = DopplerModel::ALL.into_iter().filter(|d| match auto.doppler {
-            true => *d != DopplerModel::PaperEq21,
-            false => *d == spec.model.doppler,
-        });
+        let dopplers = DopplerModel::ALL
+            .into_iter()
+            .filter(|d| match auto.doppler {
+                true => *d != DopplerModel::PaperEq21,
+                false => *d == spec.model.doppler,
+            });
         let dopplers: Vec<_> = dopplers.collect();
         let mut motions = Vec::new();
         for (path, segment_s) in paths {
@@ -307,9 +309,7 @@ impl<'a> Maker<'a> {
             let of: Vec<&Motion> = motions
                 .iter()
                 .filter(|m| m.doppler == doppler && synthesis.takes(doppler))
-                .filter(|m| {
-                    synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline
-                })
+                .filter(|m| synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline)
                 .collect();
             let Some(least) = of
                 .iter()
@@ -514,7 +514,11 @@ impl<'a> Maker<'a> {
         match synthesis {
             Synthesis::Direct => {
                 work[5] = pairs * echo_samples * dense;
-                work[9] = if filtered { self.samples() * dense } else { 0.0 };
+                work[9] = if filtered {
+                    self.samples() * dense
+                } else {
+                    0.0
+                };
             }
             Synthesis::Spectral => {
                 let bins = self.scene.plan.sample_count as f64 + echo_samples;
@@ -644,7 +648,13 @@ impl<'a> Maker<'a> {
                 nearest_m: self.nearest_m,
             },
             parts: [
-                part(Family::Path, path_name, path_card.error, legs, &path_card.why),
+                part(
+                    Family::Path,
+                    path_name,
+                    path_card.error,
+                    legs,
+                    &path_card.why,
+                ),
                 part(
                     Family::Doppler,
                     doppler_name,
@@ -698,8 +708,8 @@ impl<'a> Maker<'a> {
         let pairs = spec.receive.iter().map(|array| {
             let transmit = &spec.transmit[array.transmit];
             let along = |q: glam::DQuat| (q * glam::DVec3::X).x.abs();
-            let line_m = (array.elements as f64 * array.spacing_m)
-                .max(side_m(&array.element_pattern));
+            let line_m =
+                (array.elements as f64 * array.spacing_m).max(side_m(&array.element_pattern));
             (line_m * along(array.mounting.body_from_array))
                 .hypot(side_m(&transmit.pattern) * along(transmit.mounting.body_from_array))
         });

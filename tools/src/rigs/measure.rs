@@ -88,11 +88,7 @@ pub enum MeasureError {
 }
 
 /// The first ping of every sonar that hears something. To be called inside the pool. `time`: other choices too.
-pub fn measure(
-    rig: &RigSpec,
-    costs: &Costs,
-    time: bool,
-) -> Result<Vec<Measured>, MeasureError> {
+pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>, MeasureError> {
     let mut all = Vec::new();
     // What culling leaves out is part of the truth.
     let mut whole = rig.clone();
@@ -225,7 +221,12 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
 fn others(ranking: &Ranking) -> Vec<&Candidate> {
     let kind = |c: &Candidate| {
         let Choice { model, .. } = c.choice;
-        (model.path, model.doppler, model.synthesis, ranking.goal.meets(c))
+        (
+            model.path,
+            model.doppler,
+            model.synthesis,
+            ranking.goal.meets(c),
+        )
     };
     let limit_ms = WORTH_TIMING * ranking.chosen().cost_ms();
     let mut found: Vec<&Candidate> = Vec::new();
