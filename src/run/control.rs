@@ -5,14 +5,13 @@ use std::fmt::Write as _;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use axum::body::Bytes;
 use serde_json::{Value, json};
 
 use crate::config::spec::ClockSpec;
 use crate::flow::{Asked, Asker, SettingChange, SettingsPort};
 use crate::io::control::feed::Feed;
 use crate::io::control::socket::ReliefTile;
-use crate::io::control::{Answer, ClockMode, Command, ControlPort};
+use crate::io::control::{Answer, Bytes, ClockMode, Command, ControlPort};
 use crate::io::nav::SourceCounters;
 use crate::io::sonar::RigTime;
 use crate::nav::health::State;

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use axum::body::Bytes;
 use serde_json::{Value, json};
 
 use crate::config::spec::{FaultRequest, RigSpec, SonarSpec};
 use crate::flow::{
     Changed, JournalEntry, KeptValue, SettingChange, SettingsPort, SonarSettings, TriggerSource,
 };
+use crate::io::control::Bytes;
 use crate::io::control::feed::Feed;
 use crate::io::control::frame::{Kind, frame};
 use crate::io::control::socket::ReliefTile;

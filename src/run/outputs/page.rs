@@ -611,17 +611,17 @@ mod tests {
             target_strength_db: 3.0,
         };
         let far = abeam(50.0);
-        let (mut page, _) = page(vec![abeam(-0.5), abeam(0.45), far]);
+        let (mut page, _) = page(vec![abeam(-0.5), abeam(0.25), far]);
         page.encode(&slot);
         let (text, _) = parts(&page.pending[0]);
         let expected = text["expected"].as_array().expect("a list");
         let of = |name: &str| expected.iter().find(|row| row[0] == name).expect(name);
         assert_eq!(expected.len(), 2, "{expected:?}");
-        assert_eq!((&of("-0.5")[1], &of("0.45")[1]), (&json!(0), &json!(1)));
+        assert_eq!((&of("-0.5")[1], &of("0.25")[1]), (&json!(0), &json!(1)));
         // Both legs by Pythagoras, the ship all but still meanwhile.
-        let delay_s = of("0.45")[2].as_f64().expect("a number");
-        let from_m = DVec3::new(0.0, 0.45 + 0.3, 0.1).length();
-        let to_m = DVec3::new(0.0, 0.45 - 0.3, 0.1).length();
+        let delay_s = of("0.25")[2].as_f64().expect("a number");
+        let from_m = DVec3::new(0.0, 0.25 + 0.3, 0.1).length();
+        let to_m = DVec3::new(0.0, 0.25 - 0.3, 0.1).length();
         let want_s = (from_m + to_m) / 1500.0;
         assert!((delay_s - want_s).abs() < 2e-6, "{delay_s} {want_s}");
     }

@@ -119,7 +119,7 @@ export class Contrast {
       return 0;
     };
     const [a, b] = [at(low), at(high)];
-    return b - a < least ? [b - least, b] : [a, b];
+    return b - a < least ? [b - least, b + 3] : [a, b + 3];
   }
 }
 
