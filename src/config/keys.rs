@@ -1332,7 +1332,13 @@ static MODEL: Table = Table {
         key(
             "path",
             Kind::Choice(
-                &["stop-and-hop", "polyline", "k-segment", "continuous", "auto"],
+                &[
+                    "stop-and-hop",
+                    "polyline",
+                    "k-segment",
+                    "continuous",
+                    "auto",
+                ],
                 &[],
             ),
             Default("\"polyline\""),

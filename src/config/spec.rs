@@ -19,8 +19,8 @@ use crate::flow::{
     ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
 };
 
-pub use fidelity::AutoModel;
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
+pub use fidelity::AutoModel;
 pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
 
 /// One rig: what a configuration file describes.

@@ -139,8 +139,7 @@ impl PingCounters {
             );
         }
         if read(&self.plan) > 0 {
-            let [error, tolerance] =
-                [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+            let [error, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
             text += &format!(
                 ", plan {}: {error:.1e} of {tolerance:.1e} predicted",
                 read(&self.plan)
@@ -170,10 +169,9 @@ impl PingCounters {
         if read(&self.plan) == 0 {
             return serde_json::Value::Null;
         }
-        let [predicted, tolerance] =
-            [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
-        let measured = (read(&self.certified) > 0)
-            .then(|| f64::from_bits(read(&self.certificate[0])));
+        let [predicted, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+        let measured =
+            (read(&self.certified) > 0).then(|| f64::from_bits(read(&self.certificate[0])));
         serde_json::json!({
             "plan": read(&self.plan),
             "predicted_error": predicted,

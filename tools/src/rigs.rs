@@ -24,7 +24,8 @@ const LEAST_MS: f64 = 1.0;
     long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
 window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The ruler is the \
 direct sum on the trajectory itself with second-order Doppler; it is itself off by what stands under \"ruler\" (128 random samples by the reference's \
-equation): a measured error near it says nothing more. Times: least of 5 runs in turn, one thread."
+equation): where it is off by more than a quarter of the tolerance, the \
+measured error is a certificate's over 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
 )]
 struct Arguments {
     /// Random rigs.
@@ -62,7 +63,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::temp_dir().join(format!("echotank-rigs-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
     for path in &given.configs {
-        let name = path.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let name = path
+            .file_stem()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         match configuration(path) {
             Ok(spec) => match pool.install(|| measure(&spec, &costs, true)) {
                 Ok(measured) => rows.extend(measured.into_iter().map(|of| Row {
@@ -127,7 +130,10 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
 
 fn load() -> String {
     let text = fs::read_to_string("/proc/loadavg").unwrap_or_default();
-    text.split_whitespace().next().unwrap_or("unknown").to_owned()
+    text.split_whitespace()
+        .next()
+        .unwrap_or("unknown")
+        .to_owned()
 }
 
 /// The plan's time over the least of all that promise as much, and over the least of all that are as good.
@@ -148,25 +154,40 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let _ = writeln!(
         text,
-        "{:<16} {:>8} {:>8} {:>8} {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
-        "rig", "toler.", "promised", "measured", "ruler", "pred. ms", "ms", "best p", "best m", "scatt.", "el."
+        "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
+        "rig",
+        "toler.",
+        "promised",
+        "measured",
+        "ruler",
+        "pred. ms",
+        "ms",
+        "best p",
+        "best m",
+        "scatt.",
+        "el."
     );
     for row in rows {
         let (best_promised, best_measured) = ratios(&row.of);
         let of = &row.of;
         let _ = writeln!(
             text,
-            "{:<16} {:>8.1e} {:>8.1e} {:>8.1e} {:>8} | {:>8.2} {:>8.2} | {best_promised:>6.2} {best_measured:>6.2} | {:>7} {:>4} {}{}; {}",
+            "{:<16} {:>8.1e} {:>8.1e} {:>8.1e}{} {:>8} | {:>8.2} {:>8.2} | {best_promised:>6.2} {best_measured:>6.2} | {:>7} {:>4} {}{}; {}",
             row.name,
             of.tolerance,
             of.plan.predicted_error,
             of.plan.error,
+            if of.plan.by_certificate { "c" } else { " " },
             of.ruler.map_or("-".into(), |e| format!("{e:.0e}")),
             of.plan.predicted_ms,
             of.plan.ms,
             of.scatterers,
             of.elements,
-            if of.out_of_reach { "OUT OF REACH: " } else { "" },
+            if of.out_of_reach {
+                "OUT OF REACH: "
+            } else {
+                ""
+            },
             of.plan.text,
             row.about,
         );
@@ -178,29 +199,86 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     let within = count(&|row| row.of.plan.error <= row.of.tolerance);
     let bound = count(&|row| row.of.plan.error <= row.of.plan.predicted_error);
     let tight = count(&|row| row.of.plan.predicted_error <= 10.0 * row.of.plan.error);
-    let long: Vec<&&Row> = reach.iter().filter(|row| row.of.plan.ms > LEAST_MS).collect();
+    let long: Vec<&&Row> = reach
+        .iter()
+        .filter(|row| row.of.plan.ms > LEAST_MS)
+        .collect();
     let near = |which: fn((f64, f64)) -> f64| {
-        long.iter().filter(|row| which(ratios(&row.of)) <= 1.5).count()
+        long.iter()
+            .filter(|row| which(ratios(&row.of)) <= 1.5)
+            .count()
     };
-    let _ = writeln!(text, "\n{} rows, {} of them said to be out of reach; load {} to {}; costs: {}", rows.len(), rows.len() - all, load.0, load.1, costs.machine);
-    let _ = writeln!(text, "measured error within the tolerance: {within} of {all}");
-    let _ = writeln!(text, "promised error an upper bound: {bound} of {all}; within 10 times of the measured: {tight} of {all} ({:.0} %)", percent(tight, all));
-    let _ = writeln!(text, "cost within 1.5 times of the best that promises as much, pings above {LEAST_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
-        near(|r| r.0), long.len(), percent(near(|r| r.0), long.len()), near(|r| r.1), percent(near(|r| r.1), long.len()));
+    let _ = writeln!(
+        text,
+        "\n{} rows, {} of them said to be out of reach; load {} to {}; costs: {}",
+        rows.len(),
+        rows.len() - all,
+        load.0,
+        load.1,
+        costs.machine
+    );
+    let _ = writeln!(
+        text,
+        "measured error within the tolerance: {within} of {all}"
+    );
+    let _ = writeln!(
+        text,
+        "promised error an upper bound: {bound} of {all}; within 10 times of the measured: {tight} of {all} ({:.0} %)",
+        percent(tight, all)
+    );
+    let _ = writeln!(
+        text,
+        "cost within 1.5 times of the best that promises as much, pings above {LEAST_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
+        near(|r| r.0),
+        long.len(),
+        percent(near(|r| r.0), long.len()),
+        near(|r| r.1),
+        percent(near(|r| r.1), long.len())
+    );
     let mut worst: Vec<&&&Row> = long.iter().collect();
     worst.sort_by(|a, b| ratios(&b.of).0.total_cmp(&ratios(&a.of).0));
     text += "\nfarthest from the best promised:\n";
     for row in worst.iter().take(5) {
-        let best = row.of.others.iter().filter(|d| d.promised).min_by(|a, b| a.ms.total_cmp(&b.ms));
+        let best = row
+            .of
+            .others
+            .iter()
+            .filter(|d| d.promised)
+            .min_by(|a, b| a.ms.total_cmp(&b.ms));
         if let Some(best) = best {
-            let _ = writeln!(text, "{}: {:.2} ms ({:.2} predicted) with {}; {:.2} ms ({:.2} predicted) with {}", row.name, row.of.plan.ms, row.of.plan.predicted_ms, row.of.plan.text, best.ms, best.predicted_ms, best.text);
+            let _ = writeln!(
+                text,
+                "{}: {:.2} ms ({:.2} predicted) with {}; {:.2} ms ({:.2} predicted) with {}",
+                row.name,
+                row.of.plan.ms,
+                row.of.plan.predicted_ms,
+                row.of.plan.text,
+                best.ms,
+                best.predicted_ms,
+                best.text
+            );
         }
     }
-    let mut over: Vec<&&Row> = reach.iter().filter(|row| row.of.plan.error > row.of.plan.predicted_error).collect();
-    over.sort_by(|a, b| (b.of.plan.error / b.of.plan.predicted_error).total_cmp(&(a.of.plan.error / a.of.plan.predicted_error)));
+    let mut over: Vec<&&Row> = reach
+        .iter()
+        .filter(|row| row.of.plan.error > row.of.plan.predicted_error)
+        .collect();
+    over.sort_by(|a, b| {
+        (b.of.plan.error / b.of.plan.predicted_error)
+            .total_cmp(&(a.of.plan.error / a.of.plan.predicted_error))
+    });
     text += "\nmeasured above promised, worst first:\n";
     for row in over.iter().take(20) {
-        let _ = writeln!(text, "{}: {:.1e} measured, {:.1e} promised, ruler {:.0e}: {}; {}", row.name, row.of.plan.error, row.of.plan.predicted_error, row.of.ruler.unwrap_or(f64::NAN), row.of.plan.text, row.about);
+        let _ = writeln!(
+            text,
+            "{}: {:.1e} measured, {:.1e} promised, ruler {:.0e}: {}; {}",
+            row.name,
+            row.of.plan.error,
+            row.of.plan.predicted_error,
+            row.of.ruler.unwrap_or(f64::NAN),
+            row.of.plan.text,
+            row.about
+        );
     }
     for line in failed {
         let _ = writeln!(text, "failed: {line}");

@@ -31,8 +31,7 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
         .map_err(|why| refuse(&why))?;
     let threads = pool.current_num_threads();
     let told = spec.sonars.iter().zip(found).map(|(sonar, first)| Told {
-        period_ms: 1e-6
-            * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
+        period_ms: 1e-6 * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
         sonar,
         first,
         threads,
@@ -54,7 +53,10 @@ pub fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
 fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
     let name = &told.sonar.name;
     let Some(ranking) = &told.first.ranking else {
-        return writeln!(out, "plan         {name}: nothing can be made of this model");
+        return writeln!(
+            out,
+            "plan         {name}: nothing can be made of this model"
+        );
     };
     let supposed = match told.first.is_supposed {
         true => ", at 5 knots on a level keel, for want of recorded navigation",
@@ -76,7 +78,11 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
             "  {:<10} {}{}: {:.1e}, {:.2} ms; {}",
             family.name(),
             part.choice,
-            if is_auto(told.sonar, family) { "" } else { " (as configured)" },
+            if is_auto(told.sonar, family) {
+                ""
+            } else {
+                " (as configured)"
+            },
             part.error,
             part.cost_ms,
             match is_auto(told.sonar, family) {
@@ -132,7 +138,11 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
                 "  {:>9.2} ms {:.1e} {} {}",
                 candidate.cost_ms(),
                 candidate.error(),
-                if ranking.goal.meets(candidate) { "+" } else { "-" },
+                if ranking.goal.meets(candidate) {
+                    "+"
+                } else {
+                    "-"
+                },
                 candidate.text()
             )?;
         }

@@ -59,7 +59,9 @@ pub fn calibrate(spec: &RigSpec, before: &Costs) -> Result<Calibration, Calibrat
         let values = fit(&timed);
         let spread = |factors: &[f64; FIGURES]| {
             let squares = timed.iter().map(|t| residual(t, factors).powi(2));
-            (squares.sum::<f64>() / timed.len().max(1) as f64).sqrt().exp()
+            (squares.sum::<f64>() / timed.len().max(1) as f64)
+                .sqrt()
+                .exp()
         };
         let mut new = before.values();
         for (value, factor) in new.iter_mut().zip(values) {

@@ -105,7 +105,10 @@ fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<(PingPlan, Scatterers
         }
         let mut slot = recorded.rig.slot(sonar);
         let rig = &mut recorded.rig;
-        if rig.prepare(sonar, &order, mode, UtcNs(0), &mut slot).is_ok() {
+        if rig
+            .prepare(sonar, &order, mode, UtcNs(0), &mut slot)
+            .is_ok()
+        {
             found[sonar] = Some((slot.plan, rig.scatterers().clone()));
         }
         if found.iter().all(Option::is_some) {

@@ -71,8 +71,7 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
         across_m_per_s: across,
-        spread: 1.0
-            + (spread(plan, window_s, windows * elements) - 1.0) * (1.0 - 1.0 / crowd),
+        spread: 1.0 + (spread(plan, window_s, windows * elements) - 1.0) * (1.0 - 1.0 / crowd),
     })
 }
 
@@ -213,8 +212,10 @@ impl Ear {
                         * curve.half(facing(back).sqrt().min(1.0))
                 }),
             };
-            let amplitude =
-                level * law * self.one_way.amplitude(out_range_m) * self.one_way.amplitude(back_range_m);
+            let amplitude = level
+                * law
+                * self.one_way.amplitude(out_range_m)
+                * self.one_way.amplitude(back_range_m);
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
             let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
             let (closing_out, closing_back) = (v_out.dot(out), v_back.dot(back));
@@ -223,7 +224,13 @@ impl Ear {
             };
             let bend = 0.5
                 * (bend(v_out, closing_out, self.transmit_m_per_s2, out, out_range_m)
-                    + bend(v_back, closing_back, at.acceleration_m_per_s2, back, back_range_m));
+                    + bend(
+                        v_back,
+                        closing_back,
+                        at.acceleration_m_per_s2,
+                        back,
+                        back_range_m,
+                    ));
             let sums = &mut sums[window];
             sums.energy += energy;
             sums.energy2 += energy * energy;

@@ -77,7 +77,11 @@ struct Pending {
 }
 
 /// The rank's, and a pipeline where another choice is worth it.
-type Outcome = Option<(Choice, FidelityMark, Result<Option<Box<SonarPipeline>>, PipelineError>)>;
+type Outcome = Option<(
+    Choice,
+    FidelityMark,
+    Result<Option<Box<SonarPipeline>>, PipelineError>,
+)>;
 
 impl Planner {
     /// None where nothing is left to the plan.
@@ -327,10 +331,12 @@ impl Job {
         if self.is_first || self.barred.contains(&self.current) {
             return None;
         }
-        let same = |choice: &Choice| Choice {
-            nearest_m: self.current.nearest_m,
-            ..*choice
-        } == self.current;
+        let same = |choice: &Choice| {
+            Choice {
+                nearest_m: self.current.nearest_m,
+                ..*choice
+            } == self.current
+        };
         let at = ranking.candidates.iter().position(|c| same(&c.choice))?;
         let candidate = &ranking.candidates[at];
         let dear = ranking.chosen().cost_ms() < WORTH * candidate.cost_ms();

@@ -20,7 +20,8 @@ use crate::flow::{
     Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
     Scatterers, Synthesis,
 };
-use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
+use crate::ping::fidelity::{
+    Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
 };
 use crate::run::conditions::conditions;
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
@@ -46,6 +47,11 @@ const UNEVEN: f64 = 1.5;
 const NEARER: f64 = 0.7;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
+/// A line bears the motion across it that the echoes of a window have, and so much more in some.
+const ACROSS: f64 = 1.5;
+/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater. (They are made for their
+/// tolerance, and keep it.)
+const ENGINE_MARGIN: f64 = 2.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -176,10 +182,9 @@ enum Engine {
 impl<'a> Maker<'a> {
     fn new(scene: &'a Scene<'a>) -> Self {
         let spec = scene.spec;
-        let mut conditions =
-            scene
-                .swell
-                .on(conditions(spec, scene.plan, scene.scatterers));
+        let mut conditions = scene
+            .swell
+            .on(conditions(spec, scene.plan, scene.scatterers));
         conditions.scatterers = scene.count;
         let floors = floors(spec, scene.plan);
         let kept = kept_shares(
@@ -222,10 +227,12 @@ impl<'a> Maker<'a> {
                 _ => paths.push((path, spec.model.segment_s)),
             }
         }
-        let dopplers = DopplerModel::ALL.into_iter().filter(|d| match auto.doppler {
-            true => *d != DopplerModel::PaperEq21,
-            false => *d == spec.model.doppler,
-        });
+        let dopplers = DopplerModel::ALL
+            .into_iter()
+            .filter(|d| match auto.doppler {
+                true => *d != DopplerModel::PaperEq21,
+                false => *d == spec.model.doppler,
+            });
         let dopplers: Vec<_> = dopplers.collect();
         let mut motions = Vec::new();
         for (path, segment_s) in paths {
@@ -259,8 +266,10 @@ impl<'a> Maker<'a> {
             .filter(|&s| match spec.synthesis.auto.synthesis {
                 false => s == spec.model.synthesis,
                 true => {
-                    (s != Synthesis::Gridded2d
-                        || lines && spec.receiver.filter == ReceiverFilter::Fir)
+                    // The truth is for those who ask for it.
+                    s != Synthesis::Reference
+                        && (s != Synthesis::Gridded2d
+                            || lines && spec.receiver.filter == ReceiverFilter::Fir)
                         && (spec.more_pulses.is_empty() || one_by_one(s))
                 }
             })
@@ -307,9 +316,7 @@ impl<'a> Maker<'a> {
             let of: Vec<&Motion> = motions
                 .iter()
                 .filter(|m| m.doppler == doppler && synthesis.takes(doppler))
-                .filter(|m| {
-                    synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline
-                })
+                .filter(|m| synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline)
                 .collect();
             let Some(least) = of
                 .iter()
@@ -376,7 +383,7 @@ impl<'a> Maker<'a> {
                 "an array accelerates by {acceleration_m_per_s2:.1} m/s^2, the engine knows {HARDEST_M_PER_S2}"
             ));
         }
-        let across = EXTREMES * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
+        let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
         if synthesis == Synthesis::Gridded2d
             && doppler != DopplerModel::None
             && across > SIDEWAYS_M_PER_S
@@ -434,9 +441,10 @@ impl<'a> Maker<'a> {
         let scatterers = self.scene.count as f64;
         let arrivals = culling.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
+        let kept = |error: f64| (ENGINE_MARGIN * error).min(tolerance);
         let (error, ns, pairs, figure, why) = match engine {
             Engine::One(engine) => (
-                engine.card().error,
+                kept(engine.card().error),
                 1e6 * elements * engine.cost_ms(arrivals as usize, self.doppler_share()),
                 arrivals * elements,
                 11,
@@ -450,7 +458,7 @@ impl<'a> Maker<'a> {
             } => {
                 let share = culling.kept / self.cullings[0].kept.max(f64::MIN_POSITIVE);
                 (
-                    *error,
+                    kept(*error),
                     // Its echoes are most of it where there are many.
                     1e6 * cost_ms * share.clamp(0.5, 1.0),
                     arrivals * stretches,
@@ -514,7 +522,11 @@ impl<'a> Maker<'a> {
         match synthesis {
             Synthesis::Direct => {
                 work[5] = pairs * echo_samples * dense;
-                work[9] = if filtered { self.samples() * dense } else { 0.0 };
+                work[9] = if filtered {
+                    self.samples() * dense
+                } else {
+                    0.0
+                };
             }
             Synthesis::Spectral => {
                 let bins = self.scene.plan.sample_count as f64 + echo_samples;
@@ -601,7 +613,14 @@ impl<'a> Maker<'a> {
             PathModel::Polyline | PathModel::KSegment => 2,
             PathModel::Continuous => 3,
         }] = pairs;
+        if segmented {
+            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
+            legs[14] = pairs * (window_s / motion.segment_s).ceil();
+        }
         let mut second = NO_WORK;
+        if motion.doppler != DopplerModel::None {
+            second[13] = pairs;
+        }
         if motion.doppler == DopplerModel::StretchQuadratic {
             second[4] = pairs;
         }
@@ -644,7 +663,13 @@ impl<'a> Maker<'a> {
                 nearest_m: self.nearest_m,
             },
             parts: [
-                part(Family::Path, path_name, path_card.error, legs, &path_card.why),
+                part(
+                    Family::Path,
+                    path_name,
+                    path_card.error,
+                    legs,
+                    &path_card.why,
+                ),
                 part(
                     Family::Doppler,
                     doppler_name,
@@ -698,8 +723,8 @@ impl<'a> Maker<'a> {
         let pairs = spec.receive.iter().map(|array| {
             let transmit = &spec.transmit[array.transmit];
             let along = |q: glam::DQuat| (q * glam::DVec3::X).x.abs();
-            let line_m = (array.elements as f64 * array.spacing_m)
-                .max(side_m(&array.element_pattern));
+            let line_m =
+                (array.elements as f64 * array.spacing_m).max(side_m(&array.element_pattern));
             (line_m * along(array.mounting.body_from_array))
                 .hypot(side_m(&transmit.pattern) * along(transmit.mounting.body_from_array))
         });

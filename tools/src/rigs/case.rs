@@ -43,8 +43,8 @@ impl Chance {
 pub fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
     let mut chance = Chance::new(seed);
     let (text, about) = write(&mut chance, folder, small);
-    let spec = config::parse(&text, folder)
-        .unwrap_or_else(|why| panic!("seed {seed}: {why}\n{text}"));
+    let spec =
+        config::parse(&text, folder).unwrap_or_else(|why| panic!("seed {seed}: {why}\n{text}"));
     (spec, about)
 }
 
@@ -56,13 +56,17 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
     let bandwidth_khz = chance
         .decades(2.0, if small { 10.0 } else { 30.0 })
         .min(0.2 * carrier_khz);
-    let taper = if chance.one_in(3) { 0.0 } else { chance.between(0.05, 0.6) };
+    let taper = if chance.one_in(3) {
+        0.0
+    } else {
+        chance.between(0.05, 0.6)
+    };
     let filtered = !chance.one_in(4);
     // 1.25 (max(B, 4/T) + 2 f_d) at the fastest platform there is, and something.
     let doppler_khz = 2.0 * 10.0 / c * (carrier_khz + 0.5 * bandwidth_khz);
     let band_khz = if cw { 0.0 } else { bandwidth_khz };
-    let rate_khz = 1.3 * (band_khz.max(4.0 / duration_ms) + 2.0 * doppler_khz)
-        * chance.between(1.0, 1.4);
+    let rate_khz =
+        1.3 * (band_khz.max(4.0 / duration_ms) + 2.0 * doppler_khz) * chance.between(1.0, 1.4);
     let depth_m = chance.decades(4.0, 40.0);
     let range_m = (depth_m * chance.between(1.5, 4.0)).min(if small { 40.0 } else { 120.0 });
     let depth_m = depth_m.min(0.7 * range_m);
@@ -75,7 +79,11 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
     };
     // Across the track, as a fan's; or along it, as a side-scan's.
     let yaw_deg = if line && chance.one_in(2) { 90.0 } else { 0.0 };
-    let roll_deg = if yaw_deg > 0.0 { 0.0 } else { -chance.between(20.0, 60.0) };
+    let roll_deg = if yaw_deg > 0.0 {
+        0.0
+    } else {
+        -chance.between(20.0, 60.0)
+    };
     let spacing_m = match line {
         true => 0.5 * wavelength_m,
         false => chance.between(0.03, 0.1),
@@ -90,7 +98,11 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
     let swell = !chance.one_in(3);
     let heave_m = if swell { chance.between(0.0, 0.8) } else { 0.0 };
     let roll = if swell { chance.between(0.0, 8.0) } else { 0.0 };
-    let yaw_rate = if swell { chance.between(-3.0, 3.0) } else { 0.0 };
+    let yaw_rate = if swell {
+        chance.between(-3.0, 3.0)
+    } else {
+        0.0
+    };
     let period_s = chance.between(4.0, 10.0);
     let phase = chance.between(0.0, std::f64::consts::TAU);
     track(folder, speed, heave_m, roll, yaw_rate, period_s, phase);
@@ -192,10 +204,18 @@ tolerance = {tolerance:.3e}
     );
     let about = format!(
         "{carrier_khz:.0} kHz {}, {duration_ms:.2} ms, taper {taper:.2}, {}, {elements} elements{}, {range_m:.0} m over {depth_m:.0} m, {speed:.2e} m/s{}, {}",
-        if cw { "CW".to_owned() } else { format!("{bandwidth_khz:.0} kHz LFM") },
+        if cw {
+            "CW".to_owned()
+        } else {
+            format!("{bandwidth_khz:.0} kHz LFM")
+        },
         if filtered { "filter" } else { "no filter" },
         if yaw_deg > 0.0 { " across" } else { "" },
-        if swell { format!(", heave {heave_m:.1} m, roll {roll:.0} deg") } else { String::new() },
+        if swell {
+            format!(", heave {heave_m:.1} m, roll {roll:.0} deg")
+        } else {
+            String::new()
+        },
         if points { "points" } else { "seabed" },
     );
     (text, about)
@@ -211,8 +231,7 @@ fn track(
     period_s: f64,
     phase: f64,
 ) {
-    let mut text =
-        String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut text = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
     for k in 0..400 {
         let t_s = k as f64 * 0.05;
         let wave = |shift: f64| (std::f64::consts::TAU * t_s / period_s + phase + shift).sin();
