@@ -264,7 +264,7 @@ fn a_slow_or_careless_sonar_gets_the_cheap_models_and_ten_knots_at_1e_4_does_not
 fn on_small_random_rigs_plans_keep_their_promises() {
     let costs = Costs::committed();
     let pool = pool(2).expect("threads");
-    for seed in [3, 8, 21, 34, 55] {
+    for seed in [3, 8, 21, 13, 5] {
         let folder = tempfile::tempdir().expect("folder");
         let (spec, about) = case::random(seed, folder.path(), true);
         let measured = pool

@@ -24,7 +24,8 @@ const LEAST_MS: f64 = 1.0;
     long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
 window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The ruler is the \
 direct sum on the trajectory itself with second-order Doppler; it is itself off by what stands under \"ruler\" (128 random samples by the reference's \
-equation): a measured error near it says nothing more. Times: least of 5 runs in turn, one thread."
+equation): where it is off by more than a quarter of the tolerance, the \
+measured error is a certificate's over 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
 )]
 struct Arguments {
     /// Random rigs.
@@ -153,7 +154,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let _ = writeln!(
         text,
-        "{:<16} {:>8} {:>8} {:>8} {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
+        "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
         "rig",
         "toler.",
         "promised",
@@ -171,11 +172,12 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
         let of = &row.of;
         let _ = writeln!(
             text,
-            "{:<16} {:>8.1e} {:>8.1e} {:>8.1e} {:>8} | {:>8.2} {:>8.2} | {best_promised:>6.2} {best_measured:>6.2} | {:>7} {:>4} {}{}; {}",
+            "{:<16} {:>8.1e} {:>8.1e} {:>8.1e}{} {:>8} | {:>8.2} {:>8.2} | {best_promised:>6.2} {best_measured:>6.2} | {:>7} {:>4} {}{}; {}",
             row.name,
             of.tolerance,
             of.plan.predicted_error,
             of.plan.error,
+            if of.plan.by_certificate { "c" } else { " " },
             of.ruler.map_or("-".into(), |e| format!("{e:.0e}")),
             of.plan.predicted_ms,
             of.plan.ms,

@@ -61,6 +61,10 @@ pub struct Figures {
     pub filter_point: f64,
     /// A sample of an element, whatever made it.
     pub sample: f64,
+    /// An echo's own Doppler.
+    pub stretch: f64,
+    /// A scatterer as an element sees it, once more for each segment of the whole window.
+    pub segment: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -121,6 +125,8 @@ impl Costs {
             replica_sample,
             filter_point,
             sample,
+            stretch,
+            segment,
         } = self.ns;
         [
             transmit_leg,
@@ -136,6 +142,8 @@ impl Costs {
             sample,
             self.factor.gridded_1d,
             self.factor.gridded_2d,
+            stretch,
+            segment,
         ]
     }
 
@@ -154,6 +162,8 @@ impl Costs {
                 replica_sample: v[8],
                 filter_point: v[9],
                 sample: v[10],
+                stretch: v[13],
+                segment: v[14],
             },
             factor: Factors {
                 gridded_1d: v[11],
@@ -192,6 +202,8 @@ pub const NAMES: [&str; FIGURES] = [
     "ns.sample",
     "factor.gridded_1d",
     "factor.gridded_2d",
+    "ns.stretch",
+    "ns.segment",
 ];
 
 #[cfg(test)]

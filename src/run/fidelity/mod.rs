@@ -47,6 +47,11 @@ const UNEVEN: f64 = 1.5;
 const NEARER: f64 = 0.7;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
+/// A line bears the motion across it that the echoes of a window have, and so much more in some.
+const ACROSS: f64 = 1.5;
+/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater. (They are made for their
+/// tolerance, and keep it.)
+const ENGINE_MARGIN: f64 = 2.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -261,8 +266,10 @@ impl<'a> Maker<'a> {
             .filter(|&s| match spec.synthesis.auto.synthesis {
                 false => s == spec.model.synthesis,
                 true => {
-                    (s != Synthesis::Gridded2d
-                        || lines && spec.receiver.filter == ReceiverFilter::Fir)
+                    // The truth is for those who ask for it.
+                    s != Synthesis::Reference
+                        && (s != Synthesis::Gridded2d
+                            || lines && spec.receiver.filter == ReceiverFilter::Fir)
                         && (spec.more_pulses.is_empty() || one_by_one(s))
                 }
             })
@@ -376,7 +383,7 @@ impl<'a> Maker<'a> {
                 "an array accelerates by {acceleration_m_per_s2:.1} m/s^2, the engine knows {HARDEST_M_PER_S2}"
             ));
         }
-        let across = EXTREMES * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
+        let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
         if synthesis == Synthesis::Gridded2d
             && doppler != DopplerModel::None
             && across > SIDEWAYS_M_PER_S
@@ -434,9 +441,10 @@ impl<'a> Maker<'a> {
         let scatterers = self.scene.count as f64;
         let arrivals = culling.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
+        let kept = |error: f64| (ENGINE_MARGIN * error).min(tolerance);
         let (error, ns, pairs, figure, why) = match engine {
             Engine::One(engine) => (
-                engine.card().error,
+                kept(engine.card().error),
                 1e6 * elements * engine.cost_ms(arrivals as usize, self.doppler_share()),
                 arrivals * elements,
                 11,
@@ -450,7 +458,7 @@ impl<'a> Maker<'a> {
             } => {
                 let share = culling.kept / self.cullings[0].kept.max(f64::MIN_POSITIVE);
                 (
-                    *error,
+                    kept(*error),
                     // Its echoes are most of it where there are many.
                     1e6 * cost_ms * share.clamp(0.5, 1.0),
                     arrivals * stretches,
@@ -605,7 +613,14 @@ impl<'a> Maker<'a> {
             PathModel::Polyline | PathModel::KSegment => 2,
             PathModel::Continuous => 3,
         }] = pairs;
+        if segmented {
+            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
+            legs[14] = pairs * (window_s / motion.segment_s).ceil();
+        }
         let mut second = NO_WORK;
+        if motion.doppler != DopplerModel::None {
+            second[13] = pairs;
+        }
         if motion.doppler == DopplerModel::StretchQuadratic {
             second[4] = pairs;
         }

@@ -19,6 +19,8 @@ const LEAST_WINDOW: usize = 32;
 const REPEATS: usize = 5;
 /// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
+/// A ruler that is off by more of the tolerance measures nothing.
+const FINE_RULER: f64 = 0.25;
 /// At most so many other choices.
 const OTHERS: usize = 12;
 
@@ -28,8 +30,10 @@ pub struct Did {
     pub text: String,
     pub predicted_error: f64,
     pub predicted_ms: f64,
-    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it.
+    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. Where
+    /// the ruler is too coarse for that, a certificate's own, over 128 random samples.
     pub error: f64,
+    pub by_certificate: bool,
     pub ms: f64,
     /// Within the goal, as predicted.
     pub promised: bool,
@@ -54,8 +58,13 @@ impl Measured {
     pub fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
-                "{:.1e} measured, {:.1e} promised, {:.2} ms, {:.2} predicted{}: {}",
+                "{:.1e} measured{}, {:.1e} promised, {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
+                if did.by_certificate {
+                    " by certificate"
+                } else {
+                    ""
+                },
                 did.predicted_error,
                 did.ms,
                 did.predicted_ms,
@@ -168,7 +177,7 @@ impl Runner {
 }
 
 fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, PipelineError> {
-    let (truth, ruler) = ruler(ping)?;
+    let (truth, ruler) = ruler(ping, time)?;
     let silent = |output: &PingOutput| {
         let mut samples = output.elements.iter().flat_map(|frame| &frame.iq);
         samples.all(|x| x.norm_sqr() == 0.0)
@@ -194,11 +203,26 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
             break;
         }
     }
+    let coarse = ruler.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
+    if coarse {
+        for (candidate, runner) in &mut runners {
+            let mut spec = with_choice(ping.spec, &candidate.choice);
+            spec.synthesis.certificate = true;
+            *runner = Runner {
+                least_ms: runner.least_ms,
+                ..certified(ping, &spec)?
+            };
+        }
+    }
     let mut did = runners.iter().map(|(candidate, runner)| Did {
+        by_certificate: runner.output.certificate.is_some(),
         text: candidate.text(),
         predicted_error: candidate.error(),
         predicted_ms: candidate.cost_ms(),
-        error: worst_window(ping, &runner.output, &truth),
+        error: match runner.output.certificate {
+            Some(certificate) => certificate.error,
+            None => worst_window(ping, &runner.output, &truth),
+        },
         ms: runner.least_ms,
         promised: ranking.goal.meets(candidate),
     });
@@ -242,22 +266,33 @@ fn others(ranking: &Ranking) -> Vec<&Candidate> {
 }
 
 /// The direct sum on the trajectory itself, and what 128 random samples of it are off by.
-fn ruler(ping: &Ping) -> Result<(PingOutput, Option<f64>), PipelineError> {
+fn ruler(ping: &Ping, look: bool) -> Result<(PingOutput, Option<f64>), PipelineError> {
     let mut spec = ping.spec.clone();
     spec.model.path = PathModel::Continuous;
     spec.model.doppler = DopplerModel::StretchQuadratic;
     spec.model.synthesis = Synthesis::Direct;
     spec.model.cull_db = None;
+    if !look {
+        let mut runner = Runner::new(ping, &spec)?;
+        runner.run(ping.everything);
+        return Ok((runner.output, None));
+    }
     spec.synthesis.certificate = true;
-    let mut runner = Runner::new(ping, &spec)?;
+    let runner = certified(ping, &spec)?;
+    let error = runner.output.certificate.map(|c| c.error);
+    Ok((runner.output, error))
+}
+
+/// A ping of all scatterers with a certificate over 128 samples.
+fn certified(ping: &Ping, spec: &SonarSpec) -> Result<Runner, PipelineError> {
+    let mut runner = Runner::new(ping, spec)?;
     runner.pipeline.allow_certificates(f64::INFINITY);
     for number in 1..=2 {
         // Other samples are drawn in another ping.
         runner.plan.ping_number = number;
         runner.run(ping.everything);
     }
-    let error = runner.output.certificate.map(|c| c.error);
-    Ok((runner.output, error))
+    Ok(runner)
 }
 
 fn worst_window(ping: &Ping, got: &PingOutput, want: &PingOutput) -> f64 {
