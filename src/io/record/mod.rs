@@ -140,4 +140,4 @@ impl Drop for PartialFile {
 }
 
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
