@@ -169,8 +169,8 @@ class Page(unittest.TestCase):
             best.append((seconds, want, got[0], got[-1]))
         self.assertGreaterEqual(len(best), 8, "rows about the target")
         for seconds, want, first, last in best:
-            # A pixel is 0.1 m; the pulse of 20 kHz is 0.04 m long, and side lobes may be as bright as the palette goes.
-            self.assertTrue(first - 1.5 <= want <= last + 1.5 and last - first < 12, f"at {seconds} s: drawn at {first} to {last}, predicted {want:.1f}")
+            # A pixel is 0.1 m, a sample 0.02 m; the loudest colour may fill a neighbour, and no more.
+            self.assertTrue(first - 1.0 <= want <= last + 1.5 and last - first <= 3, f"at {seconds} s: drawn at {first} to {last}, predicted {want:.1f}")
         # The mark of the truth is there as well: at the ping broadside to it, in its own colour.
         marked = page.evaluate("""() => {
             const canvas = document.getElementById("wf-over");
