@@ -325,6 +325,7 @@ impl RunControl {
             "settings_version": version,
             "changes": { "applied": counts.applied, "refused": counts.refused },
             "counters": counters,
+            "fidelity": sonar.counters.fidelity_json(),
             "microseconds": histograms,
             "outputs": sonar.reports.lines(),
         })
@@ -454,7 +455,7 @@ impl ControlPort for RunControl {
             return text;
         };
         for (k, (name, doc, _)) in first.counters.all().enumerate() {
-            let kind = match name.starts_with("worst_") || name == "nav_age_ms" {
+            let kind = match name.starts_with("worst_") || name == "nav_age_ms" || name == "plan" {
                 true => "gauge",
                 false => "counter",
             };

@@ -7,6 +7,7 @@ pub mod counters;
 pub mod daemon;
 pub mod engines;
 pub mod faults;
+pub mod fidelity;
 mod footprints;
 pub mod gate;
 pub mod histograms;
