@@ -280,6 +280,24 @@ class Page(unittest.TestCase):
         page.wait_for_timeout(300)
         self.assertEqual(page.evaluate("[window.pwned ?? null, document.querySelectorAll('#log img, #log script').length]"), [None, 0])
 
+    def test_a_token_is_asked_for_and_opens_the_page(self):
+        daemon = Daemon(self.rig, "sonar.output.sevenk.listen=127.0.0.1:0", "control.listen=127.0.0.1:0", "control.token=open-sesame", *self.settings)
+        self.addCleanup(daemon.stop)
+        at = "%s:%d" % daemon.address(r"control http")
+        for protocols, origin, want in ((["echotank"], None, 401), (["echotank", "token." + b"open".hex()], None, 401),
+                                        (["echotank", "token." + b"open-sesame".hex()], "http://evil.example", 403),
+                                        (["echotank", "token." + b"open-sesame".hex()], f"http://{at}", 101)):
+            client = PageClient(at, origin=origin, protocols=protocols)
+            self.addCleanup(client.close)
+            self.assertEqual(client.status, want, (protocols, origin))
+        page = self.browser.new_page()
+        self.addCleanup(page.close)
+        page.set_default_timeout(PATIENCE_S * 1000)
+        page.goto(f"http://{at}/")
+        page.fill("#token", "open-sesame")
+        page.click("#token-form button")
+        page.wait_for_function("() => Number(document.getElementById('ping').textContent) > 0")
+
     def test_z_the_page_comes_back_when_the_daemon_does(self):
         listen = self.at
         self.daemon.stop()
