@@ -54,6 +54,8 @@ fn soundings_lie_on_a_survey_and_show_its_relief() {
     let found = soundings(Case::Survey, 100.0, 6, 25.0);
     within_one_percent(&found);
     let (correlation, relief_m, apart_m) = agreement(&found.relief(20.0, 4));
-    println!("relief {relief_m:.3} m, soundings off by {apart_m:.3} m, correlation {correlation:.3}");
+    println!(
+        "relief {relief_m:.3} m, soundings off by {apart_m:.3} m, correlation {correlation:.3}"
+    );
     assert!(correlation > 0.9, "correlation {correlation}");
 }
