@@ -9,4 +9,5 @@ mod load;
 mod navigation;
 mod pulses;
 mod rig;
+mod spread;
 mod together;
