@@ -6,6 +6,7 @@ pub mod control;
 pub mod counters;
 pub mod daemon;
 pub mod engines;
+pub mod fan_truth;
 pub mod faults;
 pub mod fidelity;
 mod footprints;
