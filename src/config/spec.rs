@@ -6,6 +6,7 @@ mod devices;
 mod families;
 mod faults;
 mod samples;
+mod trigger;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
 
@@ -20,6 +21,9 @@ use crate::flow::{
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
+pub use trigger::{
+    EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
+};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -824,6 +828,8 @@ pub struct SonarSpec {
     /// Settings at start.
     pub settings: SonarSettings,
     pub limits: LimitsSpec,
+    pub trigger: TriggerSpec,
+    pub trigger_out: TriggerOutSpec,
     pub model: ModelChoice,
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,

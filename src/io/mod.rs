@@ -8,3 +8,5 @@ pub mod record;
 pub mod serial_line;
 pub mod signals;
 pub mod sonar;
+mod stamp;
+pub mod trigger;

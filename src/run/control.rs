@@ -16,6 +16,7 @@ use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
 use crate::run::settings::SettingsStore;
+use crate::run::triggers::TriggerCounts;
 use crate::time::{Clock, MonoNs, SystemClock};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
@@ -29,8 +30,16 @@ pub struct SonarControl {
     pub name: String,
     pub settings: Arc<SettingsStore>,
     pub counters: Arc<PingCounters>,
+    pub triggers: Arc<TriggerCounts>,
     pub histograms: Arc<Histograms>,
     pub reports: OutputReports,
+}
+
+impl SonarControl {
+    /// Name, meaning, value.
+    fn all_counters(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+        self.counters.all().chain(self.triggers.all())
+    }
 }
 
 /// The whole daemon as its operator sees it.
@@ -102,6 +111,7 @@ impl RunControl {
         for sonar in &self.sonars {
             lines.push(format!("sonar {}: {}", sonar.name, sonar.counters));
             lines.extend(sonar.counters.advice(latency_s));
+            lines.extend(sonar.triggers.line(&sonar.name));
         }
         lines.extend(self.nav_lines());
         lines.extend(self.sonars.iter().flat_map(|sonar| sonar.reports.lines()));
@@ -217,8 +227,7 @@ impl RunControl {
         let (settings, version) = sonar.settings.snapshot();
         let counts = sonar.settings.counts();
         let counters: serde_json::Map<_, _> = sonar
-            .counters
-            .all()
+            .all_counters()
             .map(|(name, _, value)| (name.to_owned(), value.into()))
             .collect();
         let histograms: serde_json::Map<_, _> = sonar
@@ -296,7 +305,7 @@ impl ControlPort for RunControl {
         let Some(first) = self.sonars.first() else {
             return text;
         };
-        for (k, (name, doc, _)) in first.counters.all().enumerate() {
+        for (k, (name, doc, _)) in first.all_counters().enumerate() {
             let kind = match name.starts_with("worst_") || name == "nav_age_ms" {
                 true => "gauge",
                 false => "counter",
@@ -306,7 +315,7 @@ impl ControlPort for RunControl {
                 "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
             );
             for sonar in &self.sonars {
-                if let Some((_, _, value)) = sonar.counters.all().nth(k) {
+                if let Some((_, _, value)) = sonar.all_counters().nth(k) {
                     let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
                 }
             }

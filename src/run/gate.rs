@@ -81,6 +81,11 @@ impl Gate {
         self.change(|state| state.closed = true);
     }
 
+    /// Nothing may leave now.
+    pub fn is_held(&self) -> bool {
+        self.lock().holds()
+    }
+
     pub fn is_paused(&self) -> bool {
         self.lock().paused
     }

@@ -22,4 +22,5 @@ pub mod replay;
 pub mod rig;
 pub mod settings;
 pub mod synthetic_aperture;
+pub mod triggers;
 mod view;
