@@ -12,6 +12,7 @@ mod picture;
 mod samples;
 mod scene;
 pub(super) mod sonar;
+mod streaming;
 mod trigger;
 
 use std::collections::HashMap;
@@ -203,6 +204,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     let run = table.table("run").and_then(|t| run(t, problems));
     if let (Some(nav), Some(t)) = (&nav, table.table("run")) {
         refuse_own_time_with_live_sources(nav, t, problems);
+        streaming::refuse_without_foresight(nav, t, problems);
     }
     let control = table
         .table("control")
@@ -231,6 +233,9 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         }
     }
     let heads: Vec<_> = sonars.iter().flatten().collect();
+    if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.table("run")) {
+        streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
+    }
     let rig = scene::Rig {
         sonars: &heads,
         sound_speed_m_per_s: medium.as_ref().map(|m| m.sound_speed_m_per_s),
@@ -365,7 +370,22 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let scaled = clock.map(|clock| clock == "scaled");
     let condition = "clock = \"scaled\"";
     only_with(table, &["clock_rate"], scaled, condition, problems);
+    let spread = table.text("pace").map(|pace| pace == "spread");
+    only_with(
+        table,
+        &["pace_share"],
+        spread,
+        "pace = \"spread\"",
+        problems,
+    );
+    let delivery = streaming::delivery(table, problems);
     Some(RunSpec {
+        spread_share: match spread? {
+            true => Some(table.number("pace_share")?),
+            false => None,
+        },
+        delivery: delivery?,
+        ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
             "fast" => ClockSpec::Fast,

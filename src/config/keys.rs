@@ -935,9 +935,27 @@ static RUN: Table = Table {
         ),
         key(
             "delivery",
-            Kind::Choice(&["ping-end"], &["streaming"]),
+            Kind::Choice(&["ping-end", "streaming"], &[]),
             Default("\"ping-end\""),
-            "",
+            "\"streaming\": element samples (vita49, elements) leave as they would be heard, block by block, each stream_latency_ms after its end; the ping is computed before its pulse, so nav.mode must be \"predict\". All else leaves at the end of the ping. The samples are the same.",
+        ),
+        key(
+            "stream_block_ms",
+            Kind::Number(from(0.1, 1000.0)),
+            Default("1.0"),
+            "Only with delivery = \"streaming\".",
+        ),
+        key(
+            "stream_latency_ms",
+            Kind::Number(from(0.0, 600_000.0)),
+            Default("0.5"),
+            "Constant. Only with delivery = \"streaming\".",
+        ),
+        key(
+            "ahead_ms",
+            Kind::Number(from(0.0, 10_000.0)),
+            Shown("100.0"),
+            "A ping is computed so long before its pulse, by the settings and from the motion known then; at least what a ping takes. Left out: 0, and 100 with delivery = \"streaming\". Above 0 only with nav.mode = \"predict\".",
         ),
         key(
             "clock",
@@ -950,6 +968,18 @@ static RUN: Table = Table {
             Kind::Number(from(0.1, 1000.0)),
             Default("10.0"),
             "Only with clock = \"scaled\".",
+        ),
+        key(
+            "pace",
+            Kind::Choice(&["spread", "burst"], &[]),
+            Default("\"spread\""),
+            "A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock size loses most of. TCP paces itself. With clock = \"fast\" and \"lockstep\" always all at once.",
+        ),
+        key(
+            "pace_share",
+            Kind::Number(from(0.01, 0.95)),
+            Default("0.8"),
+            "The part. Only with pace = \"spread\".",
         ),
         key(
             "priority",
@@ -1694,6 +1724,12 @@ static OUTPUT: Table = Table {
         key("ping", Kind::Table(&devices::PING), Optional(""), ""),
         key("wbms", Kind::Table(&devices::WBMS), Optional(""), ""),
         key("vita49", Kind::Table(&samples::VITA49), Optional(""), ""),
+        key(
+            "elements",
+            Kind::Table(&samples::ELEMENTS),
+            Optional(""),
+            "",
+        ),
         key("sigmf", Kind::Table(&samples::SIGMF), Optional(""), ""),
         key("wav", Kind::Table(&samples::WAV), Optional(""), ""),
     ],

@@ -20,7 +20,7 @@ use crate::flow::{
 };
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
-pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
+pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
@@ -778,6 +778,27 @@ pub struct RunSpec {
     pub priority: u8,
     /// Where the log of injected faults goes, if not beside the records.
     pub fault_directory: Option<PathBuf>,
+    /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.
+    pub spread_share: Option<f64>,
+    pub delivery: DeliverySpec,
+    /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
+    pub ahead_s: f64,
+}
+
+impl RunSpec {
+    /// [`RunSpec::ahead_s`] in whole nanoseconds, so that everybody means the same instant.
+    pub fn ahead_ns(&self) -> i64 {
+        (self.ahead_s * 1e9).round() as i64
+    }
+}
+
+/// When element samples leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DeliverySpec {
+    /// With all else that a ping makes.
+    PingEnd,
+    /// In blocks of so many seconds, each so long after its last sample would have been heard.
+    Streaming { block_s: f64, latency_s: f64 },
 }
 
 /// How fast rig time goes. The samples do not depend on it.
@@ -1140,6 +1161,7 @@ pub enum OutputSpec {
     Xtf(XtfSpec),
     Imagenex872(ImagenexSpec),
     Vita49(Vita49Spec),
+    Elements(ElementStreamSpec),
     Sigmf(SigmfSpec),
     Wav(WavSpec),
     Ping(PingProtocolSpec),

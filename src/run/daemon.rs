@@ -29,7 +29,7 @@ use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
+use crate::config::spec::{ClockSpec, DeliverySpec, NavMode, RigSpec, StampSpec};
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{NavOutputError, NavOutputs};
@@ -53,7 +53,7 @@ use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
 use crate::run::triggers::TriggerCounts;
 use crate::time::{
-    Bell, Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
+    Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
 };
 
 /// Longest the pipeline sleeps when it waits for something that no clock announces (a live sample, a free slot).
@@ -94,7 +94,18 @@ pub enum DaemonError {
 struct Delivery {
     slot: Box<PingSlot>,
     /// None where time is the pipeline's own: at once.
-    deadline: Option<MonoNs>,
+    due: Option<Due>,
+}
+
+/// When what a ping makes is due.
+#[derive(Clone, Copy, Debug)]
+struct Due {
+    /// The start of its pulse.
+    pulse: MonoNs,
+    /// The last instant at which it is of use: the first block's where samples stream, else the deadline.
+    ready_by: MonoNs,
+    /// All that leaves at the end of the ping.
+    deadline: MonoNs,
 }
 
 /// What a delivery thread works with besides its outputs.
@@ -123,15 +134,31 @@ impl Lane {
     }
 }
 
+/// A thread that owns outputs, and what became of their recorders.
+type OutputThread = JoinHandle<Result<(), OutputError>>;
+
 /// Makes the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
 fn open_lane(
     rig: &Rig,
     sonar: usize,
     outputs: Outputs,
     way: Way,
-) -> Result<(Lane, JoinHandle<Result<(), OutputError>>), DaemonError> {
+) -> Result<(Lane, Vec<OutputThread>), DaemonError> {
     let slots = rig.spec.run.queue_pings;
-    let (to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let (outputs, streams) = outputs.split();
+    let (mut to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let mut threads = Vec::new();
+    if !streams.is_empty() {
+        // Ahead of the delivery thread, which waits for the end of the ping before.
+        let (to_streams, pings) = bounded::<Delivery>(slots);
+        let on = std::mem::replace(&mut to_delivery, to_streams);
+        let way = way.clone();
+        let thread = thread::Builder::new()
+            .name(format!("streams {sonar}"))
+            .spawn(move || stream(streams, &pings, &on, &way))
+            .map_err(DaemonError::Thread)?;
+        threads.push(thread);
+    }
     let (to_free, free) = bounded::<Box<PingSlot>>(slots);
     for _ in 0..slots {
         // Cannot fail: the channel holds exactly this many.
@@ -141,21 +168,22 @@ fn open_lane(
         .name(format!("delivery {sonar}"))
         .spawn(move || deliver(outputs, &deliveries, &to_free, &way))
         .map_err(DaemonError::Thread)?;
+    threads.push(thread);
     let lane = Lane {
         free,
         spare: None,
         to_delivery,
     };
-    Ok((lane, thread))
+    Ok((lane, threads))
 }
 
-/// An order with its sonar and the last instant at which its ping is of use.
+/// An order with its sonar and when its ping is due.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     sonar: usize,
     order: PingOrder,
     window_s: f64,
-    deadline: MonoNs,
+    due: Due,
 }
 
 /// A daemon that has opened everything it needs.
@@ -209,8 +237,12 @@ impl Daemon {
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
         let mut outputs = Vec::new();
+        let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
-            outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
+            let own = Arc::new(Histograms::new());
+            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own)?;
+            outputs.push(opened);
+            histograms.push(own);
         }
         let trigger_counts: Vec<_> = spec
             .sonars
@@ -220,12 +252,13 @@ impl Daemon {
         let triggers = Triggers::open(spec, &clock, &gate, &trigger_counts)?;
         let mut trigger_counts = trigger_counts.into_iter();
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
-        let sonars = sonars.map(|((sonar, settings), outputs)| SonarControl {
+        let sonars = sonars.zip(histograms);
+        let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
             triggers: trigger_counts.next().unwrap_or_default(),
-            histograms: Arc::new(Histograms::new()),
+            histograms,
             reports: outputs.reports(),
         });
         let control = Arc::new(RunControl::new(
@@ -318,9 +351,9 @@ impl Daemon {
                 gate: control.gate().clone(),
                 priority: rig.spec.run.priority,
             };
-            let (lane, thread) = open_lane(&rig, sonar, outputs, way)?;
+            let (lane, threads) = open_lane(&rig, sonar, outputs, way)?;
             lanes.push(lane);
-            deliveries.push(thread);
+            deliveries.extend(threads);
         }
         let pacer = Pacer {
             first: None,
@@ -531,9 +564,9 @@ impl Pacer {
             return;
         };
         let (sender, orders) = bounded(MOST_ORDERS);
-        let bell = Arc::new(Bell::default());
+        let coming = beat.coming();
         let priority = self.rig.spec.run.priority;
-        let _beat = match beat.start(sender, bell.clone(), priority) {
+        let _beat = match beat.start(sender, priority) {
             Ok(thread) => thread,
             Err(why) => {
                 eprintln!("echotank: could not start a thread: {why}");
@@ -544,12 +577,14 @@ impl Pacer {
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            self.inputs.pull(utc, &mut self.rig.history);
+            // Read first: an order that is not among those taken now is not before it.
+            let next = coming.next();
+            self.take_orders(&orders, &timeline);
+            let known = self.known_until(utc, next);
+            self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
-            // A log that has ended makes no more pings; those ordered before are still made.
-            self.take_orders(&orders, &timeline);
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -562,8 +597,24 @@ impl Pacer {
                 None => now.plus_ns(50 * POLL_NS),
             };
             let wait_until = wait_until.min(self.nav_out.next_publish());
-            self.clock.doze_until(wait_until, &bell);
+            self.clock.doze_until(wait_until, &coming.bell);
         }
+    }
+
+    /// How long before its pulse a ping is ordered and computed.
+    fn ahead_ns(&self) -> i64 {
+        self.rig.spec.run.ahead_ns()
+    }
+
+    /// How far recorded navigation may be read: what was not known yet when a ping had to be foreseen must not be known to it, however late it
+    /// is computed. `next`: the next pulse that may still be ordered.
+    fn known_until(&self, utc: UtcNs, next: UtcNs) -> UtcNs {
+        if self.rig.spec.nav.mode == NavMode::Settle {
+            return utc;
+        }
+        let ordered = self.waiting.iter().map(|w| w.order.transmit_utc);
+        let first = ordered.chain([next]).min();
+        first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
     /// When a recorded log first holds what a ping needs; none where it never does, or the daemon is stopped.
@@ -578,9 +629,12 @@ impl Pacer {
         }
     }
 
-    fn begin_schedules(&mut self, first: UtcNs) {
+    fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
+        // Known for long enough to foresee it.
+        let first = first.plus_ns(self.ahead_ns());
         self.first = Some(first);
         self.rig.faults.begin(first);
+        first
     }
 
     /// To be asked once, after [`Self::begin_schedules`].
@@ -602,7 +656,12 @@ impl Pacer {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
             let first = self.first_recorded()?;
-            self.begin_schedules(first);
+            let first = self.begin_schedules(first);
+            if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
+                // Nothing of it may leave before its pulse, which is foreseen before that.
+                let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
+                return Some(Timeline::through(ordered, first.plus_ns(-self.ahead_ns())));
+            }
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
             let units = self.rig.sonars.iter();
@@ -667,7 +726,17 @@ impl Pacer {
                 continue;
             }
             let window_s = self.rig.window_s(sonar, &order);
+            let pulse = timeline.mono(order.transmit_utc);
             let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+            let ready_by = match self.rig.spec.run.delivery {
+                DeliverySpec::PingEnd => deadline,
+                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
+            };
+            let due = Due {
+                pulse,
+                ready_by,
+                deadline,
+            };
             let place = self
                 .waiting
                 .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
@@ -677,7 +746,7 @@ impl Pacer {
                     sonar,
                     order,
                     window_s,
-                    deadline,
+                    due,
                 },
             );
         }
@@ -688,8 +757,9 @@ impl Pacer {
             sonar,
             order,
             window_s,
-            deadline,
+            due,
         } = *front;
+        let deadline = due.ready_by;
         let mode = self.rig.spec.nav.mode;
         let covered = match mode {
             NavMode::Predict => true,
@@ -719,7 +789,7 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        self.compute(sonar, &order, Some(deadline), slot, timeline);
+        self.compute(sonar, &order, Some(due), slot, timeline);
         Step::Done
     }
 
@@ -732,7 +802,7 @@ impl Pacer {
         &mut self,
         sonar: usize,
         order: &PingOrder,
-        deadline: Option<MonoNs>,
+        due: Option<Due>,
         mut slot: Box<PingSlot>,
         timeline: &Timeline,
     ) -> bool {
@@ -751,6 +821,13 @@ impl Pacer {
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
+        let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
+        if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+            // Its first samples cannot leave in time: none do, or the latency would not be constant.
+            add(&counters.skipped_late, 1);
+            self.lanes[sonar].spare = Some(slot);
+            return false;
+        }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
         let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
@@ -758,20 +835,41 @@ impl Pacer {
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
         counters.nav(&slot.plan.nav);
-        if let Some(deadline) = deadline {
+        if let Some(due) = due {
             let now = self.clock.mono();
-            histograms.margin_us(deadline.0 - now.0);
-            histograms.nav_to_samples_us(now.0 - timeline.mono(order.transmit_utc).0);
+            histograms.margin_us(due.ready_by.0 - now.0);
+            histograms.nav_to_samples_us(now.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
         if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
             .to_delivery
-            .try_send(Delivery { slot, deadline })
+            .try_send(Delivery { slot, due })
         {
             self.stop.store(true, Ordering::Release);
         }
         true
     }
+}
+
+/// Lets the samples of each ping leave as they would be heard, and hands it on at once.
+fn stream(
+    mut outputs: Outputs,
+    pings: &Receiver<Delivery>,
+    on: &Sender<Delivery>,
+    way: &Way,
+) -> Result<(), OutputError> {
+    if way.priority > 0 {
+        // What is not allowed was said when the daemon started.
+        let _ = priority::first_in_first_out(way.priority);
+    }
+    for ping in pings {
+        outputs.stream(&ping.slot, ping.due.map(|due| due.pulse));
+        // It holds as many as there are slots. Nobody there: the daemon ends.
+        if on.send(ping).is_err() {
+            break;
+        }
+    }
+    outputs.close()
 }
 
 /// Encodes each ping while it waits, and hands its records over at the deadline.
@@ -786,7 +884,8 @@ fn deliver(
         let _ = priority::first_in_first_out(way.priority);
     }
     let mut first_error = None;
-    for Delivery { slot, deadline } in deliveries {
+    for Delivery { slot, due } in deliveries {
+        let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.
         let _ = free.try_send(slot);

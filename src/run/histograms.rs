@@ -15,24 +15,32 @@ pub struct Histograms {
     margin: Spread,
     nav_to_samples: Spread,
     hand_over: Spread,
+    pacing: Spread,
 }
 
-struct Spread(Mutex<Histogram<u64>>);
+/// One histogram.
+pub struct Spread(Mutex<Histogram<u64>>);
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Spread {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MOST_US, DIGITS);
         Self(Mutex::new(
             histogram.expect("bounds that hdrhistogram takes"),
         ))
     }
 
-    fn note(&self, us: u64) {
+    pub fn note(&self, us: u64) {
         let mut histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         histogram.saturating_record(us);
     }
 
-    fn figures(&self) -> Figures {
+    pub fn figures(&self) -> Figures {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Figures {
             count: histogram.len(),
@@ -63,6 +71,7 @@ impl Histograms {
             margin: Spread::new(),
             nav_to_samples: Spread::new(),
             hand_over: Spread::new(),
+            pacing: Spread::new(),
         }
     }
 
@@ -86,8 +95,13 @@ impl Histograms {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
+    /// A group of datagrams left so long after its own instant.
+    pub fn pacing_us(&self, ns: i64) {
+        self.pacing.note((ns.max(0) / 1000) as u64);
+    }
+
     /// Name, meaning, figures.
-    pub fn all(&self) -> [(&'static str, &'static str, Figures); 4] {
+    pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
         [
             (
                 "start_error",
@@ -108,6 +122,11 @@ impl Histograms {
                 "hand_over",
                 "From the instant a ping's records were due until all were handed over",
                 self.hand_over.figures(),
+            ),
+            (
+                "send_pacing",
+                "From the instant a group of datagrams was due until it was handed to the kernel",
+                self.pacing.figures(),
             ),
         ]
     }

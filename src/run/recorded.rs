@@ -51,6 +51,8 @@ impl RecordedRig {
                 return Err(RecordedError::NoNav(rig.history.silent()));
             }
         };
+        // Known for long enough to foresee it.
+        let first = first.plus_ns(spec.run.ahead_ns());
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
         let follows = |trigger: &TriggerSpec| matches!(trigger.from, TriggerFrom::Sonar { .. });

@@ -151,9 +151,10 @@ impl Rig {
         let from = order.transmit_utc;
         let to = from.plus_s(self.window_s(sonar, order));
         match self.spec.nav.mode {
-            // As it would have been known at the pulse.
+            // As it would have been known when the ping had to be foreseen.
             NavMode::Predict => {
-                inputs.pull(from, &mut self.history);
+                let known = from.plus_ns(-self.spec.run.ahead_ns());
+                inputs.pull(known, &mut self.history);
                 !inputs.finished()
             }
             NavMode::Settle => {

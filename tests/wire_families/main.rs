@@ -8,4 +8,5 @@ mod flat_bottom;
 mod load;
 mod navigation;
 mod rig;
+mod spread;
 mod together;

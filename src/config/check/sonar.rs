@@ -1023,6 +1023,12 @@ fn outputs<'t>(
             .and_then(|t| samples::vita49(t, source, problems));
         outputs.push(spec.map(OutputSpec::Vita49));
     }
+    if table.given("elements") {
+        let spec = table
+            .table("elements")
+            .and_then(|t| samples::elements(t, source, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Elements));
+    }
     if table.given("sigmf") {
         let spec = table
             .table("sigmf")

@@ -3,8 +3,9 @@
 //! Where time is the machine's it has a thread of its own, so that a pulse is on time, and told to whoever is to be triggered, however busy the
 //! pipeline is. Where time is the pipeline's, the pipeline asks.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::Sender;
@@ -19,7 +20,7 @@ use crate::run::control::RunControl;
 use crate::run::counters::{add, worst};
 use crate::run::faults::{Faults, PingMark};
 use crate::run::settings::SettingsStore;
-use crate::time::{Bell, Clock, NS_PER_S, Timeline, UtcNs};
+use crate::time::{Bell, Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
 
 /// The thread looks this often whether it should end, at least.
 const LOOK_NS: i64 = NS_PER_S / 10;
@@ -39,6 +40,34 @@ pub(super) struct Beat {
     numbers: Vec<Numbers>,
     /// Of each sonar with a watchdog: its time, and since when it waits.
     watches: Vec<Option<Watch>>,
+    /// How long before its pulse a ping is ordered, nanoseconds.
+    ahead_ns: i64,
+    /// Pulses that are ordered and lie ahead, to be told at their instants; earliest first.
+    untold: VecDeque<Told>,
+    coming: Arc<Coming>,
+}
+
+/// A pulse as it is told to others.
+#[derive(Clone, Copy)]
+struct Told {
+    at: MonoNs,
+    sonar: usize,
+    number: u32,
+    utc: UtcNs,
+}
+
+/// What the pipeline knows of the beat between two orders.
+pub(super) struct Coming {
+    /// Rung when there is an order.
+    pub bell: Bell,
+    next_utc_ns: AtomicI64,
+}
+
+impl Coming {
+    /// No order is still to come for a pulse before this instant, unless it is triggered from outside.
+    pub fn next(&self) -> UtcNs {
+        UtcNs(self.next_utc_ns.load(Ordering::Acquire))
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -81,7 +110,17 @@ impl Beat {
             clock: company.clock,
             triggers,
             came: None,
+            ahead_ns: spec.run.ahead_ns(),
+            untold: VecDeque::new(),
+            coming: Arc::new(Coming {
+                bell: Bell::default(),
+                next_utc_ns: AtomicI64::new(first.0),
+            }),
         }
+    }
+
+    pub fn coming(&self) -> Arc<Coming> {
+        self.coming.clone()
     }
 
     /// When a pulse is next due of a sonar that pings; none while nobody does.
@@ -151,19 +190,42 @@ impl Beat {
             add(&self.control.sonars()[sonar].counters.triggers_missed, 1);
             return None;
         }
-        let late_ns = self.clock.mono().0 - at.0;
-        if let Some(out) = &self.triggers.outs[sonar] {
-            let utc = match self.stamp {
-                StampSpec::Log => order.transmit_utc,
-                StampSpec::Host => self.clock.host_utc().plus_ns(-late_ns),
+        if self.triggers.outs[sonar].is_some() {
+            let told = Told {
+                at,
+                sonar,
+                number: order.ping_number,
+                utc: order.transmit_utc,
             };
-            out.pulse(order.ping_number, utc);
-        }
-        if !self.own_time && matches!(event, Event::Beat(_)) {
-            worst(&counts.worst_pulse_us, late_ns.max(0) as u64 / 1000);
+            let place = self.untold.partition_point(|other| other.at <= at);
+            self.untold.insert(place, told);
+            self.tell();
         }
         self.beats.pulsed(sonar, order.transmit_utc);
         Some(order)
+    }
+
+    /// Tells others of the pulses whose instant has come.
+    fn tell(&mut self) {
+        while let Some(told) = self.untold.front().copied() {
+            let late_ns = self.clock.mono().0 - told.at.0;
+            if late_ns < 0 {
+                return;
+            }
+            self.untold.pop_front();
+            let Some(out) = &self.triggers.outs[told.sonar] else {
+                continue;
+            };
+            let utc = match self.stamp {
+                StampSpec::Log => told.utc,
+                StampSpec::Host => self.clock.host_utc().plus_ns(-late_ns),
+            };
+            out.pulse(told.number, utc);
+            if !self.own_time {
+                let counts = &self.control.sonars()[told.sonar].triggers;
+                worst(&counts.worst_pulse_us, late_ns as u64 / 1000);
+            }
+        }
     }
 
     /// Counts triggers that should have come.
@@ -183,20 +245,24 @@ impl Beat {
     }
 
     /// The thread: hands every order on at its instant.
-    fn run(mut self, orders: &Sender<(usize, PingOrder)>, pipeline: &Bell, stop: &AtomicBool) {
+    fn run(mut self, orders: &Sender<(usize, PingOrder)>, stop: &AtomicBool) {
         while !stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = self.timeline.utc(now);
-            while let Some((sonar, order)) = self.next(utc) {
+            self.tell();
+            while let Some((sonar, order)) = self.next(utc.plus_ns(self.ahead_ns)) {
                 if orders.try_send((sonar, order)).is_err() {
                     add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
                 }
-                pipeline.ring(&*self.clock);
+                self.coming.bell.ring(&*self.clock);
             }
             self.watch(utc);
+            let next = self.beats.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
+            self.coming.next_utc_ns.store(next.0, Ordering::Release);
+            let order = self.timeline.mono(next.plus_ns(-self.ahead_ns));
+            let told = self.untold.front().map(|told| told.at);
             let look = now.plus_ns(LOOK_NS);
-            let next = self.beats.next_utc(|_| true);
-            let until = next.map_or(look, |next| self.timeline.mono(next).min(look));
+            let until = told.map_or(order, |told| told.min(order)).min(look);
             let bell = self.triggers.bell.clone();
             self.clock.doze_until(until, &bell);
         }
@@ -206,7 +272,6 @@ impl Beat {
     pub fn start(
         self,
         orders: Sender<(usize, PingOrder)>,
-        pipeline: Arc<Bell>,
         priority: u8,
     ) -> std::io::Result<BeatThread> {
         let stop = Arc::new(AtomicBool::new(false));
@@ -218,7 +283,7 @@ impl Beat {
                     // What is not allowed was said when the daemon started.
                     let _ = priority::first_in_first_out(priority);
                 }
-                self.run(&orders, &pipeline, &stop);
+                self.run(&orders, &stop);
             }
         })?;
         Ok(BeatThread {

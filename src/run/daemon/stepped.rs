@@ -33,7 +33,7 @@ impl Pacer {
         let Some(first) = self.first_recorded() else {
             return;
         };
-        self.begin_schedules(first);
+        let first = self.begin_schedules(first);
         // What is told before the first pulse is earlier than it.
         let first_mono = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
         let timeline = *self
