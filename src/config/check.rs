@@ -229,6 +229,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         for sonar in sonars.iter_mut().flatten() {
             if sonar.model.cull_db.is_none() && sonar.model.synthesis.keeps_tolerance() {
                 sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
+                sonar.synthesis.auto.cull = sonar.synthesis.auto.synthesis;
             }
         }
     }
@@ -362,7 +363,11 @@ fn control<'t>(
         let condition = "a `listen` that is not this machine alone";
         needed_with(table, "token", Some(abroad), condition, problems);
     }
-    Some(ControlSpec { listen, token })
+    Some(ControlSpec {
+        listen,
+        token,
+        or_any_port: false,
+    })
 }
 
 fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
@@ -394,6 +399,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
         },
         priority: u8::try_from(table.integer("priority")?).ok()?,
         fault_directory: table.path("fault_directory"),
+        costs: table.path("costs"),
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,

@@ -993,6 +993,12 @@ static RUN: Table = Table {
             Optional("\"out\""),
             "Where faults-TIME.jsonl goes; left out: record.directory, and without that nowhere.",
         ),
+        key(
+            "costs",
+            Kind::File,
+            Optional("\"costs.toml\""),
+            "What methods cost on this machine, as `echotank check --calibrate FILE` writes it; left out: the table that comes with the program. What is \"auto\" is chosen by it.",
+        ),
     ],
     later: &["cores"],
 };
@@ -1009,7 +1015,7 @@ static RECORD: Table = Table {
 };
 
 static CONTROL: Table = Table {
-    doc: "Control over HTTP: POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
+    doc: "Control over HTTP: the operator's page at http://ADDRESS/, POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
     keys: &[
         key(
             "listen",
@@ -1021,7 +1027,7 @@ static CONTROL: Table = Table {
             "token",
             Kind::Text,
             Optional("\"a long secret\""),
-            "Asked of whoever controls, as `Authorization: Bearer TOKEN`. Needed where `listen` is not this machine alone.",
+            "Asked of whoever controls, as `Authorization: Bearer TOKEN` or on the page. Needed where `listen` is not this machine alone.",
         ),
     ],
     later: &[],
@@ -1364,16 +1370,22 @@ static MODEL: Table = Table {
         key(
             "path",
             Kind::Choice(
-                &["stop-and-hop", "polyline", "k-segment", "continuous"],
+                &[
+                    "stop-and-hop",
+                    "polyline",
+                    "k-segment",
+                    "continuous",
+                    "auto",
+                ],
                 &[],
             ),
             Default("\"polyline\""),
-            "How the platform moves between pulse and echo: not, on straight pieces, each element on straight pieces of its own, or as it does.",
+            "How the platform moves between pulse and echo: not, on straight pieces, each element on straight pieces of its own, or as it does. \"auto\" (here, of doppler and of synthesis): the cheapest that keeps the tolerance with this sonar, scene and motion; `check` says what and why.",
         ),
         key(
             "doppler",
             Kind::Choice(
-                &["none", "stretch", "stretch-quadratic", "paper-eq21"],
+                &["none", "stretch", "stretch-quadratic", "paper-eq21", "auto"],
                 &["common", "rank-r"],
             ),
             Default("\"stretch\""),
@@ -1390,6 +1402,7 @@ static MODEL: Table = Table {
                     "spectral",
                     "nearest",
                     "linear",
+                    "auto",
                 ],
                 &["gridded"],
             ),
@@ -1401,6 +1414,12 @@ static MODEL: Table = Table {
             Kind::Number(from(1e-8, 1e-1)),
             Default("1e-3"),
             "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what the \"gridded\" ones are made for, and what a certificate is held to.",
+        ),
+        key(
+            "tolerance_image",
+            Kind::Number(from(1e-6, 10.0)),
+            Optional("0.1"),
+            "Of what is \"auto\", where pictures are all that is looked at: path and doppler may displace things by so many cells of range, and by 2.5 times as many along the track, whatever the samples are off by. Left out: samples count.",
         ),
         key(
             "nearest_m",
@@ -1433,7 +1452,7 @@ static MODEL: Table = Table {
             "Scatterers whose two-way pattern lies below are left out; for targets and points it lies lower by as much as they are stronger than the ground's. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
         ),
     ],
-    later: &["tolerance_image", "simd", "incidence"],
+    later: &["simd", "incidence"],
 };
 
 static BEAMS: Table = Table {

@@ -5,6 +5,7 @@
 mod devices;
 mod families;
 mod faults;
+mod fidelity;
 mod samples;
 mod trigger;
 
@@ -20,6 +21,7 @@ use crate::flow::{
 };
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
+pub use fidelity::AutoModel;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
@@ -783,6 +785,8 @@ pub struct RunSpec {
     pub delivery: DeliverySpec,
     /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
     pub ahead_s: f64,
+    /// What methods cost on this machine; none is the table that comes with the program.
+    pub costs: Option<PathBuf>,
 }
 
 impl RunSpec {
@@ -832,6 +836,8 @@ pub struct ControlSpec {
     pub listen: Option<SocketAddr>,
     /// There is one wherever `listen` is not a loopback address.
     pub token: Option<String>,
+    /// Where the port of `listen` is somebody else's, any other will do: nobody named it.
+    pub or_any_port: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -972,6 +978,18 @@ pub struct SynthesisSpec {
     pub frequency_step_hz: Option<f64>,
     /// Nearest scatterer for which `gridded-2d` is made.
     pub nearest_m: f64,
+    /// What an engine is made for, where models need the rest of `tolerance`; none is all of it.
+    pub engine_tolerance: Option<f64>,
+    /// What the plan of methods chooses.
+    pub auto: AutoModel,
+    /// Pictures are all that is looked at: cells of range by which things may be displaced.
+    pub image_cells: Option<f64>,
+}
+
+impl SynthesisSpec {
+    pub fn made_for(&self) -> f64 {
+        self.engine_tolerance.unwrap_or(self.tolerance)
+    }
 }
 
 impl Default for SynthesisSpec {
@@ -981,6 +999,9 @@ impl Default for SynthesisSpec {
             certificate: false,
             frequency_step_hz: None,
             nearest_m: 5.0,
+            engine_tolerance: None,
+            auto: AutoModel::default(),
+            image_cells: None,
         }
     }
 }

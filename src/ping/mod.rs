@@ -8,6 +8,8 @@
 pub mod beats;
 pub mod trigger;
 
+pub mod fidelity;
+
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::flow::{NavState, PingPlan, Pulse, Segment, SonarSettings};
 use crate::frames::Trajectory;

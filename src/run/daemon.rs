@@ -18,6 +18,7 @@ mod stepped;
 mod triggers;
 
 use std::collections::VecDeque;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -30,6 +31,7 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
 use crate::config::spec::{ClockSpec, DeliverySpec, NavMode, RigSpec, StampSpec};
+use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{NavOutputError, NavOutputs};
@@ -48,7 +50,8 @@ use crate::run::counters::{PingCounters, add, worst};
 use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
-use crate::run::outputs::{OutputError, Outputs};
+use crate::run::outputs::{OutputError, Outputs, PageOpening};
+use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
 use crate::run::triggers::TriggerCounts;
@@ -236,11 +239,17 @@ impl Daemon {
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
+        let feed = Arc::new(Feed::new(spec.sonars.len()));
         let mut outputs = Vec::new();
         let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             let own = Arc::new(Histograms::new());
-            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own)?;
+            let page = spec.control.listen.map(|_| PageOpening {
+                feed: feed.clone(),
+                sonar: outputs.len() as u16,
+                world: rig.world.clone(),
+            });
+            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own, page)?;
             outputs.push(opened);
             histograms.push(own);
         }
@@ -268,10 +277,16 @@ impl Daemon {
             sonars.collect(),
             rig.faults.clone(),
             wire_time,
+            PageSource {
+                feed,
+                spec: spec.clone(),
+                world: rig.world.clone(),
+            },
         ));
         let server = match spec.control.listen {
             Some(listen) => Some(ControlServer::start(
                 listen,
+                spec.control.or_any_port,
                 spec.control.token.clone(),
                 control.clone(),
             )?),
@@ -294,6 +309,11 @@ impl Daemon {
         })
     }
 
+    /// Where the operator's page is served, if it is.
+    pub fn page(&self) -> Option<SocketAddr> {
+        Some(self.server.as_ref()?.local_addr())
+    }
+
     /// How it is paused, stepped and told.
     pub fn control(&self) -> Arc<RunControl> {
         self.control.clone()
@@ -310,8 +330,17 @@ impl Daemon {
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
         lines.extend(self.triggers.addresses(&self.rig.spec));
-        let control = self.server.iter();
-        lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
+        if let Some(server) = &self.server {
+            let address = server.local_addr();
+            lines.push(format!("control http {address}"));
+            lines.push(format!("page http://{address}/"));
+            let asked = self.rig.spec.control.listen.map(|asked| asked.port());
+            if let Some(asked) = asked.filter(|&port| port != 0 && port != address.port()) {
+                lines.push(format!(
+                    "warning: port {asked} is another program's; page and control are at {address} this time"
+                ));
+            }
+        }
         lines.extend(self.remarks.iter().cloned());
         lines
     }
@@ -657,6 +686,7 @@ impl Pacer {
             // leaves at once.
             let first = self.first_recorded()?;
             let first = self.begin_schedules(first);
+            self.rig.plan_all(&mut self.inputs, first);
             if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
                 // Nothing of it may leave before its pulse, which is foreseen before that.
                 let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
@@ -694,7 +724,7 @@ impl Pacer {
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
             let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
-            self.control.set_nav_lines(lines);
+            self.control.set_nav(lines, self.inputs.sources());
         }
     }
 
@@ -834,6 +864,9 @@ impl Pacer {
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        if let Some(planner) = &self.rig.sonars[sonar].planner {
+            counters.plan(output.fidelity.as_ref(), &planner.counts);
+        }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
             let now = self.clock.mono();

@@ -9,6 +9,10 @@ const MOST_US: u64 = 600_000_000;
 /// Two digits: percentiles within 1 %.
 const DIGITS: u8 = 2;
 
+/// Of a picture of a histogram: the first bin ends here, and each is so many times as wide as the one before.
+const FIRST_BIN_US: u64 = 16;
+const BIN_GROWTH: f64 = 2.0;
+
 /// Of one sonar. Their memory is all taken when they are made.
 pub struct Histograms {
     start_error: Spread,
@@ -38,6 +42,13 @@ impl Spread {
     pub fn note(&self, us: u64) {
         let mut histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         histogram.saturating_record(us);
+    }
+
+    fn bins(&self) -> Vec<(u64, u64)> {
+        let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let bins = histogram.iter_log(FIRST_BIN_US, BIN_GROWTH);
+        let bins = bins.map(|bin| (bin.value_iterated_to(), bin.count_since_last_iteration()));
+        bins.collect()
     }
 
     pub fn figures(&self) -> Figures {
@@ -100,6 +111,16 @@ impl Histograms {
         self.pacing.note((ns.max(0) / 1000) as u64);
     }
 
+    /// By name: where bins end, microseconds, and what is in them; up to the last with anything in it.
+    pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 4] {
+        [
+            ("start_error", self.start_error.bins()),
+            ("compute_margin", self.margin.bins()),
+            ("nav_to_samples", self.nav_to_samples.bins()),
+            ("hand_over", self.hand_over.bins()),
+        ]
+    }
+
     /// Name, meaning, figures.
     pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
         [
@@ -158,6 +179,10 @@ mod tests {
         ] {
             assert!((got as f64 / want - 1.0).abs() < 0.01, "{got} {want}");
         }
+        let (name, bins) = &histograms.bins()[0];
+        assert_eq!(*name, "start_error");
+        assert_eq!(bins.iter().map(|(_, count)| count).sum::<u64>(), 1000);
+        assert!(bins.windows(2).all(|w| w[0].0 < w[1].0), "{bins:?}");
         histograms.margin_us(i64::MAX);
         histograms.margin_us(-5);
         let margin = histograms.all()[1].2;

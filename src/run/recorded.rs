@@ -53,6 +53,7 @@ impl RecordedRig {
         };
         // Known for long enough to foresee it.
         let first = first.plus_ns(spec.run.ahead_ns());
+        rig.plan_all(&mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
         let follows = |trigger: &TriggerSpec| matches!(trigger.from, TriggerFrom::Sonar { .. });

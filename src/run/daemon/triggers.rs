@@ -56,18 +56,14 @@ impl Triggers {
         let (sender, came) = bounded(MOST_WAITING);
         let bell = Arc::new(Bell::default());
         let (mut doors, mut outs) = (Vec::new(), Vec::new());
-        let rate = match spec.run.clock {
-            ClockSpec::Scaled(rate) => rate,
-            _ => 1.0,
-        };
         for (sonar, (spec_of, counts)) in spec.sonars.iter().zip(counts).enumerate() {
             let sink: Sink = if spec.run.clock.is_own() {
                 stepping(gate.clone(), counts.clone())
             } else {
                 let (clock, bell, sender) = (clock.clone(), bell.clone(), sender.clone());
-                let counts = counts.clone();
+                let (counts, gate) = (counts.clone(), gate.clone());
                 Arc::new(move |Trigger { age_ns, number }| {
-                    let age_ns = (age_ns as f64 * rate) as i64;
+                    let age_ns = (age_ns as f64 * gate.rate().unwrap_or(1.0)) as i64;
                     let at = clock.mono().plus_ns(-age_ns);
                     if sender.try_send(Came { sonar, at, number }).is_err() {
                         add(&counts.dropped, 1);

@@ -4,6 +4,7 @@ mod elements;
 mod files;
 mod imagenex872;
 mod jsf;
+mod page;
 mod ping_protocol;
 mod server_counts;
 mod sevenk;
@@ -26,6 +27,9 @@ use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
 use crate::time::{Clock, MonoNs, UtcNs};
+
+use page::Page;
+pub use page::PageOpening;
 
 pub(super) use jsf::row_filter;
 
@@ -93,7 +97,7 @@ fn record<R>(
 }
 
 /// What one client has had.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct StreamCounts {
     pub family: &'static str,
     /// `TCP 127.0.0.1:51234`.
@@ -188,6 +192,7 @@ impl Outputs {
         rig_time: &RigTime,
         clock: &Arc<dyn Clock>,
         histograms: &Arc<Histograms>,
+        page: Option<PageOpening>,
     ) -> Result<Self, OutputError> {
         let lateness = {
             let histograms = Arc::clone(histograms);
@@ -205,7 +210,7 @@ impl Outputs {
             },
             spread: Spread::of(&spec.run),
         };
-        let all = unit
+        let mut all = unit
             .spec
             .outputs
             .iter()
@@ -229,7 +234,9 @@ impl Outputs {
                     OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
                 })
             })
-            .collect::<Result<_, _>>()?;
+            .collect::<Result<Vec<_>, _>>()?;
+        // Last, after everything that a topside waits for.
+        all.extend(page.map(|page| -> Box<dyn Output> { Box::new(Page::new(&unit.spec, page)) }));
         Ok(Self { all })
     }
 
