@@ -22,7 +22,7 @@ export class Health {
     if (byId("pane-health").hidden) return;
     const s = state.sonars[sonar];
     // A way of sending that is not used has nothing to show.
-    const spreads = SPREADS.filter(([name]) => s.microseconds[name].count > 0 || name !== "send_pacing").map(([name, title]) => spread(title, s.microseconds[name], s.bins[name]));
+    const spreads = SPREADS.filter(([name]) => s.bins[name]?.length > 0 || name !== "send_pacing").map(([name, title]) => spread(title, s.microseconds[name], s.bins[name]));
     byId("health").replaceChildren(make("div", { class: "figures" }, ...spreads), make("div", { class: "figures" }, this.#counts(s, state), this.#plan(s)), clients(s, state));
   }
 
