@@ -312,7 +312,7 @@ impl DelaySumFormer {
         let mut workers = std::mem::take(&mut self.workers);
         let this = &*self;
         out.par_chunks_mut(share * samples)
-            .zip(this.directions.sine.par_chunks(share))
+            .zip(this.aimed.directions.sine.par_chunks(share))
             .zip(&mut workers)
             .for_each(|((rows, sines), worker)| {
                 this.sum_beams(&steering, sines, samples, worker, rows);
