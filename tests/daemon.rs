@@ -14,6 +14,8 @@ mod modes;
 mod nav_while_pinging;
 #[path = "daemon/streaming.rs"]
 mod streaming;
+#[path = "daemon/triggers.rs"]
+mod triggers;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

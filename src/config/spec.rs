@@ -7,6 +7,7 @@ mod families;
 mod faults;
 mod fidelity;
 mod samples;
+mod trigger;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
 
@@ -22,6 +23,9 @@ use crate::flow::{
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use fidelity::AutoModel;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
+pub use trigger::{
+    EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
+};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -851,6 +855,8 @@ pub struct SonarSpec {
     /// Settings at start.
     pub settings: SonarSettings,
     pub limits: LimitsSpec,
+    pub trigger: TriggerSpec,
+    pub trigger_out: TriggerOutSpec,
     pub model: ModelChoice,
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,

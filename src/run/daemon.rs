@@ -13,7 +13,9 @@
 //! So it is where time is the machine's (`realtime`, `scaled`). In `fast` and `lockstep` the pipeline moves time itself from pulse to pulse
 //! (`stepped`): nothing is late there and nothing skipped for it. The samples are the same bits in all.
 
+mod beat;
 mod stepped;
+mod triggers;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -22,6 +24,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
+use self::beat::{Beat, Company};
+use self::triggers::{Triggers, at_first};
 use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
@@ -37,17 +41,20 @@ use crate::io::record::faults::FaultLog;
 use crate::io::record::recover::recover_folder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
+use crate::io::trigger::DoorError;
+use crate::io::trigger::out::OutError;
 use crate::nav::Coverage;
-use crate::ping::{PingOrder, Schedule};
+use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
-use crate::run::faults::{Faults, Injection, PingMark};
+use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
+use crate::run::triggers::TriggerCounts;
 use crate::time::{
     Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
 };
@@ -76,6 +83,10 @@ pub enum DaemonError {
     Pool(#[from] rayon::ThreadPoolBuildError),
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
+    #[error(transparent)]
+    Trigger(#[from] DoorError),
+    #[error(transparent)]
+    TriggerOut(#[from] OutError),
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
@@ -188,6 +199,7 @@ pub struct Daemon {
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
+    triggers: Triggers,
     timeline: Arc<OnceLock<Timeline>>,
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
@@ -216,8 +228,9 @@ impl Daemon {
             .sonars
             .iter()
             .map(|sonar| {
-                Arc::new(SettingsStore::new(
+                Arc::new(SettingsStore::triggered(
                     sonar.settings,
+                    at_first(&sonar.trigger.from, spec.run.clock),
                     sonar.limits,
                     clock.clone(),
                 ))
@@ -240,12 +253,20 @@ impl Daemon {
             outputs.push(opened);
             histograms.push(own);
         }
+        let trigger_counts: Vec<_> = spec
+            .sonars
+            .iter()
+            .map(|_| Arc::new(TriggerCounts::default()))
+            .collect();
+        let triggers = Triggers::open(spec, &clock, &gate, &trigger_counts)?;
+        let mut trigger_counts = trigger_counts.into_iter();
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
         let sonars = sonars.zip(histograms);
         let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
+            triggers: trigger_counts.next().unwrap_or_default(),
             histograms,
             reports: outputs.reports(),
         });
@@ -279,6 +300,7 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
@@ -307,6 +329,7 @@ impl Daemon {
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
+        lines.extend(self.triggers.addresses(&self.rig.spec));
         if let Some(server) = &self.server {
             let address = server.local_addr();
             lines.push(format!("control http {address}"));
@@ -333,6 +356,7 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
@@ -361,7 +385,8 @@ impl Daemon {
             deliveries.extend(threads);
         }
         let pacer = Pacer {
-            schedules: Vec::new(),
+            first: None,
+            triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
@@ -397,7 +422,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults);
+            fault_log.write(&faults, control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -415,7 +440,7 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults);
+        fault_log.write(&faults, control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         closed.map_err(DaemonError::Output)
@@ -437,14 +462,17 @@ impl FaultLogFile {
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, and ends the log.
-    fn write(&mut self, faults: &Faults) {
+    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
         let injections = faults.take_injections();
         if injections.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(&injections) {
             eprintln!("echotank: {error}");
+            if let Some(first) = sonars.first() {
+                add(&first.counters.recordings_stopped, 1);
+            }
             (self.directory, self.log) = (None, None);
         }
     }
@@ -536,8 +564,10 @@ struct Pacer {
     /// Tells how long computing took.
     machine: SystemClock,
     stop: Arc<AtomicBool>,
-    /// One per sonar, once the first ping's instant is known.
-    schedules: Vec<Schedule>,
+    /// Of the first ping, once it is known.
+    first: Option<UtcNs>,
+    /// Until the beat has them.
+    triggers: Option<Triggers>,
     /// In order of `t_tx`.
     waiting: VecDeque<Waiting>,
     /// One per sonar.
@@ -562,18 +592,31 @@ impl Pacer {
         // Set once, here; whoever asked before got the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
+        let Some(beat) = self.beat(timeline) else {
+            return;
+        };
+        let (sender, orders) = bounded(MOST_ORDERS);
+        let coming = beat.coming();
+        let priority = self.rig.spec.run.priority;
+        let _beat = match beat.start(sender, priority) {
+            Ok(thread) => thread,
+            Err(why) => {
+                eprintln!("echotank: could not start a thread: {why}");
+                self.stop.store(true, Ordering::Release);
+                return;
+            }
+        };
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            let known = self.known_until(utc);
+            // Read first: an order that is not among those taken now is not before it.
+            let next = coming.next();
+            self.take_orders(&orders, &timeline);
+            let known = self.known_until(utc, next);
             self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
-            // A log that has ended makes no more pings; those ordered before are still made.
-            if !self.inputs.finished() {
-                self.order(utc.plus_ns(self.ahead_ns()), &timeline);
-            }
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -585,14 +628,8 @@ impl Pacer {
                 None if self.inputs.finished() => return,
                 None => now.plus_ns(50 * POLL_NS),
             };
-            let next_order = self
-                .schedules
-                .iter()
-                .map(|s| timeline.mono(s.next_utc()).plus_ns(-self.ahead_ns()))
-                .chain([self.nav_out.next_publish()])
-                .min();
-            self.clock
-                .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
+            let wait_until = wait_until.min(self.nav_out.next_publish());
+            self.clock.doze_until(wait_until, &coming.bell);
         }
     }
 
@@ -602,14 +639,13 @@ impl Pacer {
     }
 
     /// How far recorded navigation may be read: what was not known yet when a ping had to be foreseen must not be known to it, however late it
-    /// is computed.
-    fn known_until(&self, utc: UtcNs) -> UtcNs {
+    /// is computed. `next`: the next pulse that may still be ordered.
+    fn known_until(&self, utc: UtcNs, next: UtcNs) -> UtcNs {
         if self.rig.spec.nav.mode == NavMode::Settle {
             return utc;
         }
         let ordered = self.waiting.iter().map(|w| w.order.transmit_utc);
-        let next = self.schedules.iter().map(Schedule::next_utc);
-        let first = ordered.chain(next).min();
+        let first = ordered.chain([next]).min();
         first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
@@ -628,10 +664,22 @@ impl Pacer {
     fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
         // Known for long enough to foresee it.
         let first = first.plus_ns(self.ahead_ns());
-        let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
-        self.schedules = vec![schedule; self.rig.sonars.len()];
+        self.first = Some(first);
         self.rig.faults.begin(first);
         first
+    }
+
+    /// To be asked once, after [`Self::begin_schedules`].
+    fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
+        let company = Company {
+            settings: self.settings.clone(),
+            control: self.control.clone(),
+            faults: self.rig.faults.clone(),
+            clock: self.clock.clone(),
+        };
+        let triggers = self.triggers.take()?;
+        let spec = &self.rig.spec;
+        Some(Beat::new(spec, self.first?, timeline, company, triggers))
     }
 
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
@@ -694,49 +742,46 @@ impl Pacer {
         }
     }
 
-    /// Freezes every ping whose instant has come.
-    fn order(&mut self, utc: UtcNs, timeline: &Timeline) {
+    /// Puts down every ping whose instant has come.
+    fn take_orders(&mut self, orders: &Receiver<(usize, PingOrder)>, timeline: &Timeline) {
         let latency_s = self.rig.spec.run.latency_s;
-        for sonar in 0..self.schedules.len() {
-            let settings = self.settings[sonar].clone();
-            while let Some(order) =
-                self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
-            {
-                settings.pinged(timeline.mono(order.transmit_utc));
-                if self.is_missed(sonar, &order) {
-                    continue;
-                }
-                if self.waiting.len() >= MOST_ORDERS {
-                    add(&self.counters(sonar).skipped_queue, 1);
-                    continue;
-                }
-                let window_s = self.rig.window_s(sonar, &order);
-                let pulse = timeline.mono(order.transmit_utc);
-                let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
-                let ready_by = match self.rig.spec.run.delivery {
-                    DeliverySpec::PingEnd => deadline,
-                    DeliverySpec::Streaming { block_s, latency_s } => {
-                        pulse.plus_s(block_s + latency_s)
-                    }
-                };
-                let due = Due {
-                    pulse,
-                    ready_by,
-                    deadline,
-                };
-                let place = self
-                    .waiting
-                    .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
-                self.waiting.insert(
-                    place,
-                    Waiting {
-                        sonar,
-                        order,
-                        window_s,
-                        due,
-                    },
-                );
+        let ended = match self.inputs.finished() {
+            true => self.inputs.recorded_end(),
+            false => None,
+        };
+        for (sonar, order) in orders.try_iter() {
+            // A log that has ended makes no more pings; the beat may have gone on a little.
+            if ended.is_some_and(|end| order.transmit_utc >= end) {
+                continue;
             }
+            if self.waiting.len() >= MOST_ORDERS {
+                add(&self.counters(sonar).skipped_queue, 1);
+                continue;
+            }
+            let window_s = self.rig.window_s(sonar, &order);
+            let pulse = timeline.mono(order.transmit_utc);
+            let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+            let ready_by = match self.rig.spec.run.delivery {
+                DeliverySpec::PingEnd => deadline,
+                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
+            };
+            let due = Due {
+                pulse,
+                ready_by,
+                deadline,
+            };
+            let place = self
+                .waiting
+                .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
+            self.waiting.insert(
+                place,
+                Waiting {
+                    sonar,
+                    order,
+                    window_s,
+                    due,
+                },
+            );
         }
     }
 
@@ -779,13 +824,6 @@ impl Pacer {
         };
         self.compute(sonar, &order, Some(due), slot, timeline);
         Step::Done
-    }
-
-    /// Whether a fault has this pulse missed; it keeps its number.
-    fn is_missed(&self, sonar: usize, order: &PingOrder) -> bool {
-        let missed = self.rig.faults.trigger_missed(PingMark::of(sonar, order));
-        add(&self.counters(sonar).triggers_missed, u64::from(missed));
-        missed
     }
 
     fn counters(&self, sonar: usize) -> &PingCounters {
@@ -897,11 +935,11 @@ fn deliver(
             }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver() {
+        outputs.deliver(|error| {
             eprintln!("echotank: {error}");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
-        }
+        });
         if let Some(deadline) = deadline {
             way.histograms
                 .handed_over_us(way.clock.mono().0 - deadline.0);

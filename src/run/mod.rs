@@ -25,5 +25,6 @@ pub mod replay;
 pub mod rig;
 pub mod settings;
 pub mod synthetic_aperture;
+pub mod triggers;
 mod view;
 pub mod world;

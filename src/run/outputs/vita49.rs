@@ -139,6 +139,7 @@ impl Report for Vita49Report {
         let streams = self.send_to.iter().map(|to| StreamCounts {
             family: "vita49",
             peer: format!("UDP {to}"),
+            receives: String::new(),
             bytes_sent: share(&self.counts.bytes),
             records_sent: share(&self.counts.packets),
             records_dropped: share(&self.counts.failed),
