@@ -26,9 +26,12 @@
 
 mod columns;
 mod elements;
+#[cfg(target_arch = "x86_64")]
+mod elements_avx512;
 mod engine;
 mod lanes;
 mod line_array;
+mod merge;
 mod panel;
 pub mod plan;
 pub mod pulse;
@@ -36,6 +39,8 @@ mod sample;
 mod series;
 mod smooth;
 mod spread;
+#[cfg(target_arch = "x86_64")]
+mod spread_avx512;
 mod stages;
 mod task;
 mod weights;
