@@ -198,7 +198,7 @@ impl<T: Sample> Task<'_, T> {
 
 /// Adds columns to all pairs' sums.
 #[inline(always)]
-fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
+pub fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
     let pairs = columns.sums.len();
     for part in (0..BLOCK).step_by(PART) {
         let mut pair = 0;

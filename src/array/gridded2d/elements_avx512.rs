@@ -148,3 +148,49 @@ unsafe fn some<const N: usize, const EVEN: usize, const ODD: usize>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::elements::all_pairs;
+    use super::*;
+
+    #[test]
+    fn the_kernel_gives_what_plain_arithmetic_gives() {
+        if !is_x86_feature_detected!("avx512f") || !is_x86_feature_detected!("avx512dq") {
+            return;
+        }
+        let draw = |k: usize, step: f64| (2.0 * (k as f64 * step).fract() - 1.0) as f32;
+        let (count, pairs, room) = (5, 7, 8);
+        for powers in (0..20).filter(|&powers| takes(powers)) {
+            let len = count * powers * BLOCK;
+            let re: Vec<f32> = (0..len).map(|k| draw(k, 0.618)).collect();
+            let im: Vec<f32> = (0..len).map(|k| draw(k, 0.755)).collect();
+            let rotors: Vec<[f32; 2]> = (0..pairs * room)
+                .map(|k| [draw(k, 0.57), draw(k, 0.33)])
+                .collect();
+            let x: Vec<f32> = (0..pairs).map(|k| draw(k, 0.41)).collect();
+            let sums = |kernel: fn(Columns<f32>)| {
+                let mut sums = vec![[[0.25f32; BLOCK]; 4]; pairs];
+                kernel(Columns {
+                    re: &re,
+                    im: &im,
+                    powers,
+                    first: 2,
+                    count,
+                    rotors: &rotors,
+                    room,
+                    x: &x,
+                    sums: &mut sums,
+                });
+                sums
+            };
+            // SAFETY: asked above; VL, AVX2 and FMA come with these.
+            let got = sums(|columns| unsafe { add(columns) });
+            let want = sums(all_pairs::<f32, false>);
+            let pairs = got.as_flattened().as_flattened().iter();
+            for (got, want) in pairs.zip(want.as_flattened().as_flattened()) {
+                assert!((got - want).abs() < 2e-5, "{powers} powers: {got}, {want}");
+            }
+        }
+    }
+}

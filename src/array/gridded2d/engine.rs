@@ -27,6 +27,8 @@ use super::weights::{InverseGain, Taps, tap_tables};
 
 /// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
 const FILTERED: f64 = 0.1;
+/// Of what each series may leave out, what following the bow to second order may.
+const BOW_SHARE: f64 = 0.1;
 /// By how much more than surveyed the spans of a task are taken, until all echoes lie within.
 const MARGINS: [f64; 3] = [0.03, 0.3, 3.0];
 
@@ -475,6 +477,19 @@ impl<T: Sample> LineEngine<T> {
         self.rows as f64 * self.rate_hz / self.bins() as f64
     }
 
+    /// The steepest that dilation beyond its line may become per slope: templates follow what changes from column to column to second order,
+    /// so that the cube of the phase that is met from one to the next is left.
+    fn steepest_bow(&self, half_m: f64) -> f64 {
+        let ping = &self.ping;
+        let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
+        let columns_per_slope = self.top_hz() / ping.sound_speed_m_per_s
+            * 2.0
+            * self.fineness.slope_oversampling
+            * reach_m;
+        let turn_rad = (BOW_SHARE * self.fineness.series).cbrt();
+        turn_rad * columns_per_slope / (std::f64::consts::PI * self.top_hz() * ping.duration_s)
+    }
+
     /// One task: echoes from `source` to samples, element by element, slab-long. `output` is resized; empty where there are no echoes.
     pub fn run(
         &self,
@@ -502,7 +517,8 @@ impl<T: Sample> LineEngine<T> {
             return (counts, report);
         }
         let window_s = 0.5 * self.ping.duration_s;
-        let surveyed = Smooth::of(&work.echoes, window_s, self.stretch(task).half_m);
+        let half_m = self.stretch(task).half_m;
+        let surveyed = Smooth::of(&work.echoes, window_s, half_m, self.steepest_bow(half_m));
         work.stages.lap(Stage::Survey, &mut since);
         for margin in MARGINS {
             let numbers = Task::new(

@@ -178,3 +178,58 @@ impl Merge {
         self.basis[channel * self.products + product] / self.weight[product]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Products of a bottom on which two things follow from one place, a little of their own beside it.
+    fn products(echo: usize) -> Vec<f64> {
+        let at = |step: f64| 2.0 * (echo as f64 * step).fract() - 1.0;
+        let (place, own) = (at(0.618_034), at(0.754_878));
+        let (a, b) = (0.7 * place + 0.1 * own, 0.8 * place * place - 0.2 * place);
+        (0..4)
+            .flat_map(|p| (0..3).map(move |q| a.powi(p) * b.powi(q)))
+            .collect()
+    }
+
+    #[test]
+    fn a_few_sums_of_products_leave_no_echo_more_than_the_tolerance() {
+        const ECHOES: usize = 1000;
+        let weights: Vec<f64> = (0..12).map(|m| 0.3f64.powi(m / 3 + m % 3)).collect();
+        let mut counts = Vec::new();
+        for tolerance in [1e-2, 1e-3, 1e-5] {
+            let mut merge = Merge::default();
+            merge.start(weights.iter().copied(), ECHOES);
+            let left = merge.products_mut();
+            for echo in 0..ECHOES {
+                for (m, value) in products(echo).into_iter().enumerate() {
+                    left[m * ECHOES + echo] = value;
+                }
+            }
+            let says = merge.choose(tolerance, Dialect::PORTABLE);
+            let mut worst: f64 = 0.0;
+            for echo in 0..ECHOES {
+                let own = products(echo);
+                let channel = |i: usize| -> f64 {
+                    let parts = own.iter().enumerate();
+                    parts.map(|(m, c)| merge.into_channel(m, i) * c).sum()
+                };
+                let channels: Vec<f64> = (0..merge.count).map(channel).collect();
+                let off = |m: usize| {
+                    let parts = channels.iter().enumerate();
+                    let met: f64 = parts.map(|(i, c)| merge.of_template(m, i) * c).sum();
+                    weights[m] * (met - own[m])
+                };
+                worst = worst.max((0..12).map(|m| off(m).powi(2)).sum::<f64>().sqrt());
+                for (channel, peak) in channels.iter().zip(&merge.peak) {
+                    assert!(channel.abs() <= peak * (1.0 + 1e-9), "{channel} > {peak}");
+                }
+            }
+            println!("{tolerance:e}: {} channels, left {worst:e}", merge.count);
+            assert!(worst <= tolerance && (worst - says).abs() < 1e-9 + 1e-6 * says);
+            counts.push(merge.count);
+        }
+        assert!(counts[0] < 5 && counts[2] < 12, "{counts:?}");
+    }
+}
