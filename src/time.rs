@@ -43,6 +43,28 @@ pub trait Clock: Send + Sync {
     fn host_utc(&self) -> UtcNs;
     /// Returns at or after `deadline`, an absolute instant: waiting never drifts.
     fn sleep_until(&self, deadline: MonoNs);
+    /// As [`Clock::sleep_until`], but returns as soon as `bell` has been rung, too.
+    fn doze_until(&self, deadline: MonoNs, _bell: &Bell) {
+        self.sleep_until(deadline);
+    }
+    /// Whoever dozes looks at its bell.
+    fn stir(&self) {}
+}
+
+/// Wakes one who dozes on a clock. A ring is kept until it is heard.
+#[derive(Debug, Default)]
+pub struct Bell(std::sync::atomic::AtomicBool);
+
+impl Bell {
+    pub fn ring(&self, clock: &dyn Clock) {
+        self.0.store(true, std::sync::atomic::Ordering::Release);
+        clock.stir();
+    }
+
+    /// Whether it was rung since this was last asked.
+    fn heard(&self) -> bool {
+        self.0.swap(false, std::sync::atomic::Ordering::AcqRel)
+    }
 }
 
 /// The machine's clocks.
@@ -197,15 +219,27 @@ impl PacedClock {
         self.lock().stopped
     }
 
+    pub fn rate(&self) -> f64 {
+        self.lock().rate
+    }
+
+    /// Goes at another rate from now on, without a jump.
+    pub fn set_rate(&self, rate: f64) {
+        assert!(rate > 0.0 && rate.is_finite(), "a rate of {rate}");
+        self.change(|pace| pace.rate = rate);
+    }
+
     fn set(&self, stopped: bool) {
+        self.change(|pace| pace.stopped = stopped);
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Pace)) {
         let mut pace = self.lock();
-        if pace.stopped != stopped {
-            let machine = self.machine.mono();
-            pace.mono_ns = pace.at(machine).0;
-            pace.machine_ns = machine.0;
-            pace.stopped = stopped;
-            self.changed.notify_all();
-        }
+        let machine = self.machine.mono();
+        pace.mono_ns = pace.at(machine).0;
+        pace.machine_ns = machine.0;
+        change(&mut pace);
+        self.changed.notify_all();
     }
 
     /// A pace is written in one go, with nothing in between that panics.
@@ -226,10 +260,24 @@ impl Clock for PacedClock {
         self.machine.host_utc().plus_ns(off_ns)
     }
     fn sleep_until(&self, deadline: MonoNs) {
+        self.sleep(deadline, None);
+    }
+    fn doze_until(&self, deadline: MonoNs, bell: &Bell) {
+        self.sleep(deadline, Some(bell));
+    }
+    fn stir(&self) {
+        // With the lock: a sleeper that has just looked at its bell is asleep before it is woken.
+        let _pace = self.lock();
+        self.changed.notify_all();
+    }
+}
+
+impl PacedClock {
+    fn sleep(&self, deadline: MonoNs, bell: Option<&Bell>) {
         let mut pace = self.lock();
         loop {
             let left_ns = deadline.0 - pace.at(self.machine.mono()).0;
-            if left_ns <= 0 {
+            if left_ns <= 0 || bell.is_some_and(Bell::heard) {
                 return;
             }
             // What is left is worked out anew from absolute instants after every waking, so waiting never drifts.
@@ -283,6 +331,39 @@ mod tests {
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() >= stood.plus_ns(NS_PER_S));
+    }
+
+    #[test]
+    fn a_bell_wakes_who_dozes_even_while_time_stands_and_is_kept_until_it_is_heard() {
+        let clock = PacedClock::at_rate(1.0);
+        clock.stop();
+        let bell = Bell::default();
+        let far = clock.mono().plus_ns(3600 * NS_PER_S);
+        bell.ring(&clock);
+        clock.doze_until(far, &bell);
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| clock.doze_until(far, &bell));
+            bell.ring(&clock);
+            sleeper.join().expect("woken");
+        });
+        assert!(clock.mono() < far);
+    }
+
+    #[test]
+    fn another_rate_holds_from_now_on_and_wakes_who_sleeps() {
+        let clock = PacedClock::at_rate(1e-3);
+        let before = clock.mono();
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| clock.sleep_until(before.plus_ns(NS_PER_S)));
+            clock.set_rate(1e6);
+            sleeper.join().expect("woken");
+        });
+        assert!(clock.mono() >= before.plus_ns(NS_PER_S));
+        clock.stop();
+        let stood = clock.mono();
+        clock.set_rate(2.0);
+        assert!(clock.is_stopped() && clock.rate() == 2.0);
+        assert_eq!(clock.mono(), stood);
     }
 
     #[test]

@@ -75,6 +75,31 @@ fn the_least_configuration_takes_the_defaults_the_template_shows() {
 }
 
 #[test]
+fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_told_otherwise() {
+    let rig = parse(&minimal());
+    assert_eq!(rig.run.delivery, DeliverySpec::PingEnd);
+    assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.0, Some(0.8)));
+    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\npace = \"burst\"\n";
+    let output =
+        "\n[sonar.output.elements]\nsend_to = \"127.0.0.1:5, 127.0.0.1:6\"\nsample = \"f32\"\n";
+    let text = minimal().replace(
+        "[[nav.source]]",
+        "max_extrapolation_ms = 500\n[[nav.source]]",
+    );
+    let rig = parse(&(text + output + run));
+    let (block_s, latency_s) = (1e-3, 2e-3);
+    assert_eq!(
+        rig.run.delivery,
+        DeliverySpec::Streaming { block_s, latency_s }
+    );
+    assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.1, None));
+    let OutputSpec::Elements(elements) = &rig.sonars[0].outputs[0] else {
+        panic!("{:?}", rig.sonars[0].outputs);
+    };
+    assert_eq!((elements.send_to.len(), elements.is_float), (2, true));
+}
+
+#[test]
 fn units_are_shifted_without_rounding_twice() {
     // Among these are some that a product with 1e-3 misses by one bit, and some that a quotient by 1e3 misses.
     for digits in ["0.9", "2.1", "4.9", "5.9e0", "59e-1", "1_000.7", "4"] {
@@ -686,6 +711,66 @@ seed"#);
     ] {
         assert!(said.contains(words), "no `{words}` in\n{said}");
     }
+}
+
+#[test]
+fn what_triggers_a_sonar_and_whom_it_tells_mean_what_they_say() {
+    let (rest, sonar) = minimal()
+        .split_once("[[sonar]]")
+        .map(|(rest, sonar)| (rest.to_owned(), sonar.to_owned()))
+        .expect("one");
+    let mut text = rest;
+    for (name, trigger) in [
+        ("own", ""),
+        (
+            "udp",
+            "[sonar.trigger]\nsource = \"udp\"\nlisten = \"0.0.0.0:10125\"\nearly = \"queue\"\nmin_interval_ms = 80\nwatchdog_ms = 2500\n[sonar.trigger_out]\nto = \"127.0.0.1:1\"\nport = \"/dev/ttyS0\"\nline = \"dtr\"\npulse_ms = 0.3",
+        ),
+        (
+            "dcd",
+            "[sonar.trigger]\nsource = \"serial-dcd\"\nport = \"/dev/ttyS1\"\nedge = \"falling\"",
+        ),
+        ("asked", "[sonar.trigger]\nsource = \"protocol\""),
+        (
+            "after",
+            "[sonar.trigger]\nsource = \"sonar\"\nfollow = \"udp\"\ndelay_ms = 33.3",
+        ),
+    ] {
+        text += &format!("[[sonar]]{}\n{trigger}\n", sonar.replace("main", name));
+    }
+    let sonars = parse(&text).sonars;
+    let plain = TriggerSpec::default();
+    assert_eq!(sonars[0].trigger, plain);
+    assert_eq!(sonars[0].trigger_out, TriggerOutSpec::default());
+    let udp = TriggerSpec {
+        from: TriggerFrom::Udp {
+            listen: "0.0.0.0:10125".parse().expect("an address"),
+        },
+        early: EarlyTrigger::Queue,
+        least_interval_s: 0.08,
+        watchdog_s: Some(2.5),
+    };
+    assert_eq!(sonars[1].trigger, udp);
+    let out = TriggerOutSpec {
+        to: Some("127.0.0.1:1".parse().expect("an address")),
+        serial: Some(TriggerLineSpec {
+            port: "/dev/ttyS0".into(),
+            line: OutLine::DataTerminalReady,
+            pulse_s: 3e-4,
+        }),
+    };
+    assert_eq!(sonars[1].trigger_out, out);
+    let line = TriggerFrom::Serial {
+        port: "/dev/ttyS1".into(),
+        line: ModemLine::CarrierDetect,
+        rising: false,
+    };
+    let after = TriggerFrom::Sonar {
+        sonar: 1,
+        delay_s: 0.0333,
+    };
+    let from: Vec<_> = sonars[2..].iter().map(|s| s.trigger.from.clone()).collect();
+    assert_eq!(from, [line, TriggerFrom::Protocol, after]);
 }
 
 #[test]

@@ -12,6 +12,10 @@ mod killed;
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/streaming.rs"]
+mod streaming;
+#[path = "daemon/triggers.rs"]
+mod triggers;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

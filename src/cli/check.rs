@@ -1,15 +1,17 @@
 //! `echotank check`: is a configuration right, and what follows from it.
 
+mod plan;
+
 use std::path::PathBuf;
 
 use clap::Args;
 
 use super::{Failure, load};
 use crate::config;
-use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
 use crate::echo::culling::left_out_share;
-use crate::flow::Synthesis;
-use crate::run::pipeline::engine_cards;
+use crate::flow::{MethodCard, Synthesis};
+use crate::run::pipeline::{PipelineError, engine_cards};
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
@@ -25,6 +27,21 @@ pub struct CheckArgs {
     /// Print the JSON Schema of a configuration
     #[arg(long, conflicts_with = "template")]
     pub schema: bool,
+    /// Print the plan of methods, and nothing else, as JSON
+    #[arg(long, requires = "config")]
+    pub json: bool,
+    /// Print every candidate of the plan too, cheapest first
+    #[arg(long, requires = "config")]
+    pub all: bool,
+    /// Do not plan: say only whether the configuration is right
+    #[arg(long, conflicts_with_all = ["json", "all"])]
+    pub quick: bool,
+    /// What methods cost on this machine, as --calibrate writes it (default: run.costs, or the table that comes with the program)
+    #[arg(long, value_name = "FILE")]
+    pub costs: Option<PathBuf>,
+    /// Measure what methods cost on this machine, on this configuration's sonars and scene, and write FILE
+    #[arg(long, value_name = "FILE", requires = "config")]
+    pub calibrate: Option<PathBuf>,
 }
 
 pub fn main(args: &CheckArgs) -> Result<(), Failure> {
@@ -33,13 +50,24 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
     } else if args.schema {
         println!("{}", config::schema());
     } else if let Some(path) = &args.config {
-        let spec = load(path, &args.set)?;
+        let mut spec = load(path, &args.set)?;
+        spec.run.costs = args.costs.clone().or(spec.run.costs);
+        if let Some(file) = &args.calibrate {
+            return plan::calibrate(&spec, file);
+        }
+        if args.json {
+            print!("{}", plan::json(&spec)?);
+            return Ok(());
+        }
         print!("{}", config::summary(&spec));
         for sonar in &spec.sonars {
-            let refuse = |why| {
+            let refuse_text = |why: String| {
                 Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
             };
-            for card in engine_cards(sonar, &spec.medium).map_err(refuse)? {
+            let refuse = |why: PipelineError| refuse_text(why.to_string());
+            let cards = engine_cards(sonar, &spec.medium).map_err(refuse)?;
+            refuse_what_cannot_stream(&spec.run, sonar, &cards).map_err(refuse_text)?;
+            for card in cards {
                 let cost = match card.cost_ms > 0.0 {
                     true => format!(", {:.2} ms on one core per {}", card.cost_ms, whole(sonar)),
                     false => String::new(),
@@ -53,7 +81,44 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
         for sonar in &spec.sonars {
             print!("{}", culling(sonar, &spec.medium));
         }
+        if !args.quick {
+            print!("{}", plan::text(&spec, args.all)?);
+        }
         println!("{}: ok", path.display());
+    }
+    Ok(())
+}
+
+/// A ping that streams is computed before its pulse: what its engine is foreseen to take on all cores together, at the least, must lie between.
+/// An engine that foresees nothing is taken at its word.
+fn refuse_what_cannot_stream(
+    run: &RunSpec,
+    sonar: &SonarSpec,
+    cards: &[MethodCard],
+) -> Result<(), String> {
+    if run.delivery == DeliverySpec::PingEnd {
+        return Ok(());
+    }
+    let each = match sonar.model.synthesis {
+        Synthesis::Gridded2d => 1,
+        _ => sonar.receive.iter().map(|array| array.elements).sum(),
+    };
+    let cost_ms: f64 = cards.iter().map(|card| card.cost_ms * each as f64).sum();
+    let cores = match run.threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    let (least_ms, ahead_ms) = (cost_ms / cores as f64, run.ahead_s * 1e3);
+    let period_ms = 1e3 / sonar.settings.max_ping_rate_hz;
+    if least_ms > period_ms {
+        return Err(format!(
+            "run.delivery = \"streaming\": a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
+        ));
+    }
+    if least_ms > ahead_ms {
+        return Err(format!(
+            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores; must be longer (where pulses are not known beforehand, run.stream_latency_ms would have to be)"
+        ));
     }
     Ok(())
 }

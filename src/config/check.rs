@@ -12,6 +12,8 @@ mod picture;
 mod samples;
 mod scene;
 pub(super) mod sonar;
+mod streaming;
+mod trigger;
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -202,17 +204,20 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     let run = table.table("run").and_then(|t| run(t, problems));
     if let (Some(nav), Some(t)) = (&nav, table.table("run")) {
         refuse_own_time_with_live_sources(nav, t, problems);
+        streaming::refuse_without_foresight(nav, t, problems);
     }
     let control = table
         .table("control")
         .and_then(|t| control(t, &mut listeners, problems));
 
     let tables = table.tables("sonar");
-    unique_names(tables, problems);
+    let names = unique_names(tables, problems);
     let mut sonars: Vec<_> = tables
         .iter()
-        .map(|t| sonar::sonar(t, medium.as_ref(), &mut listeners, problems))
+        .enumerate()
+        .map(|(k, t)| sonar::sonar(t, (k, &names), medium.as_ref(), &mut listeners, problems))
         .collect();
+    trigger::refuse_what_nobody_can_trigger(tables, &sonars, run.as_ref(), problems);
     let longest_range_m = tables
         .iter()
         .filter_map(sonar::longest_range_m)
@@ -224,10 +229,14 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         for sonar in sonars.iter_mut().flatten() {
             if sonar.model.cull_db.is_none() && sonar.model.synthesis.keeps_tolerance() {
                 sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
+                sonar.synthesis.auto.cull = sonar.synthesis.auto.synthesis;
             }
         }
     }
     let heads: Vec<_> = sonars.iter().flatten().collect();
+    if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.table("run")) {
+        streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
+    }
     let rig = scene::Rig {
         sonars: &heads,
         sound_speed_m_per_s: medium.as_ref().map(|m| m.sound_speed_m_per_s),
@@ -354,7 +363,11 @@ fn control<'t>(
         let condition = "a `listen` that is not this machine alone";
         needed_with(table, "token", Some(abroad), condition, problems);
     }
-    Some(ControlSpec { listen, token })
+    Some(ControlSpec {
+        listen,
+        token,
+        or_any_port: false,
+    })
 }
 
 fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
@@ -362,7 +375,22 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let scaled = clock.map(|clock| clock == "scaled");
     let condition = "clock = \"scaled\"";
     only_with(table, &["clock_rate"], scaled, condition, problems);
+    let spread = table.text("pace").map(|pace| pace == "spread");
+    only_with(
+        table,
+        &["pace_share"],
+        spread,
+        "pace = \"spread\"",
+        problems,
+    );
+    let delivery = streaming::delivery(table, problems);
     Some(RunSpec {
+        spread_share: match spread? {
+            true => Some(table.number("pace_share")?),
+            false => None,
+        },
+        delivery: delivery?,
+        ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
             "fast" => ClockSpec::Fast,
@@ -371,6 +399,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
         },
         priority: u8::try_from(table.integer("priority")?).ok()?,
         fault_directory: table.path("fault_directory"),
+        costs: table.path("costs"),
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,

@@ -13,19 +13,25 @@
 //! So it is where time is the machine's (`realtime`, `scaled`). In `fast` and `lockstep` the pipeline moves time itself from pulse to pulse
 //! (`stepped`): nothing is late there and nothing skipped for it. The samples are the same bits in all.
 
+mod beat;
 mod stepped;
+mod triggers;
 
 use std::collections::VecDeque;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
+use self::beat::{Beat, Company};
+use self::triggers::{Triggers, at_first};
 use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{ClockSpec, NavMode, RigSpec, StampSpec};
+use crate::config::spec::{ClockSpec, DeliverySpec, NavMode, RigSpec, StampSpec};
+use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{NavOutputError, NavOutputs};
@@ -35,16 +41,20 @@ use crate::io::record::faults::FaultLog;
 use crate::io::record::recover::recover_folder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
+use crate::io::trigger::DoorError;
+use crate::io::trigger::out::OutError;
 use crate::nav::Coverage;
-use crate::ping::{PingOrder, Schedule};
+use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
-use crate::run::faults::{Faults, Injection, PingMark};
+use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
-use crate::run::outputs::{OutputError, Outputs};
+use crate::run::outputs::{OutputError, Outputs, PageOpening};
+use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
+use crate::run::triggers::TriggerCounts;
 use crate::time::{
     Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
 };
@@ -73,6 +83,10 @@ pub enum DaemonError {
     Pool(#[from] rayon::ThreadPoolBuildError),
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
+    #[error(transparent)]
+    Trigger(#[from] DoorError),
+    #[error(transparent)]
+    TriggerOut(#[from] OutError),
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
@@ -83,7 +97,18 @@ pub enum DaemonError {
 struct Delivery {
     slot: Box<PingSlot>,
     /// None where time is the pipeline's own: at once.
-    deadline: Option<MonoNs>,
+    due: Option<Due>,
+}
+
+/// When what a ping makes is due.
+#[derive(Clone, Copy, Debug)]
+struct Due {
+    /// The start of its pulse.
+    pulse: MonoNs,
+    /// The last instant at which it is of use: the first block's where samples stream, else the deadline.
+    ready_by: MonoNs,
+    /// All that leaves at the end of the ping.
+    deadline: MonoNs,
 }
 
 /// What a delivery thread works with besides its outputs.
@@ -112,15 +137,31 @@ impl Lane {
     }
 }
 
+/// A thread that owns outputs, and what became of their recorders.
+type OutputThread = JoinHandle<Result<(), OutputError>>;
+
 /// Makes the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
 fn open_lane(
     rig: &Rig,
     sonar: usize,
     outputs: Outputs,
     way: Way,
-) -> Result<(Lane, JoinHandle<Result<(), OutputError>>), DaemonError> {
+) -> Result<(Lane, Vec<OutputThread>), DaemonError> {
     let slots = rig.spec.run.queue_pings;
-    let (to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let (outputs, streams) = outputs.split();
+    let (mut to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let mut threads = Vec::new();
+    if !streams.is_empty() {
+        // Ahead of the delivery thread, which waits for the end of the ping before.
+        let (to_streams, pings) = bounded::<Delivery>(slots);
+        let on = std::mem::replace(&mut to_delivery, to_streams);
+        let way = way.clone();
+        let thread = thread::Builder::new()
+            .name(format!("streams {sonar}"))
+            .spawn(move || stream(streams, &pings, &on, &way))
+            .map_err(DaemonError::Thread)?;
+        threads.push(thread);
+    }
     let (to_free, free) = bounded::<Box<PingSlot>>(slots);
     for _ in 0..slots {
         // Cannot fail: the channel holds exactly this many.
@@ -130,21 +171,22 @@ fn open_lane(
         .name(format!("delivery {sonar}"))
         .spawn(move || deliver(outputs, &deliveries, &to_free, &way))
         .map_err(DaemonError::Thread)?;
+    threads.push(thread);
     let lane = Lane {
         free,
         spare: None,
         to_delivery,
     };
-    Ok((lane, thread))
+    Ok((lane, threads))
 }
 
-/// An order with its sonar and the last instant at which its ping is of use.
+/// An order with its sonar and when its ping is due.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     sonar: usize,
     order: PingOrder,
     window_s: f64,
-    deadline: MonoNs,
+    due: Due,
 }
 
 /// A daemon that has opened everything it needs.
@@ -157,6 +199,7 @@ pub struct Daemon {
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
+    triggers: Triggers,
     timeline: Arc<OnceLock<Timeline>>,
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
@@ -185,8 +228,9 @@ impl Daemon {
             .sonars
             .iter()
             .map(|sonar| {
-                Arc::new(SettingsStore::new(
+                Arc::new(SettingsStore::triggered(
                     sonar.settings,
+                    at_first(&sonar.trigger.from, spec.run.clock),
                     sonar.limits,
                     clock.clone(),
                 ))
@@ -195,16 +239,35 @@ impl Daemon {
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
+        let feed = Arc::new(Feed::new(spec.sonars.len()));
         let mut outputs = Vec::new();
+        let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
-            outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
+            let own = Arc::new(Histograms::new());
+            let page = spec.control.listen.map(|_| PageOpening {
+                feed: feed.clone(),
+                sonar: outputs.len() as u16,
+                world: rig.world.clone(),
+            });
+            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own, page)?;
+            outputs.push(opened);
+            histograms.push(own);
         }
+        let trigger_counts: Vec<_> = spec
+            .sonars
+            .iter()
+            .map(|_| Arc::new(TriggerCounts::default()))
+            .collect();
+        let triggers = Triggers::open(spec, &clock, &gate, &trigger_counts)?;
+        let mut trigger_counts = trigger_counts.into_iter();
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
-        let sonars = sonars.map(|((sonar, settings), outputs)| SonarControl {
+        let sonars = sonars.zip(histograms);
+        let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
-            histograms: Arc::new(Histograms::new()),
+            triggers: trigger_counts.next().unwrap_or_default(),
+            histograms,
             reports: outputs.reports(),
         });
         let control = Arc::new(RunControl::new(
@@ -214,10 +277,16 @@ impl Daemon {
             sonars.collect(),
             rig.faults.clone(),
             wire_time,
+            PageSource {
+                feed,
+                spec: spec.clone(),
+                world: rig.world.clone(),
+            },
         ));
         let server = match spec.control.listen {
             Some(listen) => Some(ControlServer::start(
                 listen,
+                spec.control.or_any_port,
                 spec.control.token.clone(),
                 control.clone(),
             )?),
@@ -231,12 +300,18 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
             server,
             remarks,
         })
+    }
+
+    /// Where the operator's page is served, if it is.
+    pub fn page(&self) -> Option<SocketAddr> {
+        Some(self.server.as_ref()?.local_addr())
     }
 
     /// How it is paused, stepped and told.
@@ -254,8 +329,18 @@ impl Daemon {
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
-        let control = self.server.iter();
-        lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
+        lines.extend(self.triggers.addresses(&self.rig.spec));
+        if let Some(server) = &self.server {
+            let address = server.local_addr();
+            lines.push(format!("control http {address}"));
+            lines.push(format!("page http://{address}/"));
+            let asked = self.rig.spec.control.listen.map(|asked| asked.port());
+            if let Some(asked) = asked.filter(|&port| port != 0 && port != address.port()) {
+                lines.push(format!(
+                    "warning: port {asked} is another program's; page and control are at {address} this time"
+                ));
+            }
+        }
         lines.extend(self.remarks.iter().cloned());
         lines
     }
@@ -271,6 +356,7 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
@@ -294,12 +380,13 @@ impl Daemon {
                 gate: control.gate().clone(),
                 priority: rig.spec.run.priority,
             };
-            let (lane, thread) = open_lane(&rig, sonar, outputs, way)?;
+            let (lane, threads) = open_lane(&rig, sonar, outputs, way)?;
             lanes.push(lane);
-            deliveries.push(thread);
+            deliveries.extend(threads);
         }
         let pacer = Pacer {
-            schedules: Vec::new(),
+            first: None,
+            triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
@@ -335,7 +422,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults);
+            fault_log.write(&faults, control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -353,7 +440,7 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults);
+        fault_log.write(&faults, control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         closed.map_err(DaemonError::Output)
@@ -375,14 +462,17 @@ impl FaultLogFile {
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, and ends the log.
-    fn write(&mut self, faults: &Faults) {
+    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
         let injections = faults.take_injections();
         if injections.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(&injections) {
             eprintln!("echotank: {error}");
+            if let Some(first) = sonars.first() {
+                add(&first.counters.recordings_stopped, 1);
+            }
             (self.directory, self.log) = (None, None);
         }
     }
@@ -474,8 +564,10 @@ struct Pacer {
     /// Tells how long computing took.
     machine: SystemClock,
     stop: Arc<AtomicBool>,
-    /// One per sonar, once the first ping's instant is known.
-    schedules: Vec<Schedule>,
+    /// Of the first ping, once it is known.
+    first: Option<UtcNs>,
+    /// Until the beat has them.
+    triggers: Option<Triggers>,
     /// In order of `t_tx`.
     waiting: VecDeque<Waiting>,
     /// One per sonar.
@@ -500,17 +592,31 @@ impl Pacer {
         // Set once, here; whoever asked before got the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
+        let Some(beat) = self.beat(timeline) else {
+            return;
+        };
+        let (sender, orders) = bounded(MOST_ORDERS);
+        let coming = beat.coming();
+        let priority = self.rig.spec.run.priority;
+        let _beat = match beat.start(sender, priority) {
+            Ok(thread) => thread,
+            Err(why) => {
+                eprintln!("echotank: could not start a thread: {why}");
+                self.stop.store(true, Ordering::Release);
+                return;
+            }
+        };
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            self.inputs.pull(utc, &mut self.rig.history);
+            // Read first: an order that is not among those taken now is not before it.
+            let next = coming.next();
+            self.take_orders(&orders, &timeline);
+            let known = self.known_until(utc, next);
+            self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
-            // A log that has ended makes no more pings; those ordered before are still made.
-            if !self.inputs.finished() {
-                self.order(utc, &timeline);
-            }
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -522,15 +628,25 @@ impl Pacer {
                 None if self.inputs.finished() => return,
                 None => now.plus_ns(50 * POLL_NS),
             };
-            let next_order = self
-                .schedules
-                .iter()
-                .map(|s| timeline.mono(s.next_utc()))
-                .chain([self.nav_out.next_publish()])
-                .min();
-            self.clock
-                .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
+            let wait_until = wait_until.min(self.nav_out.next_publish());
+            self.clock.doze_until(wait_until, &coming.bell);
         }
+    }
+
+    /// How long before its pulse a ping is ordered and computed.
+    fn ahead_ns(&self) -> i64 {
+        self.rig.spec.run.ahead_ns()
+    }
+
+    /// How far recorded navigation may be read: what was not known yet when a ping had to be foreseen must not be known to it, however late it
+    /// is computed. `next`: the next pulse that may still be ordered.
+    fn known_until(&self, utc: UtcNs, next: UtcNs) -> UtcNs {
+        if self.rig.spec.nav.mode == NavMode::Settle {
+            return utc;
+        }
+        let ordered = self.waiting.iter().map(|w| w.order.transmit_utc);
+        let first = ordered.chain([next]).min();
+        first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
     /// When a recorded log first holds what a ping needs; none where it never does, or the daemon is stopped.
@@ -545,10 +661,25 @@ impl Pacer {
         }
     }
 
-    fn begin_schedules(&mut self, first: UtcNs) {
-        let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
-        self.schedules = vec![schedule; self.rig.sonars.len()];
+    fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
+        // Known for long enough to foresee it.
+        let first = first.plus_ns(self.ahead_ns());
+        self.first = Some(first);
         self.rig.faults.begin(first);
+        first
+    }
+
+    /// To be asked once, after [`Self::begin_schedules`].
+    fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
+        let company = Company {
+            settings: self.settings.clone(),
+            control: self.control.clone(),
+            faults: self.rig.faults.clone(),
+            clock: self.clock.clone(),
+        };
+        let triggers = self.triggers.take()?;
+        let spec = &self.rig.spec;
+        Some(Beat::new(spec, self.first?, timeline, company, triggers))
     }
 
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
@@ -557,7 +688,13 @@ impl Pacer {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
             let first = self.first_recorded()?;
-            self.begin_schedules(first);
+            let first = self.begin_schedules(first);
+            self.rig.plan_all(&mut self.inputs, first);
+            if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
+                // Nothing of it may leave before its pulse, which is foreseen before that.
+                let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
+                return Some(Timeline::through(ordered, first.plus_ns(-self.ahead_ns())));
+            }
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
             let units = self.rig.sonars.iter();
@@ -590,7 +727,7 @@ impl Pacer {
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
             let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
-            self.control.set_nav_lines(lines);
+            self.control.set_nav(lines, self.inputs.sources());
         }
     }
 
@@ -605,37 +742,46 @@ impl Pacer {
         }
     }
 
-    /// Freezes every ping whose instant has come.
-    fn order(&mut self, utc: UtcNs, timeline: &Timeline) {
+    /// Puts down every ping whose instant has come.
+    fn take_orders(&mut self, orders: &Receiver<(usize, PingOrder)>, timeline: &Timeline) {
         let latency_s = self.rig.spec.run.latency_s;
-        for sonar in 0..self.schedules.len() {
-            let settings = self.settings[sonar].clone();
-            while let Some(order) =
-                self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
-            {
-                settings.pinged(timeline.mono(order.transmit_utc));
-                if self.is_missed(sonar, &order) {
-                    continue;
-                }
-                if self.waiting.len() >= MOST_ORDERS {
-                    add(&self.counters(sonar).skipped_queue, 1);
-                    continue;
-                }
-                let window_s = self.rig.window_s(sonar, &order);
-                let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
-                let place = self
-                    .waiting
-                    .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
-                self.waiting.insert(
-                    place,
-                    Waiting {
-                        sonar,
-                        order,
-                        window_s,
-                        deadline,
-                    },
-                );
+        let ended = match self.inputs.finished() {
+            true => self.inputs.recorded_end(),
+            false => None,
+        };
+        for (sonar, order) in orders.try_iter() {
+            // A log that has ended makes no more pings; the beat may have gone on a little.
+            if ended.is_some_and(|end| order.transmit_utc >= end) {
+                continue;
             }
+            if self.waiting.len() >= MOST_ORDERS {
+                add(&self.counters(sonar).skipped_queue, 1);
+                continue;
+            }
+            let window_s = self.rig.window_s(sonar, &order);
+            let pulse = timeline.mono(order.transmit_utc);
+            let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+            let ready_by = match self.rig.spec.run.delivery {
+                DeliverySpec::PingEnd => deadline,
+                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
+            };
+            let due = Due {
+                pulse,
+                ready_by,
+                deadline,
+            };
+            let place = self
+                .waiting
+                .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
+            self.waiting.insert(
+                place,
+                Waiting {
+                    sonar,
+                    order,
+                    window_s,
+                    due,
+                },
+            );
         }
     }
 
@@ -644,8 +790,9 @@ impl Pacer {
             sonar,
             order,
             window_s,
-            deadline,
+            due,
         } = *front;
+        let deadline = due.ready_by;
         let mode = self.rig.spec.nav.mode;
         let covered = match mode {
             NavMode::Predict => true,
@@ -675,15 +822,8 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        self.compute(sonar, &order, Some(deadline), slot, timeline);
+        self.compute(sonar, &order, Some(due), slot, timeline);
         Step::Done
-    }
-
-    /// Whether a fault has this pulse missed; it keeps its number.
-    fn is_missed(&self, sonar: usize, order: &PingOrder) -> bool {
-        let missed = self.rig.faults.trigger_missed(PingMark::of(sonar, order));
-        add(&self.counters(sonar).triggers_missed, u64::from(missed));
-        missed
     }
 
     fn counters(&self, sonar: usize) -> &PingCounters {
@@ -695,7 +835,7 @@ impl Pacer {
         &mut self,
         sonar: usize,
         order: &PingOrder,
-        deadline: Option<MonoNs>,
+        due: Option<Due>,
         mut slot: Box<PingSlot>,
         timeline: &Timeline,
     ) -> bool {
@@ -714,27 +854,58 @@ impl Pacer {
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
+        let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
+        if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+            // Its first samples cannot leave in time: none do, or the latency would not be constant.
+            add(&counters.skipped_late, 1);
+            self.lanes[sonar].spare = Some(slot);
+            return false;
+        }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
         let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        if let Some(planner) = &self.rig.sonars[sonar].planner {
+            counters.plan(output.fidelity.as_ref(), &planner.counts);
+        }
         counters.nav(&slot.plan.nav);
-        if let Some(deadline) = deadline {
+        if let Some(due) = due {
             let now = self.clock.mono();
-            histograms.margin_us(deadline.0 - now.0);
-            histograms.nav_to_samples_us(now.0 - timeline.mono(order.transmit_utc).0);
+            histograms.margin_us(due.ready_by.0 - now.0);
+            histograms.nav_to_samples_us(now.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
         if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
             .to_delivery
-            .try_send(Delivery { slot, deadline })
+            .try_send(Delivery { slot, due })
         {
             self.stop.store(true, Ordering::Release);
         }
         true
     }
+}
+
+/// Lets the samples of each ping leave as they would be heard, and hands it on at once.
+fn stream(
+    mut outputs: Outputs,
+    pings: &Receiver<Delivery>,
+    on: &Sender<Delivery>,
+    way: &Way,
+) -> Result<(), OutputError> {
+    if way.priority > 0 {
+        // What is not allowed was said when the daemon started.
+        let _ = priority::first_in_first_out(way.priority);
+    }
+    for ping in pings {
+        outputs.stream(&ping.slot, ping.due.map(|due| due.pulse));
+        // It holds as many as there are slots. Nobody there: the daemon ends.
+        if on.send(ping).is_err() {
+            break;
+        }
+    }
+    outputs.close()
 }
 
 /// Encodes each ping while it waits, and hands its records over at the deadline.
@@ -749,7 +920,8 @@ fn deliver(
         let _ = priority::first_in_first_out(way.priority);
     }
     let mut first_error = None;
-    for Delivery { slot, deadline } in deliveries {
+    for Delivery { slot, due } in deliveries {
+        let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.
         let _ = free.try_send(slot);
@@ -763,11 +935,11 @@ fn deliver(
             }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver() {
+        outputs.deliver(|error| {
             eprintln!("echotank: {error}");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
-        }
+        });
         if let Some(deadline) = deadline {
             way.histograms
                 .handed_over_us(way.clock.mono().0 - deadline.0);

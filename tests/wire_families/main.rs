@@ -7,5 +7,7 @@ mod controls;
 mod flat_bottom;
 mod load;
 mod navigation;
+mod pulses;
 mod rig;
+mod spread;
 mod together;

@@ -3,7 +3,6 @@
 //! Threads hand over raw bytes with the monotonic arrival of the first one (of a datagram: when the kernel had it); whoever pulls decodes them. Until rig time is known they are
 //! kept as bytes, so that every sample is decoded on the timeline it belongs to.
 
-mod stamp;
 mod tcp;
 
 use std::collections::VecDeque;
@@ -25,6 +24,7 @@ use crate::config::spec::{
     NavInputSpec, NavSourceSpec, NavSpec, ParitySpec, SerialLine, TimePolicy,
 };
 use crate::flow::NavSample;
+use crate::io::stamp;
 use crate::nav::decoder::unwatched;
 use crate::nav::{NavDecoder, NavHistory};
 use crate::time::{Clock, MonoNs, NS_PER_S, Timeline};

@@ -28,6 +28,8 @@ impl SvlogRecorder {
         utc: UtcNs,
     ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
             file,
