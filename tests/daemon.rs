@@ -12,6 +12,8 @@ mod killed;
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/waiting.rs"]
+mod waiting;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

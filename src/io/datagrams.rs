@@ -32,12 +32,20 @@ pub struct Route {
 /// What was sent.
 #[derive(Debug, Default)]
 pub struct DatagramCounts {
-    pub packets: AtomicU64,
-    pub bytes: AtomicU64,
-    /// Refused by the operating system.
-    pub failed: AtomicU64,
+    /// One for each address, in the order of [`Route::send_to`].
+    pub receivers: Vec<ReceiverCounts>,
     /// Pings that found the queue full.
     pub dropped_pings: AtomicU64,
+}
+
+/// What was sent to one address.
+#[derive(Debug)]
+pub struct ReceiverCounts {
+    pub to: SocketAddr,
+    pub packets: AtomicU64,
+    pub bytes: AtomicU64,
+    /// Packets that the operating system refused.
+    pub failed: AtomicU64,
 }
 
 /// The near end of the sending thread. Stops, with everything queued sent, when dropped.
@@ -57,7 +65,16 @@ impl DatagramSender {
             .collect::<std::io::Result<Vec<_>>>()?;
         let (full, packets) = bounded::<Packets>(route.queue);
         let (give_back, empty) = bounded(route.queue + 1);
-        let counts = Arc::new(DatagramCounts::default());
+        let receivers = route.send_to.iter().map(|&to| ReceiverCounts {
+            to,
+            packets: AtomicU64::new(0),
+            bytes: AtomicU64::new(0),
+            failed: AtomicU64::new(0),
+        });
+        let counts = Arc::new(DatagramCounts {
+            receivers: receivers.collect(),
+            dropped_pings: AtomicU64::new(0),
+        });
         let shared = Arc::clone(&counts);
         let thread = thread::Builder::new()
             .name("datagrams".into())
@@ -133,15 +150,16 @@ fn send(
     counts: &DatagramCounts,
 ) {
     for packet in ping.iter() {
-        for (socket, to) in sockets {
-            let sent = match socket.send_to(packet, to) {
-                Ok(_) => &counts.packets,
-                Err(_) => &counts.failed,
-            };
-            sent.fetch_add(1, Ordering::Relaxed);
-            counts
-                .bytes
-                .fetch_add(packet.len() as u64, Ordering::Relaxed);
+        for ((socket, to), receiver) in sockets.iter().zip(&counts.receivers) {
+            match socket.send_to(packet, to) {
+                Ok(sent) => {
+                    receiver.packets.fetch_add(1, Ordering::Relaxed);
+                    receiver.bytes.fetch_add(sent as u64, Ordering::Relaxed);
+                }
+                Err(_) => {
+                    receiver.failed.fetch_add(1, Ordering::Relaxed);
+                }
+            }
         }
         pace.after(packet.len());
     }
@@ -203,14 +221,21 @@ mod tests {
         let inboxes = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a socket"));
         let to = inboxes.each_ref().map(|s| s.local_addr().expect("address"));
         let sender = DatagramSender::open(route(to.to_vec(), 1e9)).expect("opens");
-        assert!(sender.send(ping_of(&[b"one", b"two"])));
+        assert!(sender.send(ping_of(&[b"one", b"three"])));
+        let counts = sender.counts().clone();
         drop(sender);
+        for (receiver, &to) in counts.receivers.iter().zip(&to) {
+            let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+            assert_eq!(receiver.to, to);
+            assert_eq!((read(&receiver.packets), read(&receiver.bytes)), (2, 8));
+            assert_eq!(read(&receiver.failed), 0);
+        }
         for inbox in inboxes {
             inbox
                 .set_read_timeout(Some(Duration::from_secs(10)))
                 .expect("set");
             let mut buffer = [0; 16];
-            for want in [b"one", b"two"] {
+            for want in [&b"one"[..], b"three"] {
                 let len = inbox.recv(&mut buffer).expect("a packet");
                 assert_eq!(&buffer[..len], want);
             }

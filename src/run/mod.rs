@@ -23,3 +23,4 @@ pub mod rig;
 pub mod settings;
 pub mod synthetic_aperture;
 mod view;
+pub mod waiting;

@@ -4,11 +4,12 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, RigSpec};
+use crate::config::spec::RigSpec;
 use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::ping::{PingOrder, Schedule};
 use crate::run::rig::{Rig, RigError};
+use crate::run::waiting::lacking;
 use crate::time::VirtualClock;
 
 #[derive(Debug, Error)]
@@ -19,8 +20,10 @@ pub enum RecordedError {
         "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
     )]
     NoLog,
-    #[error("the recorded navigation holds no usable sample of {0:?}, which every ping needs")]
-    NoNav(Vec<NavChannel>),
+    #[error(
+        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+    )]
+    NoNav(String),
 }
 
 pub struct RecordedRig {
@@ -43,9 +46,10 @@ impl RecordedRig {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;
             }
-            if !inputs.pull_next(&mut rig.history) {
-                return Err(RecordedError::NoNav(rig.history.silent()));
+            if inputs.is_all_known() {
+                return Err(RecordedError::NoNav(lacking(&spec.nav, &rig.history)));
             }
+            inputs.pull_next(&mut rig.history);
         };
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];

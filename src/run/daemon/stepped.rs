@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
+use super::{DaemonError, FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
 use crate::run::rig::PingSlot;
 use crate::time::{Clock, Timeline, UtcNs};
 
@@ -29,9 +29,9 @@ impl Lane {
 
 impl Pacer {
     /// Pings until the navigation ends or the daemon stops.
-    pub(super) fn run_stepped(mut self) {
-        let Some(first) = self.first_recorded() else {
-            return;
+    pub(super) fn run_stepped(mut self) -> Result<(), DaemonError> {
+        let Some(first) = self.first_recorded()? else {
+            return Ok(());
         };
         self.begin_schedules(first);
         // What is told before the first pulse is earlier than it.
@@ -45,7 +45,7 @@ impl Pacer {
         loop {
             self.renew_nav_lines();
             if !gate.wait_open() || self.stop.load(Ordering::Acquire) {
-                return;
+                return Ok(());
             }
             self.foresee();
             let Some((sonar, at)) = self.next_pulse() else {
@@ -65,17 +65,17 @@ impl Pacer {
                 continue;
             }
             if !self.rig.read_on(&mut self.inputs, sonar, &order) {
-                return;
+                return Ok(());
             }
             let stop = self.stop.clone();
             let Some(slot) = self.lanes[sonar].next_slot(|| stop.load(Ordering::Acquire)) else {
-                return;
+                return Ok(());
             };
             if self.compute(sonar, &order, None, slot, &timeline) {
                 handed_over += 1;
                 // A step is over when its ping has left: whoever asked for it may change settings for the next.
                 if gate.is_paused() && !gate.wait_delivered(handed_over) {
-                    return;
+                    return Ok(());
                 }
             }
         }

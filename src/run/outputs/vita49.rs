@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Opening, Output, OutputError, Report, StreamCounts};
 use crate::config::spec::Vita49Spec;
 use crate::emit::vita49::{Packets, Vita49Emitter};
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Route};
@@ -91,16 +91,38 @@ struct Vita49Report {
 }
 
 impl Report for Vita49Report {
+    /// The sonar's, and one for each receiver.
     fn lines(&self) -> Vec<String> {
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        vec![format!(
-            "vita49 {}: {} packets, {:.1} MB sent, {} failed, {} pings dropped, {} values held at full scale",
+        let mut lines = vec![format!(
+            "vita49 {}: {} pings dropped, {} values held at full scale",
             self.name,
-            read(&self.counts.packets),
-            read(&self.counts.bytes) as f64 / 1e6,
-            read(&self.counts.failed),
             read(&self.counts.dropped_pings),
             read(&self.saturated),
-        )]
+        )];
+        lines.extend(self.counts.receivers.iter().map(|receiver| {
+            format!(
+                "  UDP {}: {:.1} MB, {} packets sent, {} failed",
+                receiver.to,
+                read(&receiver.bytes) as f64 / 1e6,
+                read(&receiver.packets),
+                read(&receiver.failed),
+            )
+        }));
+        lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        let receivers = self.counts.receivers.iter();
+        let counts = receivers.map(|receiver| StreamCounts {
+            family: "vita49",
+            peer: format!("UDP {}", receiver.to),
+            bytes_sent: read(&receiver.bytes),
+            records_sent: read(&receiver.packets),
+            records_dropped: read(&receiver.failed),
+            queued_bytes: 0,
+        });
+        counts.collect()
     }
 }
