@@ -7,5 +7,6 @@ mod controls;
 mod flat_bottom;
 mod load;
 mod navigation;
+mod pipeline;
 mod rig;
 mod together;
