@@ -622,6 +622,29 @@ pub struct Conditions {
     pub elements: usize,
     /// What the methods that keep a tolerance are made for.
     pub tolerance: f64,
+    /// None: echoes may come from any direction.
+    pub heard: Option<Heard>,
+}
+
+/// How the echoes that are heard move, weighted with their energy: root mean squares over the echoes of a window of a pulse's length, of the
+/// worst window of a ping, relative to that window or to the whole ping, whichever is louder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heard {
+    /// How far an element moves along the ray between the pulse and the echo.
+    pub hop_m: f64,
+    /// Along the ray, the mean of transmitter and element.
+    pub closing_m_per_s: f64,
+    /// Second derivative of the range, the mean of both legs.
+    pub bend_m_per_s2: f64,
+    /// Of an element, along the ray.
+    pub acceleration_m_per_s2: f64,
+    /// Of an element on its arm by the platform's turning alone, along the ray.
+    pub turning_m_per_s: f64,
+    /// Of an element, along the ray, of what its motion has across its array.
+    pub across_m_per_s: f64,
+    /// By how much the errors of echoes at random phases add up to more than their root mean square in the worst window of any element, and
+    /// what else a sample of the echoes does not show.
+    pub spread: f64,
 }
 
 impl Conditions {
@@ -1300,6 +1323,19 @@ pub struct PingOutput {
     pub more_lines: Vec<PulseLines>,
     pub counts: EchoCounts,
     pub scene: SceneCounts,
+    /// Where the plan of methods chose something.
+    pub fidelity: Option<FidelityMark>,
+}
+
+/// Which plan of methods made a ping, and what it promised.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FidelityMark {
+    /// Counts the plans of a sonar; the configuration's start is 0.
+    pub plan: u32,
+    /// By the plan's conditions, relative, of element samples.
+    pub predicted_error: f64,
+    pub predicted_ms: f64,
+    pub tolerance: f64,
 }
 
 // ---------------------------------------------------------------- out

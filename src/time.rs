@@ -197,15 +197,27 @@ impl PacedClock {
         self.lock().stopped
     }
 
+    pub fn rate(&self) -> f64 {
+        self.lock().rate
+    }
+
+    /// Goes at another rate from now on, without a jump.
+    pub fn set_rate(&self, rate: f64) {
+        assert!(rate > 0.0 && rate.is_finite(), "a rate of {rate}");
+        self.change(|pace| pace.rate = rate);
+    }
+
     fn set(&self, stopped: bool) {
+        self.change(|pace| pace.stopped = stopped);
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Pace)) {
         let mut pace = self.lock();
-        if pace.stopped != stopped {
-            let machine = self.machine.mono();
-            pace.mono_ns = pace.at(machine).0;
-            pace.machine_ns = machine.0;
-            pace.stopped = stopped;
-            self.changed.notify_all();
-        }
+        let machine = self.machine.mono();
+        pace.mono_ns = pace.at(machine).0;
+        pace.machine_ns = machine.0;
+        change(&mut pace);
+        self.changed.notify_all();
     }
 
     /// A pace is written in one go, with nothing in between that panics.
@@ -283,6 +295,23 @@ mod tests {
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() >= stood.plus_ns(NS_PER_S));
+    }
+
+    #[test]
+    fn another_rate_holds_from_now_on_and_wakes_who_sleeps() {
+        let clock = PacedClock::at_rate(1e-3);
+        let before = clock.mono();
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| clock.sleep_until(before.plus_ns(NS_PER_S)));
+            clock.set_rate(1e6);
+            sleeper.join().expect("woken");
+        });
+        assert!(clock.mono() >= before.plus_ns(NS_PER_S));
+        clock.stop();
+        let stood = clock.mono();
+        clock.set_rate(2.0);
+        assert!(clock.is_stopped() && clock.rate() == 2.0);
+        assert_eq!(clock.mono(), stood);
     }
 
     #[test]

@@ -75,6 +75,31 @@ fn the_least_configuration_takes_the_defaults_the_template_shows() {
 }
 
 #[test]
+fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_told_otherwise() {
+    let rig = parse(&minimal());
+    assert_eq!(rig.run.delivery, DeliverySpec::PingEnd);
+    assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.0, Some(0.8)));
+    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\npace = \"burst\"\n";
+    let output =
+        "\n[sonar.output.elements]\nsend_to = \"127.0.0.1:5, 127.0.0.1:6\"\nsample = \"f32\"\n";
+    let text = minimal().replace(
+        "[[nav.source]]",
+        "max_extrapolation_ms = 500\n[[nav.source]]",
+    );
+    let rig = parse(&(text + output + run));
+    let (block_s, latency_s) = (1e-3, 2e-3);
+    assert_eq!(
+        rig.run.delivery,
+        DeliverySpec::Streaming { block_s, latency_s }
+    );
+    assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.1, None));
+    let OutputSpec::Elements(elements) = &rig.sonars[0].outputs[0] else {
+        panic!("{:?}", rig.sonars[0].outputs);
+    };
+    assert_eq!((elements.send_to.len(), elements.is_float), (2, true));
+}
+
+#[test]
 fn units_are_shifted_without_rounding_twice() {
     // Among these are some that a product with 1e-3 misses by one bit, and some that a quotient by 1e3 misses.
     for digits in ["0.9", "2.1", "4.9", "5.9e0", "59e-1", "1_000.7", "4"] {

@@ -2,6 +2,9 @@
 
 #[path = "../tools/src/errors/images.rs"]
 mod images;
+mod plan;
+#[path = "../tools/src/rigs/mod.rs"]
+mod rigs;
 #[path = "../tools/src/errors/table.rs"]
 mod table;
 

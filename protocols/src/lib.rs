@@ -10,6 +10,7 @@
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
 //! - [`wbms`]: NORBIT WBMS (TCP ports 2209 to 2212); [`imagenex872`]: Imagenex 872 (TCP port 4040).
+//! - [`elements`]: element samples with little around them, a stream of our own.
 //! - [`ping_protocol`]: Blue Robotics and Cerulean Ping protocol (Omniscan 450, Surveyor 240).
 //! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
@@ -20,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 pub mod calendar;
+pub mod elements;
 pub mod framing;
 pub mod imagenex872;
 pub mod jsf;

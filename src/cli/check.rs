@@ -1,5 +1,7 @@
 //! `echotank check`: is a configuration right, and what follows from it.
 
+mod plan;
+
 use std::path::PathBuf;
 
 use clap::Args;
@@ -25,6 +27,21 @@ pub struct CheckArgs {
     /// Print the JSON Schema of a configuration
     #[arg(long, conflicts_with = "template")]
     pub schema: bool,
+    /// Print the plan of methods, and nothing else, as JSON
+    #[arg(long, requires = "config")]
+    pub json: bool,
+    /// Print every candidate of the plan too, cheapest first
+    #[arg(long, requires = "config")]
+    pub all: bool,
+    /// Do not plan: say only whether the configuration is right
+    #[arg(long, conflicts_with_all = ["json", "all"])]
+    pub quick: bool,
+    /// What methods cost on this machine, as --calibrate writes it (default: run.costs, or the table that comes with the program)
+    #[arg(long, value_name = "FILE")]
+    pub costs: Option<PathBuf>,
+    /// Measure what methods cost on this machine, on this configuration's sonars and scene, and write FILE
+    #[arg(long, value_name = "FILE", requires = "config")]
+    pub calibrate: Option<PathBuf>,
 }
 
 pub fn main(args: &CheckArgs) -> Result<(), Failure> {
@@ -33,7 +50,15 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
     } else if args.schema {
         println!("{}", config::schema());
     } else if let Some(path) = &args.config {
-        let spec = load(path, &args.set)?;
+        let mut spec = load(path, &args.set)?;
+        spec.run.costs = args.costs.clone().or(spec.run.costs);
+        if let Some(file) = &args.calibrate {
+            return plan::calibrate(&spec, file);
+        }
+        if args.json {
+            print!("{}", plan::json(&spec)?);
+            return Ok(());
+        }
         print!("{}", config::summary(&spec));
         for sonar in &spec.sonars {
             let refuse = |why| {
@@ -52,6 +77,9 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
         }
         for sonar in &spec.sonars {
             print!("{}", culling(sonar, &spec.medium));
+        }
+        if !args.quick {
+            print!("{}", plan::text(&spec, args.all)?);
         }
         println!("{}: ok", path.display());
     }

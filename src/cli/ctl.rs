@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::Failure;
-use crate::io::control::{Command, Settings, client};
+use crate::io::control::{Command, Settings, TriggerName, client};
 
 #[derive(Args, Clone, Debug)]
 pub struct CtlArgs {
@@ -47,8 +47,10 @@ pub enum What {
         #[arg(value_name = "KEY=VALUE")]
         keys: Vec<String>,
     },
-    /// Take all faults away
-    ClearFaults,
+    /// Take a fault away, by its number, or all
+    ClearFaults { fault: Option<u32> },
+    /// How time goes: realtime, scaled (with a rate), fast or lockstep; between the first two, and between the last two
+    Clock { mode: String, rate: Option<f64> },
     /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
     Send { json: String },
     /// Everything there is to know, as JSON
@@ -75,6 +77,9 @@ pub struct SetArgs {
     pub pulse_ms: Option<f64>,
     #[arg(long)]
     pub pinging: Option<bool>,
+    /// internal: the sonar's own beat; external: it pings only when asked
+    #[arg(long)]
+    pub trigger: Option<TriggerName>,
 }
 
 pub fn main(args: &CtlArgs) -> Result<(), Failure> {
@@ -90,13 +95,17 @@ pub fn main(args: &CtlArgs) -> Result<(), Failure> {
             gain_db: set.gain_db,
             pulse_ms: set.pulse_ms,
             pinging: set.pinging,
+            trigger: set.trigger,
         }),
         What::Trigger { pings, sonar } => Command::Trigger {
             sonar: sonar.clone(),
             pings: *pings,
         },
         What::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
-        What::ClearFaults => Command::ClearFaults,
+        What::ClearFaults { fault } => Command::ClearFaults { fault: *fault },
+        What::Clock { mode, rate } => {
+            return send(args, &json!({ "do": "clock", "mode": mode, "rate": rate }));
+        }
         What::Send { json } => {
             let body = serde_json::from_str(json)
                 .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;

@@ -7,14 +7,17 @@ use echotank_protocols::sevenk::describe;
 
 use super::Failure;
 use crate::io::sonar::client::SevenKClient;
+use crate::io::sonar::elements::{ElementClient, FrameTally};
 use crate::io::sonar::verify::Verifier;
+use crate::run::histograms::Spread;
+use crate::time::UtcNs;
 
 /// What is subscribed to when nothing is named: everything a ping makes.
 const EVERYTHING: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
 
 #[derive(Args, Clone, Debug)]
 pub struct ListenArgs {
-    /// 7k server, e.g. 127.0.0.1:7000
+    /// 7k server, e.g. 127.0.0.1:7000; with --elements an element stream, e.g. 127.0.0.1:7172
     pub address: String,
     /// Record types to subscribe to, separated by commas [default: all that a ping makes]
     #[arg(long, value_delimiter = ',', value_name = "TYPE")]
@@ -25,9 +28,75 @@ pub struct ListenArgs {
     /// Do not print records; account at the end for those sent, lost, duplicated and late, by their ping numbers
     #[arg(long)]
     pub verify: bool,
+    /// The address is an element stream (sonar.output.elements): account for its frames, and tell how long after its pulse each ping's first
+    /// sample came, and each frame after the instant its last sample was heard; needs nav.stamp = "host"
+    #[arg(long, conflicts_with_all = ["records", "verify"])]
+    pub elements: bool,
+}
+
+/// Takes an element stream to the end.
+fn elements(args: &ListenArgs) -> Result<(), Failure> {
+    let mut client = ElementClient::connect(args.address.as_str()).map_err(Failure::running)?;
+    let end = args
+        .seconds
+        .map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
+    let mut tally = FrameTally::default();
+    let (first_sample, frames) = (Spread::new(), Spread::new());
+    let mut bytes = 0;
+    loop {
+        let left = end.map_or(Duration::from_secs(1), |end| {
+            end.saturating_duration_since(Instant::now())
+                .min(Duration::from_secs(1))
+        });
+        let is_open = !left.is_zero()
+            && client
+                .read(left, |frame, now| {
+                    bytes += frame.size_bytes() as u64;
+                    let head = &frame.head;
+                    let since_ns =
+                        |after_s: f64| now.0 - UtcNs(head.pulse_utc_ns).plus_s(after_s).0;
+                    let us = |ns: i64| (ns.max(0) / 1000) as u64;
+                    if tally.note(frame) {
+                        first_sample.note(us(since_ns(head.first_moment_s)));
+                    }
+                    let last = head.first_moment + frame.moments.saturating_sub(1);
+                    let heard_s = head.first_moment_s + f64::from(last) / head.moments_per_s;
+                    frames.note(us(since_ns(heard_s)));
+                })
+                .map_err(Failure::running)?;
+        if !is_open {
+            break;
+        }
+    }
+    println!(
+        "{} pings, {} incomplete; {} frames, {} lost; {bytes} bytes, {} of no frame",
+        tally.pings,
+        tally.incomplete_pings,
+        tally.frames,
+        tally.lost_frames,
+        client.skipped_bytes()
+    );
+    for (what, spread) in [
+        ("first sample after the pulse", first_sample),
+        ("frame after its last sample", frames),
+    ] {
+        let f = spread.figures();
+        let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
+        println!(
+            "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} of them)",
+            ms[0], ms[1], ms[2], ms[3], f.count
+        );
+    }
+    match tally.lost_frames {
+        0 => Ok(()),
+        lost => Err(Failure::Running(format!("{lost} frames lost"))),
+    }
 }
 
 pub fn main(args: &ListenArgs) -> Result<(), Failure> {
+    if args.elements {
+        return elements(args);
+    }
     let mut client = SevenKClient::connect(args.address.as_str()).map_err(Failure::running)?;
     let configuration = client.request(7001).map_err(Failure::running)?;
     println!("{}", describe(configuration.bytes()));

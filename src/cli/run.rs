@@ -92,7 +92,9 @@ pub fn main(args: &RunArgs) -> Result<(), Failure> {
         Some(path) => path.clone(),
         None => quickstart()?,
     };
-    let spec = load(&path, &args.set)?;
+    let mut spec = load(&path, &args.set)?;
+    // Nobody asked for the quickstart's port.
+    spec.control.or_any_port = args.config.is_none();
     let stop = Arc::new(AtomicBool::new(false));
     signals::stop_on_signals(&stop).map_err(Failure::running)?;
     let threads = args.threads.unwrap_or(spec.run.threads);
@@ -101,7 +103,11 @@ pub fn main(args: &RunArgs) -> Result<(), Failure> {
     for line in what_it_does(&spec).into_iter().chain(daemon.describe()) {
         println!("{line}");
     }
-    println!("pinging; stop with Ctrl-C; to look: echotank listen ADDRESS");
+    let look = match daemon.page() {
+        Some(address) => format!("open http://{address}/ in a browser, or"),
+        None => "to look:".to_owned(),
+    };
+    println!("pinging; stop with Ctrl-C; {look} echotank listen ADDRESS");
     if let Some(seconds) = args.seconds {
         if !(seconds.is_finite() && seconds > 0.0) {
             return Err(Failure::Configuration(format!(

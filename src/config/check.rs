@@ -12,6 +12,7 @@ mod picture;
 mod samples;
 mod scene;
 pub(super) mod sonar;
+mod streaming;
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -202,6 +203,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     let run = table.table("run").and_then(|t| run(t, problems));
     if let (Some(nav), Some(t)) = (&nav, table.table("run")) {
         refuse_own_time_with_live_sources(nav, t, problems);
+        streaming::refuse_without_foresight(nav, t, problems);
     }
     let control = table
         .table("control")
@@ -224,10 +226,14 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         for sonar in sonars.iter_mut().flatten() {
             if sonar.model.cull_db.is_none() && sonar.model.synthesis.keeps_tolerance() {
                 sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
+                sonar.synthesis.auto.cull = sonar.synthesis.auto.synthesis;
             }
         }
     }
     let heads: Vec<_> = sonars.iter().flatten().collect();
+    if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.table("run")) {
+        streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
+    }
     let rig = scene::Rig {
         sonars: &heads,
         sound_speed_m_per_s: medium.as_ref().map(|m| m.sound_speed_m_per_s),
@@ -354,7 +360,11 @@ fn control<'t>(
         let condition = "a `listen` that is not this machine alone";
         needed_with(table, "token", Some(abroad), condition, problems);
     }
-    Some(ControlSpec { listen, token })
+    Some(ControlSpec {
+        listen,
+        token,
+        or_any_port: false,
+    })
 }
 
 fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
@@ -362,7 +372,22 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let scaled = clock.map(|clock| clock == "scaled");
     let condition = "clock = \"scaled\"";
     only_with(table, &["clock_rate"], scaled, condition, problems);
+    let spread = table.text("pace").map(|pace| pace == "spread");
+    only_with(
+        table,
+        &["pace_share"],
+        spread,
+        "pace = \"spread\"",
+        problems,
+    );
+    let delivery = streaming::delivery(table, problems);
     Some(RunSpec {
+        spread_share: match spread? {
+            true => Some(table.number("pace_share")?),
+            false => None,
+        },
+        delivery: delivery?,
+        ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
             "fast" => ClockSpec::Fast,
@@ -371,6 +396,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
         },
         priority: u8::try_from(table.integer("priority")?).ok()?,
         fault_directory: table.path("fault_directory"),
+        costs: table.path("costs"),
         threads: table.count("threads")?,
         latency_s: table.scaled("latency_ms", -3)?,
         status_interval_s: table.number("status_interval_s")?,

@@ -934,9 +934,27 @@ static RUN: Table = Table {
         ),
         key(
             "delivery",
-            Kind::Choice(&["ping-end"], &["streaming"]),
+            Kind::Choice(&["ping-end", "streaming"], &[]),
             Default("\"ping-end\""),
-            "",
+            "\"streaming\": element samples (vita49, elements) leave as they would be heard, block by block, each stream_latency_ms after its end; the ping is computed before its pulse, so nav.mode must be \"predict\". All else leaves at the end of the ping. The samples are the same.",
+        ),
+        key(
+            "stream_block_ms",
+            Kind::Number(from(0.1, 1000.0)),
+            Default("1.0"),
+            "Only with delivery = \"streaming\".",
+        ),
+        key(
+            "stream_latency_ms",
+            Kind::Number(from(0.0, 600_000.0)),
+            Default("0.5"),
+            "Constant. Only with delivery = \"streaming\".",
+        ),
+        key(
+            "ahead_ms",
+            Kind::Number(from(0.0, 10_000.0)),
+            Shown("100.0"),
+            "A ping is computed so long before its pulse, by the settings and from the motion known then; at least what a ping takes. Left out: 0, and 100 with delivery = \"streaming\". Above 0 only with nav.mode = \"predict\".",
         ),
         key(
             "clock",
@@ -951,6 +969,18 @@ static RUN: Table = Table {
             "Only with clock = \"scaled\".",
         ),
         key(
+            "pace",
+            Kind::Choice(&["spread", "burst"], &[]),
+            Default("\"spread\""),
+            "A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock size loses most of. TCP paces itself. With clock = \"fast\" and \"lockstep\" always all at once.",
+        ),
+        key(
+            "pace_share",
+            Kind::Number(from(0.01, 0.95)),
+            Default("0.8"),
+            "The part. Only with pace = \"spread\".",
+        ),
+        key(
             "priority",
             Kind::Integer(0, 99),
             Default("40"),
@@ -961,6 +991,12 @@ static RUN: Table = Table {
             Kind::Folder,
             Optional("\"out\""),
             "Where faults-TIME.jsonl goes; left out: record.directory, and without that nowhere.",
+        ),
+        key(
+            "costs",
+            Kind::File,
+            Optional("\"costs.toml\""),
+            "What methods cost on this machine, as `echotank check --calibrate FILE` writes it; left out: the table that comes with the program. What is \"auto\" is chosen by it.",
         ),
     ],
     later: &["cores"],
@@ -978,7 +1014,7 @@ static RECORD: Table = Table {
 };
 
 static CONTROL: Table = Table {
-    doc: "Control over HTTP: POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
+    doc: "Control over HTTP: the operator's page at http://ADDRESS/, POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.",
     keys: &[
         key(
             "listen",
@@ -990,7 +1026,7 @@ static CONTROL: Table = Table {
             "token",
             Kind::Text,
             Optional("\"a long secret\""),
-            "Asked of whoever controls, as `Authorization: Bearer TOKEN`. Needed where `listen` is not this machine alone.",
+            "Asked of whoever controls, as `Authorization: Bearer TOKEN` or on the page. Needed where `listen` is not this machine alone.",
         ),
     ],
     later: &[],
@@ -1326,16 +1362,22 @@ static MODEL: Table = Table {
         key(
             "path",
             Kind::Choice(
-                &["stop-and-hop", "polyline", "k-segment", "continuous"],
+                &[
+                    "stop-and-hop",
+                    "polyline",
+                    "k-segment",
+                    "continuous",
+                    "auto",
+                ],
                 &[],
             ),
             Default("\"polyline\""),
-            "How the platform moves between pulse and echo: not, on straight pieces, each element on straight pieces of its own, or as it does.",
+            "How the platform moves between pulse and echo: not, on straight pieces, each element on straight pieces of its own, or as it does. \"auto\" (here, of doppler and of synthesis): the cheapest that keeps the tolerance with this sonar, scene and motion; `check` says what and why.",
         ),
         key(
             "doppler",
             Kind::Choice(
-                &["none", "stretch", "stretch-quadratic", "paper-eq21"],
+                &["none", "stretch", "stretch-quadratic", "paper-eq21", "auto"],
                 &["common", "rank-r"],
             ),
             Default("\"stretch\""),
@@ -1352,6 +1394,7 @@ static MODEL: Table = Table {
                     "spectral",
                     "nearest",
                     "linear",
+                    "auto",
                 ],
                 &["gridded"],
             ),
@@ -1363,6 +1406,12 @@ static MODEL: Table = Table {
             Kind::Number(from(1e-8, 1e-1)),
             Default("1e-3"),
             "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what the \"gridded\" ones are made for, and what a certificate is held to.",
+        ),
+        key(
+            "tolerance_image",
+            Kind::Number(from(1e-6, 10.0)),
+            Optional("0.1"),
+            "Of what is \"auto\", where pictures are all that is looked at: path and doppler may displace things by so many cells of range, and by 2.5 times as many along the track, whatever the samples are off by. Left out: samples count.",
         ),
         key(
             "nearest_m",
@@ -1395,7 +1444,7 @@ static MODEL: Table = Table {
             "Scatterers whose two-way pattern lies below are left out; for targets and points it lies lower by as much as they are stronger than the ground's. Left out: with synthesis = \"gridded-1d\" or \"gridded-2d\" over a seabed and without scene.points, the highest that costs half the tolerance on flat ground; otherwise all are kept.",
         ),
     ],
-    later: &["tolerance_image", "simd", "incidence"],
+    later: &["simd", "incidence"],
 };
 
 static BEAMS: Table = Table {
@@ -1686,6 +1735,12 @@ static OUTPUT: Table = Table {
         key("ping", Kind::Table(&devices::PING), Optional(""), ""),
         key("wbms", Kind::Table(&devices::WBMS), Optional(""), ""),
         key("vita49", Kind::Table(&samples::VITA49), Optional(""), ""),
+        key(
+            "elements",
+            Kind::Table(&samples::ELEMENTS),
+            Optional(""),
+            "",
+        ),
         key("sigmf", Kind::Table(&samples::SIGMF), Optional(""), ""),
         key("wav", Kind::Table(&samples::WAV), Optional(""), ""),
     ],

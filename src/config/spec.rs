@@ -5,6 +5,7 @@
 mod devices;
 mod families;
 mod faults;
+mod fidelity;
 mod samples;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
@@ -19,7 +20,8 @@ use crate::flow::{
 };
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
-pub use samples::{SigmfSpec, Vita49Spec, WavSpec};
+pub use fidelity::AutoModel;
+pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -794,6 +796,29 @@ pub struct RunSpec {
     pub priority: u8,
     /// Where the log of injected faults goes, if not beside the records.
     pub fault_directory: Option<PathBuf>,
+    /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.
+    pub spread_share: Option<f64>,
+    pub delivery: DeliverySpec,
+    /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
+    pub ahead_s: f64,
+    /// What methods cost on this machine; none is the table that comes with the program.
+    pub costs: Option<PathBuf>,
+}
+
+impl RunSpec {
+    /// [`RunSpec::ahead_s`] in whole nanoseconds, so that everybody means the same instant.
+    pub fn ahead_ns(&self) -> i64 {
+        (self.ahead_s * 1e9).round() as i64
+    }
+}
+
+/// When element samples leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DeliverySpec {
+    /// With all else that a ping makes.
+    PingEnd,
+    /// In blocks of so many seconds, each so long after its last sample would have been heard.
+    Streaming { block_s: f64, latency_s: f64 },
 }
 
 /// How fast rig time goes. The samples do not depend on it.
@@ -827,6 +852,8 @@ pub struct ControlSpec {
     pub listen: Option<SocketAddr>,
     /// There is one wherever `listen` is not a loopback address.
     pub token: Option<String>,
+    /// Where the port of `listen` is somebody else's, any other will do: nobody named it.
+    pub or_any_port: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -965,6 +992,18 @@ pub struct SynthesisSpec {
     pub frequency_step_hz: Option<f64>,
     /// Nearest scatterer for which `gridded-2d` is made.
     pub nearest_m: f64,
+    /// What an engine is made for, where models need the rest of `tolerance`; none is all of it.
+    pub engine_tolerance: Option<f64>,
+    /// What the plan of methods chooses.
+    pub auto: AutoModel,
+    /// Pictures are all that is looked at: cells of range by which things may be displaced.
+    pub image_cells: Option<f64>,
+}
+
+impl SynthesisSpec {
+    pub fn made_for(&self) -> f64 {
+        self.engine_tolerance.unwrap_or(self.tolerance)
+    }
 }
 
 impl Default for SynthesisSpec {
@@ -974,6 +1013,9 @@ impl Default for SynthesisSpec {
             certificate: false,
             frequency_step_hz: None,
             nearest_m: 5.0,
+            engine_tolerance: None,
+            auto: AutoModel::default(),
+            image_cells: None,
         }
     }
 }
@@ -1154,6 +1196,7 @@ pub enum OutputSpec {
     Xtf(XtfSpec),
     Imagenex872(ImagenexSpec),
     Vita49(Vita49Spec),
+    Elements(ElementStreamSpec),
     Sigmf(SigmfSpec),
     Wav(WavSpec),
     Ping(PingProtocolSpec),

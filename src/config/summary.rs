@@ -84,6 +84,16 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         "run",
         &format!("{threads}, delivery {latency_ms} ms after each listening window"),
     )?;
+    if let DeliverySpec::Streaming { block_s, latency_s } = rig.run.delivery {
+        let text = format!(
+            "element samples stream in blocks of {} ms, each {} ms after its end: the first {} ms after the pulse; pings are computed {} ms ahead",
+            block_s * 1e3,
+            latency_s * 1e3,
+            (block_s + latency_s) * 1e3,
+            rig.run.ahead_s * 1e3
+        );
+        line(out, "", &text)?;
+    }
     if let Some(record) = &rig.record {
         line(out, "record", &record.directory.display().to_string())?;
     }

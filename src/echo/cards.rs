@@ -19,27 +19,57 @@ fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
     conditions.scatterers as f64 * conditions.elements as f64 * ns * 1e-6
 }
 
+/// What the closed forms want of the motion, per leg: as it is heard, or in the worst direction.
+struct Moving {
+    hop_m: f64,
+    closing: f64,
+    bend: f64,
+    acceleration: f64,
+    turning: f64,
+    spread: f64,
+}
+
+fn moving(conditions: &Conditions) -> Moving {
+    let v = conditions.speed_m_per_s;
+    let a = conditions.acceleration_m_per_s2;
+    match conditions.heard {
+        Some(heard) => Moving {
+            hop_m: heard.hop_m,
+            closing: heard.closing_m_per_s,
+            bend: heard.bend_m_per_s2,
+            acceleration: heard.acceleration_m_per_s2,
+            turning: heard.turning_m_per_s,
+            spread: heard.spread,
+        },
+        None => Moving {
+            hop_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
+            closing: v,
+            bend: v * v / conditions.range_m.0 + a,
+            acceleration: a,
+            turning: conditions.turning_m_per_s,
+            spread: 1.0,
+        },
+    }
+}
+
 /// The phase by which a path model misplaces an echo.
 pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
-    let Conditions {
-        speed_m_per_s: v,
-        acceleration_m_per_s2: a,
-        turning_m_per_s: turning,
-        segment_s: h,
-        ..
-    } = *conditions;
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
-    let h = h.min(window_s);
+    let h = conditions.segment_s.min(window_s);
+    let Moving {
+        hop_m,
+        acceleration: a,
+        turning,
+        spread,
+        ..
+    } = moving(conditions);
     // Of a chord, at its middle.
     let sag_m = a * h * h / 8.0;
     let (off_m, ns, why) = match path {
         PathModel::StopAndHop => (
-            v * window_s,
+            hop_m,
             LEG_NS,
-            format!(
-                "the platform moves {:.1e} m while sound is under way",
-                v * window_s
-            ),
+            format!("the platform moves {hop_m:.1e} m while sound is under way"),
         ),
         PathModel::Polyline => (
             sag_m + turning * h,
@@ -62,7 +92,8 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
     };
     MethodCard {
         name: path.name(),
-        error: Conditions::error_of_phase(conditions.wavenumber_per_m() * off_m).max(F64_FLOOR),
+        error: Conditions::error_of_phase(conditions.wavenumber_per_m() * off_m * spread)
+            .max(F64_FLOOR),
         cost_ms: cost_ms(conditions, ns),
         why,
     }
@@ -72,28 +103,35 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
 pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditions) -> MethodCard {
     let Conditions {
         speed_m_per_s: v,
-        acceleration_m_per_s2: a,
         range_m: (nearest_m, farthest_m),
         segment_s,
         sound_speed_m_per_s: c,
         pulse,
         ..
     } = *conditions;
+    let Moving {
+        closing,
+        bend,
+        acceleration: a,
+        spread,
+        ..
+    } = moving(conditions);
     let t = pulse.duration_s;
     let k = conditions.wavenumber_per_m();
     // Phases of both ways: closing speed d s, its change q s^2, and the change of that.
-    let first = k * 2.0 * v * t / 3f64.sqrt();
-    let second = k * (v * v / nearest_m + a) * t * t / 5f64.sqrt();
+    let first = k * 2.0 * closing * t / 3f64.sqrt();
+    let second = k * bend * t * t / 5f64.sqrt();
     // About mid-pulse; half a pulse cubed. The acceleration may change within it, by a hundredth at a time as tracks go.
-    let third = k * (v * v / nearest_m * (3.0 * v / nearest_m)) * (t / 2.0).powi(3)
+    let third = k * 3.0 * v * (v * closing / nearest_m + a) / nearest_m * (t / 2.0).powi(3)
         + 1e-2 * k * a * t * t / 5f64.sqrt();
     // The cubic that a bent chirp has and the synthesis' parabolas have not: over the whole pulse, or as much of it as they bear.
-    let bend_per_s = (v * v / nearest_m + a) / c;
+    let bend_per_s = bend / c;
     let cubic_turns = pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / 32.0;
     let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
     // A segment's velocity in place of the moment's.
     let stale = match path {
-        PathModel::StopAndHop | PathModel::Polyline => first_of(k, a * segment_s, t),
+        PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
+        PathModel::Polyline => first_of(k, a * segment_s, t),
         PathModel::KSegment => first_of(k, 0.05 * a * segment_s, t),
         PathModel::Continuous => 0.0,
     };
@@ -102,7 +140,7 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
             first,
             0.0,
             format!(
-                "a pulse at {v:.2} m/s turns by {:.1e} rad",
+                "a pulse at {closing:.2e} m/s along the ray turns by {:.1e} rad",
                 first * 3f64.sqrt()
             ),
         ),
@@ -117,17 +155,17 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
             format!("{third:.1e} rad of the third derivative, {stale:.1e} of held velocities"),
         ),
         DopplerModel::PaperEq21 => (
-            k * 2.0 * v / c * 2.0 * farthest_m + first,
+            k * 2.0 * closing / c * 2.0 * farthest_m + first,
             0.0,
             format!(
                 "moves echoes by up to {:.1e} m and stretches none",
-                2.0 * v / c * farthest_m
+                2.0 * closing / c * farthest_m
             ),
         ),
     };
     MethodCard {
         name: doppler.name(),
-        error: Conditions::error_of_phase(phase_rad).max(F64_FLOOR),
+        error: Conditions::error_of_phase(phase_rad * spread).max(F64_FLOOR),
         cost_ms: cost_ms(conditions, ns),
         why,
     }

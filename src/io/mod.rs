@@ -3,6 +3,7 @@ pub mod control;
 pub mod datagrams;
 pub mod nav;
 pub mod notify;
+pub mod pace;
 pub mod priority;
 pub mod record;
 pub mod serial_line;

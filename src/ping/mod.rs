@@ -5,6 +5,8 @@
 //! [`Schedule`] decides `t_tx` and freezes the settings at that instant ([`PingOrder`]); the plan is filled later, when the navigation
 //! around `t_tx` is known.
 
+pub mod fidelity;
+
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::flow::{NavState, PingPlan, Pulse, Segment, SonarSettings};
 use crate::frames::Trajectory;

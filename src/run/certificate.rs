@@ -313,6 +313,7 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         scatterers: 1,
         elements: 1,
         tolerance: spec.synthesis.tolerance,
+        heard: None,
     };
     let model = &spec.model;
     let walk_ms = path_card(model.path, &conditions).cost_ms

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use crate::config::spec::SonarSpec;
 use crate::flow::{Conditions, PingPlan, Scatterers};
+use crate::run::fidelity::heard::heard;
 
 /// Instants of a ping at which its motion is looked at: a window of 0.2 s every 3 ms, far below any platform's periods.
 const INSTANTS: usize = 64;
@@ -74,5 +75,6 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         scatterers: scatterers.len(),
         elements: spec.receive.iter().map(|array| array.elements).sum(),
         tolerance: spec.synthesis.tolerance,
+        heard: heard(spec, plan, scatterers),
     }
 }

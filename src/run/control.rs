@@ -1,28 +1,40 @@
 //! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
 
+use std::collections::VecDeque;
 use std::fmt::Write as _;
-use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::{Value, json};
 
 use crate::config::spec::ClockSpec;
-use crate::flow::{Asked, Asker, SettingChange, SonarSettings};
-use crate::io::control::{Answer, Command, ControlPort};
+use crate::flow::{Asked, Asker, SettingChange, SettingsPort};
+use crate::io::control::feed::Feed;
+use crate::io::control::socket::ReliefTile;
+use crate::io::control::{Answer, Bytes, ClockMode, Command, ControlPort};
+use crate::io::nav::SourceCounters;
 use crate::io::sonar::RigTime;
+use crate::nav::health::State;
 use crate::run::counters::PingCounters;
 use crate::run::faults::Faults;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
+use crate::run::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
 use crate::run::settings::SettingsStore;
-use crate::time::{Clock, MonoNs, SystemClock};
+use crate::time::{Clock, MonoNs, SystemClock, UtcNs};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
 const MOST_STEPS: u64 = 1_000_000;
 
 /// A pipeline that does not come round for so long is stuck: no ping takes as long.
 const LONGEST_BEAT_S: f64 = 15.0;
+
+/// As `run.clock_rate` of the configuration.
+const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
+
+/// Of what was asked that is no setting, kept for the page.
+const MOST_DEEDS: usize = 64;
 
 /// One sonar as its operator sees it.
 pub struct SonarControl {
@@ -35,7 +47,7 @@ pub struct SonarControl {
 
 /// The whole daemon as its operator sees it.
 pub struct RunControl {
-    clock: ClockSpec,
+    clock: Mutex<ClockSpec>,
     gate: Arc<Gate>,
     /// All navigation is recorded.
     recorded: bool,
@@ -44,6 +56,14 @@ pub struct RunControl {
     rig_time: RigTime,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
+    nav_sources: Mutex<Vec<(State, SourceCounters)>>,
+    page: PageSource,
+    relief: ReliefKept,
+    /// What was asked that is no setting, the newest last.
+    deeds: Mutex<VecDeque<Value>>,
+    deeds_done: AtomicU64,
+    /// When it was opened, the machine's UTC: what tells one run from the next.
+    opened: UtcNs,
     machine: SystemClock,
     /// When the pipeline last came round, on `machine`.
     beat_ns: AtomicI64,
@@ -57,16 +77,24 @@ impl RunControl {
         sonars: Vec<SonarControl>,
         faults: Arc<Faults>,
         rig_time: RigTime,
+        page: PageSource,
     ) -> Self {
+        let machine = SystemClock::new();
         Self {
-            clock,
+            clock: Mutex::new(clock),
             gate,
             recorded,
             sonars,
             faults,
             rig_time,
             nav_lines: Mutex::default(),
-            machine: SystemClock::new(),
+            nav_sources: Mutex::default(),
+            page,
+            relief: ReliefKept::default(),
+            deeds: Mutex::default(),
+            deeds_done: AtomicU64::new(0),
+            opened: machine.host_utc(),
+            machine,
             beat_ns: AtomicI64::new(0),
         }
     }
@@ -84,16 +112,13 @@ impl RunControl {
         self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
-    pub fn set_nav_lines(&self, lines: Vec<String>) {
-        *self
-            .nav_lines
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner) = lines;
+    pub fn set_nav(&self, lines: Vec<String>, sources: Vec<(State, SourceCounters)>) {
+        *lock(&self.nav_lines) = lines;
+        *lock(&self.nav_sources) = sources;
     }
 
     fn nav_lines(&self) -> Vec<String> {
-        let lines = self.nav_lines.lock();
-        lines.unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.nav_lines).clone()
     }
 
     /// All counters as text.
@@ -124,7 +149,7 @@ impl RunControl {
         }
     }
 
-    fn answer(&self, command: &Command) -> Result<Value, String> {
+    fn answer(&self, command: &Command, by: Asker) -> Result<Value, String> {
         let standing = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
         match command {
             Command::Pause => {
@@ -132,7 +157,7 @@ impl RunControl {
                 self.gate.pause();
                 Ok(standing())
             }
-            Command::Resume if self.clock == ClockSpec::Lockstep => {
+            Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => {
                 Err("run.clock = \"lockstep\" goes by steps".to_owned())
             }
             Command::Resume => {
@@ -154,14 +179,14 @@ impl RunControl {
                 if changes.is_empty() {
                     return Err("nothing to set is named".to_owned());
                 }
-                self.set(sonar, &changes)
+                self.set(sonar, &changes, by)
             }
             Command::Trigger { sonar, pings } => {
                 let sonar = self.sonar(sonar.as_deref())?;
                 if !(1..=MOST_STEPS).contains(pings) {
                     return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
                 }
-                self.set(sonar, &[SettingChange::PingTimes(*pings as u32)])
+                self.set(sonar, &[SettingChange::PingTimes(*pings as u32)], by)
             }
             Command::Fault(request) => {
                 let id = self
@@ -170,11 +195,53 @@ impl RunControl {
                     .map_err(|refused| refused.to_string())?;
                 Ok(json!({ "fault": id, "standing": self.faults.standing() }))
             }
-            Command::ClearFaults => {
+            Command::ClearFaults { fault: None } => {
                 let cleared = self.faults.clear();
                 Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
             }
+            Command::ClearFaults { fault: Some(id) } => match self.faults.remove(*id) {
+                true => Ok(json!({ "cleared": 1, "standing": self.faults.standing() })),
+                false => Err(format!("fault = {id}: there is none of that number")),
+            },
+            Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
         }
+    }
+
+    /// Time that is the machine's can go at any rate, and time that is the pings' own can go by itself or by steps; from one kind to the
+    /// other only with another configuration.
+    fn set_clock(&self, mode: ClockMode, rate: Option<f64>) -> Result<Value, String> {
+        self.refuse_without_own_nav()?;
+        let rate = match (mode, rate) {
+            (ClockMode::Scaled, Some(rate)) if CLOCK_RATES.contains(&rate) => rate,
+            (ClockMode::Scaled, _) => {
+                let (least, most) = (CLOCK_RATES.start(), CLOCK_RATES.end());
+                return Err(format!("rate: must be from {least} to {most}"));
+            }
+            (_, Some(_)) => return Err("rate: only with mode = \"scaled\"".to_owned()),
+            (_, None) => 1.0,
+        };
+        let wanted = match mode {
+            ClockMode::RealTime => ClockSpec::RealTime,
+            ClockMode::Scaled => ClockSpec::Scaled(rate),
+            ClockMode::Fast => ClockSpec::Fast,
+            ClockMode::Lockstep => ClockSpec::Lockstep,
+        };
+        let mut clock = lock(&self.clock);
+        if wanted.is_own() != clock.is_own() {
+            return Err(format!(
+                "run.clock = \"{}\" has another kind of time: the daemon must be started with it",
+                clock_name(wanted)
+            ));
+        }
+        *clock = wanted;
+        match mode {
+            ClockMode::Lockstep => self.gate.pause(),
+            ClockMode::Fast => self.gate.resume(),
+            ClockMode::RealTime | ClockMode::Scaled => {
+                self.gate.set_rate(rate);
+            }
+        }
+        Ok(json!({ "clock": clock_name(wanted), "rate": rate }))
     }
 
     /// With live navigation rig time cannot stand still.
@@ -188,11 +255,31 @@ impl RunControl {
         }
     }
 
-    fn asked(&self) -> Asked {
-        let by = Asker {
-            via: "control",
-            peer: None,
-        };
+    /// Remembers what is no setting: those have a journal of their own.
+    fn note(&self, command: &Command, answer: &Answer, by: Asker) {
+        let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
+        // A refusal ahead of the settings' own journal has no line there.
+        let is_told = is_setting
+            && (answer.accepted || answer.why.as_deref().is_some_and(|w| w.contains(" = ")));
+        if is_told {
+            return;
+        }
+        let mut deeds = lock(&self.deeds);
+        if deeds.len() == MOST_DEEDS {
+            deeds.pop_front();
+        }
+        deeds.push_back(json!({
+            "utc_ms": (self.rig_time)().0 as f64 / 1e6,
+            "via": by.via,
+            "peer": by.peer.map(|peer| peer.to_string()),
+            "command": answer.asked,
+            "accepted": answer.accepted,
+            "why": answer.why,
+        }));
+        self.deeds_done.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn asked(&self, by: Asker) -> Asked {
         Asked {
             utc: (self.rig_time)(),
             by,
@@ -200,9 +287,14 @@ impl RunControl {
     }
 
     /// One after another; what was accepted before a refusal stays.
-    fn set(&self, sonar: &SonarControl, changes: &[SettingChange]) -> Result<Value, String> {
+    fn set(
+        &self,
+        sonar: &SonarControl,
+        changes: &[SettingChange],
+        by: Asker,
+    ) -> Result<Value, String> {
         for (done, change) in changes.iter().enumerate() {
-            if let Err(refused) = sonar.settings.apply(*change, self.asked()) {
+            if let Err(refused) = sonar.settings.apply(*change, self.asked(by)) {
                 return Err(match done {
                     0 => refused.to_string(),
                     _ => format!("{refused}; what stands before it was set"),
@@ -233,33 +325,98 @@ impl RunControl {
             "settings_version": version,
             "changes": { "applied": counts.applied, "refused": counts.refused },
             "counters": counters,
+            "fidelity": sonar.counters.fidelity_json(),
             "microseconds": histograms,
             "outputs": sonar.reports.lines(),
         })
     }
 }
 
-fn settings_json(settings: &SonarSettings) -> Value {
-    json!({
-        "pinging": settings.pinging,
-        "range_m": settings.range_m,
-        "rate_hz": settings.max_ping_rate_hz,
-        "source_level_db": settings.source_level_db,
-        "gain_db": settings.gain_db,
-        "pulse_ms": settings.pulse_duration_s * 1e3,
-    })
+fn clock_name(clock: ClockSpec) -> &'static str {
+    match clock {
+        ClockSpec::RealTime => "realtime",
+        ClockSpec::Scaled(_) => "scaled",
+        ClockSpec::Fast => "fast",
+        ClockSpec::Lockstep => "lockstep",
+    }
+}
+
+/// What is behind these locks is whole whenever they are free.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl ControlPort for RunControl {
-    fn command(&self, command: &Command) -> Answer {
-        match self.answer(command) {
+    fn command(&self, command: &Command, by: Asker) -> Answer {
+        let answer = match self.answer(command, by) {
             Ok(result) => Answer::accepted(command, result),
             Err(why) => Answer::refused(command, why),
-        }
+        };
+        self.note(command, &answer, by);
+        answer
+    }
+
+    fn feed(&self) -> &Arc<Feed> {
+        &self.page.feed
+    }
+
+    fn hello(&self) -> Value {
+        self.page.hello(self.opened.0)
+    }
+
+    fn world(&self) -> Value {
+        self.page.world()
+    }
+
+    fn relief(&self, tile: ReliefTile) -> Option<Bytes> {
+        self.page.relief(tile, &self.relief)
+    }
+
+    fn revision(&self) -> u64 {
+        // Each part only grows, but for the gate's, which changes whenever it does.
+        let settings = self.sonars.iter().map(|sonar| {
+            let counts = sonar.settings.counts();
+            sonar.settings.version() + counts.applied + counts.refused
+        });
+        let paused = u64::from(self.gate.is_paused());
+        settings.sum::<u64>() * 2 + self.deeds_done.load(Ordering::Relaxed) * 4 + paused
+    }
+
+    fn page_state(&self) -> Value {
+        let sonars = self.sonars.iter().map(|sonar| {
+            let mut state = self.sonar_status(sonar);
+            let bins = sonar.histograms.bins();
+            state["bins"] = bins
+                .into_iter()
+                .map(|(name, bins)| (name.to_owned(), json!(bins)))
+                .collect::<serde_json::Map<_, _>>()
+                .into();
+            state["trigger"] = trigger_name(sonar.settings.trigger()).into();
+            state["journal"] = changes(&sonar.settings);
+            state["streams"] = json!(sonar.reports.streams());
+            state
+        });
+        let clock = *lock(&self.clock);
+        json!({
+            "clock": clock_name(clock),
+            "rate": self.gate.rate(),
+            "paused": self.gate.is_paused(),
+            "delivered": self.gate.pings_delivered(),
+            "rig_utc_ms": (self.rig_time)().0 as f64 / 1e6,
+            "up_s": self.machine.mono().0 as f64 / 1e9,
+            "ailment": self.ailment(),
+            "sonars": sonars.collect::<Value>(),
+            "faults": self.faults.list(),
+            "faults_injected": self.faults.injected(),
+            "nav": lock(&self.nav_sources).iter().map(nav_source).collect::<Value>(),
+            "nav_lines": self.nav_lines(),
+            "deeds": lock(&self.deeds).iter().collect::<Vec<_>>(),
+            "feed": self.page.feed.counts(),
+        })
     }
 
     fn status(&self) -> Value {
-        let clock = match self.clock {
+        let clock = match *lock(&self.clock) {
             ClockSpec::RealTime => json!("realtime"),
             ClockSpec::Scaled(rate) => json!({ "scaled": rate }),
             ClockSpec::Fast => json!("fast"),
@@ -278,6 +435,7 @@ impl ControlPort for RunControl {
                 "unlogged": self.faults.unwritten(),
             },
             "nav": self.nav_lines(),
+            "page": self.page.feed.counts(),
         })
     }
 
@@ -297,7 +455,7 @@ impl ControlPort for RunControl {
             return text;
         };
         for (k, (name, doc, _)) in first.counters.all().enumerate() {
-            let kind = match name.starts_with("worst_") || name == "nav_age_ms" {
+            let kind = match name.starts_with("worst_") || name == "nav_age_ms" || name == "plan" {
                 true => "gauge",
                 false => "counter",
             };

@@ -3,7 +3,8 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::flow::{Certificate, EchoCounts, NavState, SceneCounts};
+use crate::flow::{Certificate, EchoCounts, FidelityMark, NavState, SceneCounts};
+use crate::run::fidelity::live::PlanCounts;
 
 /// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
 #[derive(Debug, Default)]
@@ -38,6 +39,12 @@ pub struct PingCounters {
     pub certified: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
     pub certificate_faults: AtomicU64,
+    /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
+    pub plan: AtomicU64,
+    pub plan_promise: [AtomicU64; 2],
+    /// Plans given up because a certificate was above their tolerance, and that could not be made.
+    pub plans_given_up: AtomicU64,
+    pub plans_failed: AtomicU64,
     /// Echoes nearer or faster than the engine is made for.
     pub beyond_engine: AtomicU64,
     /// Scatterers of the seabed, sums over the pings.
@@ -92,6 +99,21 @@ impl PingCounters {
         }
     }
 
+    /// What a ping's plan of methods says, if there is one.
+    pub fn plan(&self, mark: Option<&FidelityMark>, counts: &PlanCounts) {
+        let Some(mark) = mark else {
+            return;
+        };
+        self.plan.store(u64::from(mark.plan), Ordering::Relaxed);
+        let promise = [mark.predicted_error, mark.tolerance];
+        for (to, value) in self.plan_promise.iter().zip(promise) {
+            to.store(value.to_bits(), Ordering::Relaxed);
+        }
+        self.plans_given_up
+            .store(counts.given_up, Ordering::Relaxed);
+        self.plans_failed.store(counts.failed, Ordering::Relaxed);
+    }
+
     /// For the status lines: what the seabed, the engine and the certificate have to say, if anything.
     fn model_text(&self) -> String {
         let mut text = String::new();
@@ -116,6 +138,21 @@ impl PingCounters {
                 read(&self.certified)
             );
         }
+        if read(&self.plan) > 0 {
+            let [error, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+            text += &format!(
+                ", plan {}: {error:.1e} of {tolerance:.1e} predicted",
+                read(&self.plan)
+            );
+        }
+        match (read(&self.plans_given_up), read(&self.plans_failed)) {
+            (0, 0) => {}
+            (given_up, failed) => {
+                text += &format!(
+                    ", FAULT: {given_up} plans given up for their certificates, {failed} not made"
+                )
+            }
+        }
         match read(&self.recordings_stopped) {
             0 => {}
             n => text += &format!(", RECORDING STOPPED by an error ({n})"),
@@ -125,6 +162,23 @@ impl PingCounters {
             n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
         }
         text
+    }
+
+    /// The newest plan of methods with its certificate; null where nothing is left to a plan.
+    pub fn fidelity_json(&self) -> serde_json::Value {
+        if read(&self.plan) == 0 {
+            return serde_json::Value::Null;
+        }
+        let [predicted, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+        let measured =
+            (read(&self.certified) > 0).then(|| f64::from_bits(read(&self.certificate[0])));
+        serde_json::json!({
+            "plan": read(&self.plan),
+            "predicted_error": predicted,
+            "tolerance": tolerance,
+            "measured_error": measured,
+            "margin": measured.map(|error| tolerance / error.max(f64::MIN_POSITIVE)),
+        })
     }
 
     /// Where the navigation behind a ping came from in time.
@@ -213,6 +267,31 @@ impl PingCounters {
                 "pings_extrapolated",
                 "Pings whose navigation was extrapolated",
                 &self.extrapolated,
+            ),
+            (
+                "pings_certified",
+                "Pings with a certificate",
+                &self.certified,
+            ),
+            (
+                "certificate_faults",
+                "Pings whose certificate was above 1.3 tolerances, as the one before",
+                &self.certificate_faults,
+            ),
+            (
+                "plan",
+                "The newest ping's plan of methods, counted; 0 where nothing is left to a plan",
+                &self.plan,
+            ),
+            (
+                "plans_given_up",
+                "Plans of methods given up because a certificate was above their tolerance",
+                &self.plans_given_up,
+            ),
+            (
+                "plans_failed",
+                "Plans of methods that could not be made",
+                &self.plans_failed,
             ),
         ]
         .into_iter()

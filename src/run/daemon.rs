@@ -16,6 +16,7 @@
 mod stepped;
 
 use std::collections::VecDeque;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -25,7 +26,10 @@ use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{ClockSpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec};
+use crate::config::spec::{
+    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec,
+};
+use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{NavOutputError, NavOutputs};
@@ -42,7 +46,8 @@ use crate::run::counters::{PingCounters, add, worst};
 use crate::run::faults::{Faults, Injection, PingMark};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
-use crate::run::outputs::{OutputError, Outputs};
+use crate::run::outputs::{OutputError, Outputs, PageOpening};
+use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
 use crate::run::waiting;
@@ -88,7 +93,18 @@ pub enum DaemonError {
 struct Delivery {
     slot: Box<PingSlot>,
     /// None where time is the pipeline's own: at once.
-    deadline: Option<MonoNs>,
+    due: Option<Due>,
+}
+
+/// When what a ping makes is due.
+#[derive(Clone, Copy, Debug)]
+struct Due {
+    /// The start of its pulse.
+    pulse: MonoNs,
+    /// The last instant at which it is of use: the first block's where samples stream, else the deadline.
+    ready_by: MonoNs,
+    /// All that leaves at the end of the ping.
+    deadline: MonoNs,
 }
 
 /// What a delivery thread works with besides its outputs.
@@ -117,15 +133,31 @@ impl Lane {
     }
 }
 
+/// A thread that owns outputs, and what became of their recorders.
+type OutputThread = JoinHandle<Result<(), OutputError>>;
+
 /// Makes the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
 fn open_lane(
     rig: &Rig,
     sonar: usize,
     outputs: Outputs,
     way: Way,
-) -> Result<(Lane, JoinHandle<Result<(), OutputError>>), DaemonError> {
+) -> Result<(Lane, Vec<OutputThread>), DaemonError> {
     let slots = rig.spec.run.queue_pings;
-    let (to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let (outputs, streams) = outputs.split();
+    let (mut to_delivery, deliveries) = bounded::<Delivery>(slots);
+    let mut threads = Vec::new();
+    if !streams.is_empty() {
+        // Ahead of the delivery thread, which waits for the end of the ping before.
+        let (to_streams, pings) = bounded::<Delivery>(slots);
+        let on = std::mem::replace(&mut to_delivery, to_streams);
+        let way = way.clone();
+        let thread = thread::Builder::new()
+            .name(format!("streams {sonar}"))
+            .spawn(move || stream(streams, &pings, &on, &way))
+            .map_err(DaemonError::Thread)?;
+        threads.push(thread);
+    }
     let (to_free, free) = bounded::<Box<PingSlot>>(slots);
     for _ in 0..slots {
         // Cannot fail: the channel holds exactly this many.
@@ -135,21 +167,22 @@ fn open_lane(
         .name(format!("delivery {sonar}"))
         .spawn(move || deliver(outputs, &deliveries, &to_free, &way))
         .map_err(DaemonError::Thread)?;
+    threads.push(thread);
     let lane = Lane {
         free,
         spare: None,
         to_delivery,
     };
-    Ok((lane, thread))
+    Ok((lane, threads))
 }
 
-/// An order with its sonar and the last instant at which its ping is of use.
+/// An order with its sonar and when its ping is due.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     sonar: usize,
     order: PingOrder,
     window_s: f64,
-    deadline: MonoNs,
+    due: Due,
 }
 
 /// A daemon that has opened everything it needs.
@@ -200,16 +233,27 @@ impl Daemon {
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
+        let feed = Arc::new(Feed::new(spec.sonars.len()));
         let mut outputs = Vec::new();
+        let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
-            outputs.push(Outputs::open(&rig.spec, unit, settings, &wire_time)?);
+            let own = Arc::new(Histograms::new());
+            let page = spec.control.listen.map(|_| PageOpening {
+                feed: feed.clone(),
+                sonar: outputs.len() as u16,
+                world: rig.world.clone(),
+            });
+            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own, page)?;
+            outputs.push(opened);
+            histograms.push(own);
         }
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
-        let sonars = sonars.map(|((sonar, settings), outputs)| SonarControl {
+        let sonars = sonars.zip(histograms);
+        let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
-            histograms: Arc::new(Histograms::new()),
+            histograms,
             reports: outputs.reports(),
         });
         let control = Arc::new(RunControl::new(
@@ -219,10 +263,16 @@ impl Daemon {
             sonars.collect(),
             rig.faults.clone(),
             wire_time,
+            PageSource {
+                feed,
+                spec: spec.clone(),
+                world: rig.world.clone(),
+            },
         ));
         let server = match spec.control.listen {
             Some(listen) => Some(ControlServer::start(
                 listen,
+                spec.control.or_any_port,
                 spec.control.token.clone(),
                 control.clone(),
             )?),
@@ -242,6 +292,11 @@ impl Daemon {
             server,
             remarks,
         })
+    }
+
+    /// Where the operator's page is served, if it is.
+    pub fn page(&self) -> Option<SocketAddr> {
+        Some(self.server.as_ref()?.local_addr())
     }
 
     /// How it is paused, stepped and told.
@@ -269,8 +324,17 @@ impl Daemon {
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
-        let control = self.server.iter();
-        lines.extend(control.map(|server| format!("control http {}", server.local_addr())));
+        if let Some(server) = &self.server {
+            let address = server.local_addr();
+            lines.push(format!("control http {address}"));
+            lines.push(format!("page http://{address}/"));
+            let asked = self.rig.spec.control.listen.map(|asked| asked.port());
+            if let Some(asked) = asked.filter(|&port| port != 0 && port != address.port()) {
+                lines.push(format!(
+                    "warning: port {asked} is another program's; page and control are at {address} this time"
+                ));
+            }
+        }
         lines.extend(self.remarks.iter().cloned());
         lines
     }
@@ -309,9 +373,9 @@ impl Daemon {
                 gate: control.gate().clone(),
                 priority: rig.spec.run.priority,
             };
-            let (lane, thread) = open_lane(&rig, sonar, outputs, way)?;
+            let (lane, threads) = open_lane(&rig, sonar, outputs, way)?;
             lanes.push(lane);
-            deliveries.push(thread);
+            deliveries.extend(threads);
         }
         let pacer = Pacer {
             schedules: Vec::new(),
@@ -517,13 +581,14 @@ impl Pacer {
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            self.inputs.pull(utc, &mut self.rig.history);
+            let known = self.known_until(utc);
+            self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
             // A log that has ended makes no more pings; those ordered before are still made.
             if !self.inputs.finished() {
-                self.order(utc, &timeline);
+                self.order(utc.plus_ns(self.ahead_ns()), &timeline);
             }
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
@@ -539,13 +604,30 @@ impl Pacer {
             let next_order = self
                 .schedules
                 .iter()
-                .map(|s| timeline.mono(s.next_utc()))
+                .map(|s| timeline.mono(s.next_utc()).plus_ns(-self.ahead_ns()))
                 .chain([self.nav_out.next_publish()])
                 .min();
             self.clock
                 .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
         }
         Ok(())
+    }
+
+    /// How long before its pulse a ping is ordered and computed.
+    fn ahead_ns(&self) -> i64 {
+        self.rig.spec.run.ahead_ns()
+    }
+
+    /// How far recorded navigation may be read: what was not known yet when a ping had to be foreseen must not be known to it, however late it
+    /// is computed.
+    fn known_until(&self, utc: UtcNs) -> UtcNs {
+        if self.rig.spec.nav.mode == NavMode::Settle {
+            return utc;
+        }
+        let ordered = self.waiting.iter().map(|w| w.order.transmit_utc);
+        let next = self.schedules.iter().map(Schedule::next_utc);
+        let first = ordered.chain(next).min();
+        first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
     /// When the recorded logs first hold what a ping needs of them (the rest is live); none where the daemon is stopped.
@@ -574,10 +656,13 @@ impl Pacer {
         }
     }
 
-    fn begin_schedules(&mut self, first: UtcNs) {
+    fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
+        // Known for long enough to foresee it.
+        let first = first.plus_ns(self.ahead_ns());
         let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
         self.schedules = vec![schedule; self.rig.sonars.len()];
         self.rig.faults.begin(first);
+        first
     }
 
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
@@ -588,7 +673,14 @@ impl Pacer {
             let Some(first) = self.first_recorded()? else {
                 return Ok(None);
             };
-            self.begin_schedules(first);
+            let first = self.begin_schedules(first);
+            self.rig.plan_all(&mut self.inputs, first);
+            if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
+                // Nothing of it may leave before its pulse, which is foreseen before that.
+                let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
+                let first = first.plus_ns(-self.ahead_ns());
+                return Ok(Some(Timeline::through(ordered, first)));
+            }
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
             let units = self.rig.sonars.iter();
@@ -633,7 +725,7 @@ impl Pacer {
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
             let lines = [first(self), self.inputs.lines(), self.nav_out.lines()].concat();
-            self.control.set_nav_lines(lines);
+            self.control.set_nav(lines, self.inputs.sources());
         }
     }
 
@@ -665,7 +757,19 @@ impl Pacer {
                     continue;
                 }
                 let window_s = self.rig.window_s(sonar, &order);
+                let pulse = timeline.mono(order.transmit_utc);
                 let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+                let ready_by = match self.rig.spec.run.delivery {
+                    DeliverySpec::PingEnd => deadline,
+                    DeliverySpec::Streaming { block_s, latency_s } => {
+                        pulse.plus_s(block_s + latency_s)
+                    }
+                };
+                let due = Due {
+                    pulse,
+                    ready_by,
+                    deadline,
+                };
                 let place = self
                     .waiting
                     .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
@@ -675,7 +779,7 @@ impl Pacer {
                         sonar,
                         order,
                         window_s,
-                        deadline,
+                        due,
                     },
                 );
             }
@@ -687,8 +791,9 @@ impl Pacer {
             sonar,
             order,
             window_s,
-            deadline,
+            due,
         } = *front;
+        let deadline = due.ready_by;
         let mode = self.rig.spec.nav.mode;
         let covered = match mode {
             NavMode::Predict => true,
@@ -718,7 +823,7 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        self.compute(sonar, &order, Some(deadline), slot, timeline);
+        self.compute(sonar, &order, Some(due), slot, timeline);
         Step::Done
     }
 
@@ -738,7 +843,7 @@ impl Pacer {
         &mut self,
         sonar: usize,
         order: &PingOrder,
-        deadline: Option<MonoNs>,
+        due: Option<Due>,
         mut slot: Box<PingSlot>,
         timeline: &Timeline,
     ) -> bool {
@@ -757,27 +862,58 @@ impl Pacer {
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
+        let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
+        if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+            // Its first samples cannot leave in time: none do, or the latency would not be constant.
+            add(&counters.skipped_late, 1);
+            self.lanes[sonar].spare = Some(slot);
+            return false;
+        }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
         let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        if let Some(planner) = &self.rig.sonars[sonar].planner {
+            counters.plan(output.fidelity.as_ref(), &planner.counts);
+        }
         counters.nav(&slot.plan.nav);
-        if let Some(deadline) = deadline {
+        if let Some(due) = due {
             let now = self.clock.mono();
-            histograms.margin_us(deadline.0 - now.0);
-            histograms.nav_to_samples_us(now.0 - timeline.mono(order.transmit_utc).0);
+            histograms.margin_us(due.ready_by.0 - now.0);
+            histograms.nav_to_samples_us(now.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
         if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
             .to_delivery
-            .try_send(Delivery { slot, deadline })
+            .try_send(Delivery { slot, due })
         {
             self.stop.store(true, Ordering::Release);
         }
         true
     }
+}
+
+/// Lets the samples of each ping leave as they would be heard, and hands it on at once.
+fn stream(
+    mut outputs: Outputs,
+    pings: &Receiver<Delivery>,
+    on: &Sender<Delivery>,
+    way: &Way,
+) -> Result<(), OutputError> {
+    if way.priority > 0 {
+        // What is not allowed was said when the daemon started.
+        let _ = priority::first_in_first_out(way.priority);
+    }
+    for ping in pings {
+        outputs.stream(&ping.slot, ping.due.map(|due| due.pulse));
+        // It holds as many as there are slots. Nobody there: the daemon ends.
+        if on.send(ping).is_err() {
+            break;
+        }
+    }
+    outputs.close()
 }
 
 /// Encodes each ping while it waits, and hands its records over at the deadline.
@@ -792,7 +928,8 @@ fn deliver(
         let _ = priority::first_in_first_out(way.priority);
     }
     let mut first_error = None;
-    for Delivery { slot, deadline } in deliveries {
+    for Delivery { slot, due } in deliveries {
+        let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.
         let _ = free.try_send(slot);

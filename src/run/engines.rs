@@ -25,7 +25,7 @@ pub const LEVEL_RANGE_DB: f64 = 80.0;
 const NOMINAL_ARRIVALS: usize = 30_000;
 
 /// Acceleration of an array along its rays that the engines have room for, m/s^2: a small boat in a steep sea.
-const HARDEST_M_PER_S2: f64 = 5.0;
+pub const HARDEST_M_PER_S2: f64 = 5.0;
 
 /// Engines kept: the one in use, and those that pings ordered before the latest changes still need.
 const KEPT: usize = 4;
@@ -95,23 +95,7 @@ impl Engines {
         fastest_m_per_s: f64,
         filter: Option<&Decimator>,
     ) -> Result<Self, GriddedError> {
-        // The wider end: eta - 1 = 2 v/(c - v) of a platform that closes.
-        let greatest = 2.0 * fastest_m_per_s / (sound_speed_m_per_s - fastest_m_per_s);
-        let wish = Wish {
-            pulse: spec.pulse,
-            sample_rate_hz: spec.receiver.sample_rate_hz,
-            filter: filter.cloned(),
-            doppler: spec.model.doppler,
-            span: DopplerSpan {
-                least: -greatest,
-                greatest,
-            },
-            curvature_per_s: (fastest_m_per_s.powi(2) / spec.synthesis.nearest_m
-                + HARDEST_M_PER_S2)
-                / sound_speed_m_per_s,
-            tolerance: spec.synthesis.tolerance,
-            threads: rayon::current_num_threads(),
-        };
+        let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
         let mut engines = Self {
             wish: Arc::new(wish),
             sound_speed_m_per_s,
@@ -218,7 +202,48 @@ impl Engines {
     }
 }
 
+/// The engine that a ping would be made with, without its work: for its card and cost.
+pub fn sketch(
+    spec: &SonarSpec,
+    sound_speed_m_per_s: f64,
+    fastest_m_per_s: f64,
+    filter: Option<&Decimator>,
+    plan: &PingPlan,
+) -> Result<Gridded1d, GriddedError> {
+    let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
+    let most = ping::most_samples(spec, sound_speed_m_per_s);
+    wish.engine(Key {
+        duration_s: plan.pulse.duration_s,
+        samples: record_class(plan.sample_count, most.max(plan.sample_count)),
+    })
+}
+
 impl Wish {
+    fn of(
+        spec: &SonarSpec,
+        sound_speed_m_per_s: f64,
+        fastest_m_per_s: f64,
+        filter: Option<&Decimator>,
+    ) -> Self {
+        // The wider end: eta - 1 = 2 v/(c - v) of a platform that closes.
+        let greatest = 2.0 * fastest_m_per_s / (sound_speed_m_per_s - fastest_m_per_s);
+        Self {
+            pulse: spec.pulse,
+            sample_rate_hz: spec.receiver.sample_rate_hz,
+            filter: filter.cloned(),
+            doppler: spec.model.doppler,
+            span: DopplerSpan {
+                least: -greatest,
+                greatest,
+            },
+            curvature_per_s: (fastest_m_per_s.powi(2) / spec.synthesis.nearest_m
+                + HARDEST_M_PER_S2)
+                / sound_speed_m_per_s,
+            tolerance: spec.synthesis.made_for(),
+            threads: rayon::current_num_threads(),
+        }
+    }
+
     fn engine(&self, key: Key) -> Result<Gridded1d, GriddedError> {
         let pulse = Pulse {
             duration_s: key.duration_s,

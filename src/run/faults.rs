@@ -6,7 +6,7 @@
 pub mod line;
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use rand_chacha::ChaCha8Rng;
@@ -77,6 +77,24 @@ struct Standing {
     sonar: Option<usize>,
     /// For one asked for live: from the first ping that it meets on.
     since: OnceLock<UtcNs>,
+    /// As it was asked for.
+    request: FaultRequest,
+    /// Pings or records that it struck, and the last of those pings.
+    struck: AtomicU64,
+    last_ping: AtomicU32,
+}
+
+/// A fault that stands, for whoever looks.
+#[derive(Clone, Debug, Serialize)]
+pub struct StandingFault {
+    pub fault: u32,
+    #[serde(flatten)]
+    pub request: FaultRequest,
+    /// Rig time; none before its first ping.
+    pub from_utc_ns: Option<i64>,
+    pub struck: u64,
+    /// 0: none.
+    pub last_ping: u32,
 }
 
 /// What a sonar has, to check faults against.
@@ -161,6 +179,9 @@ impl Faults {
             spec,
             sonar,
             since: OnceLock::new(),
+            request: request.clone(),
+            struck: AtomicU64::new(0),
+            last_ping: AtomicU32::new(0),
         }));
         self.count.store(standing.len() as u64, Ordering::Release);
         Ok(id)
@@ -173,6 +194,35 @@ impl Faults {
         standing.clear();
         self.count.store(0, Ordering::Release);
         were
+    }
+
+    /// Takes one fault away; whether there was one of that number.
+    pub fn remove(&self, id: u32) -> bool {
+        let mut standing = self.lock();
+        let were = standing.len();
+        standing.retain(|fault| fault.id != id);
+        self.count.store(standing.len() as u64, Ordering::Release);
+        standing.len() < were
+    }
+
+    /// Every fault that stands, begun or not, over or not.
+    pub fn list(&self) -> Vec<StandingFault> {
+        let first = self.first.get();
+        let standing = self.lock();
+        let list = standing.iter().map(|standing| {
+            let from = match standing.spec.at_s {
+                Some(at_s) => first.map(|first| first.plus_s(at_s)),
+                None => standing.since.get().copied(),
+            };
+            StandingFault {
+                fault: standing.id,
+                request: standing.request.clone(),
+                from_utc_ns: from.map(|utc| utc.0),
+                struck: standing.struck.load(Ordering::Relaxed),
+                last_ping: standing.last_ping.load(Ordering::Relaxed),
+            }
+        });
+        list.collect()
     }
 
     pub fn standing(&self) -> usize {
@@ -244,6 +294,8 @@ impl Faults {
                 strength,
             };
             strike(spec, strength, &mut injection);
+            standing.struck.fetch_add(1, Ordering::Relaxed);
+            standing.last_ping.store(ping.number, Ordering::Relaxed);
             self.injected.fetch_add(1, Ordering::Relaxed);
             let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
             if waiting.len() < MOST_WAITING {
@@ -438,6 +490,9 @@ mod tests {
             faults.add(&request(r#"{"kind": "dead"}"#)).expect("room");
         }
         assert!(faults.add(&request(r#"{"kind": "dead"}"#)).is_err());
-        assert_eq!((faults.clear(), faults.standing()), (MOST_FAULTS, 0));
+        let last = faults.list().last().map(|fault| fault.fault);
+        assert_eq!(last, Some(MOST_FAULTS as u32));
+        assert!(faults.remove(MOST_FAULTS as u32) && !faults.remove(MOST_FAULTS as u32));
+        assert_eq!((faults.clear(), faults.standing()), (MOST_FAULTS - 1, 0));
     }
 }

@@ -81,6 +81,20 @@ impl Gate {
         self.change(|state| state.closed = true);
     }
 
+    /// How many times as fast as the machine's its time goes; none where the rig makes its own.
+    pub fn rate(&self) -> Option<f64> {
+        self.clock.as_ref().map(|clock| clock.rate())
+    }
+
+    /// Lets time go at another rate; false where the rig makes its own.
+    pub fn set_rate(&self, rate: f64) -> bool {
+        match &self.clock {
+            Some(clock) => clock.set_rate(rate),
+            None => return false,
+        }
+        true
+    }
+
     pub fn is_paused(&self) -> bool {
         self.lock().paused
     }

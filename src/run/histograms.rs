@@ -9,30 +9,49 @@ const MOST_US: u64 = 600_000_000;
 /// Two digits: percentiles within 1 %.
 const DIGITS: u8 = 2;
 
+/// Of a picture of a histogram: the first bin ends here, and each is so many times as wide as the one before.
+const FIRST_BIN_US: u64 = 16;
+const BIN_GROWTH: f64 = 2.0;
+
 /// Of one sonar. Their memory is all taken when they are made.
 pub struct Histograms {
     start_error: Spread,
     margin: Spread,
     nav_to_samples: Spread,
     hand_over: Spread,
+    pacing: Spread,
 }
 
-struct Spread(Mutex<Histogram<u64>>);
+/// One histogram.
+pub struct Spread(Mutex<Histogram<u64>>);
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Spread {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MOST_US, DIGITS);
         Self(Mutex::new(
             histogram.expect("bounds that hdrhistogram takes"),
         ))
     }
 
-    fn note(&self, us: u64) {
+    pub fn note(&self, us: u64) {
         let mut histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         histogram.saturating_record(us);
     }
 
-    fn figures(&self) -> Figures {
+    fn bins(&self) -> Vec<(u64, u64)> {
+        let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let bins = histogram.iter_log(FIRST_BIN_US, BIN_GROWTH);
+        let bins = bins.map(|bin| (bin.value_iterated_to(), bin.count_since_last_iteration()));
+        bins.collect()
+    }
+
+    pub fn figures(&self) -> Figures {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Figures {
             count: histogram.len(),
@@ -63,6 +82,7 @@ impl Histograms {
             margin: Spread::new(),
             nav_to_samples: Spread::new(),
             hand_over: Spread::new(),
+            pacing: Spread::new(),
         }
     }
 
@@ -86,8 +106,23 @@ impl Histograms {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
+    /// A group of datagrams left so long after its own instant.
+    pub fn pacing_us(&self, ns: i64) {
+        self.pacing.note((ns.max(0) / 1000) as u64);
+    }
+
+    /// By name: where bins end, microseconds, and what is in them; up to the last with anything in it.
+    pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 4] {
+        [
+            ("start_error", self.start_error.bins()),
+            ("compute_margin", self.margin.bins()),
+            ("nav_to_samples", self.nav_to_samples.bins()),
+            ("hand_over", self.hand_over.bins()),
+        ]
+    }
+
     /// Name, meaning, figures.
-    pub fn all(&self) -> [(&'static str, &'static str, Figures); 4] {
+    pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
         [
             (
                 "start_error",
@@ -108,6 +143,11 @@ impl Histograms {
                 "hand_over",
                 "From the instant a ping's records were due until all were handed over",
                 self.hand_over.figures(),
+            ),
+            (
+                "send_pacing",
+                "From the instant a group of datagrams was due until it was handed to the kernel",
+                self.pacing.figures(),
             ),
         ]
     }
@@ -139,6 +179,10 @@ mod tests {
         ] {
             assert!((got as f64 / want - 1.0).abs() < 0.01, "{got} {want}");
         }
+        let (name, bins) = &histograms.bins()[0];
+        assert_eq!(*name, "start_error");
+        assert_eq!(bins.iter().map(|(_, count)| count).sum::<u64>(), 1000);
+        assert!(bins.windows(2).all(|w| w[0].0 < w[1].0), "{bins:?}");
         histograms.margin_us(i64::MAX);
         histograms.margin_us(-5);
         let margin = histograms.all()[1].2;

@@ -10,7 +10,7 @@ use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
 use crate::array::gridded::Dialect;
-use crate::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
+use crate::array::gridded2d::{Bounds, Choice, Gridded2d, Refusal, Spec, choose};
 use crate::config::spec::SonarSpec;
 use crate::echo::walk::{Illuminated, LineEchoes, LineWorkspace};
 use crate::flow::{ArrayGeometry, EchoCounts, MethodCard, PingPlan, Pulse};
@@ -22,7 +22,7 @@ const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
 
 /// Across a line, m/s: what a ship sways and heaves. How much more a line can follow depends on the pulse and on where echoes come from, so it
 /// is measured ping by ping, and pings that leave out too much are counted.
-const SIDEWAYS_M_PER_S: f64 = 0.5;
+pub const SIDEWAYS_M_PER_S: f64 = 0.5;
 
 /// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
 const NOMINAL_SCATTERERS: usize = 300_000;
@@ -39,6 +39,76 @@ pub struct LineEngines {
     tolerance: f64,
 }
 
+/// The longest pulse within the limits.
+fn longest(spec: &SonarSpec) -> Pulse {
+    Pulse {
+        duration_s: spec.limits.pulse_duration_s.1,
+        ..spec.pulse
+    }
+}
+
+fn wanted<'a>(
+    spec: &'a SonarSpec,
+    array: &'a ArrayGeometry,
+    longest: &'a Pulse,
+    sound_speed_m_per_s: f64,
+    fastest_m_per_s: f64,
+    filter: Option<&'a Decimator>,
+    scatterers: usize,
+) -> Spec<'a> {
+    let along = (array.mounting.body_from_array * DVec3::X).x.abs();
+    Spec {
+        array,
+        pulse: longest,
+        sound_speed_m_per_s,
+        sample_rate_hz: spec.receiver.sample_rate_hz,
+        filter,
+        model: &spec.model,
+        bounds: Bounds {
+            nearest_m: spec.synthesis.nearest_m,
+            greatest_slope: 1.0,
+            along_m_per_s: along * fastest_m_per_s,
+            across_m_per_s: SIDEWAYS_M_PER_S,
+            turning_rad_per_s: FASTEST_TURN_RAD_PER_S,
+        },
+        tolerance: spec.synthesis.made_for(),
+        level_range_db: LEVEL_RANGE_DB,
+        samples: ping::sample_count(
+            &spec.settings,
+            sound_speed_m_per_s,
+            spec.receiver.sample_rate_hz,
+        ),
+        scatterers,
+        dialect: Dialect::best(),
+    }
+}
+
+/// What engines would be made, one per receive array, without making them.
+pub fn choices(
+    spec: &SonarSpec,
+    sound_speed_m_per_s: f64,
+    fastest_m_per_s: f64,
+    filter: Option<&Decimator>,
+    scatterers: usize,
+) -> Result<Vec<Choice>, Refusal> {
+    if filter.is_none() {
+        return Err(Refusal::NoFilter);
+    }
+    let longest = longest(spec);
+    let choice = |array: &ArrayGeometry| {
+        choose(&wanted(
+            spec,
+            array,
+            &longest,
+            sound_speed_m_per_s,
+            fastest_m_per_s,
+            filter,
+            scatterers,
+        ))
+    };
+    spec.receive.iter().map(choice).collect()
+}
+
 impl LineEngines {
     /// To be made inside the pool that will run it. `segments`: of the longest polyline.
     pub fn new(
@@ -48,43 +118,24 @@ impl LineEngines {
         filter: Option<&Decimator>,
         segments: usize,
     ) -> Result<Self, Refusal> {
-        let longest = Pulse {
-            duration_s: spec.limits.pulse_duration_s.1,
-            ..spec.pulse
-        };
+        let longest = longest(spec);
         let engine = |array: &ArrayGeometry| {
-            let along = (array.mounting.body_from_array * DVec3::X).x.abs();
-            Gridded2d::new(&Spec {
+            Gridded2d::new(&wanted(
+                spec,
                 array,
-                pulse: &longest,
+                &longest,
                 sound_speed_m_per_s,
-                sample_rate_hz: spec.receiver.sample_rate_hz,
+                fastest_m_per_s,
                 filter,
-                model: &spec.model,
-                bounds: Bounds {
-                    nearest_m: spec.synthesis.nearest_m,
-                    greatest_slope: 1.0,
-                    along_m_per_s: along * fastest_m_per_s,
-                    across_m_per_s: SIDEWAYS_M_PER_S,
-                    turning_rad_per_s: FASTEST_TURN_RAD_PER_S,
-                },
-                tolerance: spec.synthesis.tolerance,
-                level_range_db: LEVEL_RANGE_DB,
-                samples: ping::sample_count(
-                    &spec.settings,
-                    sound_speed_m_per_s,
-                    spec.receiver.sample_rate_hz,
-                ),
-                scatterers: NOMINAL_SCATTERERS,
-                dialect: Dialect::best(),
-            })
+                NOMINAL_SCATTERERS,
+            ))
         };
         Ok(Self {
             engines: spec.receive.iter().map(engine).collect::<Result<_, _>>()?,
             work: (0..rayon::current_num_threads())
                 .map(|_| Mutex::new(LineWorkspace::with_room_for(segments)))
                 .collect(),
-            tolerance: spec.synthesis.tolerance,
+            tolerance: spec.synthesis.made_for(),
         })
     }
 

@@ -29,8 +29,8 @@ use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, PingOutput, PingPlan,
-    Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, ModelChoice,
+    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
 };
 use crate::image::bottom::BottomDetector;
 use crate::ping;
@@ -259,6 +259,7 @@ impl SonarPipeline {
             counts: EchoCounts::default(),
             scene: SceneCounts::default(),
             certificate: None,
+            fidelity: None,
         }
     }
 
@@ -277,6 +278,11 @@ impl SonarPipeline {
         if let Some(certifier) = &mut self.certifier {
             certifier.allow(share);
         }
+    }
+
+    /// What it is made for.
+    pub fn model(&self) -> ModelChoice {
+        self.spec.model
     }
 
     /// What is wrong with the elements in the next ping.
@@ -596,7 +602,10 @@ pub fn engine_cards(
 }
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
-fn receiver_filter(spec: &SonarSpec, medium: &MediumSpec) -> Result<Decimator, FilterError> {
+pub(super) fn receiver_filter(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Decimator, FilterError> {
     let shortest = shortest_pulse(spec);
     let rate_hz = spec.receiver.sample_rate_hz;
     if spec.model.synthesis.keeps_tolerance() {

@@ -51,6 +51,9 @@ impl RecordedRig {
             }
             inputs.pull_next(&mut rig.history);
         };
+        // Known for long enough to foresee it.
+        let first = first.plus_ns(spec.run.ahead_ns());
+        rig.plan_all(&mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];
         Ok(Self {

@@ -174,6 +174,9 @@ impl Replay {
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
                 counters.certificate(slot.output.certificate.as_ref());
+                if let Some(planner) = &self.recorded.rig.sonars[sonar].planner {
+                    counters.plan(slot.output.fidelity.as_ref(), &planner.counts);
+                }
                 self.recorders.record(slot, &self.recorded.rig)?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),

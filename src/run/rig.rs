@@ -8,13 +8,16 @@ use crate::config::spec::{
     AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec,
 };
 use crate::echo::absorption::absorption_db_per_m;
-use crate::flow::{PingOutput, PingPlan, Scatterers, Target, TimeVaryingGain};
+use crate::flow::{PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain};
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::faults::{Faults, PingMark};
+use crate::run::fidelity::costs::{Costs, CostsError};
+use crate::run::fidelity::live::Planner;
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::view;
+use crate::run::world::{Placed, World};
 use crate::scene::simplify::energy::View;
 use crate::scene::simplify::stage::{Stage, StageCounts};
 use crate::scene::{Scene, SceneError};
@@ -30,6 +33,8 @@ pub enum RigError {
     Sonar { name: String, why: PipelineError },
     #[error("fault {number}: {why}")]
     Fault { number: usize, why: FaultRefused },
+    #[error("run.costs: {0}")]
+    Costs(#[from] CostsError),
 }
 
 /// A ping and everything it made, in buffers that are used again.
@@ -49,6 +54,8 @@ pub struct SonarUnit {
     pub absorption_db_per_m: f64,
     /// The rig's.
     pub faults: Arc<Faults>,
+    /// Chooses what the configuration leaves to the plan of methods.
+    pub planner: Option<Planner>,
 }
 
 /// The parts that every ping passes through.
@@ -59,6 +66,8 @@ pub struct Rig {
     pub sonars: Vec<SonarUnit>,
     pub faults: Arc<Faults>,
     placed: bool,
+    /// For threads beside the pings.
+    pub world: Placed,
     scatterers: Scatterers,
     pub simplify_counts: StageCounts,
 }
@@ -71,6 +80,7 @@ impl Rig {
             let added = faults.add(request);
             added.map_err(|why| RigError::Fault { number, why })?;
         }
+        let costs = Arc::new(Costs::of(spec.run.costs.as_deref())?);
         let mut sonars = Vec::new();
         for sonar in &spec.sonars {
             let absorption_db_per_m =
@@ -99,6 +109,7 @@ impl Rig {
                     (Stage::of_spec(simplify, spec.scene.seed), view)
                 }),
                 pipeline,
+                planner: Planner::new(&sonar, &spec.medium, costs.clone()),
                 spec: sonar,
                 absorption_db_per_m,
                 faults: faults.clone(),
@@ -111,6 +122,7 @@ impl Rig {
             sonars,
             faults,
             placed: false,
+            world: Placed::default(),
             scatterers: Scatterers::default(),
             simplify_counts: StageCounts::default(),
         })
@@ -151,9 +163,10 @@ impl Rig {
         let from = order.transmit_utc;
         let to = from.plus_s(self.window_s(sonar, order));
         match self.spec.nav.mode {
-            // As it would have been known at the pulse.
+            // As it would have been known when the ping had to be foreseen.
             NavMode::Predict => {
-                inputs.pull(from, &mut self.history);
+                let known = from.plus_ns(-self.spec.run.ahead_ns());
+                inputs.pull(known, &mut self.history);
                 !inputs.finished()
             }
             NavMode::Settle => {
@@ -189,6 +202,7 @@ impl Rig {
             };
             self.scene.place(north_m, east_m);
             self.placed = true;
+            self.world.get_or_init(|| World::of(&self.scene));
         }
     }
 
@@ -215,10 +229,50 @@ impl Rig {
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
         self.prepare(sonar, order, mode, host_utc, slot)?;
-        self.sonars[sonar]
-            .pipeline
-            .compute_ping(&slot.plan, &self.scatterers, &mut slot.output);
+        let unit = &mut self.sonars[sonar];
+        let PingSlot { plan, output } = slot;
+        unit.pipeline.compute_ping(plan, &self.scatterers, output);
+        if let Some(planner) = &mut unit.planner {
+            output.fidelity = planner.mark();
+            planner.after(plan, &self.scatterers, output.certificate.as_ref());
+        }
         Ok(())
+    }
+
+    /// The plan of methods for the first pings, on `order`, where it is left to the plan and the navigation is there. Before any ping is made.
+    pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
+        if self.sonars[sonar].planner.is_none() {
+            return;
+        }
+        let mut slot = self.slot(sonar);
+        let mode = self.spec.nav.mode;
+        if self
+            .prepare(sonar, order, mode, order.transmit_utc, &mut slot)
+            .is_ok()
+        {
+            let unit = &mut self.sonars[sonar];
+            if let Some(planner) = &mut unit.planner {
+                planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
+            }
+        }
+    }
+
+    /// As [`Self::plan_first`], of every sonar of a rig whose navigation is recorded and begins at `first`; reads on as far as that needs.
+    pub fn plan_all(&mut self, inputs: &mut NavInputs, first: UtcNs) {
+        for sonar in 0..self.sonars.len() {
+            let order = PingOrder {
+                ping_number: 1,
+                transmit_utc: first,
+                settings: SonarSettings {
+                    pinging: true,
+                    ..self.sonars[sonar].spec.settings
+                },
+                period_s: 0.0,
+            };
+            if self.sonars[sonar].planner.is_some() && self.read_on(inputs, sonar, &order) {
+                self.plan_first(sonar, &order);
+            }
+        }
     }
 
     /// The plan of a ping and its scatterers, without the ping itself.
@@ -245,6 +299,10 @@ impl Rig {
         let mark = PingMark::of(sonar, order);
         let stamp_utc = stamp_utc.plus_s(self.faults.stamp_error_s(mark));
         let unit = &mut self.sonars[sonar];
+        if let Some(planner) = &mut unit.planner {
+            planner.before(order.ping_number, &mut unit.pipeline);
+            slot.plan.model = unit.pipeline.model();
+        }
         self.faults.elements(mark, unit.pipeline.faults_mut());
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
         let footprints = unit.pipeline.footprints(&slot.plan);

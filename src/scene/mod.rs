@@ -23,6 +23,7 @@ pub mod tiles;
 mod tests;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::DVec2;
 
@@ -63,6 +64,21 @@ pub enum SceneError {
         "scene.anchor = \"file\": {what} does not tell where on the earth it lies (its coordinates must be latitude and longitude or UTM)"
     )]
     NoPlaceOnEarth { what: String },
+}
+
+/// The seabed's shape in the world.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    surface: Arc<Surface>,
+    anchor_m: DVec2,
+}
+
+impl Ground {
+    /// As [`Scene::seabed_down_m`].
+    pub fn down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        Some(self.surface.sample(own.x, own.y)?.down_m)
+    }
 }
 
 /// The virtual world around the platform.
@@ -188,6 +204,15 @@ impl Scene {
         let (recipe, _) = self.seabed.as_ref()?;
         let own = DVec2::new(north_m, east_m) - self.anchor_m;
         Some(recipe.surface().sample(own.x, own.y)?.down_m)
+    }
+
+    /// The seabed for other threads, where it lies now.
+    pub fn ground(&self) -> Option<Ground> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        Some(Ground {
+            surface: recipe.shared_surface(),
+            anchor_m: self.anchor_m,
+        })
     }
 
     /// As the arrays of footprint `footprint` of the gathering before see a place of the world: depth of the seabed there, and whether

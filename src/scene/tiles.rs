@@ -13,6 +13,8 @@
 //! on every machine, whenever and in whatever order it is made.
 //! Not modelled: correlation of the reflectivity from place to place, change in time.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 use num_complex::Complex32;
 
@@ -144,7 +146,7 @@ impl Levels {
 /// How tiles are made.
 #[derive(Clone, Debug)]
 pub struct Recipe {
-    surface: Surface,
+    surface: Arc<Surface>,
     seed: u64,
     levels: Levels,
     bottom: Bottom,
@@ -235,7 +237,7 @@ impl Tile {
 impl Recipe {
     pub fn new(surface: Surface, spec: &SeabedSpec, seed: u64) -> Self {
         Self {
-            surface,
+            surface: Arc::new(surface),
             seed,
             levels: Levels::new(&spec.density),
             bottom: Bottom::new(&spec.bottom),
@@ -252,6 +254,10 @@ impl Recipe {
 
     pub fn surface(&self) -> &Surface {
         &self.surface
+    }
+
+    pub fn shared_surface(&self) -> Arc<Surface> {
+        Arc::clone(&self.surface)
     }
 
     pub fn levels(&self) -> &Levels {

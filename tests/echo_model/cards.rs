@@ -26,6 +26,7 @@ fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
         scatterers: 1_000_000,
         elements: 1,
         tolerance: 1e-3,
+        heard: None,
     }
 }
 

@@ -877,6 +877,7 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
         scatterers: 1,
         elements: 1,
         tolerance: 1e-3,
+        heard: None,
     };
     // Their squares' means over the band and all places between two samples; the cards have the unluckiest place, in the middle: half a
     // sample's phase against its mean, sqrt(3) for nearest, and y (1 - y) there against its mean, sqrt(30/16) for linear, at low frequencies.

@@ -9,4 +9,5 @@ mod load;
 mod navigation;
 mod pipeline;
 mod rig;
+mod spread;
 mod together;

@@ -97,6 +97,7 @@ pub enum GriddedError {
 /// The plan; shared by all threads.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
+    cost_ms: Box<dyn Fn(usize, f64) -> f64 + Send + Sync>,
     card: MethodCard,
 }
 
@@ -155,14 +156,16 @@ impl Gridded1d {
         let card = MethodCard {
             name: "gridded-1d",
             error,
-            cost_ms: plan.cost_ms(spec.arrivals),
+            cost_ms: plan.cost_ms(spec.arrivals, 1.0),
             why: format!(
                 "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
                 plan.bins, plan.grid, plan.flush.width, doppler.columns, doppler.taps
             ),
         };
+        let costing = plan.clone();
         Ok(Self {
             make: Box::new(move || Box::new(Work::<M, G>::new(plan.clone()))),
+            cost_ms: Box::new(move |arrivals, share| costing.cost_ms(arrivals, share)),
             card,
         })
     }
@@ -170,6 +173,11 @@ impl Gridded1d {
     /// Predicted error, and milliseconds of one core per element.
     pub fn card(&self) -> &MethodCard {
         &self.card
+    }
+
+    /// Predicted milliseconds of one core per element with so many echoes, whose Dopplers take up this share of the span.
+    pub fn cost_ms(&self, arrivals: usize, share: f64) -> f64 {
+        (self.cost_ms)(arrivals, share)
     }
 
     pub fn work(&self) -> Gridded1dWork {
@@ -415,10 +423,14 @@ impl<M: Real, G: Real> Plan<M, G> {
         self.grid + MAX_WIDTH
     }
 
-    fn cost_ms(&self, arrivals: usize) -> f64 {
+    fn cost_ms(&self, arrivals: usize, share: f64) -> f64 {
         let mut ns = arrivals as f64 * NS_PER_ARRIVAL;
         for term in &self.terms {
-            let columns = term.columns.grid.columns;
+            let grid = &term.columns.grid;
+            let columns = match grid.columns {
+                1 => 1,
+                all => grid.columns_of(share).min(all),
+            };
             if columns > 1 {
                 ns += (arrivals * columns.div_ceil(M::MOMENTS)) as f64 * NS_PER_ROW;
             }

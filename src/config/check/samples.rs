@@ -2,9 +2,10 @@
 
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
-use super::only_with;
 use super::sonar::Arrays;
+use super::{Listener, address, only_with};
 use crate::flow::Pulse;
+use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
 /// What stands around the samples of a VITA 49 packet.
 const VRT_AROUND_BYTES: usize = 24;
@@ -134,6 +135,56 @@ fn destinations(table: &RawTable, problems: &mut Problems) -> Option<Vec<std::ne
         );
     }
     parsed.ok()
+}
+
+pub fn elements<'t>(
+    table: &'t RawTable,
+    source: Source<'_>,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<ElementStreamSpec> {
+    let listen = address(table, "listen", problems);
+    if let Some(address) = listen {
+        listeners.push(Listener {
+            entry: table.entry("listen"),
+            protocol: "TCP",
+            address,
+            multicast: false,
+        });
+    }
+    let arrays = source.arrays.chosen(table, problems);
+    let is_float = table.text("sample")? == "f32";
+    let max_packet = table.count("max_packet_bytes")?;
+    let send_to = match table.given("send_to") {
+        true => destinations(table, problems),
+        false => Some(Vec::new()),
+    };
+    if let Some(arrays) = &arrays {
+        let elements = source.elements(arrays);
+        let sample = if is_float {
+            SampleType::F32
+        } else {
+            SampleType::I16
+        };
+        let needed = HEADER_BYTES + sample.bytes() * elements;
+        if elements > usize::from(u16::MAX) {
+            let rule = format!("{elements} elements; a frame counts to {}", u16::MAX);
+            problems.refuse(table.entry("arrays"), rule);
+        } else if table.given("send_to") && max_packet < needed {
+            let rule = format!("must hold a moment of {elements} elements: at least {needed}");
+            problems.refuse(table.entry("max_packet_bytes"), rule);
+        }
+    }
+    Some(ElementStreamSpec {
+        listen: listen?,
+        send_to: send_to?,
+        arrays: arrays?,
+        is_float,
+        max_packet,
+        pace_bytes_per_s: table.number("pace_mbit_per_s")? * 1e6 / 8.0,
+        client_queue_bytes: table.count("client_queue_mib")? << 20,
+        max_clients: table.count("max_clients")?,
+    })
 }
 
 pub fn sigmf(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<SigmfSpec> {

@@ -667,11 +667,13 @@ fn model(
     filter: Option<ReceiverFilter>,
     problems: &mut Problems,
 ) -> Option<ModelChoice> {
-    let doppler = table.text("doppler");
-    let doppler = DopplerModel::ALL
-        .into_iter()
-        .find(|d| Some(d.name()) == doppler);
-    let synthesis = match table.given("synthesis") {
+    let doppler = match table.text("doppler") {
+        Some(AUTO) => Some(start_doppler(table)),
+        named => DopplerModel::ALL
+            .into_iter()
+            .find(|d| Some(d.name()) == named),
+    };
+    let synthesis = match table.given("synthesis") && table.text("synthesis") != Some(AUTO) {
         true => table.text("synthesis").and_then(synthesis_named),
         false => doppler.zip(filter).map(|(d, f)| default_synthesis(d, f)),
     };
@@ -702,7 +704,11 @@ fn model(
             "needs receiver.rx_filter = \"fir\": a band that ends",
         );
     }
-    let path = table.text("path")?;
+    let path = match table.text("path")? {
+        // Without steps, so that every sum takes it.
+        AUTO => PathModel::KSegment.name(),
+        named => named,
+    };
     if (synthesis, path) == (Some(Synthesis::Gridded2d), "polyline") {
         problems.refuse(
             table.entry("path"),
@@ -713,12 +719,41 @@ fn model(
         path: PathModel::ALL.into_iter().find(|p| p.name() == path)?,
         doppler: doppler?,
         synthesis: synthesis?,
-        segment_s: table.scaled("segment_ms", -3)?,
+        segment_s: match auto_model(table).segment {
+            true => START_SEGMENT_S,
+            false => table.scaled("segment_ms", -3)?,
+        },
         cull_db: match table.given("cull_db") {
             true => Some(table.number("cull_db")?),
             false => None,
         },
     })
+}
+
+/// What is left to the plan of methods.
+const AUTO: &str = "auto";
+
+/// Of a path that is left to the plan, until it is made, seconds.
+const START_SEGMENT_S: f64 = 0.01;
+
+fn auto_model(table: &RawTable) -> AutoModel {
+    let is_auto = |key: &str| table.text(key) == Some(AUTO);
+    AutoModel {
+        path: is_auto("path"),
+        segment: is_auto("path") && !table.given("segment_ms"),
+        doppler: is_auto("doppler"),
+        synthesis: table.given("synthesis") && is_auto("synthesis"),
+        cull: false,
+    }
+}
+
+/// Of a Doppler model that is left to the plan, until it is made: the best that the sum takes.
+fn start_doppler(table: &RawTable) -> DopplerModel {
+    let named = table.text("synthesis").and_then(synthesis_named);
+    match table.given("synthesis") && named.is_some_and(Synthesis::shares_pulse) {
+        true => DopplerModel::None,
+        false => DopplerModel::StretchQuadratic,
+    }
 }
 
 fn synthesis_named(name: &str) -> Option<Synthesis> {
@@ -756,6 +791,12 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
         nearest_m: match table.given("nearest_m") {
             true => table.number("nearest_m")?,
             false => SynthesisSpec::default().nearest_m,
+        },
+        engine_tolerance: None,
+        auto: auto_model(table),
+        image_cells: match table.given("tolerance_image") {
+            true => Some(table.number("tolerance_image")?),
+            false => None,
         },
     })
 }
@@ -1011,6 +1052,12 @@ fn outputs<'t>(
             .table("vita49")
             .and_then(|t| samples::vita49(t, source, problems));
         outputs.push(spec.map(OutputSpec::Vita49));
+    }
+    if table.given("elements") {
+        let spec = table
+            .table("elements")
+            .and_then(|t| samples::elements(t, source, listeners, problems));
+        outputs.push(spec.map(OutputSpec::Elements));
     }
     if table.given("sigmf") {
         let spec = table

@@ -1,6 +1,6 @@
 //! Outputs of samples: packets for boards, and recordings.
 
-use super::Presence::{Default, Shown};
+use super::Presence::{Default, Optional, Shown};
 use super::{Key, Kind, Table, from, key};
 
 const ARRAYS: Key = key(
@@ -68,6 +68,51 @@ pub static VITA49: Table = Table {
             Default("1"),
             "1 stays in the local network.",
         ),
+    ],
+    later: &[],
+};
+
+pub static ELEMENTS: Table = Table {
+    doc: "Element samples with little around them (protocols/README.md), over TCP to whoever connects and over UDP to fixed addresses.",
+    keys: &[
+        key(
+            "listen",
+            Kind::Text,
+            Default("\"127.0.0.1:7172\""),
+            "TCP. Only this computer by default: there is no password.",
+        ),
+        key(
+            "send_to",
+            Kind::Text,
+            Optional("\"127.0.0.1:7173\""),
+            "UDP; several addresses with commas between them. Left out: TCP only.",
+        ),
+        ARRAYS,
+        key(
+            "sample",
+            Kind::Choice(&["i16", "f32"], &[]),
+            Default("\"i16\""),
+            "I and Q as counts, the receiver's full scale as 32767, or as volts.",
+        ),
+        key(
+            "max_packet_bytes",
+            Kind::Integer(128, 65_504),
+            Default("1472"),
+            "Of UDP; 1472 fits an Ethernet frame.",
+        ),
+        key(
+            "pace_mbit_per_s",
+            Kind::Number(from(0.1, 100_000.0)),
+            Default("400.0"),
+            "Datagrams leave no faster than this.",
+        ),
+        key(
+            "client_queue_mib",
+            Kind::Integer(1, 65_536),
+            Default("64"),
+            "What may wait for one slow client before its frames are dropped.",
+        ),
+        key("max_clients", Kind::Integer(1, 1000), Default("8"), ""),
     ],
     later: &[],
 };

@@ -18,6 +18,23 @@ pub struct Vita49Spec {
     pub multicast_ttl: u32,
 }
 
+/// Frames of element samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ElementStreamSpec {
+    /// TCP.
+    pub listen: SocketAddr,
+    /// UDP, whether or not anybody listens.
+    pub send_to: Vec<SocketAddr>,
+    pub arrays: Vec<usize>,
+    /// 32-bit floats instead of 16-bit integers.
+    pub is_float: bool,
+    /// Of a datagram.
+    pub max_packet: usize,
+    pub pace_bytes_per_s: f64,
+    pub client_queue_bytes: usize,
+    pub max_clients: usize,
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub struct SigmfSpec {
     pub arrays: Vec<usize>,

@@ -49,6 +49,21 @@ pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSp
             );
             line(out, "  vita49", &text)
         }
+        OutputSpec::Elements(stream) => {
+            let n = elements(&stream.arrays);
+            let bytes = if stream.is_float { 2.0 } else { 1.0 } * IQ_BYTES;
+            let udp: String = stream
+                .send_to
+                .iter()
+                .map(|to| format!(", UDP {to}"))
+                .collect();
+            let text = format!(
+                "TCP {}{udp}: {n} elements, {:.2} Mbit/s to each",
+                stream.listen,
+                mbit_per_s(n as f64 * bytes * rate_hz * on_air),
+            );
+            line(out, "  elements", &text)
+        }
         OutputSpec::Ping(ping) => {
             let serial = match &ping.serial {
                 Some((path, baud)) => format!(", {path} at {baud} Bd"),

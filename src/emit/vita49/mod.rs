@@ -5,43 +5,20 @@
 
 use echotank_protocols::vita49::{Context, SignalStream, Trailer, VrtTime};
 
+use super::blocks::blocks;
 use super::elements::{counts, elements_of, interleave_iq};
+use super::packets::Packets;
 use super::passband::Passband;
 use super::sevenk::EmitCounts;
 use crate::config::spec::{SonarSpec, Vita49Spec};
 use crate::flow::{PingOutput, PingPlan};
 
-/// The packets of one ping, one after the other.
-#[derive(Debug, Default)]
-pub struct Packets {
-    bytes: Vec<u8>,
-    ends: Vec<usize>,
-}
-
-impl Packets {
-    pub fn clear(&mut self) {
-        self.bytes.clear();
-        self.ends.clear();
-    }
-    pub(crate) fn push(&mut self, packet: &[u8]) {
-        self.bytes.extend_from_slice(packet);
-        self.ends.push(self.bytes.len());
-    }
-    pub fn len_bytes(&self) -> usize {
-        self.bytes.len()
-    }
-    pub fn iter(&self) -> impl Iterator<Item = &[u8]> {
-        let starts = std::iter::once(0).chain(self.ends.iter().copied());
-        starts
-            .zip(&self.ends)
-            .map(|(start, &end)| &self.bytes[start..end])
-    }
-}
-
 /// Turns pings into packets. Holds its buffers and the streams' counts; one thread's.
 pub struct Vita49Emitter {
     arrays: Vec<usize>,
     full_scale_v: f64,
+    /// Packets end at the ends of blocks of this length.
+    block_s: Option<f64>,
     streams: Vec<SignalStream>,
     passband: Option<Passband>,
     /// What the streams' contexts said last.
@@ -82,6 +59,7 @@ impl Vita49Emitter {
         Self {
             arrays: output.arrays.clone(),
             full_scale_v: sonar.receiver.full_scale_v,
+            block_s: None,
             streams,
             passband: output
                 .passband_rate_hz
@@ -94,6 +72,12 @@ impl Vita49Emitter {
             packet: Vec::new(),
             totals: EmitCounts::default(),
         }
+    }
+
+    /// The same samples in packets that end where blocks of this length end.
+    pub fn in_blocks_of(mut self, block_s: Option<f64>) -> Self {
+        self.block_s = block_s;
+        self
     }
 
     pub fn totals(&self) -> EmitCounts {
@@ -144,9 +128,9 @@ impl Vita49Emitter {
             over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
             sample_loss: Some(lost),
         };
-        self.emit_samples(start, elements, trailer, into);
+        self.emit_samples(plan.first_sample_s, start, elements, trailer, into);
         let counts = EmitCounts {
-            records: into.ends.len() as u64,
+            records: into.len() as u64,
             bytes: into.len_bytes() as u64,
             saturated,
         };
@@ -180,6 +164,7 @@ impl Vita49Emitter {
     /// Packet by packet, all streams of a time together.
     fn emit_samples(
         &mut self,
+        first_sample_s: f64,
         start: VrtTime,
         elements: usize,
         trailer: Trailer,
@@ -194,31 +179,30 @@ impl Vita49Emitter {
         } / elements;
         let per_packet = self.streams[0].moments_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
-        for first in (0..moments).step_by(per_packet) {
-            let rows = first..(first + per_packet).min(moments);
-            // From the ping's start every time, so that rounding does not add up.
-            let time = start.plus_ps((first as f64 / rate_hz * 1e12).round() as u128);
-            for (s, stream) in self.streams.iter_mut().enumerate() {
-                let columns = s * side_by_side..(s + 1) * side_by_side;
-                let trailer = Some(trailer);
-                let packet = &mut self.packet;
-                if is_complex {
-                    take(&self.iq, elements, rows.clone(), columns, &mut self.cut_iq);
-                    stream.emit_complex(packet, time, &self.cut_iq, trailer, |packet| {
-                        into.push(packet)
-                    });
-                } else {
-                    take(
-                        &self.real,
-                        elements,
-                        rows.clone(),
-                        columns,
-                        &mut self.cut_real,
-                    );
-                    stream.emit_real(packet, time, &self.cut_real, trailer, |packet| {
-                        into.push(packet)
-                    });
+        for (block, end_s) in blocks(moments, rate_hz, self.block_s) {
+            for first in block.clone().step_by(per_packet) {
+                let rows = first..(first + per_packet).min(block.end);
+                // From the ping's start every time, so that rounding does not add up.
+                let time = start.plus_ps((first as f64 / rate_hz * 1e12).round() as u128);
+                for (s, stream) in self.streams.iter_mut().enumerate() {
+                    let columns = s * side_by_side..(s + 1) * side_by_side;
+                    let (rows, trailer) = (rows.clone(), Some(trailer));
+                    let packet = &mut self.packet;
+                    if is_complex {
+                        take(&self.iq, elements, rows, columns, &mut self.cut_iq);
+                        stream.emit_complex(packet, time, &self.cut_iq, trailer, |packet| {
+                            into.push(packet)
+                        });
+                    } else {
+                        take(&self.real, elements, rows, columns, &mut self.cut_real);
+                        stream.emit_real(packet, time, &self.cut_real, trailer, |packet| {
+                            into.push(packet)
+                        });
+                    }
                 }
+            }
+            if let Some(end_s) = end_s {
+                into.end_block(first_sample_s.max(0.0) + end_s);
             }
         }
     }

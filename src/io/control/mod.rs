@@ -2,21 +2,30 @@
 //!
 //! One thread with a tokio runtime of its own, apart from pings and protocols. It listens on this machine alone unless told otherwise, and
 //! then asks for a token. A page of another site cannot reach it: see [`router`].
+//!
+//! It also serves the operator's page: [`assets`] are its files, [`socket`] is its WebSocket, [`feed`] brings it what the pings made.
 
+mod assets;
 pub mod client;
+pub mod feed;
+pub mod frame;
 mod router;
+pub mod socket;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+pub use axum::body::Bytes;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::sync::watch;
 
 use crate::config::spec::FaultRequest;
-use crate::flow::SettingChange;
+use crate::flow::{Asker, SettingChange, TriggerSource};
+use feed::Feed;
+use socket::{Pages, ReliefTile};
 
 /// For answers on their way when the server stops.
 const DRAIN: Duration = Duration::from_millis(500);
@@ -42,7 +51,36 @@ pub enum Command {
     },
     /// From the next ping on, or `at_s` after the first.
     Fault(FaultRequest),
-    ClearFaults,
+    /// Takes a fault away, or all.
+    ClearFaults {
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        fault: Option<u32>,
+    },
+    /// How time goes from now on.
+    Clock {
+        mode: ClockMode,
+        /// Of `scaled`: times as fast as the machine's.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rate: Option<f64>,
+    },
+}
+
+/// As `run.clock` of the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClockMode {
+    RealTime,
+    Scaled,
+    Fast,
+    Lockstep,
+}
+
+/// As [`TriggerSource`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum TriggerName {
+    Internal,
+    External,
 }
 
 fn one() -> u64 {
@@ -68,6 +106,8 @@ pub struct Settings {
     pub pulse_ms: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pinging: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trigger: Option<TriggerName>,
 }
 
 impl Settings {
@@ -83,6 +123,12 @@ impl Settings {
             self.gain_db.map(SettingChange::GainDb),
             self.pulse_ms
                 .map(|ms| SettingChange::PulseDurationS(ms * 1e-3)),
+            self.trigger.map(|trigger| {
+                SettingChange::Trigger(match trigger {
+                    TriggerName::Internal => TriggerSource::Internal,
+                    TriggerName::External => TriggerSource::External,
+                })
+            }),
             self.pinging.map(start_or_stop),
         ]
         .into_iter()
@@ -132,7 +178,7 @@ impl Answer {
 
 /// The daemon as the server sees it. Nothing here waits.
 pub trait ControlPort: Send + Sync {
-    fn command(&self, command: &Command) -> Answer;
+    fn command(&self, command: &Command, by: Asker) -> Answer;
     fn status(&self) -> Value;
     /// Prometheus text, version 0.0.4.
     fn metrics(&self) -> String;
@@ -140,6 +186,18 @@ pub trait ControlPort: Send + Sync {
     fn ailment(&self) -> Option<String> {
         None
     }
+    /// What the pings have for the page.
+    fn feed(&self) -> &Arc<Feed>;
+    /// What does not change while the daemon runs, for the page.
+    fn hello(&self) -> Value;
+    /// What is not of one ping, for the page.
+    fn page_state(&self) -> Value;
+    /// Another whenever somebody has changed something.
+    fn revision(&self) -> u64;
+    /// Where the targets lie, once that is known.
+    fn world(&self) -> Value;
+    /// A frame of the seabed's depths; none where there is no seabed, or not yet.
+    fn relief(&self, tile: ReliefTile) -> Option<Bytes>;
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -161,14 +219,20 @@ pub struct ControlServer {
 }
 
 impl ControlServer {
-    /// `token`: asked for where there is one.
+    /// `token`: asked for where there is one. `or_any_port`: where the port is somebody else's, any other will do.
     pub fn start(
         address: SocketAddr,
+        or_any_port: bool,
         token: Option<String>,
         port: Arc<dyn ControlPort>,
     ) -> Result<Self, OpenError> {
         let failed = |source| OpenError::Listen { address, source };
-        let listener = std::net::TcpListener::bind(address).map_err(failed)?;
+        let listener = match std::net::TcpListener::bind(address) {
+            Err(error) if or_any_port && error.kind() == std::io::ErrorKind::AddrInUse => {
+                std::net::TcpListener::bind((address.ip(), 0)).map_err(failed)?
+            }
+            bound => bound.map_err(failed)?,
+        };
         listener.set_nonblocking(true).map_err(failed)?;
         let local_addr = listener.local_addr().map_err(failed)?;
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -176,10 +240,14 @@ impl ControlServer {
             .build()
             .map_err(OpenError::Thread)?;
         let (stop, stopped) = watch::channel(false);
-        let routes = router::router(port, token);
+        let shared = router::Shared {
+            port,
+            pages: Arc::new(Pages::new()),
+            stopped: stopped.clone(),
+        };
         let thread = std::thread::Builder::new()
             .name("control".into())
-            .spawn(move || runtime.block_on(serve(listener, routes, stopped)))
+            .spawn(move || runtime.block_on(serve(listener, shared, token, stopped)))
             .map_err(OpenError::Thread)?;
         Ok(Self {
             local_addr,
@@ -205,7 +273,8 @@ impl Drop for ControlServer {
 
 async fn serve(
     listener: std::net::TcpListener,
-    routes: axum::Router,
+    shared: router::Shared,
+    token: Option<String>,
     stopped: watch::Receiver<bool>,
 ) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
@@ -214,9 +283,12 @@ async fn serve(
     let wait = |mut stopped: watch::Receiver<bool>| async move {
         let _ = stopped.wait_for(|&stop| stop).await;
     };
+    let (pages, port) = (Arc::clone(&shared.pages), Arc::clone(&shared.port));
+    let routes = router::router(shared, token).into_make_service_with_connect_info::<SocketAddr>();
     let server = axum::serve(listener, routes).with_graceful_shutdown(wait(stopped.clone()));
     tokio::select! {
         _ = server => {}
+        () = pages.renew(port.as_ref()) => {}
         () = async { wait(stopped).await; tokio::time::sleep(DRAIN).await } => {}
     }
 }

@@ -6,53 +6,81 @@
 //! | GET /status | everything there is to know, as JSON |
 //! | GET /metrics | counters and quantiles as Prometheus text |
 //! | GET /healthz | 200, or 503 with the reason; asks for no token |
+//! | GET /, /page/... | the operator's page, the same for everybody; asks for no token |
+//! | GET /page/socket | its WebSocket, see [`super::socket`]; the token comes as a subprotocol, `token.` and its bytes in hexadecimal |
 //!
 //! Against pages of other sites in the operator's browser: commands must be `application/json` (which a form cannot send), an `Origin` must be
 //! the server's own, and without a token the server must be asked for by address or as localhost (a name of somebody else's that is made to
 //! point here is refused).
 
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
 use axum::Json;
 use axum::Router;
+use axum::extract::connect_info::ConnectInfo;
 use axum::extract::rejection::JsonRejection;
-use axum::extract::{DefaultBodyLimit, Request, State};
+use axum::extract::{DefaultBodyLimit, FromRef, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use serde_json::json;
+use tokio::sync::watch;
 
-use super::{Command, ControlPort};
+use super::socket::{self, Pages};
+use super::{Command, ControlPort, assets};
+use crate::flow::Asker;
 
 /// Longest command, bytes.
 const MOST_BODY_BYTES: usize = 64 * 1024;
 
 type Port = State<Arc<dyn ControlPort>>;
 
-pub(super) fn router(port: Arc<dyn ControlPort>, token: Option<String>) -> Router {
+/// What the routes work with.
+#[derive(Clone)]
+pub(super) struct Shared {
+    pub port: Arc<dyn ControlPort>,
+    pub pages: Arc<Pages>,
+    /// True when the server stops.
+    pub stopped: watch::Receiver<bool>,
+}
+
+impl FromRef<Shared> for Arc<dyn ControlPort> {
+    fn from_ref(shared: &Shared) -> Self {
+        Arc::clone(&shared.port)
+    }
+}
+
+pub(super) fn router(shared: Shared, token: Option<String>) -> Router {
     let guarded = Router::new()
         .route("/control", post(control))
         .route("/status", get(status))
         .route("/metrics", get(metrics))
+        .route("/page/socket", get(socket::open))
         .layer(middleware::from_fn_with_state(Arc::new(token), guard));
     Router::new()
         .route("/healthz", get(health))
+        .merge(assets::routes())
         .merge(guarded)
         .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
-        .with_state(port)
+        .with_state(shared)
 }
 
 async fn control(
     State(port): Port,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
     command: Result<Json<Command>, JsonRejection>,
 ) -> impl IntoResponse {
     let command = match command {
         Ok(Json(command)) => command,
         Err(rejection) => return refusal(rejection.status(), &rejection.body_text()),
     };
-    let answer = port.command(&command);
+    let by = Asker {
+        via: "control",
+        peer: Some(peer),
+    };
+    let answer = port.command(&command, by);
     let status = match answer.accepted {
         true => StatusCode::OK,
         false => StatusCode::CONFLICT,
@@ -76,7 +104,7 @@ async fn health(State(port): Port) -> impl IntoResponse {
     }
 }
 
-fn refusal(status: StatusCode, why: &str) -> Response {
+pub(super) fn refusal(status: StatusCode, why: &str) -> Response {
     (status, Json(json!({ "accepted": false, "why": why }))).into_response()
 }
 
@@ -101,7 +129,13 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
     match token {
         Some(token) => {
             let given = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
-            let known = given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()));
+            // A browser cannot send a header with a WebSocket.
+            let protocols = text(header::SEC_WEBSOCKET_PROTOCOL).unwrap_or_default();
+            let in_hex = protocols
+                .split(',')
+                .find_map(|protocol| protocol.trim().strip_prefix("token."));
+            let known = given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()))
+                || in_hex.is_some_and(|given| same(given.as_bytes(), hex(token).as_bytes()));
             (!known).then_some((
                 StatusCode::UNAUTHORIZED,
                 "a token is asked for: Authorization: Bearer TOKEN",
@@ -112,6 +146,10 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
             "must be asked for by its address or as localhost",
         )),
     }
+}
+
+fn hex(token: &str) -> String {
+    token.bytes().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// In a time that does not tell where they differ.

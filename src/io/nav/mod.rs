@@ -220,6 +220,15 @@ impl NavInputs {
         self.live.as_ref().map_or(Vec::new(), Live::listening)
     }
 
+    /// Name, state and counters of every source.
+    pub fn sources(&mut self) -> Vec<(State, SourceCounters)> {
+        let states = self.states.clone();
+        states
+            .into_iter()
+            .zip(self.counters().iter().cloned())
+            .collect()
+    }
+
     /// A line per source.
     pub fn lines(&mut self) -> Vec<String> {
         let states = self.states.clone();

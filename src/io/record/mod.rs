@@ -138,4 +138,4 @@ impl Drop for PartialFile {
 }
 
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;

@@ -10,6 +10,7 @@
 //! | `segments` | the polyline on which its echoes were computed |
 //! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
+//! | `fidelity` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, and, with a certificate, `margin` (tolerance over measured error) |
 //! | `soundings` | where the fan looks for the bottom and finds it: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
@@ -30,7 +31,7 @@ use serde_json::Value;
 use super::{RecordError, plan_text};
 use crate::config::spec::SonarSpec;
 use crate::flow::{
-    Certificate, Detection, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
+    Certificate, Detection, FidelityMark, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
 };
 use crate::frames::{Pose, angles_from_rotation};
 
@@ -48,9 +49,33 @@ struct PingTruth<'a> {
     scene: SceneTruth,
     #[serde(skip_serializing_if = "Option::is_none")]
     certificate: Option<CertificateTruth>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fidelity: Option<FidelityTruth>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     soundings: Vec<SoundingTruth>,
     targets: Vec<TargetTruth<'a>>,
+}
+
+#[derive(Serialize)]
+struct FidelityTruth {
+    plan: u32,
+    predicted_error: f64,
+    predicted_ms: f64,
+    tolerance: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    margin: Option<f64>,
+}
+
+impl FidelityTruth {
+    fn of(mark: FidelityMark, certificate: Option<Certificate>) -> Self {
+        Self {
+            plan: mark.plan,
+            predicted_error: mark.predicted_error,
+            predicted_ms: mark.predicted_ms,
+            tolerance: mark.tolerance,
+            margin: certificate.map(|c| mark.tolerance / c.error.max(f64::MIN_POSITIVE)),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -191,6 +216,9 @@ impl TruthRecorder {
         let truth = PingTruth {
             scene: output.scene.into(),
             certificate: output.certificate.map(Into::into),
+            fidelity: output
+                .fidelity
+                .map(|mark| FidelityTruth::of(mark, output.certificate)),
             soundings: output.soundings.iter().map(Into::into).collect(),
             ..ping_truth(sonar, plan, targets)
         };
@@ -233,6 +261,7 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
         segments: plan_text::segments(&plan.segments),
         scene: SceneTruth::default(),
         certificate: None,
+        fidelity: None,
         soundings: Vec::new(),
         targets: targets
             .iter()
@@ -260,19 +289,8 @@ fn target_truth<'a>(
     } else {
         Side::Starboard
     };
-    let delays_s: Vec<_> = sonar
-        .receive
-        .iter()
-        .map(|array| {
-            let transmit_m = pose.point_m(sonar.transmit[array.transmit].mounting.position_m);
-            let first_leg_m = target.position_m.distance(transmit_m);
-            delay_s(
-                plan,
-                first_leg_m,
-                array.mounting.position_m,
-                target.position_m,
-            )
-        })
+    let delays_s: Vec<_> = (0..sonar.receive.len())
+        .map(|array| echo_delay_s(sonar, plan, array, target.position_m))
         .collect();
     TargetTruth {
         name: &target.name,
@@ -291,6 +309,15 @@ fn target_truth<'a>(
         across_m: body.y,
         below_m: body.z,
     }
+}
+
+/// When the leading edge of an echo from `target_m` (world) reaches the centre of a receive array, from the start of the pulse.
+pub fn echo_delay_s(sonar: &SonarSpec, plan: &PingPlan, array: usize, target_m: DVec3) -> f64 {
+    let array = &sonar.receive[array];
+    let transmit = &sonar.transmit[array.transmit].mounting;
+    let transmit_m = plan.trajectory.pose_at(0.0).point_m(transmit.position_m);
+    let first_leg_m = target_m.distance(transmit_m);
+    delay_s(plan, first_leg_m, array.mounting.position_m, target_m)
 }
 
 /// c u = first leg + |target - r(u)|, by repeated substitution: each round shrinks the error by v/c, so that twelve reach the last bit of

@@ -11,10 +11,13 @@
 //!
 //! Over UDP a client lasts as long as its subscriptions: until it has none and was silent for [`ServerTimes::udp_idle`], or it was silent for
 //! [`ServerTimes::udp_silence`] whatever it subscribed to (any command renews it), or its port is reported closed. Records also go to
-//! addresses that were dialled ([`SonarServer::dial`], or a session's word) until they are hung up or fail. UDP bursts are not paced.
+//! addresses that were dialled ([`SonarServer::dial`], or a session's word) until they are hung up or fail. A thread of its own sends to all UDP
+//! clients, each at the rate that [`SonarServer::deliver_over`] gives it (`paced`).
 
 pub mod client;
 mod dial;
+pub mod elements;
+mod paced;
 mod queue;
 mod sevenk;
 mod tcp;
@@ -23,7 +26,7 @@ pub mod verify;
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -33,7 +36,9 @@ use tokio::time::interval;
 pub use crate::emit::session::Transport;
 use crate::emit::session::{Outgoing, Protocol, Session, Wants};
 use crate::flow::Datagram;
+use crate::io::pace::Sending;
 use crate::time::UtcNs;
+use paced::PacedSender;
 use queue::{Client, Offer};
 pub use sevenk::{start_sevenk, start_sevenk_with};
 
@@ -210,6 +215,8 @@ impl SonarServer {
             dials,
             local_addr,
             protocol,
+            sending: OnceLock::new(),
+            paced: OnceLock::new(),
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -245,9 +252,20 @@ impl SonarServer {
         self.shared.dial(peer, transport, wants);
     }
 
+    /// How its datagrams are sent; to be called before there are any.
+    pub fn set_sending(&self, sending: Sending) {
+        // Too late where the thread has started: then it stays as it is.
+        let _ = self.shared.sending.set(sending);
+    }
+
     /// Queues records for every client that wants them. Never waits for a client.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
-        self.shared.deliver(records);
+        self.deliver_over(records, 0.0);
+    }
+
+    /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once.
+    pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
+        self.shared.offer_all(records.iter().cloned(), Some(over_s));
     }
 
     pub fn report(&self) -> ServerReport {
@@ -359,7 +377,7 @@ async fn notices(shared: Arc<Shared>, mut stopped: watch::Receiver<bool>) {
         if now != version {
             let notices = protocol.notices(version, (shared.rig_time)());
             version = now;
-            shared.offer_all(notices.into_iter().map(Arc::new));
+            shared.offer_all(notices.into_iter().map(Arc::new), None);
         }
     }
 }
@@ -376,6 +394,9 @@ struct Shared {
     protocol: Arc<dyn Protocol>,
     rig_time: RigTime,
     times: ServerTimes,
+    sending: OnceLock<Sending>,
+    /// Begun with the first datagram; none where there can be no thread.
+    paced: OnceLock<Option<PacedSender>>,
     queue: QueueLimit,
     max_clients: usize,
     local_addr: SocketAddr,
@@ -429,11 +450,17 @@ impl Shared {
         self.wanted.store(wanted.0, Ordering::Release);
     }
 
-    fn deliver(&self, records: &[Arc<Datagram>]) {
-        self.offer_all(records.iter().cloned());
+    fn paced(&self) -> Option<&PacedSender> {
+        let start = || {
+            let name = format!("{} datagrams", self.protocol.name());
+            let sending = self.sending.get().cloned().unwrap_or_default();
+            PacedSender::start(name, sending).ok()
+        };
+        self.paced.get_or_init(start).as_ref()
     }
 
-    fn offer_all(&self, records: impl Iterator<Item = Arc<Datagram>>) {
+    /// `over_s`: of a ping's records, see [`SonarServer::deliver_over`].
+    fn offer_all(&self, records: impl Iterator<Item = Arc<Datagram>>, over_s: Option<f64>) {
         let offers: Vec<_> = records
             .map(|datagram| Offer {
                 class: self.protocol.class(datagram.record_type),
@@ -442,7 +469,7 @@ impl Shared {
             .collect();
         let roster = self.lock();
         for client in &roster.clients {
-            client.offer(&offers, self.queue);
+            client.offer(&offers, self.queue, over_s);
         }
         self.update_wanted(&roster);
     }
@@ -499,7 +526,7 @@ impl Shared {
             }
         }
         client.want(session.wants(), session.take_requested());
-        self.offer_all(echoes.into_iter());
+        self.offer_all(echoes.into_iter(), None);
         if session.is_over() {
             client.leave();
         }

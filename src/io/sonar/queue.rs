@@ -31,6 +31,8 @@ pub(super) struct Client {
     leaving: AtomicBool,
     /// Leaves at once, whatever waits.
     dropped: AtomicBool,
+    /// The bits of an f64.
+    pace_bytes_per_s: AtomicU64,
     bytes_sent: AtomicU64,
     records_sent: AtomicU64,
     records_dropped: AtomicU64,
@@ -74,6 +76,7 @@ impl Client {
             room: Notify::new(),
             leaving: AtomicBool::new(false),
             dropped: AtomicBool::new(false),
+            pace_bytes_per_s: AtomicU64::new(f64::INFINITY.to_bits()),
             bytes_sent: AtomicU64::new(0),
             records_sent: AtomicU64::new(0),
             records_dropped: AtomicU64::new(0),
@@ -120,8 +123,8 @@ impl Client {
 
     // ------------------------------------------------------------ queue in
 
-    /// Queues those of `offers` that the client wants and that fit.
-    pub fn offer(&self, offers: &[Offer], limit: QueueLimit) {
+    /// Queues those of `offers` that the client wants and that fit. `over_s`: what then waits leaves evenly over so many seconds; 0: at once.
+    pub fn offer(&self, offers: &[Offer], limit: QueueLimit, over_s: Option<f64>) {
         let wants = self.wants();
         if wants.is_empty() {
             return;
@@ -146,6 +149,14 @@ impl Client {
             self.requested.fetch_and(!offer.class.0, Ordering::AcqRel);
             queued = true;
         }
+        if let Some(over_s) = over_s {
+            let rate = match over_s > 0.0 {
+                true => queue.record_bytes.max(1) as f64 / over_s,
+                false => f64::INFINITY,
+            };
+            self.pace_bytes_per_s
+                .store(rate.to_bits(), Ordering::Relaxed);
+        }
         drop(queue);
         if queued {
             self.wake.notify_one();
@@ -163,6 +174,14 @@ impl Client {
         queue.replies.push_back(datagram);
         drop(queue);
         self.wake.notify_one();
+    }
+
+    /// Answers do not wait.
+    pub fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
+        match taken.is_reply {
+            true => f64::INFINITY,
+            false => f64::from_bits(self.pace_bytes_per_s.load(Ordering::Relaxed)),
+        }
     }
 
     /// Returns once the answers that wait are few enough for more commands.

@@ -11,6 +11,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep, timeout};
 
+use super::paced::Burst;
 use super::queue::Client;
 use super::{Seat, Shared, Transport, stopping};
 use crate::emit::session::Session;
@@ -109,24 +110,30 @@ pub(super) async fn write_datagrams(
 ) {
     let client = &seat.client;
     let mut framer = seat.shared.protocol.framer(Transport::Udp);
-    let (mut wire, mut packets) = (Vec::new(), Vec::new());
+    let mut burst = Burst::empty(socket, to);
     loop {
         while let Some(taken) = client.take() {
-            wire.clear();
-            packets.clear();
-            framer.frame(&taken.datagram.bytes, &mut wire, &mut packets);
-            let mut sent = Ok(());
-            for packet in packets.drain(..) {
-                if let Err(error) = socket.send_to(&wire[packet], to).await {
-                    sent = Err(error);
-                    break; // the rest of a record is no use without this part
-                }
-            }
-            client.written(taken, sent.is_ok().then_some(wire.len()));
-            if sent.is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused) {
+            burst.wire.clear();
+            burst.packets.clear();
+            framer.frame(&taken.datagram.bytes, &mut burst.wire, &mut burst.packets);
+            burst.bytes_per_s = client.pace_bytes_per_s(&taken);
+            // The rest of a record is no use without a part that failed.
+            let sent = match seat.shared.paced() {
+                Some(sender) => sender.send(burst).await,
+                None => None,
+            };
+            let Some(mut back) = sent else {
+                client.written(taken, None);
+                client.leave();
+                return;
+            };
+            let error = back.error.take();
+            client.written(taken, error.is_none().then_some(back.wire.len()));
+            if error.is_some_and(|error| error.kind() == ErrorKind::ConnectionRefused) {
                 client.leave();
                 return;
             }
+            burst = back;
         }
         if client.is_leaving() || *stopped.borrow() {
             return;

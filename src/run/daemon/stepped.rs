@@ -33,7 +33,8 @@ impl Pacer {
         let Some(first) = self.first_recorded()? else {
             return Ok(());
         };
-        self.begin_schedules(first);
+        let first = self.begin_schedules(first);
+        self.rig.plan_all(&mut self.inputs, first);
         // What is told before the first pulse is earlier than it.
         let first_mono = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
         let timeline = *self

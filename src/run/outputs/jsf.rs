@@ -50,6 +50,7 @@ impl Jsf {
             unit,
             settings,
             rig_time,
+            ..
         } = opening;
         let sheet = Arc::new(JsfSheet {
             output: output.clone(),

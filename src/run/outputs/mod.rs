@@ -1,8 +1,10 @@
 //! What leaves the house live: the configured outputs of one sonar, one file per family, all fed by the same pings.
 
+mod elements;
 mod files;
 mod imagenex872;
 mod jsf;
+mod page;
 mod ping_protocol;
 mod server_counts;
 mod sevenk;
@@ -15,12 +17,19 @@ use std::sync::Arc;
 use chrono::DateTime;
 use thiserror::Error;
 
-use crate::config::spec::{OutputSpec, RigSpec};
+use crate::config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
+use crate::flow::PingPlan;
+use crate::io::datagrams::Leaving;
+use crate::io::pace::Sending;
 use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime};
+use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
-use crate::time::UtcNs;
+use crate::time::{Clock, MonoNs, UtcNs};
+
+use page::Page;
+pub use page::PageOpening;
 
 pub(super) use jsf::row_filter;
 
@@ -53,6 +62,14 @@ trait Output: Send {
     fn encode(&mut self, slot: &PingSlot);
     /// Hands over what [`Self::encode`] made, at the deadline. The clients get theirs whatever becomes of a recorder.
     fn deliver(&mut self) -> Result<(), OutputError>;
+    /// It leaves by itself, as its samples would be heard: [`Self::stream`] is called, and neither `encode` nor `deliver`.
+    fn is_stream(&self) -> bool {
+        false
+    }
+    /// Makes a ping's packets, and lets them leave each at its time. The pulse begins at this instant of the rig's clock; none: all leave at once.
+    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
+        let _ = (slot, pulse);
+    }
     /// Closes its recorder. A server closes when its last handle goes.
     fn close(self: Box<Self>) -> Result<(), OutputError>;
 }
@@ -80,7 +97,7 @@ fn record<R>(
 }
 
 /// What one client has had.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct StreamCounts {
     pub family: &'static str,
     /// `TCP 127.0.0.1:51234`.
@@ -97,6 +114,56 @@ struct Opening<'a> {
     unit: &'a SonarUnit,
     settings: &'a Arc<SettingsStore>,
     rig_time: &'a RigTime,
+    clock: &'a Arc<dyn Clock>,
+    sending: Sending,
+    spread: Spread,
+}
+
+/// How a ping's datagrams are spread.
+#[derive(Clone, Copy)]
+struct Spread {
+    /// Machine time per rig time, times the configured share; 0: not at all.
+    share: f64,
+    /// Length of the blocks of those that stream, and how long after its end each leaves, seconds.
+    streaming: Option<(f64, f64)>,
+}
+
+impl Spread {
+    fn of(run: &RunSpec) -> Self {
+        let machine_per_rig = match run.clock {
+            ClockSpec::RealTime => 1.0,
+            ClockSpec::Scaled(rate) => 1.0 / rate,
+            // The next ping comes when it comes.
+            ClockSpec::Fast | ClockSpec::Lockstep => 0.0,
+        };
+        Self {
+            share: run.spread_share.unwrap_or(0.0) * machine_per_rig,
+            streaming: match run.delivery {
+                DeliverySpec::PingEnd => None,
+                DeliverySpec::Streaming { block_s, latency_s } => Some((block_s, latency_s)),
+            },
+        }
+    }
+
+    fn block_s(self) -> Option<f64> {
+        self.streaming.map(|(block_s, _)| block_s)
+    }
+
+    /// When the blocks of a ping leave whose pulse begins then.
+    fn leaving(self, pulse: Option<MonoNs>) -> Leaving {
+        match (self.streaming, pulse) {
+            (Some((_, latency_s)), Some(pulse)) => Leaving::AsHeard { pulse, latency_s },
+            _ => Leaving::Over(0.0),
+        }
+    }
+
+    /// Seconds of the machine's time over which this ping's datagrams leave; 0: at once.
+    fn over_s(self, plan: &PingPlan) -> f64 {
+        match plan.ping_rate_hz > 0.0 {
+            true => self.share / plan.ping_rate_hz,
+            false => 0.0,
+        }
+    }
 }
 
 impl Opening<'_> {
@@ -123,14 +190,27 @@ impl Outputs {
         unit: &SonarUnit,
         settings: &Arc<SettingsStore>,
         rig_time: &RigTime,
+        clock: &Arc<dyn Clock>,
+        histograms: &Arc<Histograms>,
+        page: Option<PageOpening>,
     ) -> Result<Self, OutputError> {
+        let lateness = {
+            let histograms = Arc::clone(histograms);
+            move |ns| histograms.pacing_us(ns)
+        };
         let opening = Opening {
             spec,
             unit,
             settings,
             rig_time,
+            clock,
+            sending: Sending {
+                priority: spec.run.priority,
+                lateness: Some(Arc::new(lateness)),
+            },
+            spread: Spread::of(&spec.run),
         };
-        let all = unit
+        let mut all = unit
             .spec
             .outputs
             .iter()
@@ -143,6 +223,9 @@ impl Outputs {
                         Box::new(imagenex872::Imagenex872::open(output, &opening)?)
                     }
                     OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, &opening)?),
+                    OutputSpec::Elements(output) => {
+                        Box::new(elements::Elements::open(output, &opening)?)
+                    }
                     OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, &opening)?),
                     OutputSpec::Ping(output) => {
                         Box::new(ping_protocol::PingProtocol::open(output, &opening)?)
@@ -151,7 +234,9 @@ impl Outputs {
                     OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
                 })
             })
-            .collect::<Result<_, _>>()?;
+            .collect::<Result<Vec<_>, _>>()?;
+        // Last, after everything that a topside waits for.
+        all.extend(page.map(|page| -> Box<dyn Output> { Box::new(Page::new(&unit.spec, page)) }));
         Ok(Self { all })
     }
 
@@ -163,6 +248,23 @@ impl Outputs {
     pub fn reports(&self) -> OutputReports {
         OutputReports {
             all: self.all.iter().map(|out| out.report()).collect(),
+        }
+    }
+
+    /// Those that leave at the end of a ping, and those that stream.
+    pub fn split(self) -> (Self, Self) {
+        let (streams, rest) = self.all.into_iter().partition(|out| out.is_stream());
+        (Self { all: rest }, Self { all: streams })
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Lets a ping's samples leave as they would be heard.
+    pub fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
+        for out in &mut self.all {
+            out.stream(slot, pulse);
         }
     }
 

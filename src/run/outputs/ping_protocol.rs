@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, StreamCounts, record};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
 use crate::config::spec::PingProtocolSpec;
 use crate::emit::ping_protocol::session::PingPort;
 use crate::emit::ping_protocol::{Device, PingEmitter};
@@ -24,6 +24,9 @@ pub struct PingProtocol {
     recorder: Option<SvlogRecorder>,
     /// Frames of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// Over which its datagrams leave.
+    over_s: f64,
 }
 
 impl PingProtocol {
@@ -33,6 +36,7 @@ impl PingProtocol {
             unit,
             settings,
             rig_time,
+            ..
         } = opening;
         let name = unit.spec.name.clone();
         let now = rig_time();
@@ -58,6 +62,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
+        server.set_sending(opening.sending.clone());
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {
@@ -87,6 +92,8 @@ impl PingProtocol {
             line,
             recorder,
             pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
         })
     }
 }
@@ -115,6 +122,7 @@ impl Output for PingProtocol {
 
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
         let nobody = self.server.wanted().is_empty();
         if nobody && self.line.is_none() && self.recorder.is_none() {
             return;
@@ -124,7 +132,7 @@ impl Output for PingProtocol {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.server.deliver(&self.pending);
+        self.server.deliver_over(&self.pending, self.over_s);
         if let Some(line) = &self.line {
             line.deliver(&self.pending);
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, StreamCounts, record};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
 use crate::config::spec::SevenKSpec;
 use crate::emit::sevenk::kept::Kept;
 use crate::emit::sevenk::records::DeviceSheet;
@@ -28,6 +28,9 @@ pub struct SevenK {
     kept_version: Option<u64>,
     /// Records of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// Over which its datagrams leave.
+    over_s: f64,
     /// To the clients; what is recorded does not pass it.
     line: Line,
 }
@@ -39,6 +42,7 @@ impl SevenK {
             unit,
             settings,
             rig_time,
+            ..
         } = opening;
         let sheet = Arc::new(DeviceSheet::new(
             output,
@@ -54,6 +58,7 @@ impl SevenK {
                     source,
                 }
             })?;
+        server.set_sending(opening.sending.clone());
         let recorder = match &spec.record {
             None => None,
             Some(record) => {
@@ -71,6 +76,8 @@ impl SevenK {
             settings: Arc::clone(settings),
             kept_version: None,
             pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
             line: Line::new(unit.faults.clone()),
         })
     }
@@ -101,6 +108,7 @@ impl Output for SevenK {
             self.emitter.keep(Kept::of(self.settings.as_ref()));
         }
         self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
         self.line.begin(PingMark {
             sonar: slot.plan.sonar,
             number: slot.plan.ping_number,
@@ -115,7 +123,8 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.server.deliver(self.line.pass(&self.pending));
+        let passed = self.line.pass(&self.pending);
+        self.server.deliver_over(passed, self.over_s);
         let mut pending = self.pending.drain(..);
         record(&mut self.recorder, |recorder| {
             pending.try_for_each(|record| recorder.write(&record.bytes))

@@ -3,11 +3,13 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report, StreamCounts};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
 use crate::config::spec::Vita49Spec;
-use crate::emit::vita49::{Packets, Vita49Emitter};
-use crate::io::datagrams::{DatagramCounts, DatagramSender, Route};
+use crate::emit::packets::Packets;
+use crate::emit::vita49::Vita49Emitter;
+use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use crate::run::rig::PingSlot;
+use crate::time::MonoNs;
 
 pub struct Vita49 {
     name: String,
@@ -15,8 +17,9 @@ pub struct Vita49 {
     emitter: Vita49Emitter,
     sender: DatagramSender,
     saturated: Arc<AtomicU64>,
-    /// The ping that waits for its deadline.
-    pending: Option<Packets>,
+    spread: Spread,
+    /// The ping that waits for its deadline, and over how many seconds it then leaves.
+    pending: Option<(Packets, f64)>,
     /// Pings before the next one were not sent.
     lost: bool,
 }
@@ -31,19 +34,36 @@ impl Vita49 {
             pace_bytes_per_s: output.pace_bytes_per_s,
             queue: opening.spec.run.queue_pings,
         };
-        let sender = DatagramSender::open(route).map_err(|source| OutputError::Sender {
+        let clock = Arc::clone(opening.clock);
+        let sender = DatagramSender::open(route, clock, opening.sending.clone());
+        let sender = sender.map_err(|source| OutputError::Sender {
             name: unit.spec.name.clone(),
             source,
         })?;
         Ok(Self {
             name: unit.spec.name.clone(),
             send_to: output.send_to.clone(),
-            emitter: Vita49Emitter::new(output, &unit.spec),
+            emitter: Vita49Emitter::new(output, &unit.spec).in_blocks_of(opening.spread.block_s()),
             sender,
             saturated: Arc::default(),
+            spread: opening.spread,
             pending: None,
             lost: false,
         })
+    }
+}
+
+impl Vita49 {
+    fn emit(&mut self, slot: &PingSlot) {
+        let mut packets = match self.pending.take() {
+            Some((packets, _)) => packets,
+            None => self.sender.buffer(),
+        };
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
+        self.saturated
+            .store(self.emitter.totals().saturated, Ordering::Relaxed);
+        self.pending = Some((packets, self.spread.over_s(&slot.plan)));
     }
 }
 
@@ -64,19 +84,25 @@ impl Output for Vita49 {
     }
 
     fn encode(&mut self, slot: &PingSlot) {
-        let mut packets = self.pending.take().unwrap_or_else(|| self.sender.buffer());
-        self.emitter
-            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
-        self.saturated
-            .store(self.emitter.totals().saturated, Ordering::Relaxed);
-        self.pending = Some(packets);
+        self.emit(slot);
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        if let Some(packets) = self.pending.take() {
-            self.lost = !self.sender.send(packets);
+        if let Some((packets, over_s)) = self.pending.take() {
+            self.lost = !self.sender.send(packets, Leaving::Over(over_s));
         }
         Ok(())
+    }
+
+    fn is_stream(&self) -> bool {
+        self.spread.streaming.is_some()
+    }
+
+    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
+        self.emit(slot);
+        if let Some((packets, _)) = self.pending.take() {
+            self.lost = !self.sender.send(packets, self.spread.leaving(pulse));
+        }
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {

@@ -30,6 +30,7 @@ impl Wbms {
             unit,
             settings,
             rig_time,
+            ..
         } = opening;
         let name = unit.spec.name.clone();
         let device = Arc::new(Device::new(&unit.spec, spec.medium.sound_speed_m_per_s));

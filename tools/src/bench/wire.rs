@@ -17,11 +17,12 @@ use echotank::config::spec::{
 };
 use echotank::emit::imagenex872::{Head, emit_ping as emit_imagenex};
 use echotank::emit::jsf::{JsfEmitter, JsfSheet};
+use echotank::emit::packets::Packets;
 use echotank::emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
 use echotank::emit::session::Wants;
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::emit::vita49::{Packets, Vita49Emitter};
+use echotank::emit::vita49::Vita49Emitter;
 use echotank::emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
 use echotank::emit::xtf::XtfEmitter;
 use echotank::flow::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};

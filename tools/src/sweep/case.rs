@@ -304,6 +304,7 @@ fn conditions(
         scatterers,
         elements: rx.elements,
         tolerance: 0.0,
+        heard: None,
     }
 }
 

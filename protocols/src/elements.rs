@@ -1,0 +1,209 @@
+//! A plain stream of element samples, Echotank's own: for whoever wants I and Q with as little around them as there can be.
+//!
+//! One frame after the other over TCP, a frame in each datagram over UDP. Little endian. Every frame stands by itself.
+//!
+//! ```text
+//!  0  4s   "ETEL"
+//!  4  u16  version, 1
+//!  6  u16  bytes of this header, 72: where the samples begin
+//!  8  u32  bytes of the whole frame
+//! 12  u32  frame number, counted by the stream: a gap is a loss
+//! 16  u32  ping number
+//! 20  u32  first moment of the frame, counted from the first of the ping
+//! 24  u32  moments in the frame
+//! 28  u32  moments of the whole ping
+//! 32  u16  elements
+//! 34  u16  1: i16, 2: f32
+//! 36  f32  volts rms of one count (1) or of 1.0 (2)
+//! 40  i64  start of the pulse, UTC, ns since 1970
+//! 48  f64  moment 0, seconds after the start of the pulse
+//! 56  f64  moments per second
+//! 64  f64  centre frequency, Hz: I and Q are about it
+//! 72       moment by moment, element by element: I, Q
+//! ```
+
+use crate::WireError;
+use crate::framing::{Framing, Look, Splitter};
+use crate::layout::data_at;
+
+pub const HEADER_BYTES: usize = 72;
+pub const MAGIC: [u8; 4] = *b"ETEL";
+pub const VERSION: u16 = 1;
+/// No frame is longer.
+pub const MAX_FRAME_BYTES: usize = 1 << 26;
+
+const WHAT: &str = "element frame";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SampleType {
+    I16,
+    F32,
+}
+
+impl SampleType {
+    /// Of I and Q together.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::I16 => 4,
+            Self::F32 => 8,
+        }
+    }
+}
+
+/// All but the samples and the lengths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameHead {
+    pub frame_number: u32,
+    pub ping_number: u32,
+    pub first_moment: u32,
+    pub ping_moments: u32,
+    pub elements: u16,
+    pub sample_type: SampleType,
+    pub volts_per_unit: f32,
+    pub pulse_utc_ns: i64,
+    pub first_moment_s: f64,
+    pub moments_per_s: f64,
+    pub center_frequency_hz: f64,
+}
+
+/// A frame, read: its samples stay where they were.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame<'a> {
+    pub head: FrameHead,
+    pub moments: u32,
+    pub samples: &'a [u8],
+}
+
+impl FrameHead {
+    /// Appends a frame; `write_samples` appends I and Q of `moments` moments.
+    ///
+    /// # Panics
+    /// If it appends another number of bytes, or the frame is longer than [`MAX_FRAME_BYTES`].
+    pub fn emit(&self, buf: &mut Vec<u8>, moments: u32, write_samples: impl FnOnce(&mut Vec<u8>)) {
+        let sample_bytes = self.sample_type.bytes() * usize::from(self.elements) * moments as usize;
+        let size = HEADER_BYTES + sample_bytes;
+        assert!(size <= MAX_FRAME_BYTES, "element frame of {size} bytes");
+        buf.extend(MAGIC);
+        buf.extend(VERSION.to_le_bytes());
+        buf.extend((HEADER_BYTES as u16).to_le_bytes());
+        for word in [
+            size as u32,
+            self.frame_number,
+            self.ping_number,
+            self.first_moment,
+            moments,
+            self.ping_moments,
+        ] {
+            buf.extend(word.to_le_bytes());
+        }
+        buf.extend(self.elements.to_le_bytes());
+        let sample_type: u16 = match self.sample_type {
+            SampleType::I16 => 1,
+            SampleType::F32 => 2,
+        };
+        buf.extend(sample_type.to_le_bytes());
+        buf.extend(self.volts_per_unit.to_le_bytes());
+        buf.extend(self.pulse_utc_ns.to_le_bytes());
+        buf.extend(self.first_moment_s.to_le_bytes());
+        buf.extend(self.moments_per_s.to_le_bytes());
+        buf.extend(self.center_frequency_hz.to_le_bytes());
+        let start = buf.len();
+        write_samples(buf);
+        assert_eq!(
+            buf.len() - start,
+            sample_bytes,
+            "samples of an element frame"
+        );
+    }
+}
+
+impl<'a> Frame<'a> {
+    /// Reads the frame at the front of `bytes`.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
+        let head = data_at(bytes, 0, HEADER_BYTES as u64, WHAT)?;
+        let u16_at = |at: usize| u16::from_le_bytes([head[at], head[at + 1]]);
+        let u32_at = |at: usize| u32::from(u16_at(at)) | u32::from(u16_at(at + 2)) << 16;
+        let u64_at = |at: usize| u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32;
+        let f64_at = |at: usize| f64::from_bits(u64_at(at));
+        if head[..4] != MAGIC {
+            return Err(WireError::Mark {
+                what: WHAT,
+                expected: u64::from(u32::from_le_bytes(MAGIC)),
+                got: u64::from(u32_at(0)),
+            });
+        }
+        let unsupported = |what, got| Err(WireError::Unsupported { what, got });
+        if u16_at(4) != VERSION || usize::from(u16_at(6)) != HEADER_BYTES {
+            return unsupported("element frame of version", u64::from(u16_at(4)));
+        }
+        let sample_type = match u16_at(34) {
+            1 => SampleType::I16,
+            2 => SampleType::F32,
+            other => return unsupported("sample type", u64::from(other)),
+        };
+        let (elements, moments) = (u16_at(32), u32_at(24));
+        let sample_bytes = sample_type.bytes() as u64 * u64::from(elements) * u64::from(moments);
+        let size = u64::from(u32_at(8));
+        if size != HEADER_BYTES as u64 + sample_bytes || size > MAX_FRAME_BYTES as u64 {
+            return unsupported("size of an element frame", size);
+        }
+        Ok(Self {
+            head: FrameHead {
+                frame_number: u32_at(12),
+                ping_number: u32_at(16),
+                first_moment: u32_at(20),
+                ping_moments: u32_at(28),
+                elements,
+                sample_type,
+                volts_per_unit: f32::from_bits(u32_at(36)),
+                pulse_utc_ns: u64_at(40) as i64,
+                first_moment_s: f64_at(48),
+                moments_per_s: f64_at(56),
+                center_frequency_hz: f64_at(64),
+            },
+            moments,
+            samples: data_at(bytes, HEADER_BYTES, sample_bytes, WHAT)?,
+        })
+    }
+
+    pub fn size_bytes(&self) -> usize {
+        HEADER_BYTES + self.samples.len()
+    }
+}
+
+/// Finds frames in the bytes of a TCP connection.
+#[derive(Debug, Clone, Copy)]
+pub struct ElementFraming;
+
+pub type ElementStream = Splitter<ElementFraming>;
+
+impl Framing for ElementFraming {
+    fn max_message_bytes(&self) -> usize {
+        MAX_FRAME_BYTES
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        if bytes.iter().zip(MAGIC).any(|(&byte, mark)| byte != mark) {
+            return Look::Wrong(WireError::Mark {
+                what: WHAT,
+                expected: u64::from(u32::from_le_bytes(MAGIC)),
+                got: bytes[0].into(),
+            });
+        }
+        if bytes.len() < HEADER_BYTES {
+            return Look::More;
+        }
+        let size = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize;
+        if !(HEADER_BYTES..=MAX_FRAME_BYTES).contains(&size) {
+            return Look::Wrong(WireError::Unsupported {
+                what: "size of an element frame",
+                got: size as u64,
+            });
+        }
+        match bytes.get(..size).map(Frame::parse) {
+            None => Look::More,
+            Some(Ok(_)) => Look::Whole(size),
+            Some(Err(error)) => Look::Wrong(error),
+        }
+    }
+}

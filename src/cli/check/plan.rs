@@ -1,0 +1,263 @@
+//! What `echotank check` says of the plan of methods.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::cli::Failure;
+use crate::config::spec::{RigSpec, SonarSpec};
+use crate::ping::fidelity::{ALONG_PER_RANGE, Candidate, Family, Ranking};
+use crate::ping::period_ns;
+use crate::run::fidelity::calibrate::{self, Calibration};
+use crate::run::fidelity::costs::Costs;
+use crate::run::fidelity::first::{First, first};
+use crate::run::rig::pool;
+
+/// What is said about one sonar.
+struct Told<'a> {
+    sonar: &'a SonarSpec,
+    first: First,
+    period_ms: f64,
+    threads: usize,
+}
+
+fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
+    let refuse = |why: &dyn std::fmt::Display| Failure::Configuration(why.to_string());
+    let costs = Costs::of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
+    let pool = pool(spec.run.threads).map_err(Failure::running)?;
+    let found = pool
+        .install(|| first(spec, &costs))
+        .map_err(|why| refuse(&why))?;
+    let threads = pool.current_num_threads();
+    let told = spec.sonars.iter().zip(found).map(|(sonar, first)| Told {
+        period_ms: 1e-6 * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
+        sonar,
+        first,
+        threads,
+    });
+    Ok((costs, told.collect()))
+}
+
+/// A few lines for each sonar.
+pub fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
+    let (costs, told) = tell(spec)?;
+    let mut text = String::new();
+    for told in &told {
+        let _ = write_sonar(&mut text, told, all);
+    }
+    let _ = writeln!(text, "costs        {}", costs.machine);
+    Ok(text)
+}
+
+fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
+    let name = &told.sonar.name;
+    let Some(ranking) = &told.first.ranking else {
+        return writeln!(
+            out,
+            "plan         {name}: nothing can be made of this model"
+        );
+    };
+    let supposed = match told.first.is_supposed {
+        true => ", at 5 knots on a level keel, for want of recorded navigation",
+        false => "",
+    };
+    writeln!(
+        out,
+        "plan         {name}: ping {}, {} scatterers, {} samples of {} elements{supposed}",
+        told.first.plan.ping_number,
+        told.first.scatterers.len(),
+        told.first.plan.sample_count,
+        elements(told.sonar),
+    )?;
+    let chosen = ranking.chosen();
+    for family in Family::ALL {
+        let part = chosen.part(family);
+        writeln!(
+            out,
+            "  {:<10} {}{}: {:.1e}, {:.2} ms; {}",
+            family.name(),
+            part.choice,
+            if is_auto(told.sonar, family) {
+                ""
+            } else {
+                " (as configured)"
+            },
+            part.error,
+            part.cost_ms,
+            match is_auto(told.sonar, family) {
+                true => ranking.reason(family),
+                false => part.why.clone(),
+            }
+        )?;
+    }
+    writeln!(out, "  {:<10} {}", "output", output(told.sonar))?;
+    let asked = match ranking.goal.image_cells {
+        None => format!("tolerance {:.1e}", ranking.goal.tolerance),
+        Some(cells) => format!(
+            "a picture's {cells} cells in range and {} along the track, and {:.1e} of samples for synthesis and culling",
+            ALONG_PER_RANGE * cells,
+            ranking.goal.tolerance
+        ),
+    };
+    let verdict = match ranking.is_within() {
+        true => "within it",
+        false => "NOT WITHIN IT",
+    };
+    writeln!(
+        out,
+        "  {:<10} {:.1e} of element samples at most, {:.0} % of what {asked} allows: {verdict}{}",
+        "error",
+        chosen.error(),
+        100.0 * ranking.goal.share(chosen),
+        displaced(ranking, chosen)
+    )?;
+    let wall_ms = chosen.cost_ms() / told.threads as f64;
+    writeln!(
+        out,
+        "  {:<10} {:.2} ms of one core, {wall_ms:.2} ms on {} threads of {:.1} ms from ping to ping: {:.1} times as fast as it must be",
+        "cost",
+        chosen.cost_ms(),
+        told.threads,
+        told.period_ms,
+        told.period_ms / wall_ms
+    )?;
+    if let Some(other) = ranking.next_cheaper() {
+        writeln!(out, "  {:<10} {}", "cheaper", ranking.change(other))?;
+    }
+    if let Some(other) = ranking.next_dearer() {
+        writeln!(out, "  {:<10} {}", "dearer", ranking.change(other))?;
+    }
+    for (what, why) in &ranking.refused {
+        writeln!(out, "  {:<10} {what}: {why}", "refused")?;
+    }
+    if all {
+        for candidate in &ranking.candidates {
+            writeln!(
+                out,
+                "  {:>9.2} ms {:.1e} {} {}",
+                candidate.cost_ms(),
+                candidate.error(),
+                if ranking.goal.meets(candidate) {
+                    "+"
+                } else {
+                    "-"
+                },
+                candidate.text()
+            )?;
+        }
+    }
+    Ok(())
+}
+
+fn elements(sonar: &SonarSpec) -> usize {
+    sonar.receive.iter().map(|array| array.elements).sum()
+}
+
+fn is_auto(sonar: &SonarSpec, family: Family) -> bool {
+    let auto = sonar.synthesis.auto;
+    match family {
+        Family::Path => auto.path,
+        Family::Doppler => auto.doppler,
+        Family::Sum => auto.synthesis,
+        Family::Culling => auto.cull,
+    }
+}
+
+fn displaced(ranking: &Ranking, candidate: &Candidate) -> String {
+    match ranking.goal.image_cells {
+        None => String::new(),
+        Some(_) => format!(
+            "; things are displaced by {:.2e} cells in range and {:.2e} along the track",
+            candidate.displaced.range_cells, candidate.displaced.along_cells
+        ),
+    }
+}
+
+/// Who reads what is made.
+fn output(sonar: &SonarSpec) -> String {
+    let lines = sonar.beams.lines.len();
+    let fans = usize::from(sonar.beams.fan.is_some());
+    format!(
+        "elements, {lines} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them"
+    )
+}
+
+/// The same for programs.
+pub fn json(spec: &RigSpec) -> Result<String, Failure> {
+    let (costs, told) = tell(spec)?;
+    let sonars: Vec<Value> = told.iter().map(sonar_json).collect();
+    let value = json!({ "costs": costs.machine, "sonars": sonars });
+    let text = serde_json::to_string_pretty(&value).map_err(Failure::running)?;
+    Ok(text + "\n")
+}
+
+fn sonar_json(told: &Told) -> Value {
+    let mut value = json!({
+        "name": told.sonar.name,
+        "motion": if told.first.is_supposed { "supposed" } else { "recorded" },
+        "ping_number": told.first.plan.ping_number,
+        "scatterers": told.first.scatterers.len(),
+        "elements": elements(told.sonar),
+        "samples": told.first.plan.sample_count,
+        "period_ms": told.period_ms,
+        "threads": told.threads,
+    });
+    let Some(ranking) = &told.first.ranking else {
+        return value;
+    };
+    let families: Vec<Value> = Family::ALL
+        .into_iter()
+        .map(|family| {
+            let part = ranking.chosen().part(family);
+            json!({
+                "family": family.name(),
+                "choice": part.choice,
+                "auto": is_auto(told.sonar, family),
+                "reason": ranking.reason(family),
+                "error": part.error,
+                "cost_ms": part.cost_ms,
+            })
+        })
+        .collect();
+    let one = |candidate: &Candidate| {
+        json!({
+            "choice": candidate.text(),
+            "error": candidate.error(),
+            "cost_ms": candidate.cost_ms(),
+            "share": ranking.goal.share(candidate),
+            "range_cells": candidate.displaced.range_cells,
+            "along_cells": candidate.displaced.along_cells,
+        })
+    };
+    value["tolerance"] = json!(ranking.goal.tolerance);
+    value["tolerance_image"] = json!(ranking.goal.image_cells);
+    value["within"] = json!(ranking.is_within());
+    value["families"] = json!(families);
+    value["chosen"] = one(ranking.chosen());
+    value["margin"] = json!(told.period_ms * told.threads as f64 / ranking.chosen().cost_ms());
+    value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
+    value["next_dearer"] = json!(ranking.next_dearer().map(one));
+    value["refused"] = json!(ranking.refused);
+    value["candidates"] = json!(ranking.candidates.iter().map(one).collect::<Vec<_>>());
+    value
+}
+
+/// Measures this machine and writes the table.
+pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
+    let costs = Costs::of(spec.run.costs.as_deref())
+        .map_err(|why| Failure::Configuration(why.to_string()))?;
+    let Calibration {
+        costs,
+        methods,
+        before,
+        after,
+    } = calibrate::calibrate(spec, &costs).map_err(Failure::running)?;
+    std::fs::write(file, costs.text())
+        .map_err(|why| Failure::Configuration(format!("{}: {why}", file.display())))?;
+    println!(
+        "{methods} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square)\nwrote {}",
+        file.display()
+    );
+    Ok(())
+}

@@ -1,0 +1,73 @@
+//! Samples that leave as they would be heard.
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+use super::only_with;
+
+/// With streaming, unless it is given, seconds.
+const AHEAD_S: f64 = 0.1;
+
+pub fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpec> {
+    let streaming = table.text("delivery").map(|text| text == "streaming");
+    let keys = &["stream_block_ms", "stream_latency_ms"];
+    let condition = "delivery = \"streaming\"";
+    only_with(table, keys, streaming, condition, problems);
+    Some(match streaming? {
+        false => DeliverySpec::PingEnd,
+        true => DeliverySpec::Streaming {
+            block_s: table.scaled("stream_block_ms", -3)?,
+            latency_s: table.scaled("stream_latency_ms", -3)?,
+        },
+    })
+}
+
+pub fn ahead_s(table: &RawTable) -> Option<f64> {
+    match (table.given("ahead_ms"), table.text("delivery")?) {
+        (true, _) => table.scaled("ahead_ms", -3),
+        (false, "streaming") => Some(AHEAD_S),
+        (false, _) => Some(0.0),
+    }
+}
+
+/// What is computed before its pulse cannot wait for the motion that follows.
+pub fn refuse_without_foresight(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
+    if nav.mode == NavMode::Predict {
+        return;
+    }
+    let rule = "only with nav.mode = \"predict\": the motion after the pulse is not known yet";
+    if run.text("delivery") == Some("streaming") {
+        problems.refuse(run.entry("delivery"), rule);
+    } else if ahead_s(run).is_some_and(|ahead_s| ahead_s > 0.0) {
+        problems.refuse(run.entry("ahead_ms"), rule);
+    }
+}
+
+/// What is foreseen for longer than anything may be carried on is never there.
+pub fn refuse_out_of_sight(
+    nav: &NavSpec,
+    run: &RawTable,
+    sonars: &[&SonarSpec],
+    medium: &MediumSpec,
+    problems: &mut Problems,
+) {
+    let Some(ahead_s) = ahead_s(run).filter(|&ahead_s| ahead_s > 0.0) else {
+        return;
+    };
+    if nav.mode != NavMode::Predict || nav.on_lost != OnLost::Skip {
+        return;
+    }
+    let windows = sonars.iter().map(|sonar| {
+        2.0 * sonar.settings.range_m / medium.sound_speed_m_per_s + sonar.settings.pulse_duration_s
+    });
+    let longest_s = windows.fold(0.0, f64::max);
+    if ahead_s + longest_s > nav.max_extrapolation_s {
+        let ms = |s: f64| (s * 1e3).ceil();
+        let rule = format!(
+            "{} ms and a listening window of {} ms are foreseen, and nav.max_extrapolation_ms = {}: every ping would be skipped",
+            ms(ahead_s),
+            ms(longest_s),
+            ms(nav.max_extrapolation_s)
+        );
+        problems.refuse(run.entry("ahead_ms"), rule);
+    }
+}

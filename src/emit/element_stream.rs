@@ -1,0 +1,160 @@
+//! Frames of element samples (`echotank_protocols::elements`), and the session of a client that gets them.
+
+use std::net::SocketAddr;
+
+use echotank_protocols::elements::{FrameHead, HEADER_BYTES, SampleType};
+
+use super::blocks::blocks;
+use super::elements::{elements_of, interleave_iq};
+use super::packets::Packets;
+use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use super::sevenk::quantise::IQ_FULL_SCALE;
+use crate::config::spec::{ElementStreamSpec, SonarSpec};
+use crate::flow::{PingOutput, PingPlan};
+use crate::time::UtcNs;
+
+/// Turns pings into frames. Holds its buffers and the frames' count; one thread's.
+pub struct ElementStreamEmitter {
+    arrays: Vec<usize>,
+    sample_type: SampleType,
+    full_scale_v: f64,
+    moments_per_s: f64,
+    max_frame_bytes: usize,
+    /// Frames end at the ends of blocks of this length.
+    block_s: Option<f64>,
+    frame_number: u32,
+    counts: Vec<[i16; 2]>,
+    volts: Vec<[f32; 2]>,
+    frame: Vec<u8>,
+}
+
+impl ElementStreamEmitter {
+    pub fn new(
+        output: &ElementStreamSpec,
+        sonar: &SonarSpec,
+        max_frame_bytes: usize,
+        block_s: Option<f64>,
+    ) -> Self {
+        Self {
+            arrays: output.arrays.clone(),
+            sample_type: match output.is_float {
+                true => SampleType::F32,
+                false => SampleType::I16,
+            },
+            full_scale_v: sonar.receiver.full_scale_v,
+            moments_per_s: sonar.receiver.sample_rate_hz,
+            max_frame_bytes,
+            block_s,
+            frame_number: 0,
+            counts: Vec::new(),
+            volts: Vec::new(),
+            frame: Vec::new(),
+        }
+    }
+
+    /// Fills `into` with the frames of one ping; returns how many values were held at full scale.
+    pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, into: &mut Packets) -> u64 {
+        into.clear();
+        let (elements, moments) = (elements_of(output, &self.arrays).count(), plan.sample_count);
+        if elements == 0 {
+            return 0;
+        }
+        let saturated = match self.sample_type {
+            SampleType::I16 => {
+                let full = self.full_scale_v;
+                interleave_iq(output, &self.arrays, moments, full, &mut self.counts)
+            }
+            SampleType::F32 => {
+                self.volts.clear();
+                self.volts.resize(elements * moments, [0.0; 2]);
+                for (e, iq) in elements_of(output, &self.arrays).enumerate() {
+                    let column = self.volts.iter_mut().skip(e).step_by(elements);
+                    for (out, v) in column.zip(iq) {
+                        *out = [v.re as f32, v.im as f32];
+                    }
+                }
+                0
+            }
+        };
+        let moment_bytes = elements * self.sample_type.bytes();
+        let fit = ((self.max_frame_bytes - HEADER_BYTES) / moment_bytes).max(1);
+        for (rows, end_s) in blocks(moments, self.moments_per_s, self.block_s) {
+            for first in rows.clone().step_by(fit) {
+                let count = fit.min(rows.end - first);
+                self.emit_frame(plan, elements, first, count);
+                into.push(&self.frame);
+            }
+            if let Some(end_s) = end_s {
+                into.end_block(plan.first_sample_s + end_s);
+            }
+        }
+        saturated
+    }
+
+    fn emit_frame(&mut self, plan: &PingPlan, elements: usize, first: usize, count: usize) {
+        let head = FrameHead {
+            frame_number: self.frame_number,
+            ping_number: plan.ping_number,
+            first_moment: first as u32,
+            ping_moments: plan.sample_count as u32,
+            // The configuration keeps them to fewer.
+            elements: elements as u16,
+            sample_type: self.sample_type,
+            volts_per_unit: match self.sample_type {
+                SampleType::I16 => (self.full_scale_v / IQ_FULL_SCALE) as f32,
+                SampleType::F32 => 1.0,
+            },
+            pulse_utc_ns: plan.stamp_utc.0,
+            first_moment_s: plan.first_sample_s,
+            moments_per_s: self.moments_per_s,
+            center_frequency_hz: plan.pulse.center_frequency_hz,
+        };
+        self.frame_number = self.frame_number.wrapping_add(1);
+        self.frame.clear();
+        let values = first * elements..(first + count) * elements;
+        let (counts, volts) = (&self.counts, &self.volts);
+        head.emit(&mut self.frame, count as u32, |buf| {
+            match head.sample_type {
+                SampleType::I16 => {
+                    let values = counts[values].as_flattened().iter();
+                    buf.extend(values.flat_map(|v| v.to_le_bytes()));
+                }
+                SampleType::F32 => {
+                    let values = volts[values].as_flattened().iter();
+                    buf.extend(values.flat_map(|v| v.to_le_bytes()));
+                }
+            }
+        });
+    }
+}
+
+/// Whoever connects gets every frame.
+pub struct ElementsProtocol;
+
+impl Protocol for ElementsProtocol {
+    fn name(&self) -> &'static str {
+        "elements"
+    }
+    fn connect(&self, _transport: Transport, _peer: SocketAddr) -> Box<dyn Session> {
+        Box::new(Listener::default())
+    }
+    fn class(&self, _record_type: u32) -> Wants {
+        Wants::class(0)
+    }
+}
+
+/// What a client says is counted and means nothing.
+#[derive(Default)]
+struct Listener(SessionCounts);
+
+impl Session for Listener {
+    fn receive(&mut self, _bytes: &[u8], _now: UtcNs, _out: &mut Vec<Outgoing>) {
+        self.0.framing_errors += 1;
+    }
+    fn wants(&self) -> Wants {
+        Wants::class(0)
+    }
+    fn counts(&self) -> SessionCounts {
+        self.0
+    }
+}

@@ -1,0 +1,369 @@
+//! What open pages get: frames of every ping, through bounded queues, and a short history for those that come later.
+//!
+//! In: [`Frame`]s from the delivery threads, which never wait here. Out: the same frames to every page that is open. A page that does not
+//! read, as one whose window sleeps, misses the oldest frames; they are counted. What is in a frame is told in [`super::frame`].
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use axum::body::Bytes;
+use serde::Deserialize;
+use tokio::sync::broadcast;
+
+use super::frame::Kind;
+
+/// Lines kept of each sonar, for scroll back and for a page that comes later: two and a half minutes at 4 pings a second, some 2 MB.
+pub const HISTORY_LINES: usize = 600;
+/// Frames that may wait for the slowest page: a few seconds of a sonar with a fan.
+const QUEUE_FRAMES: usize = 64;
+/// Different rows of samples that all pages together get of one ping.
+pub const MOST_SCOPES: usize = 8;
+
+/// One row of samples that a page looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scope {
+    pub of: ScopeOf,
+    /// Receive array, fan or line.
+    #[serde(default)]
+    pub array: u16,
+    /// Element or beam.
+    #[serde(default)]
+    pub index: u16,
+    /// Of the samples sent.
+    #[serde(default)]
+    pub first: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScopeOf {
+    Element,
+    Beam,
+    Line,
+}
+
+/// What one page looks at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Want {
+    pub sonar: u16,
+    pub fan: bool,
+    pub elements: bool,
+    pub scope: Option<Scope>,
+}
+
+impl Want {
+    /// Whether a frame is for this page.
+    pub fn takes(&self, frame: &Frame) -> bool {
+        self.sonar == frame.sonar
+            && match frame.kind {
+                Kind::Line => true,
+                Kind::Fan => self.fan,
+                Kind::Elements => self.elements,
+                Kind::Scope => frame.scope == self.scope,
+                Kind::Relief => false,
+            }
+    }
+}
+
+/// What all pages together want of one sonar's next ping.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    pub fan: bool,
+    pub elements: bool,
+    pub scopes: Vec<Scope>,
+}
+
+/// Bytes for pages, made once for all of them.
+#[derive(Debug)]
+pub struct Frame {
+    pub sonar: u16,
+    pub kind: Kind,
+    /// Of a scope's frame.
+    pub scope: Option<Scope>,
+    pub bytes: Bytes,
+}
+
+/// The way from the pings to the pages.
+pub struct Feed {
+    frames: broadcast::Sender<Arc<Frame>>,
+    /// By sonar, oldest first.
+    history: Mutex<Vec<VecDeque<Arc<Frame>>>>,
+    /// By page; none until it has said what it looks at.
+    wants: Mutex<BTreeMap<u64, Option<Want>>>,
+    next_page: AtomicU64,
+    /// Of `wants`: without a page no lock is asked for.
+    pages: AtomicUsize,
+    counts: Counts,
+}
+
+#[derive(Default)]
+struct Counts {
+    frames: AtomicU64,
+    sent: AtomicU64,
+    dropped: AtomicU64,
+}
+
+/// What became of the frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FeedCounts {
+    pub pages: usize,
+    pub pages_ever: u64,
+    pub frames: u64,
+    /// To any page.
+    pub sent: u64,
+    /// That a page was too slow for.
+    pub dropped: u64,
+}
+
+impl Feed {
+    pub fn new(sonars: usize) -> Self {
+        let ring = || VecDeque::with_capacity(HISTORY_LINES);
+        Self {
+            frames: broadcast::Sender::new(QUEUE_FRAMES),
+            history: Mutex::new((0..sonars).map(|_| ring()).collect()),
+            wants: Mutex::default(),
+            next_page: AtomicU64::new(0),
+            pages: AtomicUsize::new(0),
+            counts: Counts::default(),
+        }
+    }
+
+    /// Whether anybody looks.
+    pub fn is_watched(&self) -> bool {
+        self.pages.load(Ordering::Acquire) > 0
+    }
+
+    pub fn wanted(&self, sonar: u16) -> Wanted {
+        let mut wanted = Wanted::default();
+        if !self.is_watched() {
+            return wanted;
+        }
+        let wants = lock(&self.wants);
+        for want in wants.values().flatten().filter(|w| w.sonar == sonar) {
+            wanted.fan |= want.fan;
+            wanted.elements |= want.elements;
+            if let Some(scope) = want.scope
+                && wanted.scopes.len() < MOST_SCOPES
+                && !wanted.scopes.contains(&scope)
+            {
+                wanted.scopes.push(scope);
+            }
+        }
+        wanted
+    }
+
+    /// Hands a frame to every page. Never waits for one.
+    pub fn publish(&self, frame: Frame) {
+        let frame = Arc::new(frame);
+        self.counts.frames.fetch_add(1, Ordering::Relaxed);
+        if frame.kind != Kind::Line {
+            // Fails when nobody listens any more.
+            let _ = self.frames.send(frame);
+            return;
+        }
+        let mut history = lock(&self.history);
+        if let Some(ring) = history.get_mut(usize::from(frame.sonar)) {
+            if ring.len() == HISTORY_LINES {
+                ring.pop_front();
+            }
+            ring.push_back(Arc::clone(&frame));
+        }
+        // While the history is locked: whoever listens from now on has this line from one of the two.
+        let _ = self.frames.send(frame);
+    }
+
+    /// A page opens.
+    pub fn join(self: &Arc<Self>) -> Page {
+        let id = self.next_page.fetch_add(1, Ordering::Relaxed);
+        let mut wants = lock(&self.wants);
+        wants.insert(id, None);
+        self.pages.store(wants.len(), Ordering::Release);
+        drop(wants);
+        Page {
+            feed: Arc::clone(self),
+            id,
+            want: None,
+            frames: self.frames.subscribe(),
+        }
+    }
+
+    pub fn counts(&self) -> FeedCounts {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        FeedCounts {
+            pages: self.pages.load(Ordering::Acquire),
+            pages_ever: read(&self.next_page),
+            frames: read(&self.counts.frames),
+            sent: read(&self.counts.sent),
+            dropped: read(&self.counts.dropped),
+        }
+    }
+}
+
+/// An open page's end of the feed.
+pub struct Page {
+    feed: Arc<Feed>,
+    id: u64,
+    want: Option<Want>,
+    frames: broadcast::Receiver<Arc<Frame>>,
+}
+
+/// What a page has next.
+pub enum Next {
+    Frame(Arc<Frame>),
+    /// It was too slow for so many.
+    Dropped(u64),
+    /// There will be no more.
+    End,
+}
+
+impl Page {
+    /// Looks at something else from now on; the lines so far where it is another sonar, or the first.
+    pub fn look(&mut self, want: Want) -> Vec<Arc<Frame>> {
+        let before = self.want.replace(want);
+        lock(&self.feed.wants).insert(self.id, self.want);
+        if before.is_some_and(|before| before.sonar == want.sonar) {
+            return Vec::new();
+        }
+        let history = lock(&self.feed.history);
+        self.frames = self.feed.frames.subscribe();
+        let ring = history.get(usize::from(want.sonar));
+        ring.map_or(Vec::new(), |ring| ring.iter().cloned().collect())
+    }
+
+    /// The next frame that it wants.
+    pub async fn next(&mut self) -> Next {
+        loop {
+            match self.frames.recv().await {
+                Ok(frame) if self.want.is_some_and(|want| want.takes(&frame)) => {
+                    return Next::Frame(frame);
+                }
+                Ok(_) => {}
+                Err(broadcast::error::RecvError::Lagged(n)) => {
+                    self.feed.counts.dropped.fetch_add(n, Ordering::Relaxed);
+                    return Next::Dropped(n);
+                }
+                Err(broadcast::error::RecvError::Closed) => return Next::End,
+            }
+        }
+    }
+
+    /// A frame has left.
+    pub fn sent(&self) {
+        self.feed.counts.sent.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        let mut wants = lock(&self.feed.wants);
+        wants.remove(&self.id);
+        self.feed.pages.store(wants.len(), Ordering::Release);
+    }
+}
+
+/// What is behind these locks is whole whenever they are free.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(kind: Kind, ping: u8) -> Frame {
+        Frame {
+            sonar: 0,
+            kind,
+            scope: None,
+            bytes: Bytes::copy_from_slice(&[ping]),
+        }
+    }
+
+    fn runtime() -> tokio::runtime::Runtime {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        builder.build().expect("a runtime")
+    }
+
+    #[test]
+    fn a_page_that_sleeps_misses_the_oldest_frames_and_they_are_counted() {
+        let feed = Arc::new(Feed::new(1));
+        let mut page = feed.join();
+        page.look(Want::default());
+        for ping in 0..(QUEUE_FRAMES as u8 + 10) {
+            feed.publish(frame(Kind::Line, ping));
+        }
+        let mut got = Vec::new();
+        let mut dropped = 0;
+        runtime().block_on(async {
+            while got.len() < QUEUE_FRAMES {
+                match page.next().await {
+                    Next::Frame(frame) => got.push(frame.bytes[0]),
+                    Next::Dropped(n) => dropped += n,
+                    Next::End => break,
+                }
+            }
+        });
+        assert_eq!(dropped, 10);
+        assert_eq!(got, (10..QUEUE_FRAMES as u8 + 10).collect::<Vec<_>>());
+        assert_eq!(feed.counts().dropped, 10);
+    }
+
+    #[test]
+    fn who_comes_later_gets_the_history_and_then_every_line_once() {
+        let feed = Arc::new(Feed::new(1));
+        for ping in 0..5 {
+            feed.publish(frame(Kind::Line, ping));
+            feed.publish(frame(Kind::Fan, ping));
+        }
+        let mut page = feed.join();
+        let before = page.look(Want::default());
+        feed.publish(frame(Kind::Line, 5));
+        let mut seen: Vec<_> = before.iter().map(|f| f.bytes[0]).collect();
+        if let Next::Frame(frame) = runtime().block_on(page.next()) {
+            seen.push(frame.bytes[0]);
+        }
+        assert_eq!(seen, [0, 1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn nothing_is_wanted_without_a_page_and_only_so_many_scopes_with_many() {
+        let feed = Arc::new(Feed::new(2));
+        assert_eq!(feed.wanted(0), Wanted::default());
+        let mut pages: Vec<_> = (0..20).map(|_| feed.join()).collect();
+        for (index, page) in pages.iter_mut().enumerate() {
+            page.look(Want {
+                sonar: 1,
+                fan: index == 3,
+                elements: false,
+                scope: Some(Scope {
+                    of: ScopeOf::Element,
+                    array: 0,
+                    index: index as u16 / 2,
+                    first: 0,
+                }),
+            });
+        }
+        assert_eq!(feed.wanted(0), Wanted::default());
+        let wanted = feed.wanted(1);
+        assert!(wanted.fan && !wanted.elements);
+        assert_eq!(wanted.scopes.len(), MOST_SCOPES);
+        assert_eq!(feed.counts().pages, 20);
+        drop(pages);
+        assert!(!feed.is_watched());
+        assert_eq!(feed.wanted(1), Wanted::default());
+    }
+
+    #[test]
+    fn the_history_is_bounded() {
+        let feed = Arc::new(Feed::new(1));
+        for ping in 0..HISTORY_LINES + 7 {
+            feed.publish(frame(Kind::Line, (ping % 251) as u8));
+        }
+        let lines = feed.join().look(Want::default());
+        assert_eq!(lines.len(), HISTORY_LINES);
+        assert_eq!(lines[0].bytes[0], 7);
+    }
+}

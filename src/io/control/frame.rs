@@ -1,0 +1,147 @@
+//! Binary frames for the page: a head of 16 bytes, a text of JSON, arrays. All little-endian.
+//!
+//! | offset | type | what |
+//! |---|---|---|
+//! | 0 | u8 | kind, see [`Kind`] |
+//! | 1 | u8 | [`VERSION`] |
+//! | 2 | u16 | sonar, in the configuration's order |
+//! | 4 | u32 | ping number |
+//! | 8 | u32 | length of the text, a multiple of 4 (spaces follow the JSON) |
+//! | 12 | u32 | length of the arrays |
+//! | 16 | | text: what the arrays are, and all that is one number a ping |
+//! | 16 + length of the text | | arrays |
+//!
+//! Levels are u8: 0 is nothing, otherwise `low_db` + value x [`STEP_DB`], of volts rms. Samples are pairs of f32, I and Q.
+
+use axum::body::Bytes;
+use serde_json::Value;
+
+pub const VERSION: u8 = 1;
+pub const HEAD_BYTES: usize = 16;
+
+/// Of a level's u8, dB: 127 dB from the loudest of a frame down.
+pub const STEP_DB: f32 = 0.5;
+/// Levels that a u8 tells apart besides nothing.
+const STEPS: f32 = 254.0;
+
+/// What a frame holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Kind {
+    /// A side-scan line, port then starboard from the middle outwards, u8; navigation and truth of the ping.
+    Line = 1,
+    /// Levels of a fan, beam by beam, u8.
+    Fan = 2,
+    /// Root mean square and peak of every element, array by array, f32, dB re 1 V.
+    Elements = 3,
+    /// Samples of one row, f32 pairs.
+    Scope = 4,
+    /// Depths of a tile of seabed, row by row from its south-western corner, f32, metres; NaN where there is none.
+    Relief = 5,
+}
+
+/// A frame of these parts.
+pub fn frame(kind: Kind, sonar: u16, ping_number: u32, text: &Value, arrays: &[u8]) -> Bytes {
+    let mut text = text.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let mut bytes = Vec::with_capacity(HEAD_BYTES + text.len() + arrays.len());
+    bytes.extend([kind as u8, VERSION]);
+    bytes.extend(sonar.to_le_bytes());
+    bytes.extend(ping_number.to_le_bytes());
+    bytes.extend((text.len() as u32).to_le_bytes());
+    bytes.extend((arrays.len() as u32).to_le_bytes());
+    bytes.extend(text);
+    bytes.extend(arrays);
+    bytes.into()
+}
+
+/// Appends `power` (volts squared) as levels; the `low_db` they count from. The loudest is at most [`STEP_DB`] below the top.
+pub fn levels(power: &[f32], into: &mut Vec<u8>) -> f32 {
+    let loudest = power.iter().copied().fold(0.0, f32::max);
+    let low_db = decibels(loudest).max(-600.0).ceil() - STEPS * STEP_DB;
+    into.extend(power.iter().map(|&p| {
+        if p <= 0.0 || p.is_nan() {
+            return 0;
+        }
+        // At least 1: what is there is not nothing.
+        ((decibels(p) - low_db) / STEP_DB).round().clamp(1.0, 255.0) as u8
+    }));
+    low_db
+}
+
+/// Of a power.
+fn decibels(power: f32) -> f32 {
+    10.0 * power.log10()
+}
+
+/// The loudest of each of `out.len()` equal parts of a row: sample k of N is in part k n / N. Rows no longer than `out` keep their samples,
+/// and the rest of `out` is not used; how many parts there are.
+pub fn max_hold(row: impl ExactSizeIterator<Item = f32>, out: &mut [f32]) -> usize {
+    let samples = row.len();
+    let parts = samples.min(out.len());
+    out[..parts].fill(0.0);
+    for (k, value) in row.enumerate() {
+        let part = &mut out[k * parts / samples];
+        *part = part.max(value);
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_frame_is_its_head_its_text_and_its_arrays() {
+        let got = frame(Kind::Fan, 3, 70_000, &json!({ "n": 2 }), &[7, 8, 9]);
+        let mut want = vec![2, 1, 3, 0, 0x70, 0x11, 1, 0, 8, 0, 0, 0, 3, 0, 0, 0];
+        want.extend(b"{\"n\":2} ");
+        want.extend([7, 8, 9]);
+        assert_eq!(got, want);
+    }
+
+    #[test]
+    fn levels_are_within_half_a_step_and_nothing_is_zero() {
+        let powers = [0.0, 1e-30, 1e-9, 0.02, 1.0, 3.7, f32::NAN];
+        let mut got = Vec::new();
+        let low_db = levels(&powers, &mut got);
+        assert_eq!((got[0], got[1], got[6]), (0, 1, 0));
+        for k in 2..6 {
+            let back_db = low_db + f32::from(got[k]) * STEP_DB;
+            let want_db = 10.0 * powers[k].log10();
+            assert!(
+                (back_db - want_db).abs() <= 0.51 * STEP_DB,
+                "{back_db} {want_db}"
+            );
+        }
+        assert!(got[5] >= 253 - 2, "the loudest is near the top: {}", got[5]);
+    }
+
+    #[test]
+    fn silence_and_infinity_are_no_surprise() {
+        for powers in [
+            &[][..],
+            &[0.0, 0.0],
+            &[f32::INFINITY, 1.0],
+            &[f32::MIN_POSITIVE],
+        ] {
+            let mut got = Vec::new();
+            levels(powers, &mut got);
+            assert_eq!(got.len(), powers.len(), "{powers:?}");
+        }
+    }
+
+    #[test]
+    fn the_loudest_sample_stays_in_the_part_that_its_place_says() {
+        let mut out = [9.0; 10];
+        for (samples, at) in [(1000_usize, 777_usize), (1003, 500), (10, 9), (7, 3)] {
+            let row: Vec<f32> = (0..samples).map(|k| f32::from(u8::from(k == at))).collect();
+            let parts = max_hold(row.into_iter(), &mut out);
+            assert_eq!(parts, samples.min(10));
+            let loud: Vec<_> = (0..parts).filter(|&p| out[p] > 0.5).collect();
+            assert_eq!(loud, [at * parts / samples], "{at} of {samples}");
+        }
+        assert_eq!(max_hold(std::iter::empty(), &mut out), 0);
+    }
+}

@@ -1,0 +1,38 @@
+//! How fast datagrams leave: a token bucket for each stream ([`bucket`]), several datagrams in one call of the kernel ([`batch`]).
+//!
+//! A receiver's socket takes 208 kB on a stock Linux; a ping may be megabytes. Spread over a part of the time to the next ping it is never
+//! much more than a few groups ahead of whoever reads.
+
+pub mod batch;
+pub mod bucket;
+
+use std::sync::Arc;
+
+use crate::io::priority;
+
+/// Is told how late a group left, nanoseconds after it was due.
+pub type Lateness = Arc<dyn Fn(i64) + Send + Sync>;
+
+/// Of the threads that send.
+#[derive(Clone, Default)]
+pub struct Sending {
+    /// SCHED_FIFO; 0: ordinary.
+    pub priority: u8,
+    pub lateness: Option<Lateness>,
+}
+
+impl Sending {
+    /// To be called first by the thread that sends.
+    pub fn begin(&self) {
+        if self.priority > 0 {
+            // What is not allowed was said when the daemon started.
+            let _ = priority::first_in_first_out(self.priority);
+        }
+    }
+
+    pub fn note(&self, late_ns: i64) {
+        if let Some(lateness) = &self.lateness {
+            lateness(late_ns);
+        }
+    }
+}

@@ -1,0 +1,338 @@
+//! The plan of methods: which path model, Doppler model, sum and culling a sonar's pings are made with.
+//!
+//! In: candidates, each with what the stages' method cards promise of its parts and what it costs; the goal. Out: the cheapest candidate within
+//! the goal, all others in the order of their cost, and why. Knows no stage: `run::fidelity` asks the cards.
+//!
+//! How errors add: a candidate differs from the reference by one step after another (path, then Doppler, then the sum, then what is left out), and
+//! the norm of a sum of differences is at most the sum of their norms (the triangle inequality). So parts are added as they are; parts of random
+//! phase would add as squares, and the bound is then up to twice too high with four parts alike.
+
+use crate::flow::ModelChoice;
+
+/// What is chosen in one place of the plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Family {
+    Path,
+    Doppler,
+    /// The way to sum, with its array form, kernel and precision.
+    Sum,
+    Culling,
+}
+
+impl Family {
+    pub const ALL: [Self; 4] = [Self::Path, Self::Doppler, Self::Sum, Self::Culling];
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Path => "path",
+            Self::Doppler => "doppler",
+            Self::Sum => "synthesis",
+            Self::Culling => "culling",
+        }
+    }
+}
+
+/// Kinds of work that the table of costs has a figure for.
+pub const FIGURES: usize = 15;
+
+/// Amounts of work of one ping, in the order of the table of costs (`run::fidelity::costs`).
+pub type Work = [f64; FIGURES];
+pub const NO_WORK: Work = [0.0; FIGURES];
+
+/// One member of a family under the ping's conditions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    pub family: Family,
+    pub choice: String,
+    /// Of element samples, relative.
+    pub error: f64,
+    /// Of one core.
+    pub cost_ms: f64,
+    /// What that is the cost of.
+    pub work: Work,
+    pub why: String,
+}
+
+/// How far a candidate moves things in a picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Displaced {
+    /// In cells along the track, and in range.
+    pub along_cells: f64,
+    pub range_cells: f64,
+}
+
+/// Everything that a pipeline can be made from, beside the configuration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    pub model: ModelChoice,
+    /// What an engine is made for; none is the whole tolerance.
+    pub engine_tolerance: Option<f64>,
+    /// Nearest scatterer that engines are made for.
+    pub nearest_m: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    pub choice: Choice,
+    /// In the order of [`Family::ALL`].
+    pub parts: [Part; 4],
+    pub displaced: Displaced,
+}
+
+impl Candidate {
+    /// Of element samples: at most.
+    pub fn error(&self) -> f64 {
+        self.parts.iter().map(|part| part.error).sum()
+    }
+    /// Of one core.
+    pub fn cost_ms(&self) -> f64 {
+        self.parts.iter().map(|part| part.cost_ms).sum()
+    }
+    pub fn part(&self, family: Family) -> &Part {
+        &self.parts[family as usize]
+    }
+    /// `k-segment 10 ms, stretch, gridded-1d 5e-4, culled at -40 dB`.
+    pub fn text(&self) -> String {
+        let choices: Vec<&str> = self.parts.iter().map(|p| p.choice.as_str()).collect();
+        choices.join(", ")
+    }
+}
+
+/// What is asked of a ping.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goal {
+    /// Relative error of element samples.
+    pub tolerance: f64,
+    /// Where pictures are all that is looked at: path and Doppler may displace things by so many range cells, and by [`ALONG_PER_RANGE`] times as
+    /// many cells along the track, whatever samples are off by; sum and culling keep the tolerance.
+    pub image_cells: Option<f64>,
+}
+
+/// A quarter of a cell along the track is as little as a tenth of one in range.
+pub const ALONG_PER_RANGE: f64 = 2.5;
+
+impl Goal {
+    /// The share of what is allowed that a candidate uses up: 1 and less is within.
+    pub fn share(&self, candidate: &Candidate) -> f64 {
+        let Some(cells) = self.image_cells else {
+            return candidate.error() / self.tolerance;
+        };
+        let samples = candidate.part(Family::Sum).error + candidate.part(Family::Culling).error;
+        let Displaced {
+            along_cells,
+            range_cells,
+        } = candidate.displaced;
+        (samples / self.tolerance)
+            .max(range_cells / cells)
+            .max(along_cells / (ALONG_PER_RANGE * cells))
+    }
+
+    pub fn meets(&self, candidate: &Candidate) -> bool {
+        self.share(candidate) <= 1.0
+    }
+}
+
+/// A plan and what it was chosen from.
+#[derive(Clone, Debug)]
+pub struct Ranking {
+    pub goal: Goal,
+    /// Cheapest first.
+    pub candidates: Vec<Candidate>,
+    /// Those that cannot be made, and why.
+    pub refused: Vec<(String, String)>,
+    pub chosen: usize,
+}
+
+/// Where nothing is within the goal, what errs by no more than this times the least is as good.
+const NEAR: f64 = 1.25;
+
+/// The cheapest candidate within the goal that is not barred; where there is none, the cheapest of those that miss it by the least. None where
+/// all are barred.
+pub fn choose(
+    goal: Goal,
+    mut candidates: Vec<Candidate>,
+    refused: Vec<(String, String)>,
+    barred: &[Choice],
+) -> Option<Ranking> {
+    candidates.sort_by(|a, b| {
+        let by_cost = a.cost_ms().total_cmp(&b.cost_ms());
+        by_cost.then(a.error().total_cmp(&b.error()))
+    });
+    let may = |c: &Candidate| !barred.contains(&c.choice);
+    let first = candidates.iter().position(|c| may(c) && goal.meets(c));
+    let chosen = match first {
+        Some(first) => first,
+        None => {
+            let shares = candidates.iter().filter(|c| may(c)).map(|c| goal.share(c));
+            let least = shares.min_by(f64::total_cmp)?;
+            let near = |c: &Candidate| may(c) && goal.share(c) <= NEAR * least;
+            candidates.iter().position(near)?
+        }
+    };
+    Some(Ranking {
+        goal,
+        candidates,
+        refused,
+        chosen,
+    })
+}
+
+impl Ranking {
+    pub fn chosen(&self) -> &Candidate {
+        &self.candidates[self.chosen]
+    }
+
+    /// Whether what was chosen keeps what is asked.
+    pub fn is_within(&self) -> bool {
+        self.goal.meets(self.chosen())
+    }
+
+    /// Of all that are cheaper, the one that misses the goal by the least.
+    pub fn next_cheaper(&self) -> Option<&Candidate> {
+        self.candidates[..self.chosen]
+            .iter()
+            .min_by(|a, b| self.goal.share(a).total_cmp(&self.goal.share(b)))
+    }
+
+    /// The cheapest that errs by half as much or less.
+    pub fn next_dearer(&self) -> Option<&Candidate> {
+        let share = 0.5 * self.goal.share(self.chosen());
+        self.candidates
+            .iter()
+            .skip(self.chosen)
+            .find(|c| self.goal.share(c) <= share)
+    }
+
+    /// Why this member of a family, in one sentence.
+    pub fn reason(&self, family: Family) -> String {
+        let part = self.chosen().part(family);
+        // Everything else as it is, this one cheaper.
+        let others = |c: &&Candidate| {
+            Family::ALL
+                .into_iter()
+                .filter(|f| *f != family)
+                .all(|f| c.part(f).choice == self.chosen().part(f).choice)
+        };
+        let cheaper = self.candidates[..self.chosen]
+            .iter()
+            .filter(others)
+            .filter(|c| c.part(family).choice != part.choice && !self.goal.meets(c))
+            .min_by(|a, b| a.part(family).error.total_cmp(&b.part(family).error));
+        let why = match part.why.is_empty() {
+            true => String::new(),
+            false => format!("{}; ", part.why),
+        };
+        match cheaper {
+            Some(c) => format!(
+                "{why}{} would leave {:.1e}, which is too much",
+                c.part(family).choice,
+                c.part(family).error
+            ),
+            None => format!("{why}nothing cheaper goes with the rest"),
+        }
+    }
+
+    /// What another candidate would change, in words.
+    pub fn change(&self, other: &Candidate) -> String {
+        let differs: Vec<String> = Family::ALL
+            .into_iter()
+            .filter(|f| self.chosen().part(*f).choice != other.part(*f).choice)
+            .map(|f| format!("{} {}", f.name(), other.part(f).choice))
+            .collect();
+        format!(
+            "{}: error {:.1e}, {:.2} ms ({:+.0} %)",
+            differs.join(", "),
+            other.error(),
+            other.cost_ms(),
+            100.0 * (other.cost_ms() / self.chosen().cost_ms() - 1.0)
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::{DopplerModel, PathModel, Synthesis};
+
+    fn candidate(error: f64, cost_ms: f64) -> Candidate {
+        let part = |family: Family| Part {
+            family,
+            choice: format!("{} {error:e}", family.name()),
+            error: match family {
+                Family::Path => error,
+                _ => 0.0,
+            },
+            cost_ms: 0.25 * cost_ms,
+            work: NO_WORK,
+            why: "so it is".into(),
+        };
+        Candidate {
+            choice: Choice {
+                model: ModelChoice {
+                    path: PathModel::KSegment,
+                    doppler: DopplerModel::Stretch,
+                    synthesis: Synthesis::Direct,
+                    segment_s: error,
+                    cull_db: None,
+                },
+                engine_tolerance: None,
+                nearest_m: 1.0,
+            },
+            parts: Family::ALL.map(part),
+            displaced: Displaced {
+                along_cells: 2.0 * error,
+                range_cells: error,
+            },
+        }
+    }
+
+    fn ladder() -> Vec<Candidate> {
+        vec![
+            candidate(1e-5, 40.0),
+            candidate(1e-2, 1.0),
+            candidate(1e-3, 4.0),
+            candidate(5e-4, 4.01),
+        ]
+    }
+
+    fn goal(tolerance: f64) -> Goal {
+        Goal {
+            tolerance,
+            image_cells: None,
+        }
+    }
+
+    #[test]
+    fn the_cheapest_within_is_chosen_and_its_neighbours_are_named() {
+        let at = |tolerance: f64| choose(goal(tolerance), ladder(), Vec::new(), &[]).unwrap();
+        assert_eq!(at(1e-2).chosen().error(), 1e-2);
+        assert_eq!(at(1e-3).chosen().error(), 1e-3);
+        assert_eq!(at(1e-4).chosen().error(), 1e-5);
+        let none = at(1e-6);
+        assert!(!none.is_within());
+        assert_eq!(none.chosen().error(), 1e-5, "the nearest to it");
+        let middle = at(1e-3);
+        assert_eq!(middle.next_cheaper().unwrap().error(), 1e-2);
+        assert_eq!(middle.next_dearer().unwrap().error(), 1e-5);
+    }
+
+    #[test]
+    fn what_is_barred_is_passed_over() {
+        let barred = [candidate(1e-3, 0.0).choice];
+        let ranking = choose(goal(1e-3), ladder(), Vec::new(), &barred).unwrap();
+        assert_eq!(ranking.chosen().error(), 5e-4);
+        let barred: Vec<Choice> = ladder().iter().map(|c| c.choice).collect();
+        assert!(choose(goal(1e-3), ladder(), Vec::new(), &barred).is_none());
+        assert!(choose(goal(1e-3), Vec::new(), Vec::new(), &[]).is_none());
+    }
+
+    #[test]
+    fn pictures_look_at_cells_and_not_at_samples() {
+        let pictures = Goal {
+            tolerance: 1e-6,
+            image_cells: Some(1e-2),
+        };
+        let ranking = choose(pictures, ladder(), Vec::new(), &[]).unwrap();
+        assert!(ranking.is_within());
+        assert_eq!(ranking.chosen().cost_ms(), 1.0);
+    }
+}

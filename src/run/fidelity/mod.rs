@@ -1,0 +1,764 @@
+//! The plan of methods for one sonar: asks the stages' cards what every choice would err by and cost in a ping's conditions, and has
+//! [`crate::ping::fidelity`] choose.
+//!
+//! In: a sonar with what of its model is left to the plan, a ping's plan and scatterers, the table of costs. Out: a [`Ranking`].
+//! The same ping and table always give the same plan.
+
+pub mod calibrate;
+pub mod costs;
+pub mod first;
+pub mod heard;
+pub mod live;
+
+use crate::array::cards::synthesis_card;
+use crate::array::filter::{Decimator, oversample};
+use crate::array::gridded::Gridded1d;
+use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::echo::cards::{doppler_card, path_card};
+use crate::echo::culling::left_out_share;
+use crate::flow::{
+    Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
+    Scatterers, Synthesis,
+};
+use crate::ping::fidelity::{
+    Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
+};
+use crate::run::conditions::conditions;
+use crate::run::engines::{HARDEST_M_PER_S2, sketch};
+use crate::run::fidelity::costs::Costs;
+use crate::run::fidelity::heard::kept_shares;
+use crate::run::line_engines::{SIDEWAYS_M_PER_S, choices};
+use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
+
+/// Lengths of segments, seconds: the longest that is good enough is taken.
+const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
+/// What of the tolerance engines may be made for; models and culling have the rest.
+const ENGINE_SHARES: [f64; 3] = [0.8, 0.5, 0.2];
+/// What of the tolerance culling may leave out.
+const CULL_SHARES: [f64; 2] = [0.5, 0.2];
+/// Floors are tried in steps of this, dB, and none below the least.
+const CULL_STEP_DB: f64 = 2.0;
+const LEAST_CULL_DB: f64 = -110.0;
+/// Where what is left out is looked at: from near the first bottom return to grazing.
+const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
+/// What a platform that is not level, over ground that is not flat, leaves out more.
+const UNEVEN: f64 = 1.5;
+/// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
+const NEARER: f64 = 0.7;
+/// rms closing speeds of all but the rarest echoes lie within so many times their rms.
+const EXTREMES: f64 = 3.0;
+/// A line bears the motion across it that the echoes of a window have, and so much more in some.
+const ACROSS: f64 = 1.5;
+/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater. (They are made for their
+/// tolerance, and keep it.)
+const ENGINE_MARGIN: f64 = 2.0;
+/// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
+const TWO_WAY_WIDTH: f64 = 0.905;
+
+/// What a plan is made of.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    pub spec: &'a SonarSpec,
+    pub medium: &'a MediumSpec,
+    pub plan: &'a PingPlan,
+    pub scatterers: &'a Scatterers,
+    /// How many there are, where `scatterers` are a sample of them ([`sample`]).
+    pub count: usize,
+    pub costs: &'a Costs,
+    /// What the platform has done of late, over what it does in this ping.
+    pub swell: Swell,
+}
+
+/// Factors of 1 and more.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Swell {
+    pub speed: f64,
+    pub acceleration: f64,
+    pub turning: f64,
+}
+
+impl Swell {
+    pub const NONE: Self = Self {
+        speed: 1.0,
+        acceleration: 1.0,
+        turning: 1.0,
+    };
+
+    fn on(&self, mut conditions: Conditions) -> Conditions {
+        conditions.speed_m_per_s *= self.speed;
+        conditions.acceleration_m_per_s2 *= self.acceleration;
+        conditions.turning_m_per_s *= self.turning;
+        if let Some(heard) = &mut conditions.heard {
+            heard.hop_m *= self.speed;
+            heard.closing_m_per_s *= self.speed;
+            heard.across_m_per_s *= self.speed;
+            heard.bend_m_per_s2 *= self.acceleration.max(self.speed * self.speed);
+            heard.acceleration_m_per_s2 *= self.acceleration;
+            heard.turning_m_per_s *= self.turning;
+        }
+        conditions
+    }
+}
+
+/// All points and targets, and of the ground as many as the plan looks at, each for all those left out.
+pub fn sample(all: &Scatterers) -> Scatterers {
+    let stride = all.len().div_ceil(heard::LOOKED_AT).max(1);
+    let mut some = Scatterers {
+        curve: all.curve.clone(),
+        ..Scatterers::default()
+    };
+    for i in 0..all.len() {
+        let point = all.law[i] == ScatterLaw::Point;
+        if point || i.is_multiple_of(stride) {
+            let stands_for = if point { 1.0 } else { stride as f64 };
+            let strength = all.strength[i] * stands_for.sqrt();
+            some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
+            if let Some(loud) = some.loud.last_mut() {
+                *loud = all.loud[i];
+            }
+        }
+    }
+    some
+}
+
+/// The sonar with a plan's choice in it.
+pub fn with_choice(spec: &SonarSpec, choice: &Choice) -> SonarSpec {
+    let mut spec = spec.clone();
+    spec.model = choice.model;
+    spec.synthesis.engine_tolerance = choice.engine_tolerance;
+    spec.synthesis.nearest_m = choice.nearest_m;
+    spec
+}
+
+/// What is asked of the sonar.
+pub fn goal(spec: &SonarSpec) -> Goal {
+    Goal {
+        tolerance: spec.synthesis.tolerance,
+        image_cells: spec.synthesis.image_cells,
+    }
+}
+
+/// The plan for this ping's conditions; what the configuration fixes has one member.
+pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
+    let maker = Maker::new(scene);
+    let (candidates, refused) = maker.candidates();
+    choose(goal(scene.spec), candidates, refused, barred)
+}
+
+/// A path and a Doppler model, with their cards.
+struct Motion {
+    path: PathModel,
+    segment_s: f64,
+    doppler: DopplerModel,
+    cards: [MethodCard; 2],
+}
+
+/// A floor of the patterns, what it leaves out, and the share of the pairs it keeps.
+#[derive(Clone, Copy)]
+struct Culling {
+    db: Option<f64>,
+    error: f64,
+    kept: f64,
+}
+
+struct Maker<'a> {
+    scene: &'a Scene<'a>,
+    conditions: Conditions,
+    nearest_m: f64,
+    cullings: Vec<Culling>,
+}
+
+/// What an engine promises and costs.
+enum Engine {
+    One(Gridded1d),
+    Lines {
+        error: f64,
+        cost_ms: f64,
+        stretches: f64,
+        why: String,
+    },
+}
+
+impl<'a> Maker<'a> {
+    fn new(scene: &'a Scene<'a>) -> Self {
+        let spec = scene.spec;
+        let mut conditions = scene
+            .swell
+            .on(conditions(spec, scene.plan, scene.scatterers));
+        conditions.scatterers = scene.count;
+        let floors = floors(spec, scene.plan);
+        let kept = kept_shares(
+            spec,
+            scene.plan,
+            scene.scatterers,
+            &floors.iter().map(|(db, _)| *db).collect::<Vec<_>>(),
+        );
+        Self {
+            scene,
+            nearest_m: match spec.synthesis.auto.any() {
+                true => (NEARER * conditions.range_m.0).min(spec.synthesis.nearest_m.max(5.0)),
+                false => spec.synthesis.nearest_m,
+            },
+            conditions,
+            cullings: floors
+                .into_iter()
+                .zip(kept)
+                .map(|((db, error), kept)| Culling { db, error, kept })
+                .collect(),
+        }
+    }
+
+    fn motions(&self) -> Vec<Motion> {
+        let spec = self.scene.spec;
+        let auto = spec.synthesis.auto;
+        let segments: &[f64] = match auto.segment {
+            true => &SEGMENTS_S,
+            false => &[spec.model.segment_s],
+        };
+        let mut paths = Vec::new();
+        for path in PathModel::ALL {
+            if !auto.path && path != spec.model.path {
+                continue;
+            }
+            match path {
+                PathModel::Polyline | PathModel::KSegment => {
+                    paths.extend(segments.iter().map(|&h| (path, h)));
+                }
+                _ => paths.push((path, spec.model.segment_s)),
+            }
+        }
+        let dopplers = DopplerModel::ALL
+            .into_iter()
+            .filter(|d| match auto.doppler {
+                true => *d != DopplerModel::PaperEq21,
+                false => *d == spec.model.doppler,
+            });
+        let dopplers: Vec<_> = dopplers.collect();
+        let mut motions = Vec::new();
+        for (path, segment_s) in paths {
+            let under = Conditions {
+                segment_s,
+                ..self.conditions
+            };
+            for &doppler in &dopplers {
+                motions.push(Motion {
+                    path,
+                    segment_s,
+                    doppler,
+                    cards: [path_card(path, &under), doppler_card(doppler, path, &under)],
+                });
+            }
+        }
+        motions
+    }
+
+    fn sums(&self) -> Vec<Synthesis> {
+        let spec = self.scene.spec;
+        let lines = spec.receive.iter().all(|array| array.elements > 1);
+        let one_by_one = |s: Synthesis| {
+            matches!(
+                s,
+                Synthesis::Direct | Synthesis::Gridded1d | Synthesis::Reference
+            )
+        };
+        Synthesis::ALL
+            .into_iter()
+            .filter(|&s| match spec.synthesis.auto.synthesis {
+                false => s == spec.model.synthesis,
+                true => {
+                    // The truth is for those who ask for it.
+                    s != Synthesis::Reference
+                        && (s != Synthesis::Gridded2d
+                            || lines && spec.receiver.filter == ReceiverFilter::Fir)
+                        && (spec.more_pulses.is_empty() || one_by_one(s))
+                }
+            })
+            .collect()
+    }
+
+    fn candidates(&self) -> (Vec<Candidate>, Vec<(String, String)>) {
+        let (mut found, mut refused) = (Vec::new(), Vec::new());
+        let motions = self.motions();
+        for synthesis in self.sums() {
+            match synthesis {
+                Synthesis::Reference => {
+                    let none = self.cullings[0];
+                    if let Some(motion) = motions.last() {
+                        found.push(self.reference(motion, none));
+                    }
+                }
+                Synthesis::Gridded1d | Synthesis::Gridded2d => {
+                    self.engines(synthesis, &motions, &mut found, &mut refused);
+                }
+                _ => {
+                    for motion in motions.iter().filter(|m| synthesis.takes(m.doppler)) {
+                        for &culling in &self.cullings {
+                            found.push(self.plain(synthesis, motion, culling));
+                        }
+                    }
+                }
+            }
+        }
+        (found, refused)
+    }
+
+    /// Candidates of one engine, Doppler by Doppler: an engine knows nothing of paths but whether they step.
+    fn engines(
+        &self,
+        synthesis: Synthesis,
+        motions: &[Motion],
+        found: &mut Vec<Candidate>,
+        refused: &mut Vec<(String, String)>,
+    ) {
+        let spec = self.scene.spec;
+        let goal = goal(spec);
+        for doppler in DopplerModel::ALL {
+            let of: Vec<&Motion> = motions
+                .iter()
+                .filter(|m| m.doppler == doppler && synthesis.takes(doppler))
+                .filter(|m| synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline)
+                .collect();
+            let Some(least) = of
+                .iter()
+                .map(|m| m.cards[0].error + m.cards[1].error)
+                .min_by(f64::total_cmp)
+            else {
+                continue;
+            };
+            // Models that are beyond the goal by themselves are listed with one engine, to compare.
+            let hopeful = goal.image_cells.is_some() || least < goal.tolerance;
+            let tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
+                (false, _) => vec![None],
+                (true, false) => vec![Some(ENGINE_SHARES[1] * goal.tolerance)],
+                (true, true) => ENGINE_SHARES
+                    .iter()
+                    .map(|share| Some(share * goal.tolerance))
+                    .collect(),
+            };
+            for engine_tolerance in tolerances {
+                match self.engine(synthesis, doppler, engine_tolerance) {
+                    Ok(engine) => {
+                        for motion in &of {
+                            for &culling in &self.cullings {
+                                found.push(self.on_engine(
+                                    synthesis,
+                                    motion,
+                                    culling,
+                                    engine_tolerance,
+                                    &engine,
+                                ));
+                            }
+                        }
+                    }
+                    Err(why) => {
+                        let tolerance = engine_tolerance.unwrap_or(goal.tolerance);
+                        let name =
+                            format!("{} {tolerance:.0e}, {}", synthesis.name(), doppler.name());
+                        refused.push((name, why));
+                    }
+                }
+            }
+        }
+    }
+
+    fn engine(
+        &self,
+        synthesis: Synthesis,
+        doppler: DopplerModel,
+        engine_tolerance: Option<f64>,
+    ) -> Result<Engine, String> {
+        let Conditions {
+            speed_m_per_s,
+            acceleration_m_per_s2,
+            heard,
+            ..
+        } = self.conditions;
+        if speed_m_per_s > FASTEST_PLATFORM_M_PER_S {
+            return Err(format!(
+                "the platform does {speed_m_per_s:.1} m/s, the engine knows {FASTEST_PLATFORM_M_PER_S}"
+            ));
+        }
+        if doppler == DopplerModel::StretchQuadratic && acceleration_m_per_s2 > HARDEST_M_PER_S2 {
+            return Err(format!(
+                "an array accelerates by {acceleration_m_per_s2:.1} m/s^2, the engine knows {HARDEST_M_PER_S2}"
+            ));
+        }
+        let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
+        if synthesis == Synthesis::Gridded2d
+            && doppler != DopplerModel::None
+            && across > SIDEWAYS_M_PER_S
+        {
+            return Err(format!(
+                "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
+            ));
+        }
+        let mut spec = self.scene.spec.clone();
+        spec.model.doppler = doppler;
+        spec.model.synthesis = synthesis;
+        // The steps of a polyline are for the configuration to refuse.
+        spec.model.path = PathModel::KSegment;
+        spec.synthesis.engine_tolerance = engine_tolerance;
+        spec.synthesis.nearest_m = self.nearest_m;
+        let c = self.scene.medium.sound_speed_m_per_s;
+        let filter: Option<Decimator> = match spec.receiver.filter {
+            ReceiverFilter::None => None,
+            ReceiverFilter::Fir => {
+                Some(receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?)
+            }
+        };
+        let fastest = FASTEST_PLATFORM_M_PER_S;
+        if synthesis == Synthesis::Gridded1d {
+            let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
+            return made.map(Engine::One).map_err(|why| why.to_string());
+        }
+        let kept = self.cullings[0].kept * self.scene.count as f64;
+        let choices = choices(&spec, c, fastest, filter.as_ref(), kept as usize)
+            .map_err(|why| why.to_string())?;
+        let stretches = choices.iter().zip(&spec.receive);
+        Ok(Engine::Lines {
+            error: choices.iter().map(|c| c.card.error).fold(0.0, f64::max),
+            cost_ms: choices.iter().map(|c| c.card.cost_ms).sum(),
+            stretches: stretches
+                .map(|(choice, array)| {
+                    array.elements.div_ceil(choice.fineness.stretch.max(1)) as f64
+                })
+                .sum(),
+            why: choices
+                .first()
+                .map_or(String::new(), |choice| choice.card.why.clone()),
+        })
+    }
+
+    fn on_engine(
+        &self,
+        synthesis: Synthesis,
+        motion: &Motion,
+        culling: Culling,
+        engine_tolerance: Option<f64>,
+        engine: &Engine,
+    ) -> Candidate {
+        let elements = self.conditions.elements as f64;
+        let scatterers = self.scene.count as f64;
+        let arrivals = culling.kept * scatterers;
+        let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
+        let kept = |error: f64| (ENGINE_MARGIN * error).min(tolerance);
+        let (error, ns, pairs, figure, why) = match engine {
+            Engine::One(engine) => (
+                kept(engine.card().error),
+                1e6 * elements * engine.cost_ms(arrivals as usize, self.doppler_share()),
+                arrivals * elements,
+                11,
+                engine.card().why.clone(),
+            ),
+            Engine::Lines {
+                error,
+                cost_ms,
+                stretches,
+                why,
+            } => {
+                let share = culling.kept / self.cullings[0].kept.max(f64::MIN_POSITIVE);
+                (
+                    kept(*error),
+                    // Its echoes are most of it where there are many.
+                    1e6 * cost_ms * share.clamp(0.5, 1.0),
+                    arrivals * stretches,
+                    12,
+                    why.clone(),
+                )
+            }
+        };
+        let mut work = NO_WORK;
+        work[figure] = ns;
+        self.candidate(
+            synthesis,
+            motion,
+            culling,
+            engine_tolerance,
+            pairs,
+            Part {
+                family: Family::Sum,
+                choice: format!("{} {tolerance:.1e}", synthesis.name()),
+                error,
+                cost_ms: self.ms(work),
+                work: self.with_samples(work),
+                why,
+            },
+        )
+    }
+
+    /// Of the widest span of Dopplers, what this ping has.
+    fn doppler_share(&self) -> f64 {
+        let speed = self.conditions.speed_m_per_s;
+        let heard = self.conditions.heard;
+        let closing = heard.map_or(speed, |h| (EXTREMES * h.closing_m_per_s).min(speed));
+        (closing / FASTEST_PLATFORM_M_PER_S).min(1.0)
+    }
+
+    fn with_samples(&self, mut work: Work) -> Work {
+        work[10] = self.samples();
+        work
+    }
+
+    fn ms(&self, work: Work) -> f64 {
+        self.scene.costs.ms(&self.with_samples(work))
+    }
+
+    /// Of all elements.
+    fn samples(&self) -> f64 {
+        self.conditions.elements as f64 * self.scene.plan.sample_count as f64
+    }
+
+    fn plain(&self, synthesis: Synthesis, motion: &Motion, culling: Culling) -> Candidate {
+        let pairs = culling.kept * (self.scene.count * self.conditions.elements) as f64;
+        let pulse = &self.conditions.pulse;
+        let rate_hz = self.conditions.sample_rate_hz;
+        let filtered = self.conditions.filter == ReceiverFilter::Fir;
+        let dense = match filtered {
+            true => oversample(pulse, rate_hz, synthesis) as f64,
+            false => 1.0,
+        };
+        let echo_samples = pulse.duration_s * rate_hz;
+        let mut work = NO_WORK;
+        match synthesis {
+            Synthesis::Direct => {
+                work[5] = pairs * echo_samples * dense;
+                work[9] = if filtered {
+                    self.samples() * dense
+                } else {
+                    0.0
+                };
+            }
+            Synthesis::Spectral => {
+                let bins = self.scene.plan.sample_count as f64 + echo_samples;
+                work[7] = pairs * bins;
+            }
+            Synthesis::Nearest => work[8] = pairs * echo_samples,
+            Synthesis::Linear => work[8] = 2.0 * pairs * echo_samples,
+            _ => {}
+        }
+        let card = synthesis_card(synthesis, &self.conditions);
+        self.candidate(
+            synthesis,
+            motion,
+            culling,
+            None,
+            pairs,
+            Part {
+                family: Family::Sum,
+                choice: synthesis.name().to_owned(),
+                error: card.error,
+                cost_ms: self.ms(work),
+                work: self.with_samples(work),
+                why: card.why,
+            },
+        )
+    }
+
+    fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
+        let card = synthesis_card(Synthesis::Reference, &self.conditions);
+        let pulse = &self.conditions.pulse;
+        let rate_hz = self.conditions.sample_rate_hz;
+        let dense = match self.conditions.filter {
+            ReceiverFilter::Fir => oversample(pulse, rate_hz, Synthesis::Reference) as f64,
+            ReceiverFilter::None => 1.0,
+        };
+        let pairs = (self.scene.count * self.conditions.elements) as f64;
+        let mut work = NO_WORK;
+        work[6] = pairs * pulse.duration_s * rate_hz * dense;
+        let mut candidate = self.candidate(
+            Synthesis::Reference,
+            motion,
+            Culling {
+                db: culling.db,
+                error: 0.0,
+                kept: 1.0,
+            },
+            None,
+            0.0,
+            Part {
+                family: Family::Sum,
+                choice: "reference".into(),
+                error: card.error,
+                cost_ms: self.ms(work),
+                work: self.with_samples(work),
+                why: card.why,
+            },
+        );
+        for family in [Family::Path, Family::Doppler] {
+            let part = &mut candidate.parts[family as usize];
+            (part.error, part.cost_ms, part.work) = (0.0, 0.0, NO_WORK);
+            part.why = "not used: on the trajectory itself, sample by sample".into();
+        }
+        candidate.displaced = Displaced::default();
+        candidate
+    }
+
+    /// The parts that all have. `pairs`: of echoes that are solved for.
+    fn candidate(
+        &self,
+        synthesis: Synthesis,
+        motion: &Motion,
+        culling: Culling,
+        engine_tolerance: Option<f64>,
+        pairs: f64,
+        sum: Part,
+    ) -> Candidate {
+        let spec = self.scene.spec;
+        let [path_card, doppler_card] = &motion.cards;
+        let segmented = matches!(motion.path, PathModel::Polyline | PathModel::KSegment);
+        let mut legs = NO_WORK;
+        legs[0] = (self.scene.count * spec.transmit.len()) as f64;
+        legs[match motion.path {
+            PathModel::StopAndHop => 1,
+            PathModel::Polyline | PathModel::KSegment => 2,
+            PathModel::Continuous => 3,
+        }] = pairs;
+        if segmented {
+            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
+            legs[14] = pairs * (window_s / motion.segment_s).ceil();
+        }
+        let mut second = NO_WORK;
+        if motion.doppler != DopplerModel::None {
+            second[13] = pairs;
+        }
+        if motion.doppler == DopplerModel::StretchQuadratic {
+            second[4] = pairs;
+        }
+        let part = |family, choice: String, error, work: Work, why: &str| Part {
+            family,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why: why.to_owned(),
+        };
+        let path_name = match segmented {
+            true => format!("{} {} ms", motion.path.name(), motion.segment_s * 1e3),
+            false => motion.path.name().to_owned(),
+        };
+        let doppler_name = match motion.doppler {
+            DopplerModel::None => "no Doppler".to_owned(),
+            doppler => doppler.name().to_owned(),
+        };
+        let (cull_name, cull_why) = match culling.db {
+            None => ("all scatterers".to_owned(), String::new()),
+            Some(db) => (
+                format!("culled at {db:.0} dB"),
+                format!(
+                    "{:.0} % of the scatterers at hand are kept",
+                    100.0 * culling.kept
+                ),
+            ),
+        };
+        let mut model = spec.model;
+        model.path = motion.path;
+        model.segment_s = motion.segment_s;
+        model.doppler = motion.doppler;
+        model.synthesis = synthesis;
+        model.cull_db = culling.db;
+        Candidate {
+            choice: Choice {
+                model,
+                engine_tolerance,
+                nearest_m: self.nearest_m,
+            },
+            parts: [
+                part(
+                    Family::Path,
+                    path_name,
+                    path_card.error,
+                    legs,
+                    &path_card.why,
+                ),
+                part(
+                    Family::Doppler,
+                    doppler_name,
+                    doppler_card.error,
+                    second,
+                    &doppler_card.why,
+                ),
+                sum,
+                part(
+                    Family::Culling,
+                    cull_name,
+                    culling.error,
+                    NO_WORK,
+                    &cull_why,
+                ),
+            ],
+            displaced: self.displaced(motion),
+        }
+    }
+
+    /// What the models do to a picture: the motion left out displaces along the track by v r/c of the cell at r and in range by what an echo's
+    /// path is off; the Doppler left out biases a compressed pulse by |d| f_c T/B, which is |d| f_c T cells.
+    fn displaced(&self, motion: &Motion) -> Displaced {
+        let c = self.conditions.sound_speed_m_per_s;
+        let pulse = &self.conditions.pulse;
+        let speed = self.conditions.speed_m_per_s;
+        let (hop_m, closing) = match self.conditions.heard {
+            Some(heard) => (heard.hop_m, heard.closing_m_per_s),
+            None => (speed * 2.0 * self.conditions.range_m.1 / c, speed),
+        };
+        let mut displaced = Displaced::default();
+        if motion.path == PathModel::StopAndHop {
+            let wavelength_m = c / pulse.center_frequency_hz;
+            displaced.along_cells = speed * self.aperture_m() / (TWO_WAY_WIDTH * wavelength_m * c);
+            displaced.range_cells += hop_m * pulse.bandwidth_hz / c;
+        }
+        if motion.doppler.keeps_pulse() {
+            let d = 2.0 * closing / c;
+            displaced.range_cells += d * pulse.center_frequency_hz * pulse.duration_s;
+        }
+        displaced
+    }
+
+    /// The root of the sum of squares of transmitter's and receiver's lengths along the track, of the longest pair.
+    fn aperture_m(&self) -> f64 {
+        let side_m = |pattern: &Pattern| match *pattern {
+            Pattern::Omnidirectional => 0.0,
+            Pattern::Rectangle { length_m, .. } => length_m,
+        };
+        let spec = self.scene.spec;
+        let pairs = spec.receive.iter().map(|array| {
+            let transmit = &spec.transmit[array.transmit];
+            let along = |q: glam::DQuat| (q * glam::DVec3::X).x.abs();
+            let line_m =
+                (array.elements as f64 * array.spacing_m).max(side_m(&array.element_pattern));
+            (line_m * along(array.mounting.body_from_array))
+                .hypot(side_m(&transmit.pattern) * along(transmit.mounting.body_from_array))
+        });
+        pairs.fold(0.0, f64::max)
+    }
+}
+
+/// Floors of the patterns with what they leave out, the configuration's own first.
+fn floors(spec: &SonarSpec, plan: &PingPlan) -> Vec<(Option<f64>, f64)> {
+    let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
+    let left_out = |db: f64| {
+        let arrays = spec.receive.iter().flat_map(|array| {
+            let transmit = &spec.transmit[array.transmit];
+            INCIDENCES_DEG.map(|deg| {
+                left_out_share(transmit, array, wavelength_m, db, deg.to_radians()).sqrt()
+            })
+        });
+        UNEVEN * arrays.fold(0.0, f64::max)
+    };
+    let Some(own_db) = spec.model.cull_db else {
+        return vec![(None, 0.0)];
+    };
+    let mut floors = vec![(Some(own_db), left_out(own_db))];
+    if spec.synthesis.auto.cull {
+        for share in CULL_SHARES {
+            let most = share * spec.synthesis.tolerance;
+            let mut db = own_db;
+            while db > LEAST_CULL_DB && left_out(db) > most {
+                db -= CULL_STEP_DB;
+            }
+            if !floors.iter().any(|(kept, _)| *kept == Some(db)) {
+                floors.push((Some(db), left_out(db)));
+            }
+        }
+    }
+    floors
+}

@@ -1,0 +1,172 @@
+//! Samples that leave as they would be heard are the samples that leave at the end of the ping, bit for bit.
+
+use std::collections::BTreeMap;
+use std::net::UdpSocket;
+use std::time::{Duration, Instant};
+
+use echotank::io::sonar::elements::ElementClient;
+use echotank_protocols::vita49::{Packet, PacketType};
+
+use super::{Daemon, PATIENCE};
+
+const RANGE_M: f64 = 150.0;
+/// What a ping listens for: 2 x 150 m at 1500 m/s and its pulse.
+const WINDOW_S: f64 = 0.2;
+const PINGS: usize = 6;
+/// Of all arrays, and of the first.
+const ELEMENTS: usize = 32;
+const PORT: usize = 8;
+
+/// Samples of whole pings, by their numbers.
+type Pings = BTreeMap<u32, Vec<u8>>;
+
+struct Heard {
+    pings: Pings,
+    /// From each pulse until its first frame was there, seconds.
+    first_sample_s: Vec<f64>,
+    /// Payloads from context packet to context packet.
+    vita: Vec<Vec<u8>>,
+}
+
+impl Heard {
+    /// Pings whose packets carry what the frames of some ping carry. The last may be cut.
+    fn vita_pings_among_the_others(&self) -> usize {
+        // The elements of the first array, moment by moment, big endian.
+        let port = |frames: &[u8]| -> Vec<u8> {
+            let moments = frames.chunks_exact(4 * ELEMENTS);
+            let values = moments.flat_map(|moment| moment[..4 * PORT].chunks_exact(2));
+            values.flat_map(|v| [v[1], v[0]]).collect()
+        };
+        let pings: Vec<_> = self.pings.values().map(|frames| port(frames)).collect();
+        let same = self.vita.iter().filter(|samples| pings.contains(samples));
+        same.count()
+    }
+}
+
+fn listen(more: &[&str]) -> Heard {
+    let board = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+    board.set_nonblocking(true).expect("set");
+    let send_to = format!(
+        "sonar.output.vita49.send_to=\"{}\"",
+        board.local_addr().expect("bound")
+    );
+    let range = format!("sonar.ping.range_m={RANGE_M}");
+    let mut arguments = vec!["hil-configs/points.toml"];
+    let common = [
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "sonar.output.elements.listen=127.0.0.1:0",
+        send_to.as_str(),
+        range.as_str(),
+        "sonar.ping.rate_hz=2",
+        "sonar.model.synthesis=direct",
+        "nav.mode=predict",
+        "nav.on_lost=hold",
+        "nav.stamp=host",
+        "run.ahead_ms=400",
+        "sonar.output.vita49.arrays=[\"port\"]",
+        // A packet a block: a socket's buffer holds many.
+        "sonar.output.vita49.streams=vector",
+        "run.queue_pings=8",
+        "nav.loop=true",
+    ];
+    for set in common.iter().chain(more) {
+        arguments.extend(["--set", set]);
+    }
+    let mut daemon = Daemon::start(&arguments);
+    let address = daemon.announced("elements", "tcp");
+    let mut client = ElementClient::connect(address).expect("listening");
+    let mut heard = Heard {
+        pings: Pings::new(),
+        first_sample_s: Vec::new(),
+        vita: Vec::new(),
+    };
+    let mut part = (0, Vec::new());
+    let mut packet = vec![0; 65_536];
+    let until = Instant::now() + PATIENCE;
+    while heard.pings.len() < PINGS {
+        assert!(Instant::now() < until, "{} pings", heard.pings.len());
+        let open = client.read(Duration::from_millis(5), |frame, now| {
+            let head = &frame.head;
+            if head.first_moment == 0 {
+                part = (0, Vec::new());
+                heard
+                    .first_sample_s
+                    .push((now.0 - head.pulse_utc_ns) as f64 / 1e9);
+            }
+            if part.0 == head.first_moment {
+                part.0 += frame.moments;
+                part.1.extend_from_slice(frame.samples);
+            }
+            if part.0 == head.ping_moments {
+                heard
+                    .pings
+                    .insert(head.ping_number, std::mem::take(&mut part.1));
+            }
+        });
+        assert!(open.expect("connected"), "the daemon goes on");
+        while let Ok(len) = board.recv(&mut packet) {
+            let read = Packet::parse(&packet[..len]).expect("a packet");
+            match read.packet_type {
+                // A ping begins.
+                PacketType::Context => heard.vita.push(Vec::new()),
+                PacketType::SignalData => {
+                    if let Some(samples) = heard.vita.last_mut() {
+                        samples.extend_from_slice(read.payload);
+                    }
+                }
+            }
+        }
+    }
+    daemon.terminate();
+    heard
+}
+
+#[test]
+fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_listens() {
+    let (streamed, whole) = std::thread::scope(|scope| {
+        let streamed = scope.spawn(|| listen(&["run.delivery=streaming"]));
+        let whole = scope.spawn(|| listen(&[]));
+        (streamed.join().expect("ends"), whole.join().expect("ends"))
+    });
+    let mut compared = 0;
+    for (number, samples) in &streamed.pings {
+        let Some(other) = whole.pings.get(number) else {
+            continue;
+        };
+        assert!(samples.len() > 1000 && samples.iter().any(|&b| b != 0));
+        assert!(samples == other, "ping {number} differs");
+        compared += 1;
+    }
+    assert!(
+        compared >= PINGS / 2,
+        "{compared} pings of {:?} and {:?}",
+        streamed.pings.keys(),
+        whole.pings.keys()
+    );
+    let of_vita = [&streamed, &whole].map(Heard::vita_pings_among_the_others);
+    println!("{compared} pings compared, of VITA 49: {of_vita:?}");
+    assert!(of_vita.iter().all(|&same| same >= PINGS / 2), "{of_vita:?}");
+    let middle = |latencies: &[f64]| {
+        let mut sorted = latencies.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        sorted[sorted.len() / 2]
+    };
+    let (of_stream, of_whole) = (
+        middle(&streamed.first_sample_s),
+        middle(&whole.first_sample_s),
+    );
+    println!(
+        "first sample {of_stream:.4} s after its pulse streaming, {of_whole:.4} s at the ping's end"
+    );
+    // A block of 1 ms and 0.5 ms of latency are never undercut, and a ping's end never reached.
+    let least = streamed
+        .first_sample_s
+        .iter()
+        .copied()
+        .fold(f64::MAX, f64::min);
+    assert!(least >= 1.5e-3, "{least} s");
+    assert!(
+        of_stream < WINDOW_S && of_whole > WINDOW_S,
+        "{of_stream} {of_whole}"
+    );
+}

@@ -1,0 +1,330 @@
+//! The plan of methods: where it crosses from one model to the next, what it promises on random rigs, and that time has no part in it.
+
+use std::f64::consts::TAU;
+use std::fmt::Write;
+use std::path::Path;
+
+use echotank::config;
+use echotank::config::spec::RigSpec;
+use echotank::flow::{DopplerModel, PathModel, PingPlan, Scatterers};
+use echotank::frames::Trajectory;
+use echotank::run::fidelity::costs::Costs;
+use echotank::run::fidelity::first::pings;
+use echotank::run::fidelity::{Scene, Swell, rank};
+use echotank::run::recorded::RecordedRig;
+use echotank::run::rig::pool;
+use echotank::time::UtcNs;
+use glam::{DQuat, DVec3};
+
+use crate::rigs::case;
+use crate::rigs::measure::measure;
+
+const C: f64 = 1500.0;
+const CARRIER_HZ: f64 = 400e3;
+const PULSE_S: f64 = 5e-3;
+/// Of both apertures.
+const APERTURE_M: f64 = 0.2;
+const RANGE_M: f64 = 75.0;
+
+/// One point at 75 m, `angle_deg` from the track, before a transmitter and an element that hear all round or, `focused`, are 0.2 m long.
+fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
+    let (sin, cos) = angle_deg.to_radians().sin_cos();
+    let point = format!(
+        "north_m,east_m,down_m,amplitude\n{:.6},{:.6},5.0,1.0\n",
+        RANGE_M * cos,
+        RANGE_M * sin
+    );
+    std::fs::write(folder.join("points.csv"), point).expect("write");
+    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..20 {
+        let _ = writeln!(track, "{:.1},0,0,5,0,0,0", 1_793_611_200.0 + 0.1 * k as f64);
+    }
+    std::fs::write(folder.join("track.csv"), track).expect("write");
+    let pattern = |prefix: &str| match focused {
+        true => format!(
+            "{prefix}pattern = \"rectangle\"\n{prefix}length_m = {APERTURE_M}\n{prefix}width_m = 0.0\n"
+        ),
+        false => String::new(),
+    };
+    let (lit, heard) = (pattern(""), pattern("element_"));
+    let text = format!(
+        r#"[medium]
+sound_speed_m_per_s = {C}
+absorption = "none"
+[nav]
+origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
+mode = "settle"
+vertical = "depth"
+[[nav.source]]
+name = "track"
+kind = "csv"
+path = "track.csv"
+provides = ["position", "heading", "roll-pitch"]
+[scene]
+points = "points.csv"
+[run]
+latency_ms = 600.0
+[[sonar]]
+name = "one"
+[sonar.pulse]
+kind = "lfm"
+sweep = "up"
+center_frequency_khz = {carrier_khz}
+bandwidth_khz = 30.0
+duration_ms = {pulse_ms}
+taper = 0.1
+[[sonar.transmit]]
+name = "tx"
+position_m = [0.0, 0.0, 0.0]
+roll_deg = -90.0
+{lit}
+[[sonar.receive]]
+name = "rx"
+transmit = "tx"
+elements = 1
+spacing_m = 0.1
+position_m = [0.0, 0.0, 0.0]
+roll_deg = -90.0
+sensitivity_db = 0.0
+{heard}
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "none"
+tvg = "none"
+full_scale_v = 1.0
+[sonar.ping]
+range_m = 90.0
+rate_hz = 2.0
+source_level_db = 200.0
+gain_db = 0.0
+[sonar.limits]
+range_m = [1.0, 90.0]
+ping_rate_hz = [0.1, 20.0]
+source_level_db = [170.0, 220.0]
+gain_db = [-30.0, 40.0]
+pulse_duration_ms = [{pulse_ms}, {pulse_ms}]
+[sonar.model]
+{model}
+"#,
+        carrier_khz = CARRIER_HZ / 1e3,
+        pulse_ms = PULSE_S * 1e3,
+    );
+    config::parse(&text, folder).unwrap_or_else(|why| panic!("{why}\n{text}"))
+}
+
+struct One {
+    rig: RigSpec,
+    plan: PingPlan,
+    scatterers: Scatterers,
+    costs: Costs,
+}
+
+impl One {
+    fn new(angle_deg: f64, focused: bool, model: &str) -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        let rig = rig(folder.path(), angle_deg, focused, model);
+        let (plan, scatterers) = pings(&rig).expect("a ping").swap_remove(0);
+        Self {
+            rig,
+            plan,
+            scatterers,
+            costs: Costs::committed(),
+        }
+    }
+
+    /// What is chosen at this speed and tolerance.
+    fn at(&self, speed: f64, tolerance: f64) -> (PathModel, DopplerModel) {
+        let mut spec = self.rig.sonars[0].clone();
+        spec.synthesis.tolerance = tolerance;
+        let mut plan = self.plan.clone();
+        let here = plan.trajectory.pose_at(0.0).position_m;
+        plan.trajectory = Trajectory::uniform(here, DVec3::X * speed, DQuat::IDENTITY);
+        let scene = Scene {
+            spec: &spec,
+            medium: &self.rig.medium,
+            plan: &plan,
+            scatterers: &self.scatterers,
+            count: self.scatterers.len(),
+            costs: &self.costs,
+            swell: Swell::NONE,
+        };
+        let model = rank(&scene, &[]).expect("a plan").chosen().choice.model;
+        (model.path, model.doppler)
+    }
+}
+
+/// Where `cheap` begins or ends to hold, by halving in logarithms: it holds at `holds`, and not at `fails`.
+fn crossing(holds: f64, fails: f64, cheap: impl Fn(f64) -> bool) -> f64 {
+    assert!(cheap(holds) && !cheap(fails), "{holds} to {fails}");
+    let (mut holds, mut fails) = (holds, fails);
+    for _ in 0..24 {
+        let middle = (holds * fails).sqrt();
+        match cheap(middle) {
+            true => holds = middle,
+            false => fails = middle,
+        }
+    }
+    holds
+}
+
+fn near(got: f64, want: f64, what: &str) {
+    println!("{what}: crosses at {got:.3e}, the formula says {want:.3e}");
+    assert!(
+        (got / want - 1.0).abs() < 0.2,
+        "{what}: {got:e}, formula {want:e}"
+    );
+}
+
+/// rms(4 pi v r cos(theta)/(c lambda)) of samples: motion may be left out up to there.
+#[test]
+fn samples_leave_stop_and_hop_where_the_formula_says() {
+    let model = "path = \"auto\"\ndoppler = \"stretch-quadratic\"\nsynthesis = \"direct\"";
+    for angle_deg in [30.0, 60.0] {
+        let one = One::new(angle_deg, false, model);
+        let lambda_m = C / CARRIER_HZ;
+        let cos = f64::to_radians(angle_deg).cos();
+        for tolerance in [1e-3, 1e-2] {
+            let got = crossing(1e-9, 1.0, |v| {
+                one.at(v, tolerance).0 == PathModel::StopAndHop
+            });
+            let want = tolerance * C * lambda_m / (2.0 * TAU * RANGE_M * cos);
+            near(got, want, "stop-and-hop, m/s");
+        }
+    }
+}
+
+/// 2 pi f_c |d| T/sqrt(12) where an unstretched pulse lies on the middle of its echo. Here it lies on the leading edge, from which on its
+/// phase runs away: twice that.
+#[test]
+fn samples_leave_no_doppler_where_the_formula_says() {
+    let model = "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"";
+    let one = One::new(60.0, false, model);
+    let cos = f64::to_radians(60.0).cos();
+    for tolerance in [1e-3, 1e-2] {
+        let got = crossing(1e-9, 1.0, |v| one.at(v, tolerance).1 == DopplerModel::None);
+        let d_per_m_per_s = 2.0 * cos / C;
+        let middle = TAU * CARRIER_HZ * d_per_m_per_s * PULSE_S / 12f64.sqrt();
+        near(got, tolerance / (2.0 * middle), "no Doppler, m/s");
+    }
+}
+
+/// v r/c of a quarter of a cell along the track; |d| f_c T/B of a tenth of a cell in range.
+#[test]
+fn pictures_leave_them_where_their_own_formulas_say() {
+    let model =
+        "path = \"auto\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"\ntolerance_image = 0.1";
+    let broadside = One::new(90.0, true, model);
+    let lambda_m = C / CARRIER_HZ;
+    let got = crossing(1e-3, 100.0, |v| {
+        broadside.at(v, 1e-3).0 == PathModel::StopAndHop
+    });
+    let cell_m = 0.64 * lambda_m * RANGE_M / APERTURE_M;
+    near(
+        got,
+        0.25 * cell_m * C / RANGE_M,
+        "a picture's stop-and-hop, m/s",
+    );
+
+    let model =
+        "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance_image = 0.1";
+    let ahead = One::new(60.0, false, model);
+    let got = crossing(1e-6, 10.0, |v| ahead.at(v, 1e-3).1 == DopplerModel::None);
+    let d_per_m_per_s = 2.0 * f64::to_radians(60.0).cos() / C;
+    near(
+        got,
+        0.1 / (d_per_m_per_s * CARRIER_HZ * PULSE_S),
+        "a picture's Doppler, m/s",
+    );
+}
+
+#[test]
+fn a_slow_or_careless_sonar_gets_the_cheap_models_and_ten_knots_at_1e_4_does_not() {
+    let one = One::new(
+        60.0,
+        false,
+        "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"",
+    );
+    assert_eq!(
+        one.at(0.0, 1e-4),
+        (PathModel::StopAndHop, DopplerModel::None)
+    );
+    assert_eq!(
+        one.at(1e-6, 1e-2),
+        (PathModel::StopAndHop, DopplerModel::None)
+    );
+    let (path, doppler) = one.at(5.144, 1e-4);
+    assert!(
+        path != PathModel::StopAndHop && doppler != DopplerModel::None,
+        "{path:?} {doppler:?}"
+    );
+}
+
+/// `tools/rigs` is the long form.
+#[test]
+fn on_small_random_rigs_plans_keep_their_promises() {
+    let costs = Costs::committed();
+    let pool = pool(2).expect("threads");
+    for seed in [3, 8, 21, 13, 5] {
+        let folder = tempfile::tempdir().expect("folder");
+        let (spec, about) = case::random(seed, folder.path(), true);
+        let measured = pool
+            .install(|| measure(&spec, &costs, false))
+            .unwrap_or_else(|why| panic!("seed {seed}: {why}: {about}"));
+        for of in measured.iter().filter(|of| !of.out_of_reach) {
+            let said = format!("seed {seed}, {about}: {}", of.said());
+            println!("{said}");
+            assert!(of.plan.error <= of.tolerance, "{said}");
+            assert!(of.plan.error <= of.plan.predicted_error, "{said}");
+        }
+    }
+}
+
+/// At rest, and from 4 s on under way: (ping number, plan) of every ping, and a sum over the bits of its samples.
+fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
+    let spec = rig(folder.path(), 60.0, false, model);
+    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..280 {
+        let t_s = 0.1 * k as f64;
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            0.5 * (t_s - 4.0f64).max(0.0)
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    pool(threads).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        let mut seen = Vec::new();
+        while let Some((sonar, order)) = recorded.next_order(45) {
+            assert!(recorded.settle(sonar, &order), "the track is long enough");
+            let mode = spec.nav.mode;
+            recorded
+                .rig
+                .make(sonar, &order, mode, UtcNs(0), &mut slot)
+                .expect("no gap");
+            let plan = slot.output.fidelity.expect("a plan").plan;
+            let bits = slot.output.elements[0].iq.iter().fold(0u64, |sum, x| {
+                sum.wrapping_mul(31)
+                    .wrapping_add(x.re.to_bits() ^ x.im.to_bits().rotate_left(7))
+            });
+            seen.push((order.ping_number, plan, bits));
+        }
+        seen
+    })
+}
+
+#[test]
+fn a_platform_that_gets_under_way_gets_another_plan_at_the_same_ping_every_time() {
+    let once = voyage(1);
+    let plans: Vec<u32> = once.iter().map(|(_, plan, _)| *plan).collect();
+    println!("{plans:?}");
+    assert_eq!(plans[0], 1, "the first is made ahead of the first ping");
+    // 2 Hz: under way from ping 9 on, seen at ping 12 or so, in effect 4 s later.
+    let changed = plans.iter().position(|plan| *plan > 1).expect("a new plan");
+    assert!((15..30).contains(&changed), "{plans:?}");
+    assert_eq!(once, voyage(2));
+}

@@ -1,0 +1,91 @@
+//! What a UDP receiver with a socket buffer of stock size keeps of 41 MB/s, sent at once and spread inside the ping.
+
+use std::net::UdpSocket;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use echotank::emit::sevenk::RecordSet;
+use echotank_protocols::sevenk::Command;
+
+use super::load::{SAMPLES, frames, start};
+use super::wire_rig::*;
+
+const PINGS: u32 = 6;
+/// Of a record of 2 MB: 41 MB/s.
+const PERIOD: Duration = Duration::from_millis(50);
+const PATIENCE: Duration = Duration::from_secs(60);
+const MAX_PACKET: usize = 8000;
+/// The receiver works on each datagram for so long: it can take 130 MB/s and no more.
+const WORK: Duration = Duration::from_micros(60);
+
+/// Datagrams sent and received, with each ping spread over `over_s`.
+fn sent_and_received(over_s: f64) -> (u64, u64) {
+    let (server, mut emitter) = start(|spec| spec.max_packet = MAX_PACKET);
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    socket.connect(server.local_addr()).expect("loopback");
+    let subscribe = Command::Subscribe {
+        record_type_ids: vec![7038],
+    };
+    socket.send(&command(subscribe, 1)).expect("sent");
+    let patience = Instant::now() + PATIENCE;
+    while server.wanted().is_empty() {
+        assert!(Instant::now() < patience, "subscribed");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    // So that it sees the end.
+    let end = Some(Duration::from_millis(20));
+    socket.set_read_timeout(end).expect("set");
+    let is_over = Arc::new(AtomicBool::new(false));
+    let over = Arc::clone(&is_over);
+    let receiver = std::thread::spawn(move || {
+        let mut buffer = vec![0; 65_536];
+        let mut received = 0_u64;
+        loop {
+            let was_over = over.load(Ordering::Acquire);
+            while let Ok(len) = socket.recv(&mut buffer) {
+                // The answer to the subscription is shorter.
+                received += u64::from(len > 500);
+                let until = Instant::now() + WORK;
+                while Instant::now() < until {
+                    std::hint::spin_loop();
+                }
+            }
+            if was_over {
+                return received;
+            }
+        }
+    });
+    let output = frames();
+    let wanted = RecordSet::from(server.wanted());
+    let mut records = Vec::new();
+    emitter.emit_ping(&plan(1, SAMPLES), &output, wanted, &mut records);
+    // Each datagram has a frame of its own before its part.
+    let part = MAX_PACKET - 36;
+    let datagrams = records.iter().map(|r| r.bytes.len().div_ceil(part) as u64);
+    let sent = datagrams.sum::<u64>() * u64::from(PINGS);
+    let began = Instant::now();
+    for ping in 1..=PINGS {
+        std::thread::sleep((began + PERIOD * ping).saturating_duration_since(Instant::now()));
+        server.deliver_over(&records, over_s);
+    }
+    let patience = Instant::now() + PATIENCE;
+    while server.report().clients.iter().any(|c| c.queued_bytes > 0) {
+        assert!(Instant::now() < patience, "all sent");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    is_over.store(true, Ordering::Release);
+    (sent, receiver.join().expect("no panic"))
+}
+
+#[test]
+fn a_slow_udp_receiver_loses_most_of_a_burst_and_keeps_what_is_spread_over_most_of_the_interval() {
+    let (sent, of_burst) = sent_and_received(0.0);
+    let (also_sent, of_spread) = sent_and_received(0.8 * PERIOD.as_secs_f64());
+    let (lost, lost_of_spread) = (sent - of_burst, also_sent - of_spread);
+    println!("of {sent} datagrams lost: {lost} sent at once, {lost_of_spread} spread");
+    assert_eq!(sent, also_sent);
+    assert!(3 * lost > sent, "{lost} of {sent}: no burst");
+    // On a machine that leaves the receiver standing for milliseconds some are lost all the same.
+    assert!(4 * lost_of_spread < lost, "{lost_of_spread} against {lost}");
+}

@@ -1,0 +1,287 @@
+//! Plans of methods on random rigs and on configurations, held against what is measured; see `tools/rigs --help`.
+
+#[path = "rigs/mod.rs"]
+mod rigs;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Parser;
+
+use echotank::config;
+use echotank::run::fidelity::costs::Costs;
+use echotank::run::rig::pool;
+use rigs::case;
+use rigs::measure::{Did, Measured, measure};
+
+/// Pings below this are not held to the limit on costs, ms.
+const LEAST_MS: f64 = 1.0;
+
+#[derive(Parser)]
+#[command(
+    about = "The plan of methods on seeded random rigs and on configurations: promises, errors and costs, measured side by side on one thread",
+    long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
+window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The ruler is the \
+direct sum on the trajectory itself with second-order Doppler; it is itself off by what stands under \"ruler\" (128 random samples by the reference's \
+equation): where it is off by more than a quarter of the tolerance, the \
+measured error is a certificate's over 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
+)]
+struct Arguments {
+    /// Random rigs.
+    #[arg(long, default_value_t = 200)]
+    random: u64,
+    /// The first seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Configurations, with path, doppler and synthesis = "auto".
+    configs: Vec<PathBuf>,
+    /// What methods cost here.
+    #[arg(long)]
+    costs: Option<PathBuf>,
+    /// Say everything of every rig, on standard error.
+    #[arg(long)]
+    why: bool,
+    /// Write tests/stability/rigs.txt.
+    #[arg(long)]
+    keep: bool,
+}
+
+struct Row {
+    name: String,
+    about: String,
+    of: Measured,
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let given = Arguments::parse();
+    let costs = Costs::of(given.costs.as_deref())?;
+    let load_before = load();
+    let mut rows = Vec::new();
+    let mut failed = Vec::new();
+    let pool = pool(1)?;
+    let folder = std::env::temp_dir().join(format!("echotank-rigs-{}", std::process::id()));
+    fs::create_dir_all(&folder)?;
+    for path in &given.configs {
+        let name = path
+            .file_stem()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        match configuration(path) {
+            Ok(spec) => match pool.install(|| measure(&spec, &costs, true)) {
+                Ok(measured) => rows.extend(measured.into_iter().map(|of| Row {
+                    name: name.clone(),
+                    about: String::new(),
+                    of,
+                })),
+                Err(why) => failed.push(format!("{name}: {why}")),
+            },
+            Err(why) => failed.push(format!("{name}: {why}")),
+        }
+        eprintln!("{name}");
+    }
+    for seed in given.seed..given.seed + given.random {
+        let (spec, about) = case::random(seed, &folder, false);
+        match pool.install(|| measure(&spec, &costs, true)) {
+            Ok(measured) => rows.extend(measured.into_iter().map(|of| Row {
+                name: format!("rig {seed}"),
+                about: about.clone(),
+                of,
+            })),
+            Err(why) => failed.push(format!("rig {seed}: {why}: {about}")),
+        }
+        eprint!("\r{seed} ");
+    }
+    if given.why {
+        for row in &rows {
+            eprintln!("{} {}: {}", row.name, row.about, row.of.said());
+        }
+    }
+    let _ = fs::remove_dir_all(&folder);
+    let text = report(&rows, &failed, &costs, (load_before, load()));
+    print!("{text}");
+    if given.keep {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/rigs.txt");
+        fs::write(file, &text)?;
+    }
+    Ok(())
+}
+
+/// As it is, but for what the plan may choose.
+fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::error::Error>> {
+    let mut table: toml::Table = fs::read_to_string(path)?.parse()?;
+    if let Some(sonars) = table.get_mut("sonar").and_then(|s| s.as_array_mut()) {
+        for sonar in sonars.iter_mut().filter_map(|s| s.as_table_mut()) {
+            let model = sonar
+                .entry("model")
+                .or_insert_with(|| toml::Table::new().into())
+                .as_table_mut()
+                .ok_or("sonar.model is no table")?;
+            for key in ["path", "doppler", "synthesis"] {
+                model.insert(key.into(), "auto".into());
+            }
+            for key in ["segment_ms", "nearest_m", "frequency_step_hz"] {
+                model.remove(key);
+            }
+        }
+    }
+    let folder = path.parent().unwrap_or(Path::new("."));
+    Ok(config::parse(&toml::to_string(&table)?, folder)?)
+}
+
+fn load() -> String {
+    let text = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    text.split_whitespace()
+        .next()
+        .unwrap_or("unknown")
+        .to_owned()
+}
+
+/// The plan's time over the least of all that promise as much, and over the least of all that are as good.
+fn ratios(of: &Measured) -> (f64, f64) {
+    let least = |good: &dyn Fn(&&Did) -> bool| {
+        let others = of.others.iter().filter(good);
+        others.map(|did| did.ms).fold(of.plan.ms, f64::min)
+    };
+    (
+        of.plan.ms / least(&|did| did.promised),
+        of.plan.ms / least(&|did| did.error <= of.tolerance),
+    )
+}
+
+fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)) -> String {
+    let mut text = String::from(
+        "Plans of methods held against what was measured: tools/rigs --help says how.\n\n",
+    );
+    let _ = writeln!(
+        text,
+        "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
+        "rig",
+        "toler.",
+        "promised",
+        "measured",
+        "ruler",
+        "pred. ms",
+        "ms",
+        "best p",
+        "best m",
+        "scatt.",
+        "el."
+    );
+    for row in rows {
+        let (best_promised, best_measured) = ratios(&row.of);
+        let of = &row.of;
+        let _ = writeln!(
+            text,
+            "{:<16} {:>8.1e} {:>8.1e} {:>8.1e}{} {:>8} | {:>8.2} {:>8.2} | {best_promised:>6.2} {best_measured:>6.2} | {:>7} {:>4} {}{}; {}",
+            row.name,
+            of.tolerance,
+            of.plan.predicted_error,
+            of.plan.error,
+            if of.plan.by_certificate { "c" } else { " " },
+            of.ruler.map_or("-".into(), |e| format!("{e:.0e}")),
+            of.plan.predicted_ms,
+            of.plan.ms,
+            of.scatterers,
+            of.elements,
+            if of.out_of_reach {
+                "OUT OF REACH: "
+            } else {
+                ""
+            },
+            of.plan.text,
+            row.about,
+        );
+    }
+    let reach: Vec<&Row> = rows.iter().filter(|row| !row.of.out_of_reach).collect();
+    let count = |of: &dyn Fn(&&&Row) -> bool| reach.iter().filter(of).count();
+    let all = reach.len();
+    let percent = |n: usize, of: usize| 100.0 * n as f64 / of.max(1) as f64;
+    let within = count(&|row| row.of.plan.error <= row.of.tolerance);
+    let bound = count(&|row| row.of.plan.error <= row.of.plan.predicted_error);
+    let tight = count(&|row| row.of.plan.predicted_error <= 10.0 * row.of.plan.error);
+    let long: Vec<&&Row> = reach
+        .iter()
+        .filter(|row| row.of.plan.ms > LEAST_MS)
+        .collect();
+    let near = |which: fn((f64, f64)) -> f64| {
+        long.iter()
+            .filter(|row| which(ratios(&row.of)) <= 1.5)
+            .count()
+    };
+    let _ = writeln!(
+        text,
+        "\n{} rows, {} of them said to be out of reach; load {} to {}; costs: {}",
+        rows.len(),
+        rows.len() - all,
+        load.0,
+        load.1,
+        costs.machine
+    );
+    let _ = writeln!(
+        text,
+        "measured error within the tolerance: {within} of {all}"
+    );
+    let _ = writeln!(
+        text,
+        "promised error an upper bound: {bound} of {all}; within 10 times of the measured: {tight} of {all} ({:.0} %)",
+        percent(tight, all)
+    );
+    let _ = writeln!(
+        text,
+        "cost within 1.5 times of the best that promises as much, pings above {LEAST_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
+        near(|r| r.0),
+        long.len(),
+        percent(near(|r| r.0), long.len()),
+        near(|r| r.1),
+        percent(near(|r| r.1), long.len())
+    );
+    let mut worst: Vec<&&&Row> = long.iter().collect();
+    worst.sort_by(|a, b| ratios(&b.of).0.total_cmp(&ratios(&a.of).0));
+    text += "\nfarthest from the best promised:\n";
+    for row in worst.iter().take(5) {
+        let best = row
+            .of
+            .others
+            .iter()
+            .filter(|d| d.promised)
+            .min_by(|a, b| a.ms.total_cmp(&b.ms));
+        if let Some(best) = best {
+            let _ = writeln!(
+                text,
+                "{}: {:.2} ms ({:.2} predicted) with {}; {:.2} ms ({:.2} predicted) with {}",
+                row.name,
+                row.of.plan.ms,
+                row.of.plan.predicted_ms,
+                row.of.plan.text,
+                best.ms,
+                best.predicted_ms,
+                best.text
+            );
+        }
+    }
+    let mut over: Vec<&&Row> = reach
+        .iter()
+        .filter(|row| row.of.plan.error > row.of.plan.predicted_error)
+        .collect();
+    over.sort_by(|a, b| {
+        (b.of.plan.error / b.of.plan.predicted_error)
+            .total_cmp(&(a.of.plan.error / a.of.plan.predicted_error))
+    });
+    text += "\nmeasured above promised, worst first:\n";
+    for row in over.iter().take(20) {
+        let _ = writeln!(
+            text,
+            "{}: {:.1e} measured, {:.1e} promised, ruler {:.0e}: {}; {}",
+            row.name,
+            row.of.plan.error,
+            row.of.plan.predicted_error,
+            row.of.ruler.unwrap_or(f64::NAN),
+            row.of.plan.text,
+            row.about
+        );
+    }
+    for line in failed {
+        let _ = writeln!(text, "failed: {line}");
+    }
+    text
+}

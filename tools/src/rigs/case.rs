@@ -1,0 +1,269 @@
+//! One rig from a seed: sonar, scene, motion and tolerance, as a configuration and the files it names.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use echotank::config;
+use echotank::config::spec::RigSpec;
+
+/// Evenly distributed numbers: splitmix64 (Steele, Lea and Flood 2014).
+pub struct Chance(u64);
+
+impl Chance {
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d)
+    }
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    /// From 0 to 1.
+    pub fn even(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+    pub fn between(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * self.even()
+    }
+    /// Even in the logarithm.
+    pub fn decades(&mut self, from: f64, to: f64) -> f64 {
+        (self.between(from.ln(), to.ln())).exp()
+    }
+    pub fn one_in(&mut self, n: u64) -> bool {
+        self.next().is_multiple_of(n)
+    }
+    pub fn of(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+}
+
+/// Writes the rig of `seed` into `folder`, reads it, and describes it. `small`: for a test of seconds.
+pub fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
+    let mut chance = Chance::new(seed);
+    let (text, about) = write(&mut chance, folder, small);
+    let spec =
+        config::parse(&text, folder).unwrap_or_else(|why| panic!("seed {seed}: {why}\n{text}"));
+    (spec, about)
+}
+
+fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
+    let c = chance.between(1440.0, 1540.0);
+    let carrier_khz = chance.decades(20.0, 460.0);
+    let cw = chance.one_in(6);
+    let duration_ms = chance.decades(0.3, if small { 2.0 } else { 6.0 });
+    let bandwidth_khz = chance
+        .decades(2.0, if small { 10.0 } else { 30.0 })
+        .min(0.2 * carrier_khz);
+    let taper = if chance.one_in(3) {
+        0.0
+    } else {
+        chance.between(0.05, 0.6)
+    };
+    let filtered = !chance.one_in(4);
+    // 1.25 (max(B, 4/T) + 2 f_d) at the fastest platform there is, and something.
+    let doppler_khz = 2.0 * 10.0 / c * (carrier_khz + 0.5 * bandwidth_khz);
+    let band_khz = if cw { 0.0 } else { bandwidth_khz };
+    let rate_khz =
+        1.3 * (band_khz.max(4.0 / duration_ms) + 2.0 * doppler_khz) * chance.between(1.0, 1.4);
+    let depth_m = chance.decades(4.0, 40.0);
+    let range_m = (depth_m * chance.between(1.5, 4.0)).min(if small { 40.0 } else { 120.0 });
+    let depth_m = depth_m.min(0.7 * range_m);
+    let tolerance = chance.decades(1e-4, 5e-2);
+    let wavelength_m = c / (carrier_khz * 1e3);
+    let line = chance.one_in(3);
+    let elements = match line {
+        true => 16 << chance.of(if small { 1 } else { 2 }),
+        false => 1 + chance.of(4),
+    };
+    // Across the track, as a fan's; or along it, as a side-scan's.
+    let yaw_deg = if line && chance.one_in(2) { 90.0 } else { 0.0 };
+    let roll_deg = if yaw_deg > 0.0 {
+        0.0
+    } else {
+        -chance.between(20.0, 60.0)
+    };
+    let spacing_m = match line {
+        true => 0.5 * wavelength_m,
+        false => chance.between(0.03, 0.1),
+    };
+    let lit_m = wavelength_m * chance.decades(5.0, 60.0);
+    let omnidirectional = chance.one_in(5);
+    let speed = match chance.of(4) {
+        0 => chance.decades(1e-4, 0.1),
+        1 => 0.0,
+        _ => chance.between(0.2, 6.0),
+    };
+    let swell = !chance.one_in(3);
+    let heave_m = if swell { chance.between(0.0, 0.8) } else { 0.0 };
+    let roll = if swell { chance.between(0.0, 8.0) } else { 0.0 };
+    let yaw_rate = if swell {
+        chance.between(-3.0, 3.0)
+    } else {
+        0.0
+    };
+    let period_s = chance.between(4.0, 10.0);
+    let phase = chance.between(0.0, std::f64::consts::TAU);
+    track(folder, speed, heave_m, roll, yaw_rate, period_s, phase);
+    let most = if small { 800.0 } else { 20_000.0 };
+    let wanted = chance.decades(0.1 * most, most);
+    let points = chance.one_in(3);
+    let scene = match points {
+        true => {
+            let count = (0.1 * wanted) as usize + 10;
+            scatter(folder, chance, count, depth_m, range_m);
+            "points = \"points.csv\"\n".to_owned()
+        }
+        false => {
+            let ground_m = (range_m * range_m - depth_m * depth_m).sqrt();
+            let density = wanted / (std::f64::consts::PI * ground_m * ground_m);
+            format!(
+                "[scene.seabed]\nshape = \"plane\"\ndepth_m = {depth_m:.3}\ndensity_per_m2 = {density:.5}\nlambert_db = -27.0\n"
+            )
+        }
+    };
+    let pattern = match omnidirectional {
+        true => String::new(),
+        false => format!(
+            "pattern = \"rectangle\"\nlength_m = {lit_m:.5}\nwidth_m = {:.5}\n",
+            wavelength_m * chance.between(1.0, 4.0)
+        ),
+    };
+    let mut text = String::new();
+    let _ = write!(
+        text,
+        r#"[medium]
+sound_speed_m_per_s = {c:.2}
+absorption = "none"
+[nav]
+origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
+mode = "settle"
+vertical = "depth"
+[[nav.source]]
+name = "track"
+kind = "csv"
+path = "track.csv"
+provides = ["position", "heading", "roll-pitch"]
+[scene]
+seed = 7
+{scene}
+[run]
+threads = 0
+latency_ms = 600.0
+[[sonar]]
+name = "any"
+[sonar.pulse]
+kind = "{kind}"
+{sweep}
+center_frequency_khz = {carrier_khz:.3}
+duration_ms = {duration_ms:.4}
+taper = {taper:.3}
+[[sonar.transmit]]
+name = "tx"
+position_m = [1.0, 0.0, 0.5]
+roll_deg = {roll_deg:.2}
+{pattern}
+[[sonar.receive]]
+name = "rx"
+transmit = "tx"
+elements = {elements}
+spacing_m = {spacing_m:.6}
+position_m = [0.5, 0.2, 0.5]
+roll_deg = {roll_deg:.2}
+yaw_deg = {yaw_deg:.1}
+sensitivity_db = -190.0
+[sonar.receiver]
+sample_rate_khz = {rate_khz:.3}
+rx_filter = "{filter}"
+tvg = "none"
+full_scale_v = 5.0
+[sonar.ping]
+range_m = {range_m:.3}
+rate_hz = 2.0
+source_level_db = 210.0
+gain_db = 0.0
+[sonar.limits]
+range_m = [1.0, {range_m:.3}]
+ping_rate_hz = [0.1, 20.0]
+source_level_db = [170.0, 220.0]
+gain_db = [-30.0, 40.0]
+pulse_duration_ms = [{duration_ms:.4}, {duration_ms:.4}]
+[sonar.model]
+path = "auto"
+doppler = "auto"
+synthesis = "auto"
+tolerance = {tolerance:.3e}
+"#,
+        kind = if cw { "cw" } else { "lfm" },
+        sweep = match cw {
+            true => String::new(),
+            false => format!("sweep = \"up\"\nbandwidth_khz = {bandwidth_khz:.4}"),
+        },
+        filter = if filtered { "fir" } else { "none" },
+    );
+    let about = format!(
+        "{carrier_khz:.0} kHz {}, {duration_ms:.2} ms, taper {taper:.2}, {}, {elements} elements{}, {range_m:.0} m over {depth_m:.0} m, {speed:.2e} m/s{}, {}",
+        if cw {
+            "CW".to_owned()
+        } else {
+            format!("{bandwidth_khz:.0} kHz LFM")
+        },
+        if filtered { "filter" } else { "no filter" },
+        if yaw_deg > 0.0 { " across" } else { "" },
+        if swell {
+            format!(", heave {heave_m:.1} m, roll {roll:.0} deg")
+        } else {
+            String::new()
+        },
+        if points { "points" } else { "seabed" },
+    );
+    (text, about)
+}
+
+/// 20 s of it, 20 times a second.
+fn track(
+    folder: &Path,
+    speed: f64,
+    heave_m: f64,
+    roll_deg: f64,
+    yaw_deg_per_s: f64,
+    period_s: f64,
+    phase: f64,
+) {
+    let mut text = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..400 {
+        let t_s = k as f64 * 0.05;
+        let wave = |shift: f64| (std::f64::consts::TAU * t_s / period_s + phase + shift).sin();
+        let heading_deg = (90.0 + yaw_deg_per_s * t_s).rem_euclid(360.0);
+        let _ = writeln!(
+            text,
+            "{:.2},{:.9},{:.9},{:.9},{:.9},{:.9},{heading_deg:.9}",
+            1_793_611_200.0 + t_s,
+            0.1 * speed * t_s,
+            speed * t_s,
+            1.5 + heave_m * wave(0.0),
+            roll_deg * wave(1.0),
+            0.4 * roll_deg * wave(2.0),
+        );
+    }
+    std::fs::write(folder.join("track.csv"), text).expect("the folder takes files");
+}
+
+/// Points about the first position, within the range.
+fn scatter(folder: &Path, chance: &mut Chance, count: usize, depth_m: f64, range_m: f64) {
+    let mut text = String::from("north_m,east_m,down_m,amplitude\n");
+    for _ in 0..count {
+        let ground_m = range_m * chance.even().sqrt() * 0.95;
+        let azimuth = chance.between(0.0, std::f64::consts::TAU);
+        let _ = writeln!(
+            text,
+            "{:.3},{:.3},{:.3},{:.3}",
+            ground_m * azimuth.cos(),
+            ground_m * azimuth.sin(),
+            depth_m * chance.between(0.6, 1.0),
+            chance.decades(0.1, 1.0)
+        );
+    }
+    std::fs::write(folder.join("points.csv"), text).expect("the folder takes files");
+}

@@ -1,0 +1,318 @@
+//! A plan held against what it plans: its ping, and those of other choices, against the continuous trajectory with second-order Doppler.
+
+use std::time::Instant;
+
+use echotank::array::filter::FilterError;
+use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
+use echotank::flow::{DopplerModel, PathModel, PingOutput, PingPlan, Scatterers, Synthesis};
+use echotank::ping::fidelity::{Candidate, Choice, Ranking};
+use echotank::ping::polyline;
+use echotank::run::chart::bare;
+use echotank::run::fidelity::costs::Costs;
+use echotank::run::fidelity::first::{FirstError, first, pings};
+use echotank::run::fidelity::with_choice;
+use echotank::run::pipeline::{PipelineError, SonarPipeline};
+
+/// Windows are a pulse long, and so many samples at least.
+const LEAST_WINDOW: usize = 32;
+/// Timed runs of every choice, taken in turn; the least counts.
+const REPEATS: usize = 5;
+/// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
+const WORTH_TIMING: f64 = 4.0;
+/// A ruler that is off by more of the tolerance measures nothing.
+const FINE_RULER: f64 = 0.25;
+/// At most so many other choices.
+const OTHERS: usize = 12;
+
+/// What one ping did under one choice.
+#[derive(Clone)]
+pub struct Did {
+    pub text: String,
+    pub predicted_error: f64,
+    pub predicted_ms: f64,
+    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. Where
+    /// the ruler is too coarse for that, a certificate's own, over 128 random samples.
+    pub error: f64,
+    pub by_certificate: bool,
+    pub ms: f64,
+    /// Within the goal, as predicted.
+    pub promised: bool,
+}
+
+#[derive(Clone)]
+pub struct Measured {
+    pub sonar: String,
+    pub tolerance: f64,
+    pub scatterers: usize,
+    pub elements: usize,
+    /// What the ruler itself is off by at random samples, by the reference's equation.
+    pub ruler: Option<f64>,
+    pub plan: Did,
+    pub others: Vec<Did>,
+    /// The plan says itself that it is not within.
+    pub out_of_reach: bool,
+}
+
+impl Measured {
+    /// All of it, a line for the plan and one for each other choice.
+    pub fn said(&self) -> String {
+        let did = |did: &Did| {
+            format!(
+                "{:.1e} measured{}, {:.1e} promised, {:.2} ms, {:.2} predicted{}: {}",
+                did.error,
+                if did.by_certificate {
+                    " by certificate"
+                } else {
+                    ""
+                },
+                did.predicted_error,
+                did.ms,
+                did.predicted_ms,
+                if did.promised { "" } else { ", not within" },
+                did.text
+            )
+        };
+        let mut lines = vec![format!(
+            "{}: tolerance {:.1e}, ruler {:?}, {} scatterers, {} elements: {}",
+            self.sonar,
+            self.tolerance,
+            self.ruler,
+            self.scatterers,
+            self.elements,
+            did(&self.plan)
+        )];
+        lines.extend(self.others.iter().map(did));
+        lines.join("\n    ")
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum MeasureError {
+    #[error(transparent)]
+    First(#[from] FirstError),
+    #[error("{0}")]
+    Pipeline(#[from] PipelineError),
+    #[error("{0}")]
+    Filter(#[from] FilterError),
+}
+
+/// The first ping of every sonar that hears something. To be called inside the pool. `time`: other choices too.
+pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>, MeasureError> {
+    let mut all = Vec::new();
+    // What culling leaves out is part of the truth.
+    let mut whole = rig.clone();
+    for sonar in &mut whole.sonars {
+        sonar.model.cull_db = None;
+    }
+    let whole = pings(&whole)?;
+    let firsts = rig.sonars.iter().zip(first(rig, costs)?);
+    for ((spec, first), (_, everything)) in firsts.zip(&whole) {
+        let Some(ranking) = &first.ranking else {
+            continue;
+        };
+        if first.scatterers.is_empty() {
+            continue;
+        }
+        let mut spec = bare(spec);
+        spec.beams = Default::default();
+        spec.more_pulses.clear();
+        let ping = Ping {
+            spec: &spec,
+            medium: &rig.medium,
+            plan: &first.plan,
+            scatterers: &first.scatterers,
+            everything,
+        };
+        if let Some(measured) = one(&ping, ranking, time)? {
+            all.push(measured);
+        }
+    }
+    Ok(all)
+}
+
+struct Ping<'a> {
+    spec: &'a SonarSpec,
+    medium: &'a MediumSpec,
+    plan: &'a PingPlan,
+    scatterers: &'a Scatterers,
+    /// Not culled.
+    everything: &'a Scatterers,
+}
+
+/// One choice's pipeline with its plan and output.
+struct Runner {
+    pipeline: SonarPipeline,
+    plan: PingPlan,
+    output: PingOutput,
+    least_ms: f64,
+}
+
+impl Runner {
+    fn new(ping: &Ping, spec: &SonarSpec) -> Result<Self, PipelineError> {
+        let mut plan = ping.plan.clone();
+        plan.model = spec.model;
+        let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+        polyline(
+            &plan.trajectory,
+            window_s,
+            plan.model.segment_s,
+            &mut plan.segments,
+        );
+        let pipeline = SonarPipeline::new(spec, ping.medium)?;
+        let output = pipeline.blank_output();
+        Ok(Self {
+            pipeline,
+            plan,
+            output,
+            least_ms: f64::INFINITY,
+        })
+    }
+
+    fn run(&mut self, scatterers: &Scatterers) {
+        let began = Instant::now();
+        self.pipeline
+            .compute_ping(&self.plan, scatterers, &mut self.output);
+        self.least_ms = self.least_ms.min(began.elapsed().as_secs_f64() * 1e3);
+    }
+}
+
+fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, PipelineError> {
+    let (truth, ruler) = ruler(ping, time)?;
+    let silent = |output: &PingOutput| {
+        let mut samples = output.elements.iter().flat_map(|frame| &frame.iq);
+        samples.all(|x| x.norm_sqr() == 0.0)
+    };
+    if silent(&truth) {
+        return Ok(None);
+    }
+    let mut looked_at: Vec<&Candidate> = vec![ranking.chosen()];
+    if time {
+        looked_at.extend(others(ranking));
+    }
+    let mut runners = Vec::new();
+    for candidate in looked_at {
+        if let Ok(runner) = Runner::new(ping, &with_choice(ping.spec, &candidate.choice)) {
+            runners.push((candidate, runner));
+        }
+    }
+    for _ in 0..=REPEATS {
+        for (_, runner) in &mut runners {
+            runner.run(ping.scatterers);
+        }
+        if !time {
+            break;
+        }
+    }
+    let coarse = ruler.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
+    if coarse {
+        for (candidate, runner) in &mut runners {
+            let mut spec = with_choice(ping.spec, &candidate.choice);
+            spec.synthesis.certificate = true;
+            *runner = Runner {
+                least_ms: runner.least_ms,
+                ..certified(ping, &spec)?
+            };
+        }
+    }
+    let mut did = runners.iter().map(|(candidate, runner)| Did {
+        by_certificate: runner.output.certificate.is_some(),
+        text: candidate.text(),
+        predicted_error: candidate.error(),
+        predicted_ms: candidate.cost_ms(),
+        error: match runner.output.certificate {
+            Some(certificate) => certificate.error,
+            None => worst_window(ping, &runner.output, &truth),
+        },
+        ms: runner.least_ms,
+        promised: ranking.goal.meets(candidate),
+    });
+    let Some(plan) = did.next() else {
+        return Ok(None);
+    };
+    Ok(Some(Measured {
+        sonar: ping.spec.name.clone(),
+        tolerance: ranking.goal.tolerance,
+        scatterers: ping.scatterers.len(),
+        elements: ping.spec.receive.iter().map(|a| a.elements).sum(),
+        ruler,
+        plan,
+        others: did.collect(),
+        out_of_reach: !ranking.is_within(),
+    }))
+}
+
+/// One of every kind, cheapest first: those that promise to keep the goal, and a few that do not and may all the same.
+fn others(ranking: &Ranking) -> Vec<&Candidate> {
+    let kind = |c: &Candidate| {
+        let Choice { model, .. } = c.choice;
+        (
+            model.path,
+            model.doppler,
+            model.synthesis,
+            ranking.goal.meets(c),
+        )
+    };
+    let limit_ms = WORTH_TIMING * ranking.chosen().cost_ms();
+    let mut found: Vec<&Candidate> = Vec::new();
+    for candidate in &ranking.candidates {
+        let worth = candidate.cost_ms() <= limit_ms
+            && candidate.choice != ranking.chosen().choice
+            && ranking.goal.share(candidate) < 100.0;
+        if worth && found.len() < OTHERS && !found.iter().any(|c| kind(c) == kind(candidate)) {
+            found.push(candidate);
+        }
+    }
+    found
+}
+
+/// The direct sum on the trajectory itself, and what 128 random samples of it are off by.
+fn ruler(ping: &Ping, look: bool) -> Result<(PingOutput, Option<f64>), PipelineError> {
+    let mut spec = ping.spec.clone();
+    spec.model.path = PathModel::Continuous;
+    spec.model.doppler = DopplerModel::StretchQuadratic;
+    spec.model.synthesis = Synthesis::Direct;
+    spec.model.cull_db = None;
+    if !look {
+        let mut runner = Runner::new(ping, &spec)?;
+        runner.run(ping.everything);
+        return Ok((runner.output, None));
+    }
+    spec.synthesis.certificate = true;
+    let runner = certified(ping, &spec)?;
+    let error = runner.output.certificate.map(|c| c.error);
+    Ok((runner.output, error))
+}
+
+/// A ping of all scatterers with a certificate over 128 samples.
+fn certified(ping: &Ping, spec: &SonarSpec) -> Result<Runner, PipelineError> {
+    let mut runner = Runner::new(ping, spec)?;
+    runner.pipeline.allow_certificates(f64::INFINITY);
+    for number in 1..=2 {
+        // Other samples are drawn in another ping.
+        runner.plan.ping_number = number;
+        runner.run(ping.everything);
+    }
+    Ok(runner)
+}
+
+fn worst_window(ping: &Ping, got: &PingOutput, want: &PingOutput) -> f64 {
+    let rate_hz = ping.spec.receiver.sample_rate_hz;
+    let window = ((ping.plan.pulse.duration_s * rate_hz).ceil() as usize).max(LEAST_WINDOW);
+    let mut worst = 0.0f64;
+    for (got, want) in got.elements.iter().zip(&want.elements) {
+        for element in 0..want.elements {
+            let (got, want) = (got.element(element), want.element(element));
+            let squares: f64 = want.iter().map(|x| x.norm_sqr()).sum();
+            let whole = squares / want.len().max(1) as f64;
+            for (got, want) in got.chunks(window).zip(want.chunks(window)) {
+                let off: f64 = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr()).sum();
+                let loud: f64 = want.iter().map(|x| x.norm_sqr()).sum();
+                let against = loud.max(whole * want.len() as f64);
+                if against > 0.0 {
+                    worst = worst.max((off / against).sqrt());
+                }
+            }
+        }
+    }
+    worst
+}

@@ -1,0 +1,4 @@
+//! Random rigs for the plan of methods: [`case`] makes them, [`measure`] holds a plan's promises against what its ping and those of other choices do.
+
+pub mod case;
+pub mod measure;
