@@ -27,4 +27,5 @@ pub mod settings;
 pub mod synthetic_aperture;
 pub mod triggers;
 mod view;
+pub mod waiting;
 pub mod world;

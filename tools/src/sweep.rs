@@ -113,7 +113,10 @@ fn main() -> std::io::Result<()> {
 }
 
 fn asked(method: Method, given: &Arguments) -> bool {
-    given.method.as_deref().is_none_or(|name| name == method.name())
+    given
+        .method
+        .as_deref()
+        .is_none_or(|name| name == method.name())
 }
 
 fn reasons(row: &Row) -> String {

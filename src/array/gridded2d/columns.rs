@@ -52,12 +52,10 @@ impl<T: Sample> Task<'_, T> {
         self.shapes(work, instants);
         work.stages.lap(Stage::Templates, &mut since);
         let channels = self.channels();
-        work.spectrum
-            .resize(self.columns * channels * self.heard());
+        work.spectrum.resize(self.columns * channels * self.heard());
         work.moments
             .resize(self.heard() * self.columns * work.powers);
-        work.sounds
-            .resize(instants.len() * channels, Lanes::ZERO);
+        work.sounds.resize(instants.len() * channels, Lanes::ZERO);
         for split in &mut work.here {
             split.resize(work.entries.len().next_multiple_of(WHOLE));
         }
@@ -123,9 +121,8 @@ impl<T: Sample> Task<'_, T> {
                 for f in chebyshev_nodes(orders.band) {
                     let angle = self.rest_rad(f) * w;
                     let terms = chebyshev_nodes(orders.dilation).zip(shares);
-                    let term = |(unit, &share): (f64, &f64)| {
-                        Complex64::from_polar(share, -angle * unit)
-                    };
+                    let term =
+                        |(unit, &share): (f64, &f64)| Complex64::from_polar(share, -angle * unit);
                     work.dilation.push(terms.map(term).sum());
                 }
             }
@@ -386,7 +383,9 @@ impl<T: Sample> Task<'_, T> {
         let mut e = 0;
         for (q, sum) in sums[..along].iter_mut().enumerate() {
             let mut total = Apart::<T>::ZERO;
-            let of_power = work.entries[e..].iter().take_while(|entry| entry.power == q);
+            let of_power = work.entries[e..]
+                .iter()
+                .take_while(|entry| entry.power == q);
             let at = e..e + of_power.count();
             e = at.end;
             let values = here.re[at.clone()].iter().zip(&here.im[at.clone()]);

@@ -90,7 +90,11 @@ impl<T: Sample> Task<'_, T> {
         work.places.clear();
         work.places.extend(places.map(|&y| T::narrow(y / half_m)));
         for block in 0..self.engine.blocks.len() {
-            for (rotors, &y) in work.rotors.chunks_exact_mut(room).zip(&self.stretch.along_m) {
+            for (rotors, &y) in work
+                .rotors
+                .chunks_exact_mut(room)
+                .zip(&self.stretch.along_m)
+            {
                 self.rotors(rotors, block, y);
             }
             work.sums.clear();
@@ -226,7 +230,8 @@ fn add_columns<T: Sample, const PAIRS: usize, const FUSED: bool>(
     let even_powers = powers - odd_powers;
     let x: [T; PAIRS] = std::array::from_fn(|p| columns.x[pair + p]);
     let square = x.map(|x| x * x);
-    let lanes = |sums: &[T; BLOCK]| -> [T; PART] { sums[part..][..PART].try_into().expect("a part") };
+    let lanes =
+        |sums: &[T; BLOCK]| -> [T; PART] { sums[part..][..PART].try_into().expect("a part") };
     let mut sums: [[[T; PART]; 4]; PAIRS] =
         std::array::from_fn(|p| std::array::from_fn(|k| lanes(&columns.sums[pair + p][k])));
     let re = columns.re.chunks_exact(powers * BLOCK);

@@ -19,7 +19,9 @@ pub const fn takes(powers: usize) -> bool {
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
 pub fn add(columns: Columns<f32>) {
     let (count, powers) = (columns.count, columns.powers);
-    assert!(columns.re.len() >= count * powers * BLOCK && columns.im.len() >= count * powers * BLOCK);
+    assert!(
+        columns.re.len() >= count * powers * BLOCK && columns.im.len() >= count * powers * BLOCK
+    );
     let pairs = columns.sums.len();
     assert!(columns.x.len() >= pairs && columns.rotors.len() >= pairs * columns.room);
     assert!(columns.first + count <= columns.room);

@@ -141,7 +141,9 @@ impl Merge {
             let (known, new) = basis.split_at_mut(at);
             for row in known.chunks_exact(products) {
                 let share: f64 = row.iter().zip(&*new).map(|(a, b)| a * b).sum();
-                new.iter_mut().zip(row).for_each(|(new, row)| *new -= share * row);
+                new.iter_mut()
+                    .zip(row)
+                    .for_each(|(new, row)| *new -= share * row);
             }
             let length = new.iter().map(|x| x * x).sum::<f64>().sqrt();
             if length < LEAST {

@@ -187,7 +187,11 @@ impl<T: Sample> Mixing<T> {
                 self.into.push(std::array::from_fn(|lane| {
                     let channel = vector * PANEL + lane;
                     let known = channel < channels;
-                    T::narrow(if known { merge.into_channel(product, channel) } else { 0.0 })
+                    T::narrow(if known {
+                        merge.into_channel(product, channel)
+                    } else {
+                        0.0
+                    })
                 }));
             }
         }

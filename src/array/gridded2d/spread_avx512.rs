@@ -101,7 +101,9 @@ pub fn add(mut wide: Wide<f32>) -> usize {
         }
         let next = (i + AHEAD).min(len - 1);
         let at = (p.column[next] as usize).wrapping_mul(channels) / PANEL;
-        let at = at.wrapping_mul(panel_rows).wrapping_add(p.row[next] as usize);
+        let at = at
+            .wrapping_mul(panel_rows)
+            .wrapping_add(p.row[next] as usize);
         if let Some(rows) = grid.get(at..).and_then(|rows| rows.get(..time_width)) {
             for row in rows {
                 _mm_prefetch::<_MM_HINT_T0>(row.re.as_ptr().cast());

@@ -434,7 +434,10 @@ impl<'a, T: Sample> Task<'a, T> {
             let [dilation, bend, twist, swing] = match k.checked_sub(looked) {
                 None => own(k * every),
                 Some(between) => {
-                    let (a, b) = (own(between * MIDWAY * every), own((between * MIDWAY + 1) * every));
+                    let (a, b) = (
+                        own(between * MIDWAY * every),
+                        own((between * MIDWAY + 1) * every),
+                    );
                     std::array::from_fn(|j| 0.5 * (a[j] + b[j]))
                 }
             };

@@ -198,7 +198,11 @@ impl Light<'_> {
             ScatterLaw::LambertOneWay => (facing, 1.0, [0.0; 3]),
             ScatterLaw::Curve => {
                 let curve = scatterers.curve.as_deref();
-                (half_of_curve(curve, facing.sqrt()), 0.0, scatterers.normal[i])
+                (
+                    half_of_curve(curve, facing.sqrt()),
+                    0.0,
+                    scatterers.normal[i],
+                )
             }
         };
         let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
