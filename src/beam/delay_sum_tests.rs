@@ -230,7 +230,7 @@ fn side_lobes_are_within_0p2_db_of_the_exact_pattern_for_every_shading() {
         for former in [Former::Phase, Former::TimeDelay] {
             let rig = narrow(48, 0.5);
             let mut weights = vec![0.0; 48];
-            crate::beam::weights::fill(shading, &mut weights);
+            weights::fill(shading, &mut weights);
             let beam_sine = 0.3;
             let mut spec = single(beam_sine, former);
             spec.shading = shading;
