@@ -160,8 +160,9 @@ impl View<'_> {
                 }
             }
             for (truth, own) in truths.iter_mut().zip(own.chunks_exact_mut(samples)) {
-                for k in touched.0.min(touched.1)..touched.1 {
-                    truth.claim(k, label, std::mem::take(&mut own[k]));
+                let from = touched.0.min(touched.1);
+                for (k, energy) in (from..).zip(&mut own[from..touched.1]) {
+                    truth.claim(k, label, std::mem::take(energy));
                 }
             }
             first = end;

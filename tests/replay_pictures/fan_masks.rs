@@ -168,8 +168,17 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
             "bottom at {angle_deg}"
         );
     }
-    // Beside the pictures of all pings, and sample for sample.
+    // Of all pings along the track the strongest beam at each range: between edge and foot of the wall that is the box's.
     let stack = Masks::open(out.path(), "water_column");
-    assert!(stack.target.values.contains(&1) && stack.shadow.values.contains(&255));
+    let rows =
+        (0..stack.target.height).filter(|y| stack.target.at(stack.target.width - 1, *y) == 1);
+    let rows: Vec<f64> = rows.map(|y| (y as f64 + 0.5) * PIXEL_M).collect();
+    assert!(!rows.is_empty());
+    for range_m in rows {
+        assert!(
+            (nearest.0 - 0.2..farthest.0 + 0.2).contains(&range_m),
+            "{range_m}"
+        );
+    }
     assert!(files(out.path()).contains_key("fan_masks.npz"));
 }
