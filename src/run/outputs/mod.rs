@@ -102,6 +102,8 @@ pub struct StreamCounts {
     pub family: &'static str,
     /// `TCP 127.0.0.1:51234`.
     pub peer: String,
+    /// What it subscribed to, where the family has names for it.
+    pub receives: String,
     pub bytes_sent: u64,
     pub records_sent: u64,
     pub records_dropped: u64,
