@@ -42,6 +42,10 @@ def svlog(path):
 
 def sigmf(path):
     import sigmf as reader
+    if os.path.getsize(path.replace(".sigmf-meta", ".sigmf-data")) == 0:
+        # It cannot read an empty recording; its words have nothing to say then.
+        with open(path, encoding="utf-8") as file:
+            return {"pings": len(json.load(file)["annotations"])}
     recording = reader.sigmffile.fromfile(path, autoscale=False)
     recording.validate()
     pings = recording.get_annotations()

@@ -50,12 +50,13 @@ fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
 }
 
 /// Every kind of record at once.
-const EVERY_KIND: [&str; 11] = [
+const EVERY_KIND: [&str; 12] = [
+    "run.queue_pings=30",
     "sonar.output.sevenk.listen=127.0.0.1:0",
     "control.listen=127.0.0.1:0",
     "sonar.model.synthesis=direct",
-    "sonar.ping.range_m=50",
-    "sonar.ping.rate_hz=10",
+    "sonar.ping.range_m=15",
+    "sonar.ping.rate_hz=20",
     "nav.loop=true",
     "sonar.output.jsf={listen=\"127.0.0.1:0\", listen_data=\"127.0.0.1:0\", record=true}",
     "sonar.output.xtf={}",
@@ -68,7 +69,7 @@ const EVERY_KIND: [&str; 11] = [
 fn files_that_can_grow_no_more_stop_their_recordings_each_counted_and_the_pings_go_on() {
     let folder = tempfile::tempdir().expect("folder");
     // Some tens of kilobytes for each file, and no signal that would end the process: a write fails as on a full disk.
-    let limited = "trap '' XFSZ; ulimit -f 64; exec \"$0\" \"$@\"";
+    let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" \"$@\"";
     let mut command = Command::new("sh");
     command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
     command.arg("hil-configs/points.toml");
