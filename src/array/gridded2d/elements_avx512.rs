@@ -96,10 +96,10 @@ unsafe fn some<const N: usize, const EVEN: usize, const ODD: usize>(
                 for part in 0..PARTS {
                     let at = 2 * q * BLOCK + 16 * part;
                     let (re, im) = (_mm512_loadu_ps(re.add(at)), _mm512_loadu_ps(im.add(at)));
-                    for n in 0..N {
-                        let [of_re, of_im] = &mut even[n][part];
-                        *of_re = _mm512_fmadd_ps(*of_re, square[n], re);
-                        *of_im = _mm512_fmadd_ps(*of_im, square[n], im);
+                    for (even, &square) in even.iter_mut().zip(&square) {
+                        let [of_re, of_im] = &mut even[part];
+                        *of_re = _mm512_fmadd_ps(*of_re, square, re);
+                        *of_im = _mm512_fmadd_ps(*of_im, square, im);
                     }
                 }
             }
@@ -120,10 +120,10 @@ unsafe fn some<const N: usize, const EVEN: usize, const ODD: usize>(
                 for part in 0..PARTS {
                     let at = (2 * q + 1) * BLOCK + 16 * part;
                     let (re, im) = (_mm512_loadu_ps(re.add(at)), _mm512_loadu_ps(im.add(at)));
-                    for n in 0..N {
-                        let [of_re, of_im] = &mut odd[n][part];
-                        *of_re = _mm512_fmadd_ps(*of_re, square[n], re);
-                        *of_im = _mm512_fmadd_ps(*of_im, square[n], im);
+                    for (odd, &square) in odd.iter_mut().zip(&square) {
+                        let [of_re, of_im] = &mut odd[part];
+                        *of_re = _mm512_fmadd_ps(*of_re, square, re);
+                        *of_im = _mm512_fmadd_ps(*of_im, square, im);
                     }
                 }
             }

@@ -171,7 +171,7 @@ impl Merge {
     }
 
     /// How much of a product goes into a channel.
-    pub fn into_channel(&self, product: usize, channel: usize) -> f64 {
+    pub fn share_of_channel(&self, product: usize, channel: usize) -> f64 {
         self.basis[channel * self.products + product] * self.weight[product]
     }
 
@@ -215,7 +215,7 @@ mod tests {
                 let own = products(echo);
                 let channel = |i: usize| -> f64 {
                     let parts = own.iter().enumerate();
-                    parts.map(|(m, c)| merge.into_channel(m, i) * c).sum()
+                    parts.map(|(m, c)| merge.share_of_channel(m, i) * c).sum()
                 };
                 let channels: Vec<f64> = (0..merge.count).map(channel).collect();
                 let off = |m: usize| {

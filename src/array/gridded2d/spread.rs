@@ -188,7 +188,7 @@ impl<T: Sample> Mixing<T> {
                     let channel = vector * PANEL + lane;
                     let known = channel < channels;
                     T::narrow(if known {
-                        merge.into_channel(product, channel)
+                        merge.share_of_channel(product, channel)
                     } else {
                         0.0
                     })
