@@ -8,7 +8,10 @@ mod faults;
 mod samples;
 mod trigger;
 
-pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
+pub use faults::{
+    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavFault,
+    TransportFault,
+};
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
