@@ -360,8 +360,8 @@ mod tests {
         let (sender, triggers) = mpsc::channel();
         let keeper = Keeper {
             sink: Arc::new(move |trigger| {
-            let _ = sender.send(trigger);
-        }),
+                let _ = sender.send(trigger);
+            }),
             counts: Arc::default(),
             stop: Arc::default(),
         };
