@@ -9,7 +9,10 @@ mod fidelity;
 mod samples;
 mod trigger;
 
-pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
+pub use faults::{
+    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavFault,
+    TransportFault,
+};
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

@@ -5,8 +5,8 @@
 //! be reached costs its packets only, counted too.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -14,6 +14,7 @@ use socket2::SockAddr;
 
 use crate::emit::packets::Packets;
 use crate::emit::pool::DatagramPool;
+use crate::io::line::Line as FaultyLine;
 use crate::io::pace::Sending;
 use crate::io::pace::batch::send_batch;
 use crate::io::pace::bucket::Bucket;
@@ -89,6 +90,7 @@ pub struct DatagramSender {
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
+    faulty: Mutex<Option<Box<dyn FaultyLine>>>,
 }
 
 impl DatagramSender {
@@ -169,7 +171,13 @@ impl DatagramSender {
             empty,
             counts,
             thread: Some(thread),
+            faulty: Mutex::default(),
         })
+    }
+
+    /// All that is sent passes `line` from now on.
+    pub fn set_line(&self, line: Box<dyn FaultyLine>) {
+        *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
     pub fn counts(&self) -> &Arc<DatagramCounts> {
@@ -182,7 +190,12 @@ impl DatagramSender {
     }
 
     /// Queues a ping; false if there was no room.
-    pub fn send(&self, ping: Packets, leaving: Leaving) -> bool {
+    pub fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
+        let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(line) = &mut *faulty {
+            line.packets(&mut ping);
+        }
+        drop(faulty);
         let queued = self
             .full
             .as_ref()

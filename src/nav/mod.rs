@@ -23,6 +23,7 @@ pub mod records;
 pub mod report;
 pub mod ring;
 pub mod sentence;
+pub mod spoil;
 pub mod stamp;
 pub mod track;
 

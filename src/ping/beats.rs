@@ -58,12 +58,14 @@ struct Lane {
     follows: Option<(usize, f64)>,
     /// Triggers that the followed sonar has made, earliest first.
     ahead: VecDeque<UtcNs>,
+    /// Triggered a second time, then.
+    again: Option<UtcNs>,
 }
 
 impl Lane {
     fn next_trigger(&self) -> Option<UtcNs> {
         let ahead = self.ahead.front().copied();
-        [self.schedule.queued_utc(), ahead]
+        [self.schedule.queued_utc(), ahead, self.again]
             .into_iter()
             .flatten()
             .min()
@@ -92,6 +94,7 @@ impl Beats {
                 _ => None,
             },
             ahead: VecDeque::new(),
+            again: None,
         };
         Self {
             lanes: triggers.map(lane).collect(),
@@ -152,6 +155,13 @@ impl Beats {
         if let Some(triggered) = queued {
             return Some(Event::Trigger(triggered));
         }
+        if let Some(again) = lane.again.filter(|again| *again <= at) {
+            lane.again = None;
+            let InForce { settings, armed } = in_force(again);
+            let armed = armed || settings.pinging;
+            let triggered = self.trigger(sonar, again, InForce { settings, armed });
+            return Some(Event::Trigger(triggered));
+        }
         if lane.ahead.front().is_some_and(|ahead| *ahead <= at) {
             let at = lane.ahead.pop_front()?;
             return Some(Event::Trigger(self.trigger(sonar, at, in_force(at))));
@@ -167,6 +177,11 @@ impl Beats {
             Some(settings) => lane.schedule.trigger(at, settings, lane.early),
             None => Triggered::Refused(Refusal::Held),
         }
+    }
+
+    /// The sonar is triggered at `at` besides, whatever triggers it.
+    pub fn again(&mut self, sonar: usize, at: UtcNs) {
+        self.lanes[sonar].again = Some(at);
     }
 
     /// The sonar's pulse went out at `at`: who follows it is triggered.
@@ -252,6 +267,33 @@ mod tests {
         };
         assert_eq!(its(of(EarlyTrigger::Refuse)), [0, 600]);
         assert_eq!(its(of(EarlyTrigger::Queue)), [0, 403, 806]);
+    }
+
+    #[test]
+    fn a_second_trigger_is_early_and_refused_or_makes_a_ping_as_soon_as_it_may() {
+        for (early, want) in [
+            (EarlyTrigger::Refuse, vec![0, 200, 400]),
+            (EarlyTrigger::Queue, vec![0, 103, 206, 400]),
+        ] {
+            let spec = TriggerSpec {
+                early,
+                ..TriggerSpec::default()
+            };
+            let mut beats = Beats::starting_at(UtcNs(0), 1500.0, std::iter::once(&spec));
+            let in_force = |_, _| InForce {
+                settings: settings(75.0),
+                armed: false,
+            };
+            let mut pings = Vec::new();
+            while let Some((_, event)) = beats.due(UtcNs(450 * MS), in_force) {
+                let Some(order) = event.order() else { continue };
+                if order.ping_number == 1 {
+                    beats.again(0, order.transmit_utc.plus_ns(20 * MS));
+                }
+                pings.push(order.transmit_utc.0 / MS);
+            }
+            assert_eq!(pings, want, "{early:?}");
+        }
     }
 
     #[test]

@@ -36,7 +36,7 @@ use crate::config::spec::{
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
-use crate::io::nav::output::{NavOutputError, NavOutputs};
+use crate::io::nav::output::{ClockFaults, NavOutputError, NavOutputs};
 use crate::io::notify::Notify;
 use crate::io::priority;
 use crate::io::record::faults::FaultLog;
@@ -49,6 +49,7 @@ use crate::nav::Coverage;
 use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
+use crate::run::faults::nav::NavSpoiler;
 use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
@@ -230,7 +231,9 @@ impl Daemon {
         remarks.push(punctuality(spec.run.priority));
         let pool = pool(threads)?;
         let rig = pool.install(|| Rig::open(spec))?;
-        let inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
+        let mut inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
+        let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
+        inputs.spoil_with(Box::new(spoiler));
         let settings: Vec<_> = spec
             .sonars
             .iter()
@@ -245,7 +248,10 @@ impl Daemon {
             .collect();
         let timeline = Arc::new(OnceLock::new());
         let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
-        let nav_out = NavOutputs::open(&spec.nav.outputs, &clock, &wire_time)?;
+        let nav_out = {
+            let faults: Arc<dyn ClockFaults> = rig.faults.clone();
+            NavOutputs::open_with(&spec.nav.outputs, &clock, &wire_time, Some(&faults))?
+        };
         let feed = Arc::new(Feed::new(spec.sonars.len()));
         let mut outputs = Vec::new();
         let mut histograms = Vec::new();

@@ -1,9 +1,11 @@
 //! Faults: which are wanted when, whether they strike a ping, and the log by which a device's report can be scored.
 //!
 //! Whether a fault strikes depends on its seed, its number and the ping alone (for the line: the record's type too), so that the same
-//! scenario strikes the same pings in every clock mode. Faults of elements are carried out in `array`, those of the line in [`line`].
+//! scenario strikes the same pings in every clock mode. Faults of elements are carried out in `array`, those of the line in [`line`], those of
+//! navigation in [`nav`], where samples stand for pings.
 
 pub mod line;
+pub mod nav;
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -15,8 +17,11 @@ use serde::Serialize;
 
 use crate::array::faults::ActiveFault;
 use crate::config::spec::{
-    FaultKind, FaultRefused, FaultRequest, FaultSpec, SonarSpec, TransportFault,
+    ConnectionFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavSourceSpec, SonarSpec,
+    TransportFault,
 };
+use crate::io::line::Connection;
+use crate::io::nav::output::ClockFaults;
 use crate::ping::PingOrder;
 use crate::time::UtcNs;
 
@@ -32,11 +37,17 @@ const TAG: [u8; 8] = *b"faultrun";
 pub struct Injection {
     pub fault: u32,
     pub kind: &'static str,
-    #[serde(serialize_with = "as_text")]
-    pub sonar: Arc<str>,
+    /// None of faults of navigation.
+    #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
+    pub sonar: Option<Arc<str>>,
+    /// Of faults of navigation: the last ping ordered before, of any sonar; 0 before the first.
     pub ping_number: u32,
-    /// Of the pulse, rig time.
+    /// Of the pulse, or of a sample's arrival, or of the second that is marked; rig time.
     pub utc_ns: i64,
+    #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
+    pub source: Option<Arc<str>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<&'static str>,
     /// Of the line: which record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
@@ -48,8 +59,11 @@ pub struct Injection {
     pub strength: f64,
 }
 
-fn as_text<S: serde::Serializer>(name: &Arc<str>, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(name)
+fn as_text<S: serde::Serializer>(
+    name: &Option<Arc<str>>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(name.as_deref().unwrap_or_default())
 }
 
 /// A ping as faults see it.
@@ -75,6 +89,8 @@ struct Standing {
     spec: FaultSpec,
     /// Index of the sonar; none: every one.
     sonar: Option<usize>,
+    /// Index of the navigation source; none: every one.
+    source: Option<usize>,
     /// For one asked for live: from the first ping that it meets on.
     since: OnceLock<UtcNs>,
     /// As it was asked for.
@@ -108,6 +124,10 @@ struct Head {
 /// All faults of a rig. Shared by every thread that carries them out.
 pub struct Faults {
     heads: Vec<Head>,
+    /// Names of the navigation sources.
+    sources: Vec<Arc<str>>,
+    /// Number of the last ping that was ordered.
+    last_ping: AtomicU32,
     /// Rig time of the first ping: what `at_s` counts from.
     first: OnceLock<UtcNs>,
     standing: Mutex<Vec<Arc<Standing>>>,
@@ -120,7 +140,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    pub fn new(sonars: &[SonarSpec]) -> Self {
+    pub fn new(sonars: &[SonarSpec], sources: &[NavSourceSpec]) -> Self {
         let heads = sonars.iter().map(|sonar| Head {
             name: sonar.name.as_str().into(),
             elements: sonar.receive.iter().map(|a| a.elements).collect(),
@@ -128,6 +148,8 @@ impl Faults {
         });
         Self {
             heads: heads.collect(),
+            sources: sources.iter().map(|s| s.name.as_str().into()).collect(),
+            last_ping: AtomicU32::new(0),
             first: OnceLock::new(),
             standing: Mutex::default(),
             count: AtomicU64::new(0),
@@ -149,6 +171,16 @@ impl Faults {
                 None => {
                     let names: Vec<_> = self.heads.iter().map(|h| &*h.name).collect();
                     return refused("sonar", format!("must be one of {}", names.join(", ")));
+                }
+            },
+        };
+        let source = match &spec.source {
+            None => None,
+            Some(name) => match self.sources.iter().position(|source| **source == **name) {
+                Some(at) => Some(at),
+                None => {
+                    let names = self.sources.join(", ");
+                    return refused("source", format!("must be one of {names}"));
                 }
             },
         };
@@ -178,6 +210,7 @@ impl Faults {
             id,
             spec,
             sonar,
+            source,
             since: OnceLock::new(),
             request: request.clone(),
             struck: AtomicU64::new(0),
@@ -264,45 +297,86 @@ impl Faults {
         if self.standing() == 0 {
             return;
         }
-        let first = *self.first.get_or_init(|| ping.utc);
-        for standing in self.lock().iter() {
-            let spec = &standing.spec;
-            if standing.sonar.is_some_and(|sonar| sonar != ping.sonar) || !wanted(&spec.kind) {
-                continue;
-            }
-            let from = match spec.at_s {
-                Some(at_s) => first.plus_s(at_s),
-                None => *standing.since.get_or_init(|| ping.utc),
+        self.first.get_or_init(|| ping.utc);
+        let moment = Moment {
+            utc: ping.utc,
+            number: ping.number,
+            key: record_type,
+        };
+        let meant = |standing: &Standing| {
+            standing.sonar.is_none_or(|sonar| sonar == ping.sonar) && wanted(&standing.spec.kind)
+        };
+        self.each(moment, meant, |standing, _, strength| {
+            let mut injection = Injection {
+                sonar: Some(self.heads[ping.sonar].name.clone()),
+                ping_number: ping.number,
+                record_type: (record_type != 0).then_some(record_type),
+                ..self.injection(standing, moment, strength)
             };
-            let age_s = ping.utc.seconds_since(from);
-            if age_s < 0.0 || age_s >= spec.for_s || !begins(standing, ping.number, record_type) {
+            strike(&standing.spec, strength, &mut injection);
+            self.log(standing, injection);
+        });
+    }
+
+    /// Calls `strike` for every fault that strikes at a moment, with how long it has stood and its strength.
+    fn each(
+        &self,
+        moment: Moment,
+        wanted: impl Fn(&Standing) -> bool,
+        mut strike: impl FnMut(&Standing, f64, f64),
+    ) {
+        if self.standing() == 0 {
+            return;
+        }
+        for standing in self.lock().iter().filter(|standing| wanted(standing)) {
+            let spec = &standing.spec;
+            let from = match (spec.at_s, self.first.get()) {
+                (Some(at_s), Some(first)) => first.plus_s(at_s),
+                // Before the first ping there is nothing for a scenario to count from.
+                (Some(_), None) => continue,
+                (None, _) => *standing.since.get_or_init(|| moment.utc),
+            };
+            let age_s = moment.utc.seconds_since(from);
+            let stands = age_s >= 0.0 && age_s < spec.for_s;
+            if !stands || !begins(standing, moment.number, moment.key) {
                 continue;
             }
             let strength = match spec.ramp_s > 0.0 {
                 true => (age_s / spec.ramp_s).min(1.0),
                 false => 1.0,
             };
-            let mut injection = Injection {
-                fault: standing.id,
-                kind: spec.name,
-                sonar: self.heads[ping.sonar].name.clone(),
-                ping_number: ping.number,
-                utc_ns: ping.utc.0,
-                record_type: (record_type != 0).then_some(record_type),
-                array: None,
-                element: None,
-                strength,
-            };
-            strike(spec, strength, &mut injection);
-            standing.struck.fetch_add(1, Ordering::Relaxed);
-            standing.last_ping.store(ping.number, Ordering::Relaxed);
-            self.injected.fetch_add(1, Ordering::Relaxed);
-            let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-            if waiting.len() < MOST_WAITING {
-                waiting.push_back(injection);
-            } else {
-                self.unwritten.fetch_add(1, Ordering::Relaxed);
-            }
+            strike(standing, age_s, strength);
+        }
+    }
+
+    fn injection(&self, standing: &Standing, moment: Moment, strength: f64) -> Injection {
+        Injection {
+            fault: standing.id,
+            kind: standing.spec.name,
+            sonar: None,
+            ping_number: self.last_ping.load(Ordering::Relaxed),
+            utc_ns: moment.utc.0,
+            source: None,
+            quantity: None,
+            record_type: None,
+            array: None,
+            element: None,
+            strength,
+        }
+    }
+
+    /// Counts and writes down what struck.
+    fn log(&self, standing: &Standing, injection: Injection) {
+        standing.struck.fetch_add(1, Ordering::Relaxed);
+        standing
+            .last_ping
+            .store(injection.ping_number, Ordering::Relaxed);
+        self.injected.fetch_add(1, Ordering::Relaxed);
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.len() < MOST_WAITING {
+            waiting.push_back(injection);
+        } else {
+            self.unwritten.fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -331,10 +405,36 @@ impl Faults {
 
     /// Whether the pulse that is due is missed.
     pub fn trigger_missed(&self, ping: PingMark) -> bool {
+        self.last_ping.store(ping.number, Ordering::Relaxed);
         let mut missed = false;
         let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerMissed);
         self.struck(ping, 0, of_trigger, |_, _, _| missed = true);
         missed
+    }
+
+    /// How long after its pulse the sonar is triggered again, seconds, if it is.
+    pub fn trigger_double_s(&self, ping: PingMark) -> Option<f64> {
+        let mut after_s = None;
+        let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerDouble { .. });
+        self.struck(ping, 0, of_trigger, |spec, _, _| {
+            if let FaultKind::TriggerDouble { s } = spec.kind {
+                after_s = Some(s);
+            }
+        });
+        after_s
+    }
+
+    /// What becomes of the connections to the clients at this ping.
+    fn connection(&self, ping: PingMark) -> Connection {
+        let mut connection = Connection::Up;
+        let of_connection = |kind: &FaultKind| matches!(kind, FaultKind::Connection(_));
+        self.struck(ping, 0, of_connection, |spec, _, _| {
+            connection = match spec.kind {
+                FaultKind::Connection(ConnectionFault::Reset) => Connection::Reset,
+                _ => Connection::Mute,
+            };
+        });
+        connection
     }
 
     /// How much too late this ping is stamped, seconds.
@@ -357,6 +457,53 @@ impl Faults {
                 strike(fault);
             }
         });
+    }
+}
+
+/// When, and of what, it is asked whether a fault strikes.
+#[derive(Clone, Copy)]
+struct Moment {
+    utc: UtcNs,
+    /// Of the ping, the sample or the second: what bursts are counted in.
+    number: u32,
+    /// Which of several draws of that number.
+    key: u32,
+}
+
+impl ClockFaults for Faults {
+    fn pulse_is_lost(&self, second: UtcNs) -> bool {
+        let mut lost = false;
+        let moment = Moment::of_second(second);
+        let of_pulse = |s: &Standing| matches!(s.spec.kind, FaultKind::PulseLost);
+        self.each(moment, of_pulse, |standing, _, strength| {
+            lost = true;
+            self.log(standing, self.injection(standing, moment, strength));
+        });
+        lost
+    }
+
+    fn zda_is_off_s(&self, second: UtcNs) -> f64 {
+        let mut off_s = 0.0;
+        let moment = Moment::of_second(second);
+        let of_zda = |s: &Standing| matches!(s.spec.kind, FaultKind::WrongZda { .. });
+        self.each(moment, of_zda, |standing, _, strength| {
+            if let FaultKind::WrongZda { s } = standing.spec.kind {
+                off_s += s * strength;
+            }
+            self.log(standing, self.injection(standing, moment, strength));
+        });
+        off_s
+    }
+}
+
+impl Moment {
+    fn of_second(second: UtcNs) -> Self {
+        Self {
+            utc: second,
+            // Seconds since 1970 fit until 2106.
+            number: second.0.div_euclid(crate::time::NS_PER_S) as u32,
+            key: 0,
+        }
     }
 }
 
@@ -387,14 +534,15 @@ fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
 mod tests {
     use super::*;
 
-    fn faults() -> Faults {
+    pub(super) fn faults() -> Faults {
         Faults {
             heads: vec![Head {
                 name: "main".into(),
                 elements: vec![8, 4],
                 has_converter: false,
             }],
-            ..Faults::new(&[])
+            sources: vec!["gnss".into(), "mru".into()],
+            ..Faults::new(&[], &[])
         }
     }
 

@@ -9,6 +9,7 @@ use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::ping::PingOrder;
 use crate::ping::beats::{Beats, InForce};
+use crate::run::faults::nav::NavSpoiler;
 use crate::run::rig::{Rig, RigError};
 use crate::run::waiting::lacking;
 use crate::time::{UtcNs, VirtualClock};
@@ -43,6 +44,8 @@ impl RecordedRig {
         let mut rig = Rig::open(spec)?;
         let mut inputs =
             NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).map_err(RigError::Nav)?;
+        let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
+        inputs.spoil_with(Box::new(spoiler));
         if inputs.recorded_start().is_none() {
             return Err(RecordedError::NoLog);
         }

@@ -75,7 +75,7 @@ pub struct Rig {
 impl Rig {
     /// Opens the scene and sizes every buffer. To be called inside the pool that will run it.
     pub fn open(spec: &RigSpec) -> Result<Self, RigError> {
-        let faults = Arc::new(Faults::new(&spec.sonars));
+        let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
         for (number, request) in spec.faults.iter().enumerate() {
             let added = faults.add(request);
             added.map_err(|why| RigError::Fault { number, why })?;

@@ -17,6 +17,8 @@ pub(super) fn faults(tables: &[RawTable], problems: &mut Problems) -> Vec<FaultR
             array: table.count("array"),
             element: table.count("element"),
             other: table.count("other"),
+            source: table.text("source").map(str::to_owned),
+            quantity: table.text("quantity").map(str::to_owned),
             value: table.number("value"),
             at_s: Some(table.number("at_s").unwrap_or(0.0)),
             for_s: table.number("for_s"),

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::NavChannel;
+
 /// A fault as it is asked for, in a configuration's `[[fault]]` or live; what is left out takes its default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -19,6 +21,12 @@ pub struct FaultRequest {
     /// The other element of two.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub other: Option<usize>,
+    /// A navigation source; none: every one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    /// What of it; none: all it gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<String>,
     /// In the unit of the kind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<f64>,
@@ -48,6 +56,7 @@ pub struct FaultSpec {
     /// As it was asked for.
     pub name: &'static str,
     pub sonar: Option<String>,
+    pub source: Option<String>,
     pub at_s: Option<f64>,
     pub for_s: f64,
     pub ramp_s: f64,
@@ -64,8 +73,24 @@ pub enum FaultKind {
         element: Option<usize>,
     },
     Transport(TransportFault),
+    Connection(ConnectionFault),
+    /// Of what navigation sources say.
+    Nav {
+        fault: NavFault,
+        quantity: Option<NavChannel>,
+    },
     /// A pulse that is due is not sent; its number is used up.
     TriggerMissed,
+    /// The sonar is triggered again so much later, and tells it.
+    TriggerDouble {
+        s: f64,
+    },
+    /// The pulse that marks a whole second in outgoing navigation is not sent.
+    PulseLost,
+    /// Outgoing ZDA names a second so much later than the one it marks.
+    WrongZda {
+        s: f64,
+    },
     /// The records are stamped so much too late.
     WrongSecond {
         s: f64,
@@ -146,6 +171,40 @@ pub enum TransportFault {
     LinkDown,
 }
 
+/// What is wrong with the connections to the clients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConnectionFault {
+    /// Every TCP client is reset.
+    Reset,
+    /// They stay connected; nothing is sent and nothing is heard.
+    HalfOpen,
+}
+
+/// What is wrong with what a navigation source says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NavFault {
+    Off,
+    /// It says the same again and again.
+    Stuck,
+    /// Anything at all, of what the quantity can be.
+    Garbage,
+    /// So much too great: metres (positions: to the north), metres per second, radians.
+    Wrong {
+        by: f64,
+    },
+    /// One in so many.
+    Slow {
+        one_in: u32,
+    },
+    Delayed {
+        s: f64,
+    },
+    /// Off for so long, on for so long, and so on.
+    Intermittent {
+        s: f64,
+    },
+}
+
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{key}: {rule}")]
 pub struct FaultRefused {
@@ -184,7 +243,19 @@ impl FaultRequest {
         ("truncate", "", 0.0, 0.0),
         ("delay", "ms", 0.001, 600_000.0),
         ("link-down", "", 0.0, 0.0),
+        ("reset", "", 0.0, 0.0),
+        ("half-open", "", 0.0, 0.0),
+        ("nav-off", "", 0.0, 0.0),
+        ("nav-stuck", "", 0.0, 0.0),
+        ("nav-garbage", "", 0.0, 0.0),
+        ("nav-wrong", "m, m/s or degrees", -1e6, 1e6),
+        ("nav-slow", "samples for one", 2.0, 1e6),
+        ("nav-delayed", "ms", 1.0, 600_000.0),
+        ("nav-intermittent", "ms", 1.0, 600_000.0),
         ("trigger-missed", "", 0.0, 0.0),
+        ("trigger-double", "ms", 0.001, 60_000.0),
+        ("pps-loss", "", 0.0, 0.0),
+        ("wrong-zda", "s", -1e6, 1e6),
         ("wrong-second", "s", -1e6, 1e6),
     ];
 
@@ -201,8 +272,20 @@ impl FaultRequest {
             (_, Some(value)) if (min..=max).contains(&value) => value,
             _ => return refused("value", format!("must be from {min} to {max} {unit}")),
         };
-        if matches!(unit, "bit" | "samples") && value.fract() != 0.0 {
-            return refused("value", format!("must be a whole number of {unit}s"));
+        if matches!(unit, "bit" | "samples" | "samples for one") && value.fract() != 0.0 {
+            return refused("value", "must be a whole number");
+        }
+        let of_nav = name.starts_with("nav-");
+        for (key, given) in [("source", &self.source), ("quantity", &self.quantity)] {
+            if given.is_some() && !of_nav {
+                return refused(key, format!("{name} is no fault of navigation"));
+            }
+        }
+        if of_nav && self.sonar.is_some() {
+            return refused("sonar", "navigation is every sonar's");
+        }
+        if name == "nav-wrong" && self.quantity.is_none() {
+            return refused("quantity", "nav-wrong needs one: the value has its unit");
         }
         let between = |key, value: Option<f64>, default, min: f64, max: f64| match value {
             None => Ok(default),
@@ -221,6 +304,7 @@ impl FaultRequest {
             kind,
             name,
             sonar: self.sonar.clone(),
+            source: self.source.clone(),
             at_s,
             for_s: between("for_s", self.for_s, f64::INFINITY, 0.0, 1e9)?,
             ramp_s: between("ramp_s", self.ramp_s, 0.0, 0.0, 1e9)?,
@@ -281,8 +365,29 @@ impl FaultRequest {
         if self.array.is_some() || self.element.is_some() {
             return refused("element", format!("{name} is no fault of an element"));
         }
+        let quantity = self.channel()?;
+        let nav = |fault| FaultKind::Nav { fault, quantity };
         Ok(match name {
+            "reset" => FaultKind::Connection(ConnectionFault::Reset),
+            "half-open" => FaultKind::Connection(ConnectionFault::HalfOpen),
+            "nav-off" => nav(NavFault::Off),
+            "nav-stuck" => nav(NavFault::Stuck),
+            "nav-garbage" => nav(NavFault::Garbage),
+            "nav-wrong" => {
+                use NavChannel::{Heading, RollPitch};
+                let of_angle = matches!(quantity, Some(Heading | RollPitch));
+                let by = if of_angle { value.to_radians() } else { value };
+                nav(NavFault::Wrong { by })
+            }
+            "nav-slow" => nav(NavFault::Slow {
+                one_in: value as u32,
+            }),
+            "nav-delayed" => nav(NavFault::Delayed { s: value * 1e-3 }),
+            "nav-intermittent" => nav(NavFault::Intermittent { s: value * 1e-3 }),
             "trigger-missed" => FaultKind::TriggerMissed,
+            "trigger-double" => FaultKind::TriggerDouble { s: value * 1e-3 },
+            "pps-loss" => FaultKind::PulseLost,
+            "wrong-zda" => FaultKind::WrongZda { s: value },
             "wrong-second" => FaultKind::WrongSecond { s: value },
             "drop" => FaultKind::Transport(TransportFault::Drop),
             "duplicate" => FaultKind::Transport(TransportFault::Duplicate),
@@ -293,6 +398,31 @@ impl FaultRequest {
             "delay" => FaultKind::Transport(TransportFault::Delay { s: value * 1e-3 }),
             _ => FaultKind::Transport(TransportFault::LinkDown),
         })
+    }
+}
+
+impl FaultRequest {
+    /// What `quantity` may be.
+    pub const QUANTITIES: &'static [(&'static str, NavChannel)] = &[
+        ("position", NavChannel::Position),
+        ("course-speed", NavChannel::CourseSpeed),
+        ("heading", NavChannel::Heading),
+        ("roll-pitch", NavChannel::RollPitch),
+        ("heave", NavChannel::Heave),
+        ("depth", NavChannel::Depth),
+    ];
+
+    fn channel(&self) -> Result<Option<NavChannel>, FaultRefused> {
+        let Some(wanted) = &self.quantity else {
+            return Ok(None);
+        };
+        match Self::QUANTITIES.iter().find(|(name, _)| name == wanted) {
+            Some((_, channel)) => Ok(Some(*channel)),
+            None => {
+                let names: Vec<_> = Self::QUANTITIES.iter().map(|(name, _)| *name).collect();
+                refused("quantity", format!("must be one of {}", names.join(", ")))
+            }
+        }
     }
 }
 
@@ -312,6 +442,7 @@ mod tests {
                 value: (!unit.is_empty()).then_some(max),
                 element: two.then_some(1),
                 other: two.then_some(2),
+                quantity: (name == "nav-wrong").then(|| "heading".into()),
                 ..FaultRequest::default()
             };
             let spec = request
@@ -346,6 +477,12 @@ mod tests {
             (r#"{"kind": "drop", "at_s": -1}"#, "at_s"),
             (r#"{"kind": "sample-slip", "value": 1.5}"#, "value"),
             (r#"{"kind": "gain"}"#, "value"),
+            (r#"{"kind": "drop", "source": "gnss"}"#, "source"),
+            (r#"{"kind": "nav-off", "sonar": "bow"}"#, "sonar"),
+            (r#"{"kind": "nav-off", "element": 3}"#, "element"),
+            (r#"{"kind": "nav-off", "quantity": "mood"}"#, "quantity"),
+            (r#"{"kind": "nav-wrong", "value": 3}"#, "quantity"),
+            (r#"{"kind": "nav-slow", "value": 2.5}"#, "value"),
         ] {
             assert_eq!(ask(json), key, "{json}");
         }

@@ -21,12 +21,12 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
 
-use super::{LiveCounters, NavOpenError, SourceCounters};
+use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
 use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use crate::flow::NavSample;
 use crate::io::stamp;
+use crate::nav::NavDecoder;
 use crate::nav::decoder::unwatched;
-use crate::nav::{NavDecoder, NavHistory};
 use crate::time::{Clock, MonoNs, NS_PER_S, Timeline};
 
 /// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
@@ -230,7 +230,7 @@ impl Live {
     }
 
     /// Decodes what has come; keeps it while rig time is unknown.
-    pub fn pull(&mut self, history: &mut NavHistory) {
+    pub fn pull(&mut self, feed: &mut Feed) {
         if self.timeline.is_none() {
             self.keep();
         }
@@ -247,7 +247,7 @@ impl Live {
             let pace = (source.stream, source.byte_ns);
             decode(&mut source.decoder, &chunk, pace, timeline, samples);
             for sample in samples.drain(..) {
-                history.insert(&sample);
+                feed.insert(&sample);
             }
         }
     }

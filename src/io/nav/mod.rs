@@ -12,8 +12,10 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::config::spec::NavSpec;
+use crate::flow::NavSample;
 use crate::nav::health::State;
 use crate::nav::log::LogCounts;
+use crate::nav::spoil::Spoil;
 use crate::nav::track::TrackError;
 use crate::nav::{NavCounters, NavHistory};
 use crate::time::{Clock, Timeline, UtcNs};
@@ -111,9 +113,49 @@ pub struct NavInputs {
     counters: Vec<SourceCounters>,
     /// How each source did when it was last pulled, in the file's order.
     states: Vec<State>,
+    spoiler: Option<Box<dyn Spoil>>,
+}
+
+/// The way into a history, on which samples may go wrong.
+struct Feed<'a> {
+    history: &'a mut NavHistory,
+    spoiler: Option<&'a mut (dyn Spoil + 'static)>,
+}
+
+impl Feed<'_> {
+    fn insert(&mut self, sample: &NavSample) {
+        match &mut self.spoiler {
+            None => self.history.insert(sample),
+            Some(spoiler) => {
+                // What was held back comes in its turn.
+                while let Some(late) = spoiler.held_back(sample.arrival_utc) {
+                    self.history.insert(&late);
+                }
+                if let Some(sample) = spoiler.sample(*sample) {
+                    self.history.insert(&sample);
+                }
+            }
+        }
+    }
+
+    fn seam(&mut self, at: UtcNs) {
+        self.history.seam(at);
+    }
+
+    /// What was held back has come by `until`.
+    fn release(&mut self, until: UtcNs) {
+        while let Some(late) = self.spoiler.as_mut().and_then(|s| s.held_back(until)) {
+            self.history.insert(&late);
+        }
+    }
 }
 
 impl NavInputs {
+    /// Every sample passes `spoiler` from now on.
+    pub fn spoil_with(&mut self, spoiler: Box<dyn Spoil>) {
+        self.spoiler = Some(spoiler);
+    }
+
     /// Opens every source. Recorded files are read and decoded here; the threads of live sources run from here on until the value is dropped.
     pub fn open(spec: &NavSpec, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
         let mut counters: Vec<SourceCounters> = spec
@@ -135,6 +177,7 @@ impl NavInputs {
             recorded,
             live,
             states: vec![State::Silent; counters.len()],
+            spoiler: None,
             counters,
         })
     }
@@ -151,17 +194,22 @@ impl NavInputs {
 
     /// Inserts everything recorded that had arrived by `until`, and everything received live.
     pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
+        let mut feed = Feed {
+            history,
+            spoiler: self.spoiler.as_deref_mut(),
+        };
         if let Some(recorded) = &mut self.recorded {
             while recorded
                 .next_arrival()
                 .is_some_and(|arrival| arrival <= until)
             {
-                recorded.take(history);
+                recorded.take(&mut feed);
             }
         }
         if let Some(live) = &mut self.live {
-            live.pull(history);
+            live.pull(&mut feed);
         }
+        feed.release(until);
         // Before rig time is known nobody can say how old anything is.
         if until != UtcNs(i64::MAX) {
             for (i, state) in self.states.iter_mut().enumerate() {
@@ -179,7 +227,10 @@ impl NavInputs {
     pub fn pull_next(&mut self, history: &mut NavHistory) -> bool {
         match &mut self.recorded {
             Some(recorded) if recorded.next_arrival().is_some() => {
-                recorded.take(history);
+                recorded.take(&mut Feed {
+                    history,
+                    spoiler: self.spoiler.as_deref_mut(),
+                });
                 true
             }
             _ => false,

@@ -37,6 +37,14 @@ const TOO_LATE_NS: i64 = NS_PER_S / 2;
 /// What outgoing sentences are stamped with: the same clock as the pings.
 pub type OutputTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
 
+/// What may be wrong with whole seconds.
+pub trait ClockFaults: Send + Sync {
+    /// The pulse that marks this second is not sent.
+    fn pulse_is_lost(&self, second: UtcNs) -> bool;
+    /// How much later the second is that ZDA names in its stead.
+    fn zda_is_off_s(&self, second: UtcNs) -> f64;
+}
+
 #[derive(Debug, Error)]
 #[error("nav output `{name}`: cannot open {target}: {reason}")]
 pub struct NavOutputError {
@@ -94,6 +102,16 @@ impl NavOutputs {
         clock: &Arc<dyn Clock>,
         time: &OutputTime,
     ) -> Result<Self, NavOutputError> {
+        Self::open_with(specs, clock, time, None)
+    }
+
+    /// As [`NavOutputs::open`], with seconds that may go wrong.
+    pub fn open_with(
+        specs: &[NavOutputSpec],
+        clock: &Arc<dyn Clock>,
+        time: &OutputTime,
+        faults: Option<&Arc<dyn ClockFaults>>,
+    ) -> Result<Self, NavOutputError> {
         let mut outputs = Self {
             board: Arc::default(),
             trajectory: Trajectory::default(),
@@ -118,6 +136,7 @@ impl NavOutputs {
                 clock: clock.clone(),
                 time: time.clone(),
                 stop: outputs.stop.clone(),
+                faults: faults.cloned(),
                 counts: counts.clone(),
                 text: Vec::new(),
             };
@@ -265,6 +284,7 @@ struct Sender {
     clock: Arc<dyn Clock>,
     time: OutputTime,
     stop: Arc<AtomicBool>,
+    faults: Option<Arc<dyn ClockFaults>>,
     counts: Arc<Counts>,
     text: Vec<u8>,
 }
@@ -313,7 +333,11 @@ impl Sender {
                     continue;
                 }
                 let whole = tick.utc.0 % NS_PER_S == 0;
-                if whole && self.spec.pulse != PulseSpec::None {
+                let lost = |faults: &Arc<dyn ClockFaults>| faults.pulse_is_lost(tick.utc);
+                if whole
+                    && self.spec.pulse != PulseSpec::None
+                    && !self.faults.as_ref().is_some_and(lost)
+                {
                     self.pulse(true);
                     pulse_ends = Some(tick.at.plus_ns(PULSE_NS));
                 }
@@ -374,7 +398,10 @@ impl Sender {
         for sentence in which.iter().filter(|s| self.spec.sentences.contains(s)) {
             let talker = &self.spec.talker;
             match sentence {
-                NavSentence::Zda => encode::zda(&mut self.text, talker, tick.utc),
+                NavSentence::Zda => {
+                    let off = self.faults.as_ref().map(|f| f.zda_is_off_s(tick.utc));
+                    encode::zda(&mut self.text, talker, tick.utc.plus_s(off.unwrap_or(0.0)));
+                }
                 NavSentence::Gga => encode::gga(&mut self.text, talker, tick.utc, fix.as_ref()),
                 NavSentence::Hdt => encode::hdt(&mut self.text, talker, heading_rad),
             }

@@ -4,12 +4,12 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{NavOpenError, SourceCounters};
+use super::{Feed, NavOpenError, SourceCounters};
 use crate::config::spec::{NavChannel, NavInputSpec, NavSourceSpec, NavSpec};
 use crate::flow::{NavQuantity, NavSample};
+use crate::nav::NavCounters;
 use crate::nav::log::{read_log, refusal};
 use crate::nav::track::read_track;
-use crate::nav::{NavCounters, NavHistory};
 use crate::time::UtcNs;
 
 /// Largest file read, bytes: a day of 100 Hz attitude would be 700 MB and should be cut; an hour is 30 MB.
@@ -77,11 +77,11 @@ impl Recorded {
     }
 
     /// Hands the next sample to the history, if there is one.
-    pub fn take(&mut self, history: &mut NavHistory) {
+    pub fn take(&mut self, feed: &mut Feed) {
         if self.next == self.samples.len()
             && let Some(repeat) = self.repeat
         {
-            history.seam(repeat.seam.plus_ns(self.shift_ns));
+            feed.seam(repeat.seam.plus_ns(self.shift_ns));
             self.shift_ns += repeat.period_ns;
             self.next = 0;
         }
@@ -89,7 +89,7 @@ impl Recorded {
             return;
         };
         self.next += 1;
-        history.insert(&NavSample {
+        feed.insert(&NavSample {
             valid_utc: sample.valid_utc.plus_ns(self.shift_ns),
             arrival_utc: sample.arrival_utc.plus_ns(self.shift_ns),
             ..*sample

@@ -25,17 +25,18 @@ mod udp;
 pub mod verify;
 
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
-use tokio::time::interval;
+use tokio::time::{interval, sleep};
 
 pub use crate::emit::session::Transport;
 use crate::emit::session::{Outgoing, Protocol, Session, Wants};
 use crate::flow::Datagram;
+use crate::io::line::{Connection, Line};
 use crate::io::pace::Sending;
 use crate::time::UtcNs;
 use paced::PacedSender;
@@ -66,6 +67,9 @@ pub enum OpenError {
     #[error("cannot start the server's thread: {0}")]
     Thread(std::io::Error),
 }
+
+/// How often a muted connection looks whether it still is.
+const MUTE_LOOK: Duration = Duration::from_millis(20);
 
 /// How often changes by others are looked for.
 const NOTICE_INTERVAL: Duration = Duration::from_millis(20);
@@ -190,6 +194,7 @@ pub struct SonarServer {
     local_addr: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
+    line: Mutex<Option<Box<dyn Line>>>,
 }
 
 impl SonarServer {
@@ -216,6 +221,7 @@ impl SonarServer {
             local_addr,
             protocol,
             sending: OnceLock::new(),
+            mute: AtomicBool::new(false),
             paced: OnceLock::new(),
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -235,6 +241,7 @@ impl SonarServer {
             local_addr,
             stop,
             thread: Some(thread),
+            line: Mutex::default(),
         })
     }
 
@@ -265,7 +272,20 @@ impl SonarServer {
 
     /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once.
     pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
+        let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        let records = match &mut *line {
+            Some(line) => {
+                self.shared.connect(line.connection());
+                line.records(records)
+            }
+            None => records,
+        };
         self.shared.offer_all(records.iter().cloned(), Some(over_s));
+    }
+
+    /// All that is delivered passes `line` from now on.
+    pub fn set_line(&self, line: Box<dyn Line>) {
+        *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
     pub fn report(&self) -> ServerReport {
@@ -395,6 +415,8 @@ struct Shared {
     rig_time: RigTime,
     times: ServerTimes,
     sending: OnceLock<Sending>,
+    /// TCP clients stay, and nothing is written or read.
+    mute: AtomicBool,
     /// Begun with the first datagram; none where there can be no thread.
     paced: OnceLock<Option<PacedSender>>,
     queue: QueueLimit,
@@ -440,6 +462,26 @@ impl Shared {
             shared: Arc::clone(self),
             client,
         })
+    }
+
+    /// How the connections are to be from now on.
+    fn connect(&self, connection: Connection) {
+        self.mute
+            .store(connection == Connection::Mute, Ordering::Release);
+        if connection == Connection::Reset {
+            for client in &self.lock().clients {
+                if client.transport == Transport::Tcp {
+                    client.reset();
+                }
+            }
+        }
+    }
+
+    /// Returns when something may be written and read.
+    async fn unmuted(&self) {
+        while self.mute.load(Ordering::Acquire) {
+            sleep(MUTE_LOOK).await;
+        }
     }
 
     fn update_wanted(&self, roster: &Roster) {

@@ -31,6 +31,8 @@ pub(super) struct Client {
     leaving: AtomicBool,
     /// Leaves at once, whatever waits.
     dropped: AtomicBool,
+    /// ... and its connection is reset.
+    reset: AtomicBool,
     /// The bits of an f64.
     pace_bytes_per_s: AtomicU64,
     bytes_sent: AtomicU64,
@@ -76,6 +78,7 @@ impl Client {
             room: Notify::new(),
             leaving: AtomicBool::new(false),
             dropped: AtomicBool::new(false),
+            reset: AtomicBool::new(false),
             pace_bytes_per_s: AtomicU64::new(f64::INFINITY.to_bits()),
             bytes_sent: AtomicU64::new(0),
             records_sent: AtomicU64::new(0),
@@ -247,6 +250,17 @@ impl Client {
         self.requested.store(0, Ordering::Release);
         self.leaving.store(true, Ordering::Release);
         self.wake.notify_one();
+    }
+
+    /// Its connection is cut off.
+    pub fn reset(&self) {
+        self.reset.store(true, Ordering::Release);
+        self.dropped.store(true, Ordering::Release);
+        self.leave();
+    }
+
+    pub fn is_reset(&self) -> bool {
+        self.reset.load(Ordering::Acquire)
     }
 
     pub fn is_leaving(&self) -> bool {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -75,6 +76,7 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
             return;
         }
         client.room_for_replies().await;
+        shared.unmuted().await;
         let read = if session.is_waiting() {
             timeout_at(since + shared.times.stall, stream.read(&mut buffer)).await
         } else {
@@ -112,11 +114,30 @@ pub(super) async fn write_records(
     mut stream: OwnedWriteHalf,
     shared: &Shared,
     client: &Client,
+    stopped: watch::Receiver<bool>,
+) {
+    write_all(&mut stream, shared, client, stopped).await;
+    if client.is_reset() {
+        // Closed without a word, what is not sent thrown away: the other end is told so.
+        let _ = SockRef::from(stream.as_ref()).set_linger(Some(Duration::ZERO));
+        stream.forget();
+    }
+}
+
+async fn write_all(
+    stream: &mut OwnedWriteHalf,
+    shared: &Shared,
+    client: &Client,
     mut stopped: watch::Receiver<bool>,
 ) {
     let mut framer = shared.protocol.framer(Transport::Tcp);
     let (mut wire, mut packets) = (Vec::new(), Vec::new());
     loop {
+        tokio::select! {
+            () = shared.unmuted() => {}
+            () = client.gone() => return,
+            () = stopping(&mut stopped) => {}
+        }
         while let Some(taken) = client.take() {
             wire.clear();
             packets.clear();

@@ -190,15 +190,22 @@ impl Beat {
             add(&self.control.sonars()[sonar].counters.triggers_missed, 1);
             return None;
         }
+        let again_s = self.faults.trigger_double_s(PingMark::of(sonar, &order));
+        if let Some(after_s) = again_s {
+            self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
+        }
         if self.triggers.outs[sonar].is_some() {
-            let told = Told {
-                at,
-                sonar,
-                number: order.ping_number,
-                utc: order.transmit_utc,
-            };
-            let place = self.untold.partition_point(|other| other.at <= at);
-            self.untold.insert(place, told);
+            for after_s in [Some(0.0), again_s].into_iter().flatten() {
+                let at = at.plus_s(after_s);
+                let told = Told {
+                    at,
+                    sonar,
+                    number: order.ping_number,
+                    utc: order.transmit_utc.plus_s(after_s),
+                };
+                let place = self.untold.partition_point(|other| other.at <= at);
+                self.untold.insert(place, told);
+            }
             self.tell();
         }
         self.beats.pulsed(sonar, order.transmit_utc);

@@ -1,61 +1,264 @@
-//! Faults of the line between an output and its clients: records are lost, doubled, held back or spoiled on their way.
+//! Faults of the line between an output and its clients: records and packets are lost, doubled, held back or spoiled on their way.
+//!
+//! One line for all families, which differ in where a record may be spoiled so that it is still found ([`Shape`]). What is recorded does not pass
+//! here.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use echotank_protocols::sevenk::checksum;
+use echotank_protocols::{elements, ping_protocol, sevenk, wbms};
 
 use super::{Faults, PingMark};
 use crate::config::spec::TransportFault;
-use crate::flow::Datagram;
+use crate::emit::packets::Packets;
+use crate::flow::{Datagram, PingPlan};
+use crate::io::line::{Connection, Line as Passage};
 use crate::time::UtcNs;
 
-/// The line of one output.
+/// What a spoiled record keeps.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    /// At its start: the frame, and a ping number in the body.
+    kept_bytes: usize,
+    /// Of its length, however it is cut.
+    least_bytes: usize,
+    /// Behind the body: a checksum.
+    tail_bytes: usize,
+    /// Makes the checksum fit; nothing where there is none.
+    mend: fn(&mut [u8]),
+}
+
+fn mend_nothing(_: &mut [u8]) {}
+
+impl Shape {
+    pub const SEVENK: Self = Self {
+        kept_bytes: 80,
+        // A packetiser takes no less for a record.
+        least_bytes: 68,
+        tail_bytes: 4,
+        mend: |bytes| {
+            if let Some((body, tail)) = bytes.split_last_chunk_mut::<4>() {
+                *tail = sevenk::checksum(body).to_le_bytes();
+            }
+        },
+    };
+    /// The message's header, and the ping number of a sonar message.
+    pub const JSF: Self = Self::plain(32);
+    pub const WBMS: Self = Self {
+        mend: |bytes| {
+            if let Some((head, body)) = bytes.split_first_chunk_mut::<24>() {
+                head[20..].copy_from_slice(&wbms::crc32(body).to_le_bytes());
+            }
+        },
+        ..Self::plain(32)
+    };
+    pub const PING: Self = Self {
+        kept_bytes: 12,
+        least_bytes: ping_protocol::HEADER_BYTES,
+        tail_bytes: ping_protocol::CHECKSUM_BYTES,
+        mend: |bytes| {
+            if let Some((body, tail)) = bytes.split_last_chunk_mut::<2>() {
+                *tail = ping_protocol::checksum(body).to_le_bytes();
+            }
+        },
+    };
+    pub const IMAGENEX872: Self = Self::plain(12);
+    /// Header, stream, class and time of a packet.
+    pub const VITA49: Self = Self::plain(28);
+    pub const ELEMENTS: Self = Self::plain(elements::HEADER_BYTES);
+
+    const fn plain(kept_bytes: usize) -> Self {
+        Self {
+            kept_bytes,
+            least_bytes: kept_bytes,
+            tail_bytes: 0,
+            mend: mend_nothing,
+        }
+    }
+
+    /// Changes a byte of the body; of one too short for a body the last before the checksum.
+    fn corrupt(&self, bytes: &mut [u8], mended: bool) {
+        let end = bytes.len().saturating_sub(self.tail_bytes);
+        let at = match end > self.kept_bytes {
+            true => (self.kept_bytes + end) / 2,
+            false => end.saturating_sub(1),
+        };
+        let Some(byte) = bytes.get_mut(at) else {
+            return;
+        };
+        *byte ^= 0x55;
+        if mended {
+            (self.mend)(bytes);
+        }
+    }
+
+    /// How long it is when its second half is missing.
+    fn cut_bytes(&self, bytes: usize) -> usize {
+        let half = self.kept_bytes.max(bytes / 2);
+        half.min(bytes.saturating_sub(1))
+            .max(self.least_bytes.min(bytes))
+    }
+}
+
+/// Of which ping the records are that an output hands over; shared with all its lines.
+#[derive(Debug)]
+pub struct LineMark(Mutex<PingMark>);
+
+impl Default for LineMark {
+    fn default() -> Self {
+        let none = PingMark {
+            sonar: 0,
+            number: 0,
+            utc: UtcNs(0),
+        };
+        Self(Mutex::new(none))
+    }
+}
+
+impl LineMark {
+    /// What is handed over from now on is of this ping.
+    pub fn set(&self, plan: &PingPlan) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = PingMark {
+            sonar: plan.sonar,
+            number: plan.ping_number,
+            utc: plan.transmit_utc,
+        };
+    }
+
+    fn now(&self) -> PingMark {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The line of one server or sender.
 pub struct Line {
     faults: Arc<Faults>,
-    ping: PingMark,
+    shape: Shape,
+    mark: Arc<LineMark>,
     /// Held back, with when they may go.
     held: Vec<(UtcNs, Arc<Datagram>)>,
     out: Vec<Arc<Datagram>>,
+    held_packets: Vec<(UtcNs, Vec<u8>)>,
+    packets: Packets,
+    /// The last ping that was asked how connections stand, and how they did.
+    connected: Option<(u32, Connection)>,
 }
 
-/// Bytes that a packetiser takes for a record at least.
-const LEAST_BYTES: usize = 68;
-/// Bytes at the start of a record that stay as they are: its frame, and a ping number in the body.
-const KEPT_BYTES: usize = 80;
-const CHECKSUM_BYTES: usize = 4;
-
 impl Line {
-    pub fn new(faults: Arc<Faults>) -> Self {
+    pub fn new(faults: Arc<Faults>, shape: Shape, mark: Arc<LineMark>) -> Self {
         Self {
             faults,
-            ping: PingMark {
-                sonar: 0,
-                number: 0,
-                utc: UtcNs(0),
-            },
+            shape,
+            mark,
             held: Vec::new(),
             out: Vec::new(),
+            held_packets: Vec::new(),
+            packets: Packets::default(),
+            connected: None,
         }
     }
 
-    /// The next records are of this ping.
-    pub fn begin(&mut self, ping: PingMark) {
-        self.ping = ping;
+    /// How many of it leave, until when they are held back, and how it is spoiled.
+    fn fate(&self, ping: PingMark, record_type: u32, spoil: &mut dyn FnMut(Spoiling)) -> Fate {
+        let mut fate = Fate {
+            copies: 1,
+            until: None,
+        };
+        self.faults.record(ping, record_type, |fault| match fault {
+            TransportFault::Drop | TransportFault::LinkDown => fate.copies = 0,
+            TransportFault::Duplicate => fate.copies *= 2,
+            // Until the next ping's delivery, which is later.
+            TransportFault::Reorder => fate.until = Some(ping.utc.plus_ns(1)),
+            TransportFault::Delay { s } => fate.until = Some(ping.utc.plus_s(s)),
+            TransportFault::Corrupt { mended } => spoil(Spoiling::Corrupt { mended }),
+            TransportFault::Truncate => spoil(Spoiling::Truncate),
+        });
+        fate
     }
 
-    /// What comes out at the clients' end when `records` are sent.
-    pub fn pass<'a>(&'a mut self, records: &'a [Arc<Datagram>]) -> &'a [Arc<Datagram>] {
+    fn spoil(shape: Shape, spoiling: Spoiling, bytes: &mut Vec<u8>) {
+        match spoiling {
+            Spoiling::Corrupt { mended } => shape.corrupt(bytes, mended),
+            Spoiling::Truncate => bytes.truncate(shape.cut_bytes(bytes.len())),
+        }
+    }
+
+    fn record(&mut self, ping: PingMark, record: &Arc<Datagram>) {
+        let mut spoiled: Option<Datagram> = None;
+        let shape = self.shape;
+        let fate = self.fate(ping, record.record_type, &mut |spoiling| {
+            let whole = || (**record).clone();
+            Self::spoil(
+                shape,
+                spoiling,
+                &mut spoiled.get_or_insert_with(whole).bytes,
+            );
+        });
+        let record = match spoiled {
+            Some(spoiled) => Arc::new(spoiled),
+            None => record.clone(),
+        };
+        for _ in 0..fate.copies {
+            match fate.until {
+                Some(due) => self.held.push((due, record.clone())),
+                None => self.out.push(record.clone()),
+            }
+        }
+    }
+
+    /// `number`: of the packet within its ping, from 1.
+    fn packet(&mut self, ping: PingMark, number: u32, packet: &[u8]) {
+        let mut bytes = packet.to_vec();
+        let shape = self.shape;
+        let fate = self.fate(ping, number, &mut |spoiling| {
+            Self::spoil(shape, spoiling, &mut bytes);
+        });
+        for _ in 0..fate.copies {
+            match fate.until {
+                Some(due) => self.held_packets.push((due, bytes.clone())),
+                None => self.packets.push(&bytes),
+            }
+        }
+    }
+}
+
+struct Fate {
+    copies: u32,
+    until: Option<UtcNs>,
+}
+
+enum Spoiling {
+    Corrupt { mended: bool },
+    Truncate,
+}
+
+impl Passage for Line {
+    fn connection(&mut self) -> Connection {
+        let ping = self.mark.now();
+        let before = self.connected.filter(|(number, _)| *number == ping.number);
+        match before {
+            // Of one ping one reset is enough.
+            Some((_, Connection::Reset)) => Connection::Up,
+            Some((_, connection)) => connection,
+            None => {
+                let connection = self.faults.connection(ping);
+                self.connected = Some((ping.number, connection));
+                connection
+            }
+        }
+    }
+
+    fn records<'a>(&'a mut self, records: &'a [Arc<Datagram>]) -> &'a [Arc<Datagram>] {
         if self.faults.standing() == 0 && self.held.is_empty() {
             return records;
         }
+        let ping = self.mark.now();
         self.out.clear();
         for record in records {
-            self.record(record);
+            self.record(ping, record);
         }
-        let now = self.ping.utc;
         let out = &mut self.out;
         self.held.retain(|(due, record)| {
-            let stays = *due > now;
+            let stays = *due > ping.utc;
             if !stays {
                 out.push(record.clone());
             }
@@ -64,57 +267,186 @@ impl Line {
         &self.out
     }
 
-    fn record(&mut self, record: &Arc<Datagram>) {
-        let ping = self.ping;
-        let mut copies = 1;
-        let mut until = None;
-        let mut spoiled: Option<Datagram> = None;
-        self.faults.record(ping, record.record_type, |fault| {
-            let spoil = || (**record).clone();
-            match fault {
-                TransportFault::Drop | TransportFault::LinkDown => copies = 0,
-                TransportFault::Duplicate => copies *= 2,
-                // Until the next ping's delivery, which is later.
-                TransportFault::Reorder => until = Some(ping.utc.plus_ns(1)),
-                TransportFault::Delay { s } => until = Some(ping.utc.plus_s(s)),
-                TransportFault::Corrupt { mended } => {
-                    corrupt(&mut spoiled.get_or_insert_with(spoil).bytes, mended);
-                }
-                TransportFault::Truncate => {
-                    let bytes = &mut spoiled.get_or_insert_with(spoil).bytes;
-                    let half = KEPT_BYTES.max(bytes.len() / 2);
-                    bytes.truncate(half.min(bytes.len() - 1).max(LEAST_BYTES));
-                }
+    fn packets(&mut self, packets: &mut Packets) {
+        if self.faults.standing() == 0 && self.held_packets.is_empty() {
+            return;
+        }
+        let ping = self.mark.now();
+        self.packets.clear();
+        for (block, heard_s) in packets.blocks() {
+            for number in block {
+                // Far fewer packets than 2^32 make a ping.
+                self.packet(ping, number as u32 + 1, packets.packet(number));
             }
-        });
-        let record = match spoiled {
-            Some(spoiled) => Arc::new(spoiled),
-            None => record.clone(),
-        };
-        for _ in 0..copies {
-            match until {
-                Some(due) => self.held.push((due, record.clone())),
-                None => self.out.push(record.clone()),
+            if let Some(heard_s) = heard_s {
+                self.packets.end_block(heard_s);
             }
         }
+        let out = &mut self.packets;
+        self.held_packets.retain(|(due, bytes)| {
+            let stays = *due > ping.utc;
+            if !stays {
+                out.push(bytes);
+            }
+            stays
+        });
+        std::mem::swap(packets, &mut self.packets);
     }
 }
 
-/// Changes a byte of the body.
-fn corrupt(bytes: &mut [u8], mended: bool) {
-    let end = bytes.len().saturating_sub(CHECKSUM_BYTES);
-    // Records too short for a body beyond the ping number lose their last byte before the checksum.
-    let at = if end > KEPT_BYTES {
-        (KEPT_BYTES + end) / 2
-    } else {
-        end.saturating_sub(1)
-    };
-    let Some(byte) = bytes.get_mut(at) else {
-        return;
-    };
-    *byte ^= 0x55;
-    if mended {
-        let sum = checksum(&bytes[..end]);
-        bytes[end..].copy_from_slice(&sum.to_le_bytes());
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::spec::FaultRequest;
+
+    const SHAPES: [(&str, Shape); 7] = [
+        ("7k", Shape::SEVENK),
+        ("jsf", Shape::JSF),
+        ("wbms", Shape::WBMS),
+        ("ping", Shape::PING),
+        ("872", Shape::IMAGENEX872),
+        ("vita49", Shape::VITA49),
+        ("elements", Shape::ELEMENTS),
+    ];
+
+    /// Ping `number`'s packets: its number and their own, again and again.
+    fn packets(number: u32) -> Packets {
+        let mut packets = Packets::default();
+        for k in 0..5 {
+            packets.push(&[number as u8, k, 0, 0].repeat(50));
+            if k == 1 {
+                packets.end_block(0.5);
+            }
+        }
+        packets
+    }
+
+    fn line(shape: Shape, json: &str) -> (Line, Arc<Faults>) {
+        let faults = Arc::new(super::super::tests::faults());
+        faults.begin(UtcNs(0));
+        let request: FaultRequest = serde_json::from_str(json).expect("JSON");
+        faults.add(&request).expect("sound");
+        let mark = Arc::new(LineMark::default());
+        (Line::new(faults.clone(), shape, mark), faults)
+    }
+
+    /// What comes of twenty pings, a tenth of a second apart: ping and packet of each, and whether it is whole.
+    fn passed(shape: Shape, json: &str) -> (Vec<(u8, u8, bool)>, usize) {
+        let (mut line, faults) = line(shape, json);
+        let mut came = Vec::new();
+        for number in 1..=20 {
+            *line.mark.0.lock().expect("whole") = PingMark {
+                sonar: 0,
+                number,
+                utc: UtcNs(i64::from(number) * 100_000_000),
+            };
+            let mut sent = packets(number);
+            line.packets(&mut sent);
+            came.extend(sent.iter().map(|packet| {
+                let (ping, k) = (packet[0], packet[1]);
+                let whole = *packet == [ping, k, 0, 0].repeat(50)[..];
+                (ping, k, whole)
+            }));
+        }
+        (came, faults.take_injections().len())
+    }
+
+    #[test]
+    fn packets_of_every_family_are_struck_as_often_as_the_log_says() {
+        for (name, shape) in SHAPES {
+            let all = |kind| {
+                passed(
+                    shape,
+                    &format!(r#"{{"kind": "{kind}", "probability": 0.4, "seed": 7}}"#),
+                )
+            };
+            let whole = |came: &[(u8, u8, bool)]| came.iter().filter(|c| c.2).count();
+            let (came, struck) = all("drop");
+            assert!((20..60).contains(&struck), "{name}: {struck} of 100");
+            assert_eq!(
+                (came.len(), whole(&came)),
+                (100 - struck, 100 - struck),
+                "{name}"
+            );
+            let (came, doubled) = all("duplicate");
+            assert_eq!(doubled, struck, "the same draws");
+            assert_eq!((came.len(), whole(&came)), (100 + struck, 100 + struck));
+            for kind in ["corrupt", "corrupt-mended", "truncate"] {
+                let (came, spoiled) = all(kind);
+                assert_eq!(
+                    (came.len(), whole(&came)),
+                    (100, 100 - spoiled),
+                    "{name} {kind}"
+                );
+            }
+            let (came, _) = all("reorder");
+            let late = came.windows(2).filter(|w| w[1].0 < w[0].0).count();
+            assert!(
+                late > 5 && came.len() > 95,
+                "{name}: {late} of {}",
+                came.len()
+            );
+            let (came, _) = all("link-down");
+            assert_eq!(came.len(), 100 - struck, "{name}");
+        }
+    }
+
+    #[test]
+    fn blocks_keep_their_times() {
+        let (mut line, _) = line(Shape::VITA49, r#"{"kind": "duplicate"}"#);
+        let mut sent = packets(1);
+        line.packets(&mut sent);
+        let blocks: Vec<_> = sent.blocks().collect();
+        assert_eq!(blocks, [(0..4, Some(0.5)), (4..10, None)]);
+    }
+
+    #[test]
+    fn a_mended_record_passes_its_familys_own_check_and_a_corrupt_one_does_not() {
+        let mut ping = vec![b'B', b'R', 90, 0, 1, 0, 0, 0];
+        ping.extend((0..90).map(|k| k as u8));
+        ping.extend([0, 0]);
+        (Shape::PING.mend)(&mut ping);
+        let ping_sum = |bytes: &[u8]| {
+            let (body, sum) = bytes.split_last_chunk::<2>().expect("long");
+            ping_protocol::checksum(body) == u16::from_le_bytes(*sum)
+        };
+        let mut packet = vec![7; 200];
+        (Shape::WBMS.mend)(&mut packet);
+        let crc = |bytes: &[u8]| {
+            u32::from_le_bytes(bytes[20..24].try_into().expect("four")) == wbms::crc32(&bytes[24..])
+        };
+        let mut record = vec![9; 200];
+        (Shape::SEVENK.mend)(&mut record);
+        let sum = |bytes: &[u8]| {
+            let (body, sum) = bytes.split_last_chunk::<4>().expect("long");
+            sevenk::checksum(body) == u32::from_le_bytes(*sum)
+        };
+        for (shape, bytes, check) in [
+            (Shape::PING, &ping, &ping_sum as &dyn Fn(&[u8]) -> bool),
+            (Shape::WBMS, &packet, &crc),
+            (Shape::SEVENK, &record, &sum),
+        ] {
+            assert!(check(bytes));
+            for mended in [false, true] {
+                let mut spoiled = bytes.clone();
+                shape.corrupt(&mut spoiled, mended);
+                assert!(spoiled != *bytes && check(&spoiled) == mended, "{shape:?}");
+                assert_eq!(
+                    spoiled[..shape.kept_bytes.min(20)],
+                    bytes[..shape.kept_bytes.min(20)]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn no_record_is_too_short_to_be_spoiled() {
+        for (_, shape) in SHAPES {
+            for len in 0..200 {
+                let mut bytes = vec![1; len];
+                shape.corrupt(&mut bytes, true);
+                assert!(shape.cut_bytes(len) <= len, "{len} {shape:?}");
+            }
+        }
     }
 }

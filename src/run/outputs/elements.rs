@@ -11,6 +11,7 @@ use crate::emit::element_stream::{ElementStreamEmitter, ElementsProtocol};
 use crate::emit::packets::Packets;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 use crate::time::MonoNs;
 
@@ -76,12 +77,14 @@ impl Elements {
         let mut ways = Vec::new();
         for (sender, max_frame_bytes, is_tcp) in senders {
             let block_s = spread.block_s();
+            let sender = sender.map_err(|source| OutputError::Sender {
+                name: name.clone(),
+                source,
+            })?;
+            sender.set_line(opening.line(Shape::ELEMENTS));
             ways.push(Way {
                 emitter: ElementStreamEmitter::new(output, &unit.spec, max_frame_bytes, block_s),
-                sender: sender.map_err(|source| OutputError::Sender {
-                    name: name.clone(),
-                    source,
-                })?,
+                sender,
                 is_tcp,
                 pending: None,
             });

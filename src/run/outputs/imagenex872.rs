@@ -8,6 +8,7 @@ use crate::config::spec::ImagenexSpec;
 use crate::emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
 use crate::flow::Datagram;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 
 pub struct Imagenex872 {
@@ -46,6 +47,7 @@ impl Imagenex872 {
             name: sonar.name.clone(),
             source,
         })?;
+        server.set_line(opening.line(Shape::IMAGENEX872));
         Ok(Self {
             name: sonar.name.clone(),
             head,

@@ -14,6 +14,7 @@ use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::sonar::{RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use crate::ping;
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 use crate::run::settings::SettingsStore;
 
@@ -87,6 +88,7 @@ impl Jsf {
             ServerTimes::default(),
         )
         .map_err(failed)?;
+        data.set_line(opening.line(Shape::JSF));
         let recorder = match &spec.record {
             Some(record) if output.record => {
                 make_folder(&record.directory)?;

@@ -20,9 +20,11 @@ use thiserror::Error;
 use crate::config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
 use crate::flow::PingPlan;
 use crate::io::datagrams::Leaving;
+use crate::io::line::Line as Passage;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime};
+use crate::run::faults::line::{Line, LineMark, Shape};
 use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
 use crate::run::settings::SettingsStore;
@@ -119,6 +121,7 @@ struct Opening<'a> {
     clock: &'a Arc<dyn Clock>,
     sending: Sending,
     spread: Spread,
+    mark: Arc<LineMark>,
 }
 
 /// How a ping's datagrams are spread.
@@ -169,6 +172,12 @@ impl Spread {
 }
 
 impl Opening<'_> {
+    /// What everything that this output hands over passes on its way.
+    fn line(&self, shape: Shape) -> Box<dyn Passage> {
+        let faults = Arc::clone(&self.unit.faults);
+        Box::new(Line::new(faults, shape, Arc::clone(&self.mark)))
+    }
+
     /// `NAME-20140801T000010.EXTENSION`: one run's recording does not overwrite another's.
     fn file_name(&self, utc: UtcNs, extension: &str) -> String {
         let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
@@ -178,7 +187,13 @@ impl Opening<'_> {
 
 /// The outputs of one sonar.
 pub struct Outputs {
-    all: Vec<Box<dyn Output>>,
+    all: Vec<Marked>,
+}
+
+/// An output, and which ping it is at: what its lines strike.
+struct Marked {
+    output: Box<dyn Output>,
+    mark: Arc<LineMark>,
 }
 
 /// Reads the outputs' counters from another thread.
@@ -200,24 +215,26 @@ impl Outputs {
             let histograms = Arc::clone(histograms);
             move |ns| histograms.pacing_us(ns)
         };
-        let opening = Opening {
-            spec,
-            unit,
-            settings,
-            rig_time,
-            clock,
-            sending: Sending {
-                priority: spec.run.priority,
-                lateness: Some(Arc::new(lateness)),
-            },
-            spread: Spread::of(&spec.run),
+        let sending = Sending {
+            priority: spec.run.priority,
+            lateness: Some(Arc::new(lateness)),
         };
         let mut all = unit
             .spec
             .outputs
             .iter()
-            .map(|output| -> Result<Box<dyn Output>, OutputError> {
-                Ok(match output {
+            .map(|output| -> Result<Marked, OutputError> {
+                let opening = Opening {
+                    spec,
+                    unit,
+                    settings,
+                    rig_time,
+                    clock,
+                    sending: sending.clone(),
+                    spread: Spread::of(&spec.run),
+                    mark: Arc::default(),
+                };
+                let output: Box<dyn Output> = match output {
                     OutputSpec::SevenK(output) => Box::new(sevenk::SevenK::open(output, &opening)?),
                     OutputSpec::Jsf(output) => Box::new(jsf::Jsf::open(output, &opening)?),
                     OutputSpec::Xtf(output) => Box::new(xtf::Xtf::open(output, &opening)?),
@@ -234,28 +251,39 @@ impl Outputs {
                     }
                     OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, &opening)?),
                     OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
+                };
+                Ok(Marked {
+                    output,
+                    mark: opening.mark,
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;
         // Last, after everything that a topside waits for.
-        all.extend(page.map(|page| -> Box<dyn Output> { Box::new(Page::new(&unit.spec, page)) }));
+        // Nothing of it passes a line.
+        all.extend(page.map(|page| Marked {
+            output: Box::new(Page::new(&unit.spec, page)),
+            mark: Arc::default(),
+        }));
         Ok(Self { all })
     }
 
     /// Where each output listens or sends to.
     pub fn addresses(&self) -> Vec<String> {
-        self.all.iter().flat_map(|out| out.addresses()).collect()
+        self.all
+            .iter()
+            .flat_map(|out| out.output.addresses())
+            .collect()
     }
 
     pub fn reports(&self) -> OutputReports {
         OutputReports {
-            all: self.all.iter().map(|out| out.report()).collect(),
+            all: self.all.iter().map(|out| out.output.report()).collect(),
         }
     }
 
     /// Those that leave at the end of a ping, and those that stream.
     pub fn split(self) -> (Self, Self) {
-        let (streams, rest) = self.all.into_iter().partition(|out| out.is_stream());
+        let (streams, rest) = self.all.into_iter().partition(|out| out.output.is_stream());
         (Self { all: rest }, Self { all: streams })
     }
 
@@ -266,21 +294,23 @@ impl Outputs {
     /// Lets a ping's samples leave as they would be heard.
     pub fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
         for out in &mut self.all {
-            out.stream(slot, pulse);
+            out.mark.set(&slot.plan);
+            out.output.stream(slot, pulse);
         }
     }
 
     /// Makes the records of a ping that somebody wants.
     pub fn encode(&mut self, slot: &PingSlot) {
         for out in &mut self.all {
-            out.encode(slot);
+            out.mark.set(&slot.plan);
+            out.output.encode(slot);
         }
     }
 
     /// Hands over what [`Self::encode`] made, every output its own; `failed` is told of each recorder that stops.
     pub fn deliver(&mut self, mut failed: impl FnMut(OutputError)) {
         for out in &mut self.all {
-            if let Err(error) = out.deliver() {
+            if let Err(error) = out.output.deliver() {
                 failed(error);
             }
         }
@@ -290,7 +320,7 @@ impl Outputs {
     pub fn close(self) -> Result<(), OutputError> {
         let mut outcome = Ok(());
         for out in self.all {
-            let this = out.close();
+            let this = out.output.close();
             outcome = outcome.and(this);
         }
         outcome

@@ -13,6 +13,7 @@ use crate::io::record::make_folder;
 use crate::io::record::svlog::SvlogRecorder;
 use crate::io::serial_line::{LineCounts, SerialLine};
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 
 pub struct PingProtocol {
@@ -62,6 +63,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
+        server.set_line(opening.line(Shape::PING));
         server.set_sending(opening.sending.clone());
         let line = match &output.serial {
             None => None,

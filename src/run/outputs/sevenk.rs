@@ -12,8 +12,7 @@ use crate::flow::{Datagram, SettingsPort};
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
-use crate::run::faults::PingMark;
-use crate::run::faults::line::Line;
+use crate::run::faults::line::Shape;
 use crate::run::recorders::begin_s7k;
 use crate::run::rig::PingSlot;
 use crate::run::settings::SettingsStore;
@@ -31,8 +30,6 @@ pub struct SevenK {
     spread: Spread,
     /// Over which its datagrams leave.
     over_s: f64,
-    /// To the clients; what is recorded does not pass it.
-    line: Line,
 }
 
 impl SevenK {
@@ -59,6 +56,7 @@ impl SevenK {
                 }
             })?;
         server.set_sending(opening.sending.clone());
+        server.set_line(opening.line(Shape::SEVENK));
         let recorder = match &spec.record {
             None => None,
             Some(record) => {
@@ -78,7 +76,6 @@ impl SevenK {
             pending: Vec::new(),
             spread: opening.spread,
             over_s: 0.0,
-            line: Line::new(unit.faults.clone()),
         })
     }
 }
@@ -109,11 +106,6 @@ impl Output for SevenK {
         }
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);
-        self.line.begin(PingMark {
-            sonar: slot.plan.sonar,
-            number: slot.plan.ping_number,
-            utc: slot.plan.transmit_utc,
-        });
         self.emitter.emit_ping(
             &slot.plan,
             &slot.output,
@@ -123,7 +115,7 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        let passed = self.line.pass(&self.pending);
+        let passed = &self.pending;
         self.server.deliver_over(passed, self.over_s);
         let mut pending = self.pending.drain(..);
         record(&mut self.recorder, |recorder| {

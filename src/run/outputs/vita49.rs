@@ -8,6 +8,7 @@ use crate::config::spec::Vita49Spec;
 use crate::emit::packets::Packets;
 use crate::emit::vita49::Vita49Emitter;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 use crate::time::MonoNs;
 
@@ -40,6 +41,7 @@ impl Vita49 {
             name: unit.spec.name.clone(),
             source,
         })?;
+        sender.set_line(opening.line(Shape::VITA49));
         Ok(Self {
             name: unit.spec.name.clone(),
             send_to: output.send_to.clone(),

@@ -10,6 +10,7 @@ use crate::emit::wbms::control::{ControlPort, DataPort};
 use crate::emit::wbms::{Device, Wanted, WbmsEmitter};
 use crate::flow::{Datagram, SettingsPort};
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::run::faults::line::Shape;
 use crate::run::rig::PingSlot;
 
 /// In the order of their ports.
@@ -67,6 +68,9 @@ impl Wbms {
                 )
             })
             .collect::<Result<Arc<[_]>, _>>()?;
+        for server in servers.iter().skip(1) {
+            server.set_line(opening.line(Shape::WBMS));
+        }
         Ok(Self {
             name,
             emitter: WbmsEmitter::new(device, spec.run.queue_pings),

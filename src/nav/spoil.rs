@@ -1,0 +1,11 @@
+//! Where navigation may go wrong: every sample passes here on its way from its source to the history.
+
+use crate::flow::NavSample;
+use crate::time::UtcNs;
+
+pub trait Spoil: Send {
+    /// What becomes of a sample: another, itself, or none now.
+    fn sample(&mut self, sample: NavSample) -> Option<NavSample>;
+    /// One that was held back and has arrived by `until`; to be asked until there is none.
+    fn held_back(&mut self, until: UtcNs) -> Option<NavSample>;
+}
