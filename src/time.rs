@@ -43,6 +43,28 @@ pub trait Clock: Send + Sync {
     fn host_utc(&self) -> UtcNs;
     /// Returns at or after `deadline`, an absolute instant: waiting never drifts.
     fn sleep_until(&self, deadline: MonoNs);
+    /// As [`Clock::sleep_until`], but returns as soon as `bell` has been rung, too.
+    fn doze_until(&self, deadline: MonoNs, _bell: &Bell) {
+        self.sleep_until(deadline);
+    }
+    /// Whoever dozes looks at its bell.
+    fn stir(&self) {}
+}
+
+/// Wakes one who dozes on a clock. A ring is kept until it is heard.
+#[derive(Debug, Default)]
+pub struct Bell(std::sync::atomic::AtomicBool);
+
+impl Bell {
+    pub fn ring(&self, clock: &dyn Clock) {
+        self.0.store(true, std::sync::atomic::Ordering::Release);
+        clock.stir();
+    }
+
+    /// Whether it was rung since this was last asked.
+    fn heard(&self) -> bool {
+        self.0.swap(false, std::sync::atomic::Ordering::AcqRel)
+    }
 }
 
 /// The machine's clocks.
@@ -238,10 +260,24 @@ impl Clock for PacedClock {
         self.machine.host_utc().plus_ns(off_ns)
     }
     fn sleep_until(&self, deadline: MonoNs) {
+        self.sleep(deadline, None);
+    }
+    fn doze_until(&self, deadline: MonoNs, bell: &Bell) {
+        self.sleep(deadline, Some(bell));
+    }
+    fn stir(&self) {
+        // With the lock: a sleeper that has just looked at its bell is asleep before it is woken.
+        let _pace = self.lock();
+        self.changed.notify_all();
+    }
+}
+
+impl PacedClock {
+    fn sleep(&self, deadline: MonoNs, bell: Option<&Bell>) {
         let mut pace = self.lock();
         loop {
             let left_ns = deadline.0 - pace.at(self.machine.mono()).0;
-            if left_ns <= 0 {
+            if left_ns <= 0 || bell.is_some_and(Bell::heard) {
                 return;
             }
             // What is left is worked out anew from absolute instants after every waking, so waiting never drifts.
@@ -295,6 +331,22 @@ mod tests {
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() >= stood.plus_ns(NS_PER_S));
+    }
+
+    #[test]
+    fn a_bell_wakes_who_dozes_even_while_time_stands_and_is_kept_until_it_is_heard() {
+        let clock = PacedClock::at_rate(1.0);
+        clock.stop();
+        let bell = Bell::default();
+        let far = clock.mono().plus_ns(3600 * NS_PER_S);
+        bell.ring(&clock);
+        clock.doze_until(far, &bell);
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| clock.doze_until(far, &bell));
+            bell.ring(&clock);
+            sleeper.join().expect("woken");
+        });
+        assert!(clock.mono() < far);
     }
 
     #[test]

@@ -714,6 +714,66 @@ seed"#);
 }
 
 #[test]
+fn what_triggers_a_sonar_and_whom_it_tells_mean_what_they_say() {
+    let (rest, sonar) = minimal()
+        .split_once("[[sonar]]")
+        .map(|(rest, sonar)| (rest.to_owned(), sonar.to_owned()))
+        .expect("one");
+    let mut text = rest;
+    for (name, trigger) in [
+        ("own", ""),
+        (
+            "udp",
+            "[sonar.trigger]\nsource = \"udp\"\nlisten = \"0.0.0.0:10125\"\nearly = \"queue\"\nmin_interval_ms = 80\nwatchdog_ms = 2500\n[sonar.trigger_out]\nto = \"127.0.0.1:1\"\nport = \"/dev/ttyS0\"\nline = \"dtr\"\npulse_ms = 0.3",
+        ),
+        (
+            "dcd",
+            "[sonar.trigger]\nsource = \"serial-dcd\"\nport = \"/dev/ttyS1\"\nedge = \"falling\"",
+        ),
+        ("asked", "[sonar.trigger]\nsource = \"protocol\""),
+        (
+            "after",
+            "[sonar.trigger]\nsource = \"sonar\"\nfollow = \"udp\"\ndelay_ms = 33.3",
+        ),
+    ] {
+        text += &format!("[[sonar]]{}\n{trigger}\n", sonar.replace("main", name));
+    }
+    let sonars = parse(&text).sonars;
+    let plain = TriggerSpec::default();
+    assert_eq!(sonars[0].trigger, plain);
+    assert_eq!(sonars[0].trigger_out, TriggerOutSpec::default());
+    let udp = TriggerSpec {
+        from: TriggerFrom::Udp {
+            listen: "0.0.0.0:10125".parse().expect("an address"),
+        },
+        early: EarlyTrigger::Queue,
+        least_interval_s: 0.08,
+        watchdog_s: Some(2.5),
+    };
+    assert_eq!(sonars[1].trigger, udp);
+    let out = TriggerOutSpec {
+        to: Some("127.0.0.1:1".parse().expect("an address")),
+        serial: Some(TriggerLineSpec {
+            port: "/dev/ttyS0".into(),
+            line: OutLine::DataTerminalReady,
+            pulse_s: 3e-4,
+        }),
+    };
+    assert_eq!(sonars[1].trigger_out, out);
+    let line = TriggerFrom::Serial {
+        port: "/dev/ttyS1".into(),
+        line: ModemLine::CarrierDetect,
+        rising: false,
+    };
+    let after = TriggerFrom::Sonar {
+        sonar: 1,
+        delay_s: 0.0333,
+    };
+    let from: Vec<_> = sonars[2..].iter().map(|s| s.trigger.from.clone()).collect();
+    assert_eq!(from, [line, TriggerFrom::Protocol, after]);
+}
+
+#[test]
 fn the_template_is_accepted_as_it_stands() {
     let rig = config::parse(config::template(), Path::new("/nonexistent"))
         .unwrap_or_else(|errors| panic!("{errors}"));
@@ -1021,4 +1081,19 @@ fn a_synthesis_left_out_is_the_engine_behind_the_filter_and_the_direct_sum_elsew
         assert_eq!(chosen("none", doppler), Synthesis::Direct);
     }
     assert_eq!(chosen("fir", "paper-eq21"), Synthesis::Direct);
+}
+
+#[test]
+fn every_rig_of_the_repository_is_accepted() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_some_and(|e| e == "toml") {
+            let loaded = echotank::config::load(&path);
+            assert!(loaded.is_ok(), "{}: {:?}", path.display(), loaded.err());
+            seen += 1;
+        }
+    }
+    assert!(seen > 10, "{seen} rigs");
 }

@@ -13,6 +13,7 @@ mod samples;
 mod scene;
 pub(super) mod sonar;
 mod streaming;
+mod trigger;
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -210,11 +211,13 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         .and_then(|t| control(t, &mut listeners, problems));
 
     let tables = table.tables("sonar");
-    unique_names(tables, problems);
+    let names = unique_names(tables, problems);
     let mut sonars: Vec<_> = tables
         .iter()
-        .map(|t| sonar::sonar(t, medium.as_ref(), &mut listeners, problems))
+        .enumerate()
+        .map(|(k, t)| sonar::sonar(t, (k, &names), medium.as_ref(), &mut listeners, problems))
         .collect();
+    trigger::refuse_what_nobody_can_trigger(tables, &sonars, run.as_ref(), problems);
     let longest_range_m = tables
         .iter()
         .filter_map(sonar::longest_range_m)

@@ -7,6 +7,7 @@ mod devices;
 mod families;
 mod faults;
 mod samples;
+mod trigger;
 
 /// A TOML table.
 pub struct Table {
@@ -466,7 +467,7 @@ static NAV_SOURCE: Table = Table {
             "multicast",
             Kind::Text,
             Optional("\"239.192.0.1\""),
-            "Group to join. Only with kind = \"udp\".",
+            "Group to join, at the interface whose address `listen` has. Only with kind = \"udp\".",
         ),
         key(
             "port",
@@ -1044,12 +1045,19 @@ static SONAR: Table = Table {
         key("receiver", Kind::Table(&RECEIVER), Required(""), ""),
         key("ping", Kind::Table(&PING), Required(""), ""),
         key("limits", Kind::Table(&LIMITS), Default("{}"), ""),
+        key("trigger", Kind::Table(&trigger::TRIGGER), Default("{}"), ""),
+        key(
+            "trigger_out",
+            Kind::Table(&trigger::TRIGGER_OUT),
+            Default("{}"),
+            "",
+        ),
         key("model", Kind::Table(&MODEL), Default("{}"), ""),
         key("beams", Kind::Table(&BEAMS), Default("{}"), ""),
         key("picture", Kind::Table(&PICTURE), Default("{}"), ""),
         key("output", Kind::Table(&OUTPUT), Default("{}"), ""),
     ],
-    later: &["trigger", "stabilisation"],
+    later: &["stabilisation"],
 };
 
 static PULSE: Table = Table {

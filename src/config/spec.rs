@@ -7,6 +7,7 @@ mod families;
 mod faults;
 mod fidelity;
 mod samples;
+mod trigger;
 
 pub use faults::{ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, TransportFault};
 
@@ -22,6 +23,9 @@ use crate::flow::{
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use fidelity::AutoModel;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
+pub use trigger::{
+    EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
+};
 
 /// One rig: what a configuration file describes.
 #[derive(Clone, Debug)]
@@ -222,10 +226,7 @@ pub enum ParitySpec {
 impl NavSpec {
     /// Every source is recorded: the motion does not depend on the machine's time.
     pub fn is_recorded(&self) -> bool {
-        let recorded = |s: &NavSourceSpec| {
-            matches!(s.input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
-        };
-        self.sources.iter().all(recorded)
+        self.sources.iter().all(NavSourceSpec::is_recorded)
     }
 }
 
@@ -294,6 +295,15 @@ pub struct NavSourceSpec {
     pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+impl NavSourceSpec {
+    pub fn is_recorded(&self) -> bool {
+        matches!(
+            self.input,
+            NavInputSpec::Log { .. } | NavInputSpec::Csv { .. }
+        )
+    }
 }
 
 /// A motion sensor's place and attitude in the body; by default at the reference point, along its axes.
@@ -402,6 +412,20 @@ pub enum NavChannel {
     Heave,
     /// How deep the platform is.
     Depth,
+}
+
+impl NavChannel {
+    /// As `provides` has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            NavChannel::Position => "position",
+            NavChannel::CourseSpeed => "course-speed",
+            NavChannel::Heading => "heading",
+            NavChannel::RollPitch => "roll-pitch",
+            NavChannel::Heave => "heave",
+            NavChannel::Depth => "depth",
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -851,6 +875,8 @@ pub struct SonarSpec {
     /// Settings at start.
     pub settings: SonarSettings,
     pub limits: LimitsSpec,
+    pub trigger: TriggerSpec,
+    pub trigger_out: TriggerOutSpec,
     pub model: ModelChoice,
     pub synthesis: SynthesisSpec,
     pub beams: BeamsSpec,

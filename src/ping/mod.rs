@@ -1,9 +1,12 @@
 //! The plan of one ping: when it goes out, what it may be obeyed to do, and everything the model needs to know of it.
 //!
-//! In: settings, specifications, the platform's motion. Out: [`PingPlan`]. Not modelled: external triggers.
+//! In: settings, specifications, the platform's motion. Out: [`PingPlan`].
 //!
-//! [`Schedule`] decides `t_tx` and freezes the settings at that instant ([`PingOrder`]); the plan is filled later, when the navigation
-//! around `t_tx` is known.
+//! [`Schedule`] decides `t_tx` and freezes the settings at that instant ([`PingOrder`]), on a beat of its own or when it is triggered;
+//! [`beats`] has those of all sonars. The plan is filled later, when the navigation around `t_tx` is known.
+
+pub mod beats;
+pub mod trigger;
 
 pub mod fidelity;
 
@@ -11,6 +14,8 @@ use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::flow::{NavState, PingPlan, Pulse, Segment, SonarSettings};
 use crate::frames::Trajectory;
 use crate::time::{NS_PER_S, UtcNs};
+
+pub use trigger::{Early, Refusal, Triggered};
 
 /// Quiet time between the end of one listening window and the next pulse, seconds: a receiver needs some to turn around.
 pub const TURNAROUND_S: f64 = 1e-3;
@@ -32,9 +37,14 @@ pub fn sample_count(
         .max(1.0) as usize
 }
 
+/// Time from one pulse to the next, at least, seconds.
+fn shortest_s(settings: &SonarSettings, sound_speed_m_per_s: f64) -> f64 {
+    window_s(settings, sound_speed_m_per_s) + TURNAROUND_S
+}
+
 /// Time from one pulse to the next, nanoseconds: the rate asked for, or as fast as the range allows.
 pub fn period_ns(settings: &SonarSettings, sound_speed_m_per_s: f64) -> i64 {
-    let shortest_s = window_s(settings, sound_speed_m_per_s) + TURNAROUND_S;
+    let shortest_s = shortest_s(settings, sound_speed_m_per_s);
     let asked_s = if settings.max_ping_rate_hz > 0.0 {
         1.0 / settings.max_ping_rate_hz
     } else {
@@ -58,12 +68,17 @@ pub struct PingOrder {
     pub period_s: f64,
 }
 
-/// Free-running trigger of one sonar.
+/// When one sonar pings: on its own beat, and when it is triggered.
 #[derive(Clone, Debug)]
 pub struct Schedule {
+    /// Of the beat, which goes on while the sonar does not ping.
     next_utc: UtcNs,
     next_number: u32,
     last_utc: Option<UtcNs>,
+    /// The last ping's window is over.
+    free_utc: UtcNs,
+    /// A trigger that came too early, and is obeyed then.
+    queued_utc: Option<UtcNs>,
     sound_speed_m_per_s: f64,
 }
 
@@ -73,11 +88,13 @@ impl Schedule {
             next_utc: first_utc,
             next_number: 1,
             last_utc: None,
+            free_utc: first_utc,
+            queued_utc: None,
             sound_speed_m_per_s,
         }
     }
 
-    /// When the next ping may go out.
+    /// When the next ping may go out on the beat.
     pub fn next_utc(&self) -> UtcNs {
         self.next_utc
     }
@@ -87,8 +104,8 @@ impl Schedule {
         self.next_number
     }
 
-    /// The next ping if its instant has come. `settings_at` tells the settings that were in force at an instant: asking late changes
-    /// nothing. While pinging is off the schedule keeps its beat and gives nothing.
+    /// The next ping of the beat if its instant has come. `settings_at` tells the settings that were in force at an instant: asking late
+    /// changes nothing. While pinging is off the schedule keeps its beat and gives nothing.
     pub fn due(
         &mut self,
         now: UtcNs,
@@ -99,21 +116,33 @@ impl Schedule {
             let settings = settings_at(transmit_utc);
             self.next_utc = transmit_utc.plus_ns(period_ns(&settings, self.sound_speed_m_per_s));
             if settings.pinging && settings.max_ping_rate_hz > 0.0 {
-                let period_s = self
-                    .last_utc
-                    .map_or(0.0, |last| transmit_utc.seconds_since(last));
-                let order = PingOrder {
-                    ping_number: self.next_number,
-                    transmit_utc,
-                    settings,
-                    period_s,
-                };
-                self.last_utc = Some(transmit_utc);
-                self.next_number = self.next_number.wrapping_add(1);
-                return Some(order);
+                return Some(self.pulse(transmit_utc, settings));
             }
         }
         None
+    }
+
+    /// The beat's next pulse comes not before `utc`.
+    pub fn put_off(&mut self, utc: UtcNs) {
+        self.next_utc = self.next_utc.max(utc);
+    }
+
+    fn pulse(&mut self, transmit_utc: UtcNs, settings: SonarSettings) -> PingOrder {
+        let period_s = self
+            .last_utc
+            .map_or(0.0, |last| transmit_utc.seconds_since(last));
+        let order = PingOrder {
+            ping_number: self.next_number,
+            transmit_utc,
+            settings,
+            period_s,
+        };
+        self.last_utc = Some(transmit_utc);
+        self.free_utc = transmit_utc.plus_s(shortest_s(&settings, self.sound_speed_m_per_s));
+        // After a triggered ping the beat waits for its window; its own pings are that far apart anyway.
+        self.next_utc = self.next_utc.max(self.free_utc);
+        self.next_number = self.next_number.wrapping_add(1);
+        order
     }
 }
 

@@ -22,6 +22,7 @@ use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
 use crate::run::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
 use crate::run::settings::SettingsStore;
+use crate::run::triggers::TriggerCounts;
 use crate::time::{Clock, MonoNs, SystemClock, UtcNs};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
@@ -41,8 +42,16 @@ pub struct SonarControl {
     pub name: String,
     pub settings: Arc<SettingsStore>,
     pub counters: Arc<PingCounters>,
+    pub triggers: Arc<TriggerCounts>,
     pub histograms: Arc<Histograms>,
     pub reports: OutputReports,
+}
+
+impl SonarControl {
+    /// Name, meaning, value.
+    fn all_counters(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+        self.counters.all().chain(self.triggers.all())
+    }
 }
 
 /// The whole daemon as its operator sees it.
@@ -127,6 +136,7 @@ impl RunControl {
         for sonar in &self.sonars {
             lines.push(format!("sonar {}: {}", sonar.name, sonar.counters));
             lines.extend(sonar.counters.advice(latency_s));
+            lines.extend(sonar.triggers.line(&sonar.name));
         }
         lines.extend(self.nav_lines());
         lines.extend(self.sonars.iter().flat_map(|sonar| sonar.reports.lines()));
@@ -309,8 +319,7 @@ impl RunControl {
         let (settings, version) = sonar.settings.snapshot();
         let counts = sonar.settings.counts();
         let counters: serde_json::Map<_, _> = sonar
-            .counters
-            .all()
+            .all_counters()
             .map(|(name, _, value)| (name.to_owned(), value.into()))
             .collect();
         let histograms: serde_json::Map<_, _> = sonar
@@ -454,7 +463,7 @@ impl ControlPort for RunControl {
         let Some(first) = self.sonars.first() else {
             return text;
         };
-        for (k, (name, doc, _)) in first.counters.all().enumerate() {
+        for (k, (name, doc, _)) in first.all_counters().enumerate() {
             let kind = match name.starts_with("worst_") || name == "nav_age_ms" || name == "plan" {
                 true => "gauge",
                 false => "counter",
@@ -464,7 +473,7 @@ impl ControlPort for RunControl {
                 "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
             );
             for sonar in &self.sonars {
-                if let Some((_, _, value)) = sonar.counters.all().nth(k) {
+                if let Some((_, _, value)) = sonar.all_counters().nth(k) {
                     let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
                 }
             }

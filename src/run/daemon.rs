@@ -13,7 +13,9 @@
 //! So it is where time is the machine's (`realtime`, `scaled`). In `fast` and `lockstep` the pipeline moves time itself from pulse to pulse
 //! (`stepped`): nothing is late there and nothing skipped for it. The samples are the same bits in all.
 
+mod beat;
 mod stepped;
+mod triggers;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -22,11 +24,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
+use self::beat::{Beat, Company};
+use self::triggers::{Triggers, at_first};
 use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{ClockSpec, DeliverySpec, NavMode, RigSpec, StampSpec};
+use crate::config::spec::{
+    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec,
+};
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
@@ -37,17 +43,21 @@ use crate::io::record::faults::FaultLog;
 use crate::io::record::recover::recover_folder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
+use crate::io::trigger::DoorError;
+use crate::io::trigger::out::OutError;
 use crate::nav::Coverage;
-use crate::ping::{PingOrder, Schedule};
+use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
-use crate::run::faults::{Faults, Injection, PingMark};
+use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
+use crate::run::triggers::TriggerCounts;
+use crate::run::waiting;
 use crate::time::{
     Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
 };
@@ -76,8 +86,16 @@ pub enum DaemonError {
     Pool(#[from] rayon::ThreadPoolBuildError),
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
+    #[error(transparent)]
+    Trigger(#[from] DoorError),
+    #[error(transparent)]
+    TriggerOut(#[from] OutError),
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
+    #[error(
+        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+    )]
+    NoNav(String),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
     Panic,
 }
@@ -188,6 +206,7 @@ pub struct Daemon {
     /// One per sonar.
     outputs: Vec<Outputs>,
     settings: Vec<Arc<SettingsStore>>,
+    triggers: Triggers,
     timeline: Arc<OnceLock<Timeline>>,
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
@@ -216,8 +235,9 @@ impl Daemon {
             .sonars
             .iter()
             .map(|sonar| {
-                Arc::new(SettingsStore::new(
+                Arc::new(SettingsStore::triggered(
                     sonar.settings,
+                    at_first(&sonar.trigger.from, spec.run.clock),
                     sonar.limits,
                     clock.clone(),
                 ))
@@ -240,12 +260,20 @@ impl Daemon {
             outputs.push(opened);
             histograms.push(own);
         }
+        let trigger_counts: Vec<_> = spec
+            .sonars
+            .iter()
+            .map(|_| Arc::new(TriggerCounts::default()))
+            .collect();
+        let triggers = Triggers::open(spec, &clock, &gate, &trigger_counts)?;
+        let mut trigger_counts = trigger_counts.into_iter();
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
         let sonars = sonars.zip(histograms);
         let sonars = sonars.map(|(((sonar, settings), outputs), histograms)| SonarControl {
             name: sonar.name.clone(),
             settings: settings.clone(),
             counters: Arc::new(PingCounters::default()),
+            triggers: trigger_counts.next().unwrap_or_default(),
             histograms,
             reports: outputs.reports(),
         });
@@ -279,6 +307,7 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
@@ -299,14 +328,25 @@ impl Daemon {
 
     /// What it listens to and where to connect, a line each.
     pub fn describe(&self) -> Vec<String> {
-        let mut lines: Vec<String> = self
-            .inputs
-            .listening()
+        let sources = &self.rig.spec.nav.sources;
+        let transport = |name: &str| {
+            let tcp = |s: &NavSourceSpec| {
+                s.name == name && matches!(s.input, NavInputSpec::TcpListen { .. })
+            };
+            if sources.iter().any(tcp) {
+                "tcp"
+            } else {
+                "udp"
+            }
+        };
+        let listening = self.inputs.listening();
+        let mut lines: Vec<String> = listening
             .iter()
-            .map(|(name, address)| format!("nav {name} udp {address}"))
+            .map(|(name, address)| format!("nav {name} {} {address}", transport(name)))
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
+        lines.extend(self.triggers.addresses(&self.rig.spec));
         if let Some(server) = &self.server {
             let address = server.local_addr();
             lines.push(format!("control http {address}"));
@@ -333,6 +373,7 @@ impl Daemon {
             nav_out,
             outputs,
             settings,
+            triggers,
             timeline,
             stop,
             control,
@@ -361,7 +402,8 @@ impl Daemon {
             deliveries.extend(threads);
         }
         let pacer = Pacer {
-            schedules: Vec::new(),
+            first: None,
+            triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
             waiting: VecDeque::with_capacity(MOST_ORDERS),
             rig,
@@ -380,13 +422,10 @@ impl Daemon {
             .name("pipeline".into())
             .spawn(move || {
                 // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
-                pool.install(move || {
-                    if own_time {
-                        pacer.run_stepped();
-                    } else {
-                        pacer.run();
-                    }
-                });
+                pool.install(move || match own_time {
+                    true => pacer.run_stepped(),
+                    false => pacer.run(),
+                })
             })
             .map_err(DaemonError::Thread)?;
         // Whoever looks lives in the machine's time, whatever the rig's does.
@@ -397,7 +436,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults);
+            fault_log.write(&faults, control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -409,16 +448,16 @@ impl Daemon {
             }
         }
         notify.stopping();
-        pipeline.join().map_err(|_| DaemonError::Panic)?;
+        let pinged = pipeline.join().map_err(|_| DaemonError::Panic)?;
         let mut closed = Ok(());
         for thread in deliveries {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults);
+        fault_log.write(&faults, control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
-        closed.map_err(DaemonError::Output)
+        pinged.and(closed.map_err(DaemonError::Output))
     }
 }
 
@@ -437,14 +476,17 @@ impl FaultLogFile {
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, and ends the log.
-    fn write(&mut self, faults: &Faults) {
+    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
         let injections = faults.take_injections();
         if injections.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(&injections) {
             eprintln!("echotank: {error}");
+            if let Some(first) = sonars.first() {
+                add(&first.counters.recordings_stopped, 1);
+            }
             (self.directory, self.log) = (None, None);
         }
     }
@@ -536,8 +578,10 @@ struct Pacer {
     /// Tells how long computing took.
     machine: SystemClock,
     stop: Arc<AtomicBool>,
-    /// One per sonar, once the first ping's instant is known.
-    schedules: Vec<Schedule>,
+    /// Of the first ping, once it is known.
+    first: Option<UtcNs>,
+    /// Until the beat has them.
+    triggers: Option<Triggers>,
     /// In order of `t_tx`.
     waiting: VecDeque<Waiting>,
     /// One per sonar.
@@ -557,23 +601,38 @@ enum Step {
 }
 
 impl Pacer {
-    fn run(mut self) {
-        let Some(timeline) = self.start() else { return };
+    fn run(mut self) -> Result<(), DaemonError> {
+        let Some(timeline) = self.start()? else {
+            return Ok(());
+        };
         // Set once, here; whoever asked before got the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
+        let Some(beat) = self.beat(timeline) else {
+            return Ok(());
+        };
+        let (sender, orders) = bounded(MOST_ORDERS);
+        let coming = beat.coming();
+        let priority = self.rig.spec.run.priority;
+        let _beat = match beat.start(sender, priority) {
+            Ok(thread) => thread,
+            Err(why) => {
+                eprintln!("echotank: could not start a thread: {why}");
+                self.stop.store(true, Ordering::Release);
+                return Ok(());
+            }
+        };
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            let known = self.known_until(utc);
+            // Read first: an order that is not among those taken now is not before it.
+            let next = coming.next();
+            self.take_orders(&orders, &timeline);
+            let known = self.known_until(utc, next);
             self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
             self.foresee();
-            // A log that has ended makes no more pings; those ordered before are still made.
-            if !self.inputs.finished() {
-                self.order(utc.plus_ns(self.ahead_ns()), &timeline);
-            }
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -582,18 +641,13 @@ impl Pacer {
                     }
                     Step::Wait(until) => until,
                 },
-                None if self.inputs.finished() => return,
+                None if self.inputs.finished() => return Ok(()),
                 None => now.plus_ns(50 * POLL_NS),
             };
-            let next_order = self
-                .schedules
-                .iter()
-                .map(|s| timeline.mono(s.next_utc()).plus_ns(-self.ahead_ns()))
-                .chain([self.nav_out.next_publish()])
-                .min();
-            self.clock
-                .sleep_until(next_order.map_or(wait_until, |next| next.min(wait_until)));
+            let wait_until = wait_until.min(self.nav_out.next_publish());
+            self.clock.doze_until(wait_until, &coming.bell);
         }
+        Ok(())
     }
 
     /// How long before its pulse a ping is ordered and computed.
@@ -602,50 +656,78 @@ impl Pacer {
     }
 
     /// How far recorded navigation may be read: what was not known yet when a ping had to be foreseen must not be known to it, however late it
-    /// is computed.
-    fn known_until(&self, utc: UtcNs) -> UtcNs {
+    /// is computed. `next`: the next pulse that may still be ordered.
+    fn known_until(&self, utc: UtcNs, next: UtcNs) -> UtcNs {
         if self.rig.spec.nav.mode == NavMode::Settle {
             return utc;
         }
         let ordered = self.waiting.iter().map(|w| w.order.transmit_utc);
-        let next = self.schedules.iter().map(Schedule::next_utc);
-        let first = ordered.chain(next).min();
+        let first = ordered.chain([next]).min();
         first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
-    /// When a recorded log first holds what a ping needs; none where it never does, or the daemon is stopped.
-    fn first_recorded(&mut self) -> Option<UtcNs> {
+    /// When the recorded logs first hold what a ping needs of them (the rest is live); none where the daemon is stopped.
+    fn first_recorded(&mut self) -> Result<Option<UtcNs>, DaemonError> {
+        let sources = self.rig.spec.nav.sources.clone();
+        let is_live = |channel| {
+            let gives = |s: &NavSourceSpec| s.provides.contains(&channel) && !s.is_recorded();
+            sources.iter().any(gives)
+        };
+        if self.rig.history.silent().into_iter().all(is_live) {
+            return Ok(self.inputs.recorded_start());
+        }
         loop {
-            if let Some(first) = self.rig.history.first_usable_utc() {
-                return Some(first);
+            let history = &self.rig.history;
+            if let Some(first) = history.first_usable_utc_of(|channel| !is_live(channel)) {
+                return Ok(Some(first));
             }
-            if self.stop.load(Ordering::Acquire) || !self.inputs.pull_next(&mut self.rig.history) {
-                return None;
+            if self.stop.load(Ordering::Acquire) {
+                return Ok(None);
             }
+            if self.inputs.is_all_known() {
+                let lacking = waiting::lacking(&self.rig.spec.nav, history);
+                return Err(DaemonError::NoNav(lacking));
+            }
+            self.inputs.pull_next(&mut self.rig.history);
         }
     }
 
     fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
         // Known for long enough to foresee it.
         let first = first.plus_ns(self.ahead_ns());
-        let schedule = Schedule::starting_at(first, self.rig.medium().sound_speed_m_per_s);
-        self.schedules = vec![schedule; self.rig.sonars.len()];
+        self.first = Some(first);
         self.rig.faults.begin(first);
         first
     }
 
+    /// To be asked once, after [`Self::begin_schedules`].
+    fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
+        let company = Company {
+            settings: self.settings.clone(),
+            control: self.control.clone(),
+            faults: self.rig.faults.clone(),
+            clock: self.clock.clone(),
+        };
+        let triggers = self.triggers.take()?;
+        let spec = &self.rig.spec;
+        Some(Beat::new(spec, self.first?, timeline, company, triggers))
+    }
+
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
-    fn start(&mut self) -> Option<Timeline> {
+    fn start(&mut self) -> Result<Option<Timeline>, DaemonError> {
         if self.inputs.recorded_start().is_some() {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
-            let first = self.first_recorded()?;
+            let Some(first) = self.first_recorded()? else {
+                return Ok(None);
+            };
             let first = self.begin_schedules(first);
             self.rig.plan_all(&mut self.inputs, first);
             if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
                 // Nothing of it may leave before its pulse, which is foreseen before that.
                 let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
-                return Some(Timeline::through(ordered, first.plus_ns(-self.ahead_ns())));
+                let first = first.plus_ns(-self.ahead_ns());
+                return Ok(Some(Timeline::through(ordered, first)));
             }
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
@@ -654,31 +736,43 @@ impl Pacer {
                 .map(|unit| crate::ping::window_s(&unit.spec.settings, sound_speed_m_per_s))
                 .fold(0.0, f64::max);
             let window_ns = (window_s * NS_PER_S as f64) as i64;
-            return Some(Timeline::through(
+            return Ok(Some(Timeline::through(
                 self.clock.mono().plus_ns(FIRST_PING_AFTER_NS),
                 first.plus_ns(window_ns + latency_ns),
-            ));
+            )));
         }
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
-            self.inputs.pull(UtcNs(i64::MAX), &mut self.rig.history);
+            let rig_time = self.inputs.timeline();
+            let utc = rig_time.map_or(UtcNs(i64::MAX), |timeline| timeline.utc(now));
+            self.inputs.pull(utc, &mut self.rig.history);
             if let (Some(timeline), Some(first)) =
                 (self.inputs.timeline(), self.rig.history.first_usable_utc())
             {
                 self.begin_schedules(first.max(timeline.utc(now)));
-                return Some(timeline);
+                self.next_nav_lines = MonoNs(0);
+                return Ok(Some(timeline));
             }
+            self.renew_nav_lines_with(|pacer| {
+                let reason =
+                    waiting::reason(&pacer.rig.spec.nav, &mut pacer.inputs, &pacer.rig.history);
+                vec![reason]
+            });
             self.clock.sleep_until(now.plus_ns(POLL_NS));
         }
-        None
+        Ok(None)
     }
 
     fn renew_nav_lines(&mut self) {
+        self.renew_nav_lines_with(|_| Vec::new());
+    }
+
+    fn renew_nav_lines_with(&mut self, first: impl FnOnce(&mut Self) -> Vec<String>) {
         self.control.beat();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
-            let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
+            let lines = [first(self), self.inputs.lines(), self.nav_out.lines()].concat();
             self.control.set_nav(lines, self.inputs.sources());
         }
     }
@@ -694,49 +788,46 @@ impl Pacer {
         }
     }
 
-    /// Freezes every ping whose instant has come.
-    fn order(&mut self, utc: UtcNs, timeline: &Timeline) {
+    /// Puts down every ping whose instant has come.
+    fn take_orders(&mut self, orders: &Receiver<(usize, PingOrder)>, timeline: &Timeline) {
         let latency_s = self.rig.spec.run.latency_s;
-        for sonar in 0..self.schedules.len() {
-            let settings = self.settings[sonar].clone();
-            while let Some(order) =
-                self.schedules[sonar].due(utc, |at| settings.at(timeline.mono(at)))
-            {
-                settings.pinged(timeline.mono(order.transmit_utc));
-                if self.is_missed(sonar, &order) {
-                    continue;
-                }
-                if self.waiting.len() >= MOST_ORDERS {
-                    add(&self.counters(sonar).skipped_queue, 1);
-                    continue;
-                }
-                let window_s = self.rig.window_s(sonar, &order);
-                let pulse = timeline.mono(order.transmit_utc);
-                let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
-                let ready_by = match self.rig.spec.run.delivery {
-                    DeliverySpec::PingEnd => deadline,
-                    DeliverySpec::Streaming { block_s, latency_s } => {
-                        pulse.plus_s(block_s + latency_s)
-                    }
-                };
-                let due = Due {
-                    pulse,
-                    ready_by,
-                    deadline,
-                };
-                let place = self
-                    .waiting
-                    .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
-                self.waiting.insert(
-                    place,
-                    Waiting {
-                        sonar,
-                        order,
-                        window_s,
-                        due,
-                    },
-                );
+        let ended = match self.inputs.finished() {
+            true => self.inputs.recorded_end(),
+            false => None,
+        };
+        for (sonar, order) in orders.try_iter() {
+            // A log that has ended makes no more pings; the beat may have gone on a little.
+            if ended.is_some_and(|end| order.transmit_utc >= end) {
+                continue;
             }
+            if self.waiting.len() >= MOST_ORDERS {
+                add(&self.counters(sonar).skipped_queue, 1);
+                continue;
+            }
+            let window_s = self.rig.window_s(sonar, &order);
+            let pulse = timeline.mono(order.transmit_utc);
+            let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
+            let ready_by = match self.rig.spec.run.delivery {
+                DeliverySpec::PingEnd => deadline,
+                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
+            };
+            let due = Due {
+                pulse,
+                ready_by,
+                deadline,
+            };
+            let place = self
+                .waiting
+                .partition_point(|w| w.order.transmit_utc <= order.transmit_utc);
+            self.waiting.insert(
+                place,
+                Waiting {
+                    sonar,
+                    order,
+                    window_s,
+                    due,
+                },
+            );
         }
     }
 
@@ -779,13 +870,6 @@ impl Pacer {
         };
         self.compute(sonar, &order, Some(due), slot, timeline);
         Step::Done
-    }
-
-    /// Whether a fault has this pulse missed; it keeps its number.
-    fn is_missed(&self, sonar: usize, order: &PingOrder) -> bool {
-        let missed = self.rig.faults.trigger_missed(PingMark::of(sonar, order));
-        add(&self.counters(sonar).triggers_missed, u64::from(missed));
-        missed
     }
 
     fn counters(&self, sonar: usize) -> &PingCounters {
@@ -897,11 +981,11 @@ fn deliver(
             }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver() {
+        outputs.deliver(|error| {
             eprintln!("echotank: {error}");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
-        }
+        });
         if let Some(deadline) = deadline {
             way.histograms
                 .handed_over_us(way.clock.mono().0 - deadline.0);

@@ -81,6 +81,11 @@ impl Gate {
         self.change(|state| state.closed = true);
     }
 
+    /// Nothing may leave now.
+    pub fn is_held(&self) -> bool {
+        self.lock().holds()
+    }
+
     /// How many times as fast as the machine's its time goes; none where the rig makes its own.
     pub fn rate(&self) -> Option<f64> {
         self.clock.as_ref().map(|clock| clock.rate())

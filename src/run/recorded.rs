@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, RigSpec};
+use crate::config::spec::{RigSpec, TriggerFrom, TriggerSpec};
 use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
-use crate::ping::{PingOrder, Schedule};
+use crate::ping::PingOrder;
+use crate::ping::beats::{Beats, InForce};
 use crate::run::rig::{Rig, RigError};
-use crate::time::VirtualClock;
+use crate::run::waiting::lacking;
+use crate::time::{UtcNs, VirtualClock};
 
 #[derive(Debug, Error)]
 pub enum RecordedError {
@@ -19,15 +21,20 @@ pub enum RecordedError {
         "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
     )]
     NoLog,
-    #[error("the recorded navigation holds no usable sample of {0:?}, which every ping needs")]
-    NoNav(Vec<NavChannel>),
+    #[error(
+        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+    )]
+    NoNav(String),
 }
 
 pub struct RecordedRig {
     pub rig: Rig,
     pub inputs: NavInputs,
-    /// One per sonar.
-    pub schedules: Vec<Schedule>,
+    beats: Beats,
+    /// Of the first ping.
+    pub first: UtcNs,
+    /// Of each sonar: it follows another; whoever waits for a trigger from outside pings on its own beat.
+    follows: Vec<bool>,
 }
 
 impl RecordedRig {
@@ -43,37 +50,55 @@ impl RecordedRig {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;
             }
-            if !inputs.pull_next(&mut rig.history) {
-                return Err(RecordedError::NoNav(rig.history.silent()));
+            if inputs.is_all_known() {
+                return Err(RecordedError::NoNav(lacking(&spec.nav, &rig.history)));
             }
+            inputs.pull_next(&mut rig.history);
         };
         // Known for long enough to foresee it.
         let first = first.plus_ns(spec.run.ahead_ns());
         rig.plan_all(&mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
-        let schedules = vec![Schedule::starting_at(first, sound_speed_m_per_s); rig.sonars.len()];
+        let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
+        let follows = |trigger: &TriggerSpec| matches!(trigger.from, TriggerFrom::Sonar { .. });
         Ok(Self {
+            beats: Beats::starting_at(first, sound_speed_m_per_s, triggers.clone()),
+            first,
+            follows: triggers.map(follows).collect(),
             rig,
             inputs,
-            schedules,
         })
     }
 
     /// The next ping in time over all sonars, or none when every one has made the ping number `last`.
     pub fn next_order(&mut self, last: u32) -> Option<(usize, PingOrder)> {
-        let (sonar, schedule) = self
-            .schedules
-            .iter_mut()
-            .enumerate()
-            .filter(|(_, schedule)| schedule.next_number() <= last)
-            .min_by_key(|(_, schedule)| schedule.next_utc())?;
-        let running = SonarSettings {
-            // Nobody is there to send "start".
-            pinging: true,
-            ..self.rig.sonars[sonar].spec.settings
-        };
-        let order = schedule.due(schedule.next_utc(), |_| running)?;
-        Some((sonar, order))
+        loop {
+            let (beats, follows) = (&self.beats, &self.follows);
+            let wanted = |sonar: usize| beats.schedule(sonar).next_number() <= last;
+            let leads = |sonar: usize| wanted(sonar) && !follows[sonar];
+            let now = beats.next_utc(leads)?;
+            let sonars = &self.rig.sonars;
+            let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
+            let in_force = |sonar: usize, _| InForce {
+                settings: SonarSettings {
+                    // Nobody is there to send "start".
+                    pinging: !follows[sonar] && !done[sonar],
+                    ..sonars[sonar].spec.settings
+                },
+                armed: follows[sonar] && !done[sonar],
+            };
+            let happened = self.beats.due(now, in_force);
+            if let Some((sonar, event)) = happened
+                && let Some(order) = event.order()
+            {
+                return Some((sonar, order));
+            }
+        }
+    }
+
+    /// The order's pulse went out: no fault kept it from that.
+    pub fn pulsed(&mut self, sonar: usize, order: &PingOrder) {
+        self.beats.pulsed(sonar, order.transmit_utc);
     }
 
     /// Reads on until the navigation covers the ping; false when the log has ended before.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::RigSpec;
+use crate::config::spec::{RigSpec, TriggerFrom};
 use crate::io::record::RecordError;
 use crate::ping::PingOrder;
 use crate::run::counters::{PingCounters, add};
@@ -80,7 +80,7 @@ impl Replay {
         spec.nav.loop_log &= options.pings.is_some();
         let pool = pool(options.threads)?;
         let recorded = pool.install(|| RecordedRig::open(&spec))?;
-        recorded.rig.faults.begin(recorded.schedules[0].next_utc());
+        recorded.rig.faults.begin(recorded.first);
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),
@@ -101,7 +101,7 @@ impl Replay {
     pub fn pings_expected(&self) -> Option<u64> {
         let (first, last) = self.pings;
         if last < u32::MAX {
-            return Some(u64::from(last - first + 1) * self.recorded.schedules.len() as u64);
+            return Some(u64::from(last - first + 1) * self.recorded.rig.sonars.len() as u64);
         }
         let end = self.recorded_end?;
         let c = self.recorded.rig.medium().sound_speed_m_per_s;
@@ -110,11 +110,15 @@ impl Replay {
                 .rig
                 .sonars
                 .iter()
-                .zip(&self.recorded.schedules)
-                .map(|(unit, schedule)| {
+                .map(|unit| {
+                    // Of a sonar that follows another: as often as that one.
+                    let leader = match unit.spec.trigger.from {
+                        TriggerFrom::Sonar { sonar, .. } => &self.recorded.rig.sonars[sonar],
+                        _ => unit,
+                    };
                     let period_s =
-                        crate::ping::period_ns(&unit.spec.settings, c) as f64 / NS_PER_S as f64;
-                    (end.seconds_since(schedule.next_utc()) / period_s).max(0.0) as u64
+                        crate::ping::period_ns(&leader.spec.settings, c) as f64 / NS_PER_S as f64;
+                    (end.seconds_since(self.recorded.first) / period_s).max(0.0) as u64
                 })
                 .sum(),
         )
@@ -129,15 +133,15 @@ impl Replay {
                 .collect();
             let last = self.pings.1;
             while let Some((sonar, order)) = self.recorded.next_order(last) {
+                let mark = PingMark::of(sonar, &order);
+                let missed = self.recorded.rig.faults.trigger_missed(mark);
+                if !missed {
+                    self.recorded.pulsed(sonar, &order);
+                }
                 if order.ping_number < self.pings.0 {
                     continue;
                 }
-                if self
-                    .recorded
-                    .rig
-                    .faults
-                    .trigger_missed(PingMark::of(sonar, &order))
-                {
+                if missed {
                     add(&self.counters[sonar].triggers_missed, 1);
                     continue;
                 }

@@ -14,6 +14,7 @@ use crate::flow::{
     Asked, Changed, JournalEntry, KeptKey, KeptValue, SettingApplied, SettingChange,
     SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
 };
+use crate::ping::beats::InForce;
 use crate::time::{Clock, MonoNs};
 
 /// Changes kept for the operator and the other protocols to look at; older ones are only counted.
@@ -46,7 +47,7 @@ struct State {
     recent: VecDeque<RecentChange>,
     journal: VecDeque<JournalEntry>,
     /// What held from when on, oldest first; the first entry stands for all time before.
-    past: VecDeque<(MonoNs, SonarSettings)>,
+    past: VecDeque<(MonoNs, InForce)>,
 }
 
 /// What was asked of the sonar, whatever comes of it.
@@ -60,6 +61,14 @@ struct AskedFor {
 }
 
 impl AskedFor {
+    fn in_force(&self) -> InForce {
+        let obeys = self.settings.pinging && self.trigger == TriggerSource::External;
+        InForce {
+            settings: self.effective(),
+            armed: obeys && self.settings.max_ping_rate_hz > 0.0,
+        }
+    }
+
     /// A rate of 0, or a trigger that is somebody else's, keeps a started sonar from pinging.
     fn effective(&self) -> SonarSettings {
         let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
@@ -88,18 +97,29 @@ pub struct RecentChange {
 impl SettingsStore {
     /// `start` comes from the checked configuration, and lies within `limits`.
     pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
+        Self::triggered(start, TriggerSource::Internal, limits, clock)
+    }
+
+    /// As [`SettingsStore::new`], with what starts its pings at first.
+    pub fn triggered(
+        start: SonarSettings,
+        trigger: TriggerSource,
+        limits: LimitsSpec,
+        clock: Arc<dyn Clock>,
+    ) -> Self {
+        let asked = AskedFor {
+            settings: start,
+            trigger,
+            owed: 0,
+        };
         let mut past = VecDeque::with_capacity(RECENT_CHANGES);
-        past.push_back((clock.mono(), start));
+        past.push_back((clock.mono(), asked.in_force()));
         Self {
             limits,
             clock,
             version: AtomicU64::new(0),
             state: Mutex::new(State {
-                asked: AskedFor {
-                    settings: start,
-                    trigger: TriggerSource::Internal,
-                    owed: 0,
-                },
+                asked,
                 kept: BTreeMap::new(),
                 counts: SettingCounts::default(),
                 recent: VecDeque::with_capacity(RECENT_CHANGES),
@@ -121,6 +141,11 @@ impl SettingsStore {
     /// What held at an instant, for a ping whose order is written a little late. A change holds from just after its acknowledgement on:
     /// only a pulse later than it obeys it.
     pub fn at(&self, instant: MonoNs) -> SonarSettings {
+        self.in_force(instant).settings
+    }
+
+    /// As [`SettingsStore::at`], with whether triggers were obeyed then.
+    pub fn in_force(&self, instant: MonoNs) -> InForce {
         let state = self.lock();
         let held = state
             .past
@@ -128,7 +153,7 @@ impl SettingsStore {
             .rev()
             .find(|(since, _)| *since < instant)
             .or(state.past.front());
-        held.map_or(state.asked.effective(), |&(_, settings)| settings)
+        held.map_or(state.asked.in_force(), |&(_, in_force)| in_force)
     }
 
     /// Takes note of a ping that goes out at `instant`: one less is owed to whoever asked for a number of them, and after the last there is
@@ -140,8 +165,8 @@ impl SettingsStore {
         }
         state.asked.owed -= 1;
         if state.asked.owed == 0 {
-            let settings = state.asked.effective();
-            state.remember(instant, settings);
+            let in_force = state.asked.in_force();
+            state.remember(instant, in_force);
             self.next_version();
         }
     }
@@ -165,8 +190,8 @@ impl SettingsStore {
         let mut state = self.lock();
         let outcome = changed(state.asked, change, &self.limits).map(|settings| {
             state.asked = settings;
+            state.remember(self.clock.mono(), settings.in_force());
             let settings = settings.effective();
-            state.remember(self.clock.mono(), settings);
             let version = self.next_version();
             state.note(JournalEntry {
                 version,
@@ -213,8 +238,8 @@ impl SettingsStore {
 }
 
 impl State {
-    fn remember(&mut self, since: MonoNs, settings: SonarSettings) {
-        push_bounded(&mut self.past, (since, settings));
+    fn remember(&mut self, since: MonoNs, in_force: InForce) {
+        push_bounded(&mut self.past, (since, in_force));
     }
 
     fn note(&mut self, entry: JournalEntry) {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use echotank::config::spec::{
     BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, SevenKSpec, Shading, SonarSpec,
-    SynthesisSpec,
+    SynthesisSpec, TriggerOutSpec, TriggerSpec,
 };
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::flow::{
@@ -108,6 +108,8 @@ pub fn sonar() -> SonarSpec {
             gain_db: (0.0, 60.0),
             pulse_duration_s: (1e-4, 1.0),
         },
+        trigger: TriggerSpec::default(),
+        trigger_out: TriggerOutSpec::default(),
         model: ModelChoice {
             path: PathModel::StopAndHop,
             doppler: DopplerModel::None,

@@ -11,6 +11,7 @@ use super::devices;
 use super::families;
 use super::picture::picture;
 use super::samples::{self, Source};
+use super::trigger;
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
 use crate::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
@@ -47,8 +48,10 @@ pub fn longest_range_m(table: &RawTable) -> Option<f64> {
     limit.or_else(|| table.table("ping")?.number("range_m"))
 }
 
+/// `among`: its place among the sonars, and all their names.
 pub fn sonar<'t>(
     table: &'t RawTable,
+    among: (usize, &[Option<&str>]),
     medium: Option<&MediumSpec>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
@@ -140,6 +143,12 @@ pub fn sonar<'t>(
     let outputs = table
         .table("output")
         .and_then(|t| outputs(t, &heard, listeners, problems));
+    let trigger = table
+        .table("trigger")
+        .and_then(|t| trigger::trigger(t, among.0, among.1, listeners, problems));
+    let trigger_out = table
+        .table("trigger_out")
+        .and_then(|t| trigger::trigger_out(t, problems));
 
     Some(SonarSpec {
         name: table.text("name")?.to_owned(),
@@ -153,6 +162,8 @@ pub fn sonar<'t>(
         receiver: receiver?,
         settings: settings?,
         limits: limits?,
+        trigger: trigger?,
+        trigger_out: trigger_out?,
         model: model?,
         synthesis: synthesis?,
         beams: beams?,

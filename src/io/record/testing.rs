@@ -7,7 +7,7 @@ use num_complex::Complex64;
 
 use crate::config::spec::{
     BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, Shading, SonarSpec,
-    SynthesisSpec,
+    SynthesisSpec, TriggerOutSpec, TriggerSpec,
 };
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{
@@ -81,6 +81,8 @@ pub fn sonar() -> SonarSpec {
             gain_db: (0.0, 20.0),
             pulse_duration_s: (1e-3, 1e-3),
         },
+        trigger: TriggerSpec::default(),
+        trigger_out: TriggerOutSpec::default(),
         model: plan.model,
         synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {

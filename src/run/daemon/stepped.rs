@@ -3,9 +3,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
+use super::{DaemonError, FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
 use crate::run::rig::PingSlot;
-use crate::time::{Clock, Timeline, UtcNs};
+use crate::time::{Clock, Timeline};
 
 /// Waiting for a slot, the pipeline looks this often whether the daemon stops.
 const LOOK: Duration = Duration::from_millis(50);
@@ -29,9 +29,9 @@ impl Lane {
 
 impl Pacer {
     /// Pings until the navigation ends or the daemon stops.
-    pub(super) fn run_stepped(mut self) {
-        let Some(first) = self.first_recorded() else {
-            return;
+    pub(super) fn run_stepped(mut self) -> Result<(), DaemonError> {
+        let Some(first) = self.first_recorded()? else {
+            return Ok(());
         };
         let first = self.begin_schedules(first);
         self.rig.plan_all(&mut self.inputs, first);
@@ -41,61 +41,41 @@ impl Pacer {
             .timeline
             .get_or_init(|| Timeline::through(first_mono, first));
         self.inputs.set_timeline(timeline);
+        let Some(mut beat) = self.beat(timeline) else {
+            return Ok(());
+        };
         let gate = self.control.gate().clone();
         let mut handed_over = 0;
         loop {
             self.renew_nav_lines();
             if !gate.wait_open() || self.stop.load(Ordering::Acquire) {
-                return;
+                return Ok(());
             }
             self.foresee();
-            let Some((sonar, at)) = self.next_pulse() else {
+            let Some(at) = beat.next_pulse() else {
                 // Nobody pings: time stands until somebody is told to.
                 self.machine
                     .sleep_until(self.machine.mono().plus_ns(POLL_NS));
                 continue;
             };
             self.clock.sleep_until(timeline.mono(at));
-            let settings = self.settings[sonar].clone();
-            let Some(order) = self.schedules[sonar].due(at, |at| settings.at(timeline.mono(at)))
-            else {
+            let Some((sonar, order)) = beat.next(at) else {
                 continue;
             };
-            settings.pinged(timeline.mono(order.transmit_utc));
-            if self.is_missed(sonar, &order) {
-                continue;
-            }
             if !self.rig.read_on(&mut self.inputs, sonar, &order) {
-                return;
+                return Ok(());
             }
             let stop = self.stop.clone();
             let Some(slot) = self.lanes[sonar].next_slot(|| stop.load(Ordering::Acquire)) else {
-                return;
+                return Ok(());
             };
             if self.compute(sonar, &order, None, slot, &timeline) {
                 handed_over += 1;
                 // A step is over when its ping has left: whoever asked for it may change settings for the next.
                 if gate.is_paused() && !gate.wait_delivered(handed_over) {
-                    return;
+                    return Ok(());
                 }
             }
         }
-    }
-
-    /// The sonar that pings next and when. The beat of those that do not ping goes on beside it.
-    fn next_pulse(&mut self) -> Option<(usize, UtcNs)> {
-        let pinging = |sonar: &usize| self.settings[*sonar].snapshot().0.pinging;
-        let next = (0..self.schedules.len())
-            .filter(pinging)
-            .map(|sonar| (sonar, self.schedules[sonar].next_utc()))
-            .min_by_key(|&(_, at)| at)?;
-        for sonar in 0..self.schedules.len() {
-            let (settings, _) = self.settings[sonar].snapshot();
-            if !settings.pinging {
-                let none = self.schedules[sonar].due(next.1, |_| settings);
-                debug_assert!(none.is_none(), "a sonar that does not ping");
-            }
-        }
-        Some(next)
     }
 }

@@ -1,4 +1,4 @@
-//! How long ago the kernel received a datagram: a thread that is late to read must not make the navigation late.
+//! How long ago the kernel received a datagram: a thread that is late to read makes neither navigation nor a trigger late.
 //!
 //! Linux stamps datagrams when asked (`SO_TIMESTAMPNS`, socket(7)); elsewhere, and where it refuses, they count as just arrived.
 

@@ -1,0 +1,82 @@
+//! What makes a sonar ping, whom it tells of it, and what happens when pings are too much.
+
+use std::net::SocketAddr;
+
+/// What makes a sonar ping.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriggerSpec {
+    pub from: TriggerFrom,
+    pub early: EarlyTrigger,
+    /// From pulse to pulse at least, beside what the range needs; seconds.
+    pub least_interval_s: f64,
+    /// A trigger that has not come for so long is missed, seconds.
+    pub watchdog_s: Option<f64>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum TriggerFrom {
+    /// Its own beat.
+    #[default]
+    Internal,
+    /// Every datagram.
+    Udp { listen: SocketAddr },
+    /// Every line of every client.
+    Tcp { listen: SocketAddr },
+    /// Every edge of a modem line.
+    Serial {
+        port: String,
+        line: ModemLine,
+        rising: bool,
+    },
+    /// A topside that asks for pings by number, over any protocol or `echotank ctl trigger`.
+    Protocol,
+    /// Every pulse of another sonar, index into `RigSpec::sonars`, so long after it.
+    Sonar { sonar: usize, delay_s: f64 },
+}
+
+impl TriggerFrom {
+    /// It comes from outside of this program through a door of its own.
+    pub fn is_wired(&self) -> bool {
+        matches!(
+            self,
+            Self::Udp { .. } | Self::Tcp { .. } | Self::Serial { .. }
+        )
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModemLine {
+    ClearToSend,
+    CarrierDetect,
+}
+
+/// What becomes of a trigger that comes while the ping before is listened to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EarlyTrigger {
+    #[default]
+    Refuse,
+    /// One waits until the sonar is free.
+    Queue,
+}
+
+/// Whom a sonar tells that it pings.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriggerOutSpec {
+    /// A datagram for every pulse.
+    pub to: Option<SocketAddr>,
+    pub serial: Option<TriggerLineSpec>,
+}
+
+/// A serial port's line that is raised for every pulse.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TriggerLineSpec {
+    pub port: String,
+    pub line: OutLine,
+    pub pulse_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutLine {
+    RequestToSend,
+    DataTerminalReady,
+}

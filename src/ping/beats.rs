@@ -1,0 +1,277 @@
+//! When all sonars of a rig ping, in order of time: on their own beats, on triggers from outside, and after one another.
+//!
+//! In: the time, triggers, and what is in force for a sonar at an instant. Out: [`Event`]s, earliest first. A sonar that follows another is
+//! triggered by its pulse, so long after it: at the same instant (synchronised) or in between (interleaved).
+
+use std::collections::VecDeque;
+
+use super::{Early, PingOrder, Refusal, Schedule, Triggered};
+use crate::config::spec::{TriggerFrom, TriggerSpec};
+use crate::flow::SonarSettings;
+use crate::time::UtcNs;
+
+/// Triggers of a followed sonar that may lie ahead: more than its pulses in the longest delay there is.
+const MOST_AHEAD: usize = 4096;
+
+/// What holds for a sonar at an instant.
+#[derive(Clone, Copy, Debug)]
+pub struct InForce {
+    /// `pinging`: it pings on its own beat.
+    pub settings: SonarSettings,
+    /// It obeys triggers.
+    pub armed: bool,
+}
+
+impl InForce {
+    /// The settings of a triggered ping.
+    fn triggered(&self) -> Option<SonarSettings> {
+        self.armed.then_some(SonarSettings {
+            pinging: true,
+            ..self.settings
+        })
+    }
+}
+
+/// Something that happened to a sonar.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// A pulse on the beat.
+    Beat(PingOrder),
+    /// A trigger, whatever came of it.
+    Trigger(Triggered),
+}
+
+impl Event {
+    pub fn order(&self) -> Option<PingOrder> {
+        match self {
+            Self::Beat(order) | Self::Trigger(Triggered::Pulse(order)) => Some(*order),
+            Self::Trigger(_) => None,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Lane {
+    schedule: Schedule,
+    early: Early,
+    /// Index of the sonar whose pulses trigger this one, and how long after.
+    follows: Option<(usize, f64)>,
+    /// Triggers that the followed sonar has made, earliest first.
+    ahead: VecDeque<UtcNs>,
+}
+
+impl Lane {
+    fn next_trigger(&self) -> Option<UtcNs> {
+        let ahead = self.ahead.front().copied();
+        [self.schedule.queued_utc(), ahead]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Beats {
+    lanes: Vec<Lane>,
+}
+
+impl Beats {
+    pub fn starting_at<'a>(
+        first_utc: UtcNs,
+        sound_speed_m_per_s: f64,
+        triggers: impl Iterator<Item = &'a TriggerSpec>,
+    ) -> Self {
+        let lane = |spec: &TriggerSpec| Lane {
+            schedule: Schedule::starting_at(first_utc, sound_speed_m_per_s),
+            early: Early {
+                rule: spec.early,
+                least_interval_s: spec.least_interval_s,
+            },
+            follows: match spec.from {
+                TriggerFrom::Sonar { sonar, delay_s } => Some((sonar, delay_s)),
+                _ => None,
+            },
+            ahead: VecDeque::new(),
+        };
+        Self {
+            lanes: triggers.map(lane).collect(),
+        }
+    }
+
+    pub fn schedule(&self, sonar: usize) -> &Schedule {
+        &self.lanes[sonar].schedule
+    }
+
+    /// The sonar's next pulse on the beat comes not before `utc`.
+    pub fn put_off(&mut self, sonar: usize, utc: UtcNs) {
+        self.lanes[sonar].schedule.put_off(utc);
+    }
+
+    /// When something is next due of the sonars that `beat` names by themselves, and of any by a trigger.
+    pub fn next_utc(&self, beats: impl Fn(usize) -> bool) -> Option<UtcNs> {
+        let lanes = self.lanes.iter().enumerate();
+        let own = |(sonar, lane): (usize, &Lane)| {
+            let beat = beats(sonar).then(|| lane.schedule.next_utc());
+            [beat, lane.next_trigger()].into_iter().flatten().min()
+        };
+        lanes.filter_map(own).min()
+    }
+
+    /// The next thing that has happened by `now`; the caller says [`Beats::pulsed`] of every order that becomes a pulse.
+    pub fn due(
+        &mut self,
+        now: UtcNs,
+        in_force: impl Fn(usize, UtcNs) -> InForce,
+    ) -> Option<(usize, Event)> {
+        while let Some((at, sonar)) = self.earliest().filter(|(at, _)| *at <= now) {
+            if let Some(event) = self.happens(sonar, at, |at| in_force(sonar, at)) {
+                return Some((sonar, event));
+            }
+        }
+        None
+    }
+
+    /// Instant and sonar of what comes next, of equals the first sonar's.
+    fn earliest(&self) -> Option<(UtcNs, usize)> {
+        let lanes = self.lanes.iter().enumerate();
+        let next = |(sonar, lane): (usize, &Lane)| {
+            let beat = lane.schedule.next_utc();
+            (lane.next_trigger().map_or(beat, |at| at.min(beat)), sonar)
+        };
+        lanes.map(next).min()
+    }
+
+    fn happens(
+        &mut self,
+        sonar: usize,
+        at: UtcNs,
+        in_force: impl Fn(UtcNs) -> InForce,
+    ) -> Option<Event> {
+        let lane = &mut self.lanes[sonar];
+        let queued = lane.schedule.queued_due(at, |at| in_force(at).triggered());
+        if let Some(triggered) = queued {
+            return Some(Event::Trigger(triggered));
+        }
+        if lane.ahead.front().is_some_and(|ahead| *ahead <= at) {
+            let at = lane.ahead.pop_front()?;
+            return Some(Event::Trigger(self.trigger(sonar, at, in_force(at))));
+        }
+        let beat = lane.schedule.due(at, |at| in_force(at).settings);
+        beat.map(Event::Beat)
+    }
+
+    /// A trigger for `sonar` came at `at`. What was due before has been taken with [`Beats::due`].
+    pub fn trigger(&mut self, sonar: usize, at: UtcNs, in_force: InForce) -> Triggered {
+        let lane = &mut self.lanes[sonar];
+        match in_force.triggered() {
+            Some(settings) => lane.schedule.trigger(at, settings, lane.early),
+            None => Triggered::Refused(Refusal::Held),
+        }
+    }
+
+    /// The sonar's pulse went out at `at`: who follows it is triggered.
+    pub fn pulsed(&mut self, sonar: usize, at: UtcNs) {
+        let follows = |lane: &&mut Lane| lane.follows.is_some_and(|(whom, _)| whom == sonar);
+        for lane in self.lanes.iter_mut().filter(follows) {
+            let delay_s = lane.follows.map_or(0.0, |(_, delay_s)| delay_s);
+            if lane.ahead.len() < MOST_AHEAD {
+                lane.ahead.push_back(at.plus_s(delay_s));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::spec::EarlyTrigger;
+    use crate::time::NS_PER_S;
+
+    const MS: i64 = NS_PER_S / 1000;
+
+    fn settings(range_m: f64) -> SonarSettings {
+        SonarSettings {
+            pinging: true,
+            range_m,
+            max_ping_rate_hz: 5.0,
+            source_level_db: 0.0,
+            gain_db: 0.0,
+            pulse_duration_s: 2e-3,
+        }
+    }
+
+    fn following(delay_s: f64, early: EarlyTrigger) -> TriggerSpec {
+        TriggerSpec {
+            from: TriggerFrom::Sonar { sonar: 0, delay_s },
+            early,
+            ..TriggerSpec::default()
+        }
+    }
+
+    /// Milliseconds and sonar of every ping in a second; the first sonar pings five times a second, the others follow.
+    fn second(others: &[TriggerSpec], ranges_m: &[f64]) -> Vec<(i64, usize)> {
+        let first = TriggerSpec::default();
+        let specs = std::iter::once(&first).chain(others);
+        let mut beats = Beats::starting_at(UtcNs(0), 1500.0, specs);
+        let in_force = |sonar: usize, _| InForce {
+            settings: SonarSettings {
+                pinging: sonar == 0,
+                ..settings(ranges_m[sonar])
+            },
+            armed: sonar > 0,
+        };
+        let mut pings = Vec::new();
+        while let Some((sonar, event)) = beats.due(UtcNs(999 * MS), in_force) {
+            if let Some(order) = event.order() {
+                beats.pulsed(sonar, order.transmit_utc);
+                pings.push((order.transmit_utc.0 / MS, sonar));
+            }
+        }
+        pings
+    }
+
+    #[test]
+    fn synchronised_sonars_ping_together_and_interleaved_ones_in_turn() {
+        let others = [
+            following(0.0, EarlyTrigger::Refuse),
+            following(0.1, EarlyTrigger::Refuse),
+        ];
+        let want: Vec<_> = (0..5)
+            .flat_map(|k| [(200 * k, 0), (200 * k, 1), (200 * k + 100, 2)])
+            .collect();
+        assert_eq!(second(&others, &[75.0; 3]), want);
+    }
+
+    #[test]
+    fn a_follower_with_a_longer_window_keeps_its_minimum_interval() {
+        // 300 m: 403 ms from pulse to pulse.
+        let of = |early| second(&[following(0.0, early)], &[75.0, 300.0]);
+        let its = |pings: Vec<(i64, usize)>| -> Vec<_> {
+            let follower = pings.into_iter().filter(|(_, sonar)| *sonar == 1);
+            follower.map(|(ms, _)| ms).collect()
+        };
+        assert_eq!(its(of(EarlyTrigger::Refuse)), [0, 600]);
+        assert_eq!(its(of(EarlyTrigger::Queue)), [0, 403, 806]);
+    }
+
+    #[test]
+    fn who_is_not_armed_refuses_and_who_is_stopped_keeps_its_beat() {
+        let mut beats =
+            Beats::starting_at(UtcNs(0), 1500.0, std::iter::once(&TriggerSpec::default()));
+        let held = InForce {
+            settings: SonarSettings {
+                pinging: false,
+                ..settings(75.0)
+            },
+            armed: false,
+        };
+        assert_eq!(
+            beats.trigger(0, UtcNs(MS), held),
+            Triggered::Refused(Refusal::Held)
+        );
+        assert_eq!(beats.due(UtcNs(999 * MS), |_, _| held), None);
+        assert_eq!(beats.schedule(0).next_utc(), UtcNs(1000 * MS));
+        assert_eq!(beats.next_utc(|_| false), None);
+        assert_eq!(beats.next_utc(|_| true), Some(UtcNs(1000 * MS)));
+    }
+}
