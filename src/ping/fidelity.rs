@@ -312,7 +312,7 @@ mod tests {
         assert_eq!(none.chosen().error(), 1e-5, "the nearest to it");
         let middle = at(1e-3);
         assert_eq!(middle.next_cheaper().unwrap().error(), 1e-2);
-        assert_eq!(middle.next_dearer().unwrap().error(), 1e-5);
+        assert_eq!(middle.next_dearer().unwrap().error(), 5e-4);
     }
 
     #[test]

@@ -48,7 +48,7 @@ const NEARER: f64 = 0.7;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
 /// A line bears the motion across it that the echoes of a window have, and so much more in some.
-const ACROSS: f64 = 1.5;
+const ACROSS: f64 = 3.0;
 /// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater. (They are made for their
 /// tolerance, and keep it.)
 const ENGINE_MARGIN: f64 = 2.0;
