@@ -68,7 +68,7 @@ pub struct ReliefTile {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 enum Ask {
     Look(Want),
-    Command { id: u64, command: Command },
+    Command { id: u64, command: Box<Command> },
     Relief(ReliefTile),
     World {},
 }
