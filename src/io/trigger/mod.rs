@@ -287,7 +287,9 @@ mod tests {
 
     fn open(from: &TriggerFrom) -> (Door, mpsc::Receiver<Trigger>) {
         let (sender, triggers) = mpsc::channel();
-        let sink: Sink = Arc::new(move |trigger| drop(sender.send(trigger)));
+        let sink: Sink = Arc::new(move |trigger| {
+            let _ = sender.send(trigger);
+        });
         let door = Door::open(from, sink).expect("opens").expect("a door");
         (door, triggers)
     }
@@ -357,7 +359,9 @@ mod tests {
     fn edges_of_a_line_are_triggers_and_a_line_that_fails_is_opened_again() {
         let (sender, triggers) = mpsc::channel();
         let keeper = Keeper {
-            sink: Arc::new(move |trigger| drop(sender.send(trigger))),
+            sink: Arc::new(move |trigger| {
+                let _ = sender.send(trigger);
+            }),
             counts: Arc::default(),
             stop: Arc::default(),
         };

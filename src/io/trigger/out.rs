@@ -42,10 +42,11 @@ struct PortLine {
 
 impl Raise for PortLine {
     fn raise(&mut self, high: bool) -> io::Result<()> {
-        Ok(match self.line {
+        match self.line {
             OutLine::RequestToSend => self.port.write_request_to_send(high)?,
             OutLine::DataTerminalReady => self.port.write_data_terminal_ready(high)?,
-        })
+        }
+        Ok(())
     }
 }
 
