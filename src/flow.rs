@@ -1266,7 +1266,7 @@ pub struct PulseLines {
     pub lines: Vec<Line>,
 }
 
-/// What the scene knows of each sample of one side-scan line: labels for those who teach machines to read pictures. Not made on the ping path.
+/// What the scene knows of each sample of one side-scan line, or of one beam of a fan: labels for those who teach machines to read pictures. Not made on the ping path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineTruth {
     pub side: Side,
@@ -1278,6 +1278,18 @@ pub struct LineTruth {
     pub ground: Vec<GroundSeen>,
     /// Depth of that ground, world, metres; NaN where there is none.
     pub down_m: Vec<f32>,
+}
+
+impl LineTruth {
+    /// Echoes of target `label` in sample `k`: the sample is its if no other target's are stronger.
+    pub fn claim(&mut self, k: usize, label: u16, energy: f32) {
+        if energy > self.target_energy[k] {
+            self.other_energy[k] += self.target_energy[k];
+            (self.target[k], self.target_energy[k]) = (label, energy);
+        } else {
+            self.other_energy[k] += energy;
+        }
+    }
 }
 
 /// Whether the seabed on the beam's axis at the range of a sample is heard.

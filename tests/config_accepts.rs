@@ -1082,3 +1082,18 @@ fn a_synthesis_left_out_is_the_engine_behind_the_filter_and_the_direct_sum_elsew
     }
     assert_eq!(chosen("fir", "paper-eq21"), Synthesis::Direct);
 }
+
+#[test]
+fn every_rig_of_the_repository_is_accepted() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_some_and(|e| e == "toml") {
+            let loaded = echotank::config::load(&path);
+            assert!(loaded.is_ok(), "{}: {:?}", path.display(), loaded.err());
+            seen += 1;
+        }
+    }
+    assert!(seen > 10, "{seen} rigs");
+}

@@ -8,6 +8,8 @@ mod families;
 mod faults;
 #[path = "daemon/killed.rs"]
 mod killed;
+#[path = "daemon/makers_client.rs"]
+mod makers_client;
 #[path = "daemon/modes.rs"]
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
@@ -16,6 +18,8 @@ mod nav_while_pinging;
 mod streaming;
 #[path = "daemon/triggers.rs"]
 mod triggers;
+#[path = "daemon/waiting.rs"]
+mod waiting;
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};

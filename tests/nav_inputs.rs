@@ -1,5 +1,10 @@
 //! Files, sockets and serial ports: the same log through each gives the same states.
 
+#[path = "nav_inputs/datagrams.rs"]
+mod datagrams;
+#[path = "nav_inputs/ways_out.rs"]
+mod ways_out;
+
 use std::io::Write;
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};

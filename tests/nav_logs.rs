@@ -1,5 +1,8 @@
 //! Recorded logs of every kind: counters equal to those of `tests/data/navlogs/count.py`, and what the report says of them.
 
+#[path = "nav_logs/wrappers.rs"]
+mod wrappers;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 

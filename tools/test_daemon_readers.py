@@ -1,10 +1,14 @@
 """The daemon's sockets and files, read by programs that nobody here wrote (tools/requirements.txt): the makers' own client on both devices of the
-Ping protocol over TCP and UDP, tshark on every VITA 49 packet, sigmf, libsndfile.
+Ping protocol over TCP and UDP, tshark on every VITA 49 packet, sigmf, libsndfile, pingverter on .svlog, pynmea2 on navigation that goes out.
 
 The rigs are those of hil-configs, with ports of their own. The program is target/release/echotank, or what ECHOTANK names.
 """
 
+import contextlib
+import datetime
+import functools
 import glob
+import io
 import os
 import re
 import select
@@ -14,11 +18,13 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import unittest
 import warnings
 
 import numpy as np
+import pynmea2
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PATIENCE_S = 60.0
@@ -249,6 +255,226 @@ class Recordings(unittest.TestCase):
             # Milliseconds begin up to a sample of I and Q apart, which matters where an echo begins.
             alike = np.corrcoef(power, heard)[0, 1]
             self.assertGreater(alike, 0.99)
+
+NAV_RIG = """
+[nav]
+mode = "predict"
+origin = {{ latitude_deg = -54.0, longitude_deg = -10.0 }}
+stamp = "log"
+[[nav.source]]
+name = "gnss"
+kind = "udp"
+listen = "127.0.0.1:0"
+provides = ["position", "heading"]
+{outputs}
+[[sonar]]
+name = "live"
+[sonar.pulse]
+kind = "cw"
+center_frequency_khz = 100.0
+duration_ms = 1.0
+[[sonar.transmit]]
+name = "tx"
+pattern = "omnidirectional"
+[[sonar.receive]]
+name = "rx"
+transmit = "tx"
+elements = 1
+spacing_m = 0.0075
+[sonar.receiver]
+sample_rate_khz = 20.0
+rx_filter = "none"
+full_scale_v = 1.0
+[sonar.ping]
+range_m = 20.0
+rate_hz = 2.0
+source_level_db = 200.0
+gain_db = 0.0
+[sonar.output.sevenk]
+id = 103
+arrays = ["rx"]
+listen = "127.0.0.1:0"
+"""
+NAV_OUTPUT = """
+[[nav.output]]
+name = "{name}"
+kind = "{kind}"
+{where}
+rate_hz = 2.0
+pulse = "byte"
+"""
+PULSE = b"\x07"
+
+
+def sentence(body):
+    return "$%s*%02X\r\n" % (body, functools.reduce(lambda a, c: a ^ ord(c), body, 0))
+
+
+class Receiver(threading.Thread):
+    """A GNSS receiver on UDP: ten times a second, its clock `off_s` from the computer's; northward at 1 m/s, on a heading of 359.9 degrees."""
+
+    def __init__(self, to, off_s):
+        super().__init__(daemon=True)
+        self.to, self.off_s, self.ended = to, off_s, threading.Event()
+        self.start()
+
+    def now(self):
+        return datetime.datetime.fromtimestamp(time.time() + self.off_s, datetime.timezone.utc)
+
+    def run(self):
+        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.began = self.now()
+        while not self.ended.wait(0.1):
+            now = self.now()
+            clock = now.strftime("%H%M%S.") + "%03d" % (now.microsecond // 1000)
+            minutes = (now - self.began).total_seconds() / 1852.0
+            text = sentence("GPZDA,%s,%s,00,00" % (clock, now.strftime("%d,%m,%Y")))
+            text += sentence("GPGGA,%s,54%09.6f,S,01030.000000,W,4,9,0.9,1.0,M,0.0,M,," % (clock, 30.0 - minutes))
+            text += sentence("GPHDT,359.90,T")
+            out.sendto(text.encode(), self.to)
+        out.close()
+
+    def stop(self):
+        self.ended.set()
+        self.join(PATIENCE_S)
+
+
+class NavigationOut(unittest.TestCase):
+    """pynmea2 on what a device under test hears over UDP, TCP and a serial line: the clock of the pings."""
+
+    def lines(self, read, seconds):
+        """What comes until so many ZDA have: pulses and sentences in their order, with the moment of each."""
+        heard, pending, until = [], b"", time.monotonic() + PATIENCE_S
+        while sum(kind == "ZDA" for kind, _, _ in heard) < seconds:
+            self.assertLess(time.monotonic(), until, "%d in time: %r" % (len(heard), heard))
+            pending += read()
+            while pending:
+                if pending.startswith(PULSE):
+                    heard.append(("pulse", None, time.time()))
+                    pending = pending[1:]
+                    continue
+                line, end, rest = pending.partition(b"\r\n")
+                if not end:
+                    break
+                pending = rest
+                spoken = pynmea2.parse(line.decode(), check=True)
+                heard.append((spoken.sentence_type, spoken, time.time()))
+        return heard
+
+    def check(self, heard, receiver):
+        for k, (kind, spoken, at) in enumerate(heard):
+            if kind == "ZDA":
+                named = datetime.datetime.combine(datetime.date(spoken.year, spoken.month, spoken.day), spoken.timestamp)
+                self.assertEqual(named.microsecond, 0)
+                named = named.replace(tzinfo=datetime.timezone.utc).timestamp()
+                self.assertLess(abs(at + receiver.off_s - named), 0.9, "the clock of the receiver, when it is said")
+                self.assertTrue(k == 0 or heard[k - 1][0] == "pulse", "the pulse comes before what names it")
+            elif kind == "GGA":
+                self.assertEqual(spoken.gps_qual, 4)
+                of_day = datetime.datetime.combine(receiver.began.date(), spoken.timestamp, datetime.timezone.utc)
+                metres = (of_day - receiver.began).total_seconds() % 86400.0
+                if 1.0 < metres < 3600.0:
+                    north = (spoken.latitude + 54.5) * 60.0 * 1852.0
+                    self.assertAlmostEqual(north, metres, delta=0.3)
+                self.assertAlmostEqual(spoken.longitude, -10.5, delta=1e-7)
+            elif kind == "HDT":
+                self.assertAlmostEqual(float(spoken.heading), 359.9, places=3)
+        kinds = [kind for kind, _, _ in heard]
+        self.assertGreaterEqual(kinds.count("GGA"), 2)
+        self.assertGreaterEqual(kinds.count("HDT"), 2)
+
+    def rig(self, folder, device, inbox):
+        port = "127.0.0.1:%d" % inbox.getsockname()[1]
+        outputs = "".join(NAV_OUTPUT.format(name=name, kind=kind, where=where) for name, kind, where in (
+            ("board", "tcp", 'listen = "127.0.0.1:0"'),
+            ("lan", "udp", 'to = "%s"' % port),
+            ("line", "serial", 'port = "%s"\nbaud = 9600' % os.ttyname(device)),
+        ))
+        path = os.path.join(folder, "nav.toml")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(NAV_RIG.format(outputs=outputs))
+        return path
+
+    def test_every_way_out_names_the_seconds_of_the_pings_own_clock(self):
+        # Of now, and of a log that is played again: the pings' clock is the receiver's either way.
+        for off_s in (0.0, -86400.0 * 4000.0):
+            with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as closing:
+                ours, device = os.openpty()
+                closing.callback(os.close, ours)
+                closing.callback(os.close, device)
+                inbox = closing.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                inbox.bind(("127.0.0.1", 0))
+                inbox.settimeout(0.5)
+                daemon = Daemon(self.rig(folder, device, inbox))
+                receiver = Receiver(daemon.address("nav gnss udp"), off_s)
+                board = daemon.address("nav out board tcp")
+                closing.callback(receiver.stop)
+                try:
+                    client = closing.enter_context(socket.create_connection(board, PATIENCE_S))
+                    client.settimeout(0.5)
+
+                    def of(receive):
+                        def read():
+                            try:
+                                return receive(4096)
+                            except (socket.timeout, TimeoutError):
+                                return b""
+                        return read
+
+                    def line():
+                        return os.read(ours, 4096) if select.select([ours], [], [], 0.5)[0] else b""
+
+                    for way in (of(client.recv), of(inbox.recv), line):
+                        # What had gathered before is old by now.
+                        self.drain(way)
+                        self.check(self.lines(way, 2), receiver)
+                finally:
+                    printed = daemon.stop()
+                self.assertNotIn("pings 0 made", printed.splitlines()[-1])
+
+    def drain(self, way):
+        until = time.monotonic() + 0.3
+        while time.monotonic() < until:
+            way()
+
+
+@needs_310
+class Svlog(unittest.TestCase):
+    """pingverter, on what a daemon records of an Omniscan pair."""
+
+    def test_every_profile_of_the_log_is_read_with_its_range_and_number(self):
+        from pingverter.cerulean_class import cerul
+        with tempfile.TemporaryDirectory() as folder:
+            daemon = Daemon("omniscan450.toml", "record.directory=%s" % folder, "sonar.0.output.ping.listen=127.0.0.1:0", "sonar.1.output.ping.listen=127.0.0.1:0")
+            daemon.address("ping port tcp")
+            time.sleep(4.0)
+            daemon.stop()
+            for side, channel in (("port", 0), ("starboard", 1)):
+                path, = glob.glob(os.path.join(folder, side + "-*.svlog"))
+                with open(path, "rb") as file:
+                    raw, profiles, at = file.read(), [], 0
+                while at < len(raw):
+                    length, kind = struct.unpack_from("<HH", raw, at + 2)
+                    if kind == 2198:
+                        profiles.append(struct.unpack_from("<IIII", raw, at + 8))
+                    at += 10 + length
+                self.assertGreater(len(profiles), 5)
+                log = cerul(path)
+                # Its own caller sets these two.
+                log.metaDir, log.tempC = folder, 1.2
+                with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    log._getFileLen()
+                    log._parseFileHeader()
+                    log._locatePackets()
+                table = log.header_dat
+                self.assertEqual(len(table), len(profiles))
+                first = table.iloc[0]
+                self.assertEqual((first["max_range"], first["ping_cnt"]), (50.0, 600))
+                self.assertAlmostEqual(first["pixM"], 50.0 / 600, places=9)
+                times = table["time_s"].to_numpy(dtype=float)
+                np.testing.assert_allclose(times, [ms / 1e3 for _, _, _, ms in profiles], atol=1e-6)
+                self.assertAlmostEqual(float(np.diff(times).mean()), 0.2, delta=0.02)
 
 
 if __name__ == "__main__":

@@ -169,8 +169,8 @@ class Page(unittest.TestCase):
             best.append((seconds, want, got[0], got[-1]))
         self.assertGreaterEqual(len(best), 8, "rows about the target")
         for seconds, want, first, last in best:
-            # A pixel is 0.1 m; the pulse of 20 kHz is 0.04 m long, and side lobes may be as bright as the palette goes.
-            self.assertTrue(first - 1.5 <= want <= last + 1.5 and last - first < 12, f"at {seconds} s: drawn at {first} to {last}, predicted {want:.1f}")
+            # A pixel is 0.1 m, a sample 0.02 m; the loudest colour may fill a neighbour, and no more.
+            self.assertTrue(first - 1.0 <= want <= last + 1.5 and last - first <= 3, f"at {seconds} s: drawn at {first} to {last}, predicted {want:.1f}")
         # The mark of the truth is there as well: at the ping broadside to it, in its own colour.
         marked = page.evaluate("""() => {
             const canvas = document.getElementById("wf-over");
@@ -279,6 +279,24 @@ class Page(unittest.TestCase):
         client.send({"command": {"id": 1, "command": {"do": "fault", "kind": SCRIPT}}})
         page.wait_for_timeout(300)
         self.assertEqual(page.evaluate("[window.pwned ?? null, document.querySelectorAll('#log img, #log script').length]"), [None, 0])
+
+    def test_a_token_is_asked_for_and_opens_the_page(self):
+        daemon = Daemon(self.rig, "sonar.output.sevenk.listen=127.0.0.1:0", "control.listen=127.0.0.1:0", "control.token=open-sesame", *self.settings)
+        self.addCleanup(daemon.stop)
+        at = "%s:%d" % daemon.address(r"control http")
+        for protocols, origin, want in ((["echotank"], None, 401), (["echotank", "token." + b"open".hex()], None, 401),
+                                        (["echotank", "token." + b"open-sesame".hex()], "http://evil.example", 403),
+                                        (["echotank", "token." + b"open-sesame".hex()], f"http://{at}", 101)):
+            client = PageClient(at, origin=origin, protocols=protocols)
+            self.addCleanup(client.close)
+            self.assertEqual(client.status, want, (protocols, origin))
+        page = self.browser.new_page()
+        self.addCleanup(page.close)
+        page.set_default_timeout(PATIENCE_S * 1000)
+        page.goto(f"http://{at}/")
+        page.fill("#token", "open-sesame")
+        page.click("#token-form button")
+        page.wait_for_function("() => Number(document.getElementById('ping').textContent) > 0")
 
     def test_z_the_page_comes_back_when_the_daemon_does(self):
         listen = self.at

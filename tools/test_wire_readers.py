@@ -4,6 +4,7 @@ The sample files come from `protocols/examples/wire_samples`; what they should h
 written before, name it in WIRE_SAMPLES.
 """
 
+import json
 import os
 import re
 import struct
@@ -100,6 +101,41 @@ class Daemon(unittest.TestCase):
             kinds.append(struct.unpack_from("<H", rest, 4)[0])
             rest = rest[16 + struct.unpack_from("<I", rest, 12)[0] :]
         self.assertEqual((kinds.count(182), kinds.count(426)), (1, 2))
+
+    def test_pingverter_reads_every_line_of_the_jsf_file_with_the_state_of_its_ping(self):
+        from pingverter.jsf_class import jsf
+        with tempfile.TemporaryDirectory() as folder:
+            log = jsf(os.path.join(self.folder, "hull.jsf"))
+            # Its own caller sets these three.
+            log.metaDir, log.trans, log.tempC = folder, None, 1.2
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                log._getFileLen()
+                log._parseFileHeader()
+                log._parsePingHeader()
+        table = log.header_dat.sort_values(["ping_number", "channel"])
+        self.assertEqual(table["ping_number"].tolist(), [1, 1, 2, 2, 3, 3])
+        self.assertEqual(table["channel"].tolist(), [0, 1] * 3)
+        self.assertEqual(set(table["ping_cnt"]), {self.lines.shape[2]})
+        self.assertEqual(set(table["f"]), {100.0})
+        with open(os.path.join(self.folder, "truth.jsonl"), encoding="utf-8") as text:
+            truth = [json.loads(line) for line in text]
+        metres = table["pixM"].to_numpy()
+        # The interval is written in whole nanoseconds.
+        np.testing.assert_allclose(metres, 0.5 * 1525.0 / self.rate_hz, rtol=1e-4)
+        for k, ping in enumerate(truth):
+            for _, row in table[table["ping_number"] == k + 1].iterrows():
+                self.assertAlmostEqual(row["time_s"], self.utc_ns[k] / 1e9, delta=1.1e-3)
+                self.state(row, ping)
+
+    def state(self, row, ping):
+        """Position to 1e-4 minutes, angles to their steps; its own course is ten times too small where ours is in whole degrees."""
+        nav = ping["pose"]
+        self.assertAlmostEqual(row["lat"], nav["latitude_deg"], delta=1e-6)
+        self.assertAlmostEqual(row["lon"], nav["longitude_deg"], delta=1e-6)
+        self.assertAlmostEqual(row["instr_heading"], nav["heading_deg"], delta=0.0051)
+        self.assertAlmostEqual(row["pitch"], nav["pitch_deg"], delta=0.0028)
+        self.assertAlmostEqual(row["roll"], nav["roll_deg"], delta=0.0028)
 
     def test_xtf_holds_every_line_in_counts_of_the_full_scale(self):
         import pyxtf

@@ -22,9 +22,7 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::directions::{Directions, widths_rad};
-use super::matched::Correlator;
-use super::weights;
+use super::aimed::{Aimed, Band};
 use crate::config::spec::{FanSpec, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
 
@@ -34,20 +32,9 @@ const TILE: usize = 4;
 const GROUP: usize = 16;
 /// Phasors are advanced by multiplication and made anew every so many tiles: their rounding stays below 1e-13.
 const RESEED_TILES: usize = 128;
-/// Silence between row ends, over twice the travel time along the array, in samples: room for the interpolation's tails.
-const GUARD_SAMPLES: usize = 32;
-
 /// The fan of one receive array.
 pub struct FanFormer {
-    array: usize,
-    elements: usize,
-    spacing_m: f64,
-    /// Over elements, sum 1.
-    weights: Vec<f64>,
-    directions: Directions,
-    width_rad: Vec<f64>,
-    sound_speed_m_per_s: f64,
-    correlator: Correlator,
+    aimed: Aimed,
     /// Element-major: weighted, matched-filtered spectra.
     spectra: Vec<Complex64>,
     workers: Vec<Worker>,
@@ -74,67 +61,32 @@ impl FanFormer {
         weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
-        assert!(
-            fan.beams > 0 && array.elements > 0,
-            "a fan needs beams and elements"
-        );
-        let length_m = array.spacing_m * (array.elements - 1) as f64;
-        let travel = (length_m / sound_speed_m_per_s * limits.sample_rate_hz).ceil() as usize;
-        let correlator = Correlator::new(pulse, limits, 2 * travel + GUARD_SAMPLES, weighting);
-        let length = correlator.length();
-
-        let mut weights = vec![0.0; array.elements];
-        weights::fill(fan.shading, &mut weights);
-        let sum: f64 = weights.iter().sum();
+        let c = sound_speed_m_per_s;
+        let silence = Aimed::far_field_silence(array, &limits, c);
+        let aimed = Aimed::new(array, fan, (limits, silence), pulse, weighting, c);
+        let length = aimed.correlator.length();
         let workers = rayon::current_num_threads().clamp(1, fan.beams);
-        let mut former = Self {
-            array: fan.array,
-            elements: array.elements,
-            spacing_m: array.spacing_m,
-            weights: weights.iter().map(|w| w / sum).collect(),
-            directions: Directions::new(array, fan),
-            width_rad: vec![0.0; fan.beams],
-            sound_speed_m_per_s,
+        Self {
             spectra: vec![Complex64::ZERO; length * array.elements],
             workers: (0..workers)
                 .map(|_| Worker {
                     beams: vec![Complex64::ZERO; length * GROUP.min(fan.beams)],
                     tile: vec![[[0.0; TILE]; 2]; array.elements],
-                    scratch: correlator.make_scratch(),
+                    scratch: aimed.correlator.make_scratch(),
                 })
                 .collect(),
-            correlator,
-        };
-        former.measure_widths();
-        former
+            aimed,
+        }
     }
 
     /// Index of the receive array it belongs to.
     pub fn array(&self) -> usize {
-        self.array
+        self.aimed.array()
     }
 
     /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        assert_eq!(frame.array, self.array, "elements of another array");
-        assert_eq!(frame.elements, self.elements, "elements of another array");
-        assert!(
-            frame.samples <= self.correlator.limits().samples,
-            "row of {} samples, sized for {}",
-            frame.samples,
-            self.correlator.limits().samples
-        );
-        let tuned_hz = self.correlator.pulse().center_frequency_hz;
-        self.correlator.set_pulse(&plan.pulse);
-        let turned = self.directions.aim(plan);
-        if turned
-            || plan.sound_speed_m_per_s != self.sound_speed_m_per_s
-            || plan.pulse.center_frequency_hz != tuned_hz
-        {
-            self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
-            self.measure_widths();
-        }
-        self.prepare(frame.samples, out);
+        self.aimed.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -142,28 +94,10 @@ impl FanFormer {
         self.sum_beams(frame.samples, &mut out.iq);
     }
 
-    fn prepare(&self, samples: usize, out: &mut BeamFrame) {
-        let beams = self.directions.sine.len();
-        out.beams = beams;
-        out.samples = samples;
-        out.angle_rad.clone_from(&self.directions.angle_rad);
-        out.width_rad.clone_from(&self.width_rad);
-        let most = beams * self.correlator.limits().samples;
-        out.iq.reserve_exact(most.saturating_sub(out.iq.len()));
-        out.iq.resize(beams * samples, Complex64::ZERO);
-    }
-
-    fn measure_widths(&mut self) {
-        let wavelength_m = self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz;
-        let spacing = self.spacing_m / wavelength_m;
-        let sines = &self.directions.sine;
-        widths_rad(&self.weights, spacing, sines, &mut self.width_rad);
-    }
-
     fn transform_elements(&mut self, frame: &ElementFrame) {
-        let length = self.correlator.length();
-        let (correlator, weights) = (&self.correlator, &self.weights);
-        let share = self.elements.div_ceil(self.workers.len());
+        let (correlator, weights) = (&self.aimed.correlator, &self.aimed.weights);
+        let length = correlator.length();
+        let share = weights.len().div_ceil(self.workers.len());
         self.spectra
             .par_chunks_mut(share * length)
             .zip(&mut self.workers)
@@ -182,18 +116,14 @@ impl FanFormer {
     }
 
     fn sum_beams(&mut self, samples: usize, out: &mut [Complex64]) {
-        let length = self.correlator.length();
-        let share = self.directions.sine.len().div_ceil(self.workers.len());
-        let (correlator, spectra) = (&self.correlator, &self.spectra);
+        let (correlator, spectra) = (&self.aimed.correlator, &self.spectra);
+        let (length, band) = (correlator.length(), self.aimed.band());
+        let sines = &self.aimed.directions.sine;
+        let share = sines.len().div_ceil(self.workers.len());
         // Cycles over one element spacing per unit of sine and hertz.
-        let spacing_s = self.spacing_m / self.sound_speed_m_per_s;
-        let band = Band {
-            length,
-            center_hz: correlator.pulse().center_frequency_hz,
-            step_hz: correlator.limits().sample_rate_hz / length as f64,
-        };
+        let spacing_s = self.aimed.spacing_m() / self.aimed.sound_speed_m_per_s;
         out.par_chunks_mut(share * samples)
-            .zip(self.directions.sine.par_chunks(share))
+            .zip(sines.par_chunks(share))
             .zip(&mut self.workers)
             .for_each(|((rows, sines), worker)| {
                 for (rows, sines) in rows.chunks_mut(GROUP * samples).zip(sines.chunks(GROUP)) {
@@ -207,25 +137,6 @@ impl FanFormer {
                     }
                 }
             });
-    }
-}
-
-/// The transform's frequencies.
-struct Band {
-    length: usize,
-    center_hz: f64,
-    step_hz: f64,
-}
-
-impl Band {
-    /// In the water, for bin `k`; the upper half of the bins lies below the centre.
-    fn frequency_hz(&self, k: usize) -> f64 {
-        let bin = if k < self.length / 2 {
-            k as f64
-        } else {
-            k as f64 - self.length as f64
-        };
-        self.center_hz + bin * self.step_hz
     }
 }
 

@@ -29,10 +29,9 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::directions::{Directions, widths_rad};
+use super::aimed::Aimed;
 use super::kernel::{BLOCK, Dialect, STEP, Sums, Taps, WIDEST, add_rows};
-use super::matched::Correlator;
-use super::weights::{self, Taper};
+use super::weights::Taper;
 use crate::config::spec::{FanSpec, Former, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
@@ -46,12 +45,10 @@ const NEAREST_M: f64 = 1e-3;
 
 /// The beams of one receive array.
 pub struct DelaySumFormer {
-    array: usize,
+    aimed: Aimed,
     former: Former,
-    directions: Directions,
     /// Elements along the line from its centre, metres.
     x_m: Vec<f32>,
-    spacing_m: f64,
     /// The transmitter from the array's centre, along the line and the boresight, metres.
     transmit_m: [f64; 2],
     array_from_body: glam::DQuat,
@@ -60,11 +57,6 @@ pub struct DelaySumFormer {
     focus_error_rad: f64,
     /// Elements that hear.
     part: std::ops::Range<usize>,
-    /// Of the whole line, sum 1.
-    weights: Vec<f64>,
-    width_rad: Vec<f64>,
-    sound_speed_m_per_s: f64,
-    correlator: Correlator,
     /// Silence before and behind each row: what delays and filters may reach beyond it.
     margin: usize,
     /// Element-major compressed rows: real parts, imaginary parts, with their margins.
@@ -111,19 +103,19 @@ impl DelaySumFormer {
         weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
-        assert!(
-            fan.beams > 0 && array.elements > 0,
-            "a fan needs beams and elements"
+        let aimed = Aimed::new(
+            array,
+            fan,
+            (limits, 0),
+            pulse,
+            weighting,
+            sound_speed_m_per_s,
         );
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;
         // A platform at a tenth of the speed of sound lengthens delays by as much.
         let reach = 1.2 * half_m / sound_speed_m_per_s * limits.sample_rate_hz;
         let margin = reach.ceil() as usize + 2;
-        let correlator = Correlator::new(pulse, limits, 0, weighting);
-        let mut weights = vec![0.0; elements];
-        weights::fill(fan.shading, &mut weights);
-        normalise(&mut weights);
         let array_from_body = array.mounting.body_from_array.inverse();
         let transmit_m =
             array_from_body * (transmit.mounting.position_m - array.mounting.position_m);
@@ -132,20 +124,14 @@ impl DelaySumFormer {
         let share = fan.beams.div_ceil(workers);
         let grid_row = grid_row(margin);
         let mut former = Self {
-            array: fan.array,
             former: fan.form.former,
-            directions: Directions::new(array, fan),
             x_m: (0..elements).map(|e| array.element_x_m(e) as f32).collect(),
-            spacing_m: array.spacing_m,
             transmit_m: [transmit_m.x, transmit_m.z],
             array_from_body,
             taper: Taper::new(fan.shading),
             f_number: fan.form.f_number,
             focus_error_rad: fan.form.focus_error_rad,
             part: 0..elements,
-            weights,
-            width_rad: vec![0.0; fan.beams],
-            sound_speed_m_per_s,
             margin,
             rows: vec![0.0; elements * 2 * row_length],
             row_length,
@@ -158,13 +144,12 @@ impl DelaySumFormer {
                     grid: vec![0.0; BLOCK.min(elements) * FRACTIONS * 2 * grid_row],
                     tile: (0..share).map(|_| Sums::ZERO).collect(),
                     focus: vec![Focus::default(); share * WIDEST],
-                    buffer: vec![Complex64::ZERO; correlator.length()],
-                    scratch: correlator.make_scratch(),
+                    buffer: vec![Complex64::ZERO; aimed.correlator.length()],
+                    scratch: aimed.correlator.make_scratch(),
                 })
                 .collect(),
-            correlator,
+            aimed,
         };
-        former.measure_widths();
         // Sized by the zones of the longest ping, or one zone.
         former.make_zones(limits.samples, 0.0);
         former
@@ -175,43 +160,19 @@ impl DelaySumFormer {
 
     /// Only these elements, about the whole line's centre.
     pub fn with_part(mut self, part: std::ops::Range<usize>) -> Self {
-        for (e, w) in self.weights.iter_mut().enumerate() {
-            if !part.contains(&e) {
-                *w = 0.0;
-            }
-        }
-        normalise(&mut self.weights);
+        self.aimed.hear_with(&part);
         self.part = part;
-        self.measure_widths();
         self
     }
 
     /// Index of the receive array it belongs to.
     pub fn array(&self) -> usize {
-        self.array
+        self.aimed.array()
     }
 
     /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        assert_eq!(frame.array, self.array, "elements of another array");
-        assert_eq!(frame.elements, self.x_m.len(), "elements of another array");
-        assert!(
-            frame.samples <= self.correlator.limits().samples,
-            "row of {} samples, sized for {}",
-            frame.samples,
-            self.correlator.limits().samples
-        );
-        let tuned_hz = self.correlator.pulse().center_frequency_hz;
-        self.correlator.set_pulse(&plan.pulse);
-        let turned = self.directions.aim(plan);
-        if turned
-            || plan.sound_speed_m_per_s != self.sound_speed_m_per_s
-            || plan.pulse.center_frequency_hz != tuned_hz
-        {
-            self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
-            self.measure_widths();
-        }
-        self.prepare(frame.samples, out);
+        self.aimed.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -221,34 +182,9 @@ impl DelaySumFormer {
         self.sum(plan, frame.samples, &mut out.iq);
     }
 
-    fn prepare(&self, samples: usize, out: &mut BeamFrame) {
-        let beams = self.directions.sine.len();
-        out.beams = beams;
-        out.samples = samples;
-        out.angle_rad.clone_from(&self.directions.angle_rad);
-        out.width_rad.clone_from(&self.width_rad);
-        let most = beams * self.correlator.limits().samples;
-        out.iq.reserve_exact(most.saturating_sub(out.iq.len()));
-        out.iq.resize(beams * samples, Complex64::ZERO);
-    }
-
-    fn wavelength_m(&self) -> f64 {
-        self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz
-    }
-
-    fn measure_widths(&mut self) {
-        let spacing = self.spacing_m / self.wavelength_m();
-        widths_rad(
-            &self.weights,
-            spacing,
-            &self.directions.sine,
-            &mut self.width_rad,
-        );
-    }
-
     /// Half of the aperture in use at a range, metres.
     fn half_aperture_m(&self, range_m: f64) -> f64 {
-        let whole = 0.5 * self.spacing_m * self.x_m.len() as f64;
+        let whole = 0.5 * self.aimed.spacing_m() * self.x_m.len() as f64;
         match self.f_number {
             Some(f) => whole.min(0.5 * range_m / f),
             None => whole,
@@ -257,7 +193,7 @@ impl DelaySumFormer {
 
     fn make_zones(&mut self, samples: usize, first_sample_s: f64) {
         self.zones.clear();
-        let rate_hz = self.correlator.limits().sample_rate_hz;
+        let rate_hz = self.aimed.correlator.limits().sample_rate_hz;
         let time_s = |k: usize| first_sample_s + k as f64 / rate_hz;
         let range_m = |k: usize, c: f64| (0.5 * c * time_s(k)).max(NEAREST_M);
         if self.former != Former::DynamicFocus {
@@ -268,13 +204,13 @@ impl DelaySumFormer {
             });
             return;
         }
-        let c = self.sound_speed_m_per_s;
+        let c = self.aimed.sound_speed_m_per_s;
         let mut first = 0;
         while first < samples {
             let near_m = range_m(first, c);
             let half_m = self.half_aperture_m(near_m);
             // 1/r may change by this from the zone's middle to its ends.
-            let bend = self.focus_error_rad * self.wavelength_m() / (PI * half_m * half_m);
+            let bend = self.focus_error_rad * self.aimed.wavelength_m() / (PI * half_m * half_m);
             let far = 1.0 / near_m - 2.0 * bend;
             // An aperture that grows with range is followed in steps of a twentieth.
             let most_m = match half_m < self.half_aperture_m(f64::INFINITY) {
@@ -302,16 +238,16 @@ impl DelaySumFormer {
         let elements = self.x_m.len();
         self.zone_weights.clear();
         for z in 0..self.zones.len() {
-            let range_m = 0.5 * self.sound_speed_m_per_s * self.zones[z].time_s;
+            let range_m = 0.5 * self.aimed.sound_speed_m_per_s * self.zones[z].time_s;
             let half_m = self.half_aperture_m(range_m);
             let start = self.zone_weights.len();
             if half_m >= self.half_aperture_m(f64::INFINITY) {
                 self.zone_weights
-                    .extend(self.weights.iter().map(|w| *w as f32));
+                    .extend(self.aimed.weights.iter().map(|w| *w as f32));
                 continue;
             }
             // At least the middle of the line hears.
-            let half_m = half_m.max(0.5 * self.spacing_m) as f32;
+            let half_m = half_m.max(0.5 * self.aimed.spacing_m()) as f32;
             let taper = &self.taper;
             let part = &self.part;
             self.zone_weights
@@ -330,7 +266,7 @@ impl DelaySumFormer {
 
     /// Matched-filters every element into its row.
     fn compress(&mut self, frame: &ElementFrame) {
-        let (correlator, row_length) = (&self.correlator, self.row_length);
+        let (correlator, row_length) = (&self.aimed.correlator, self.row_length);
         let before = self.margin + TAPS;
         let share = self.x_m.len().div_ceil(self.workers.len());
         self.rows
@@ -356,7 +292,12 @@ impl DelaySumFormer {
     }
 
     fn sum(&mut self, plan: &PingPlan, samples: usize, out: &mut [Complex64]) {
-        let share = self.directions.sine.len().div_ceil(self.workers.len());
+        let share = self
+            .aimed
+            .directions
+            .sine
+            .len()
+            .div_ceil(self.workers.len());
         let velocity = plan.segments.first().map_or(glam::DVec3::ZERO, |s| {
             self.array_from_body * (s.world_from_body.inverse() * s.velocity_m_per_s)
         });
@@ -364,14 +305,14 @@ impl DelaySumFormer {
             former: self.former,
             transmit_m: self.transmit_m,
             velocity_m_per_s: [velocity.x, velocity.z],
-            c: self.sound_speed_m_per_s,
-            carrier_hz: self.correlator.pulse().center_frequency_hz,
-            rate_hz: self.correlator.limits().sample_rate_hz,
+            c: self.aimed.sound_speed_m_per_s,
+            carrier_hz: self.aimed.correlator.pulse().center_frequency_hz,
+            rate_hz: self.aimed.correlator.limits().sample_rate_hz,
         };
         let mut workers = std::mem::take(&mut self.workers);
         let this = &*self;
         out.par_chunks_mut(share * samples)
-            .zip(this.directions.sine.par_chunks(share))
+            .zip(this.aimed.directions.sine.par_chunks(share))
             .zip(&mut workers)
             .for_each(|((rows, sines), worker)| {
                 this.sum_beams(&steering, sines, samples, worker, rows);
@@ -462,13 +403,6 @@ impl DelaySumFormer {
 /// Samples of one row of a grid: a tile, margins, and what the kernel may read beyond.
 fn grid_row(margin: usize) -> usize {
     (2 * margin + WIDEST + STEP).next_multiple_of(STEP)
-}
-
-fn normalise(weights: &mut [f64]) {
-    let sum: f64 = weights.iter().sum();
-    for w in weights {
-        *w /= sum;
-    }
 }
 
 /// Windowed sincs for 0, 1/16 .. 15/16 of a sample, each with a response of 1 at the band's middle.

@@ -8,6 +8,7 @@ use num_complex::Complex64;
 use super::*;
 use crate::beam::conventional::line_array_response;
 use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
+use crate::beam::weights;
 use crate::config::spec::{BeamSpacing, FanForm};
 use crate::flow::testing::plan_at_rest;
 use crate::flow::{Mounting, Pattern, PulseKind, Segment};

@@ -25,9 +25,8 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::directions::{Directions, widths_rad};
+use super::aimed::Aimed;
 use super::kernel::Dialect;
-use super::matched::Correlator;
 use super::weights;
 use crate::config::spec::{FanSpec, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
@@ -38,21 +37,11 @@ const TAPS: usize = 8;
 const PLACES: usize = 512;
 /// Frequencies handled together: one line of a cache of every element.
 const TILE: usize = 16;
-/// Silence between row ends, over twice the travel time along the array, in samples: room for the interpolation's tails.
-const GUARD_SAMPLES: usize = 32;
-
 /// The fan of one receive array.
 pub struct FastFan {
-    array: usize,
-    spacing_m: f64,
-    /// Over elements, sum 1.
-    weights: Vec<f64>,
-    /// The same over the kernel's transform.
+    aimed: Aimed,
+    /// The weights over the kernel's transform.
     spread: Vec<f32>,
-    directions: Directions,
-    width_rad: Vec<f64>,
-    sound_speed_m_per_s: f64,
-    correlator: Correlator,
     inverse: Arc<dyn Fft<f32>>,
     /// Over the elements.
     line: Arc<dyn Fft<f32>>,
@@ -108,22 +97,14 @@ impl FastFan {
         weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
-        let elements = array.elements;
-        assert!(
-            fan.beams > 0 && elements > 0,
-            "a fan needs beams and elements"
-        );
-        let length_m = array.spacing_m * (elements - 1) as f64;
-        let travel = (length_m / sound_speed_m_per_s * limits.sample_rate_hz).ceil() as usize;
-        let correlator = Correlator::new(pulse, limits, 2 * travel + GUARD_SAMPLES, weighting);
+        let (elements, c) = (array.elements, sound_speed_m_per_s);
+        let silence = Aimed::far_field_silence(array, &limits, c);
+        let aimed = Aimed::new(array, fan, (limits, silence), pulse, weighting, c);
+        let correlator = &aimed.correlator;
         let length = correlator.length();
         let grid = (2 * elements).next_power_of_two().max(2 * TAPS);
-        let mut weights = vec![0.0; elements];
-        weights::fill(fan.shading, &mut weights);
-        let sum: f64 = weights.iter().sum();
-        weights.iter_mut().for_each(|w| *w /= sum);
         let kernel = Kernel::new(grid as f64 / elements as f64);
-        let spread = weights.iter().enumerate().map(|(e, w)| {
+        let spread = aimed.weights.iter().enumerate().map(|(e, w)| {
             let place = e as f64 - (elements / 2) as f64 + middle(elements);
             (w / kernel.transform(place / grid as f64)) as f32
         });
@@ -148,13 +129,8 @@ impl FastFan {
             let turn = Complex64::from_polar(1.0, -TAU * middle(elements) * k / grid as f64);
             Complex32::new(turn.re as f32, turn.im as f32)
         });
-        let mut former = Self {
-            array: fan.array,
-            spacing_m: array.spacing_m,
+        Self {
             spread: spread.collect(),
-            directions: Directions::new(array, fan),
-            width_rad: vec![0.0; fan.beams],
-            sound_speed_m_per_s,
             half_step: half_step.collect(),
             kernel: kernel.table(),
             spectra: vec![zero; (length + TILE) * elements],
@@ -164,53 +140,20 @@ impl FastFan {
             workers: (0..rayon::current_num_threads().max(1))
                 .map(|_| worker())
                 .collect(),
-            weights,
+            aimed,
             inverse,
             line,
-            correlator,
-        };
-        former.measure_widths();
-        former
+        }
     }
 
     /// Index of the receive array it belongs to.
     pub fn array(&self) -> usize {
-        self.array
+        self.aimed.array()
     }
 
     /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        assert_eq!(frame.array, self.array, "elements of another array");
-        assert_eq!(
-            frame.elements,
-            self.weights.len(),
-            "elements of another array"
-        );
-        let limits = *self.correlator.limits();
-        assert!(
-            frame.samples <= limits.samples,
-            "row of {} samples, sized for {}",
-            frame.samples,
-            limits.samples
-        );
-        let tuned_hz = self.correlator.pulse().center_frequency_hz;
-        self.correlator.set_pulse(&plan.pulse);
-        let turned = self.directions.aim(plan);
-        if turned
-            || plan.sound_speed_m_per_s != self.sound_speed_m_per_s
-            || plan.pulse.center_frequency_hz != tuned_hz
-        {
-            self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
-            self.measure_widths();
-        }
-        let beams = self.directions.sine.len();
-        out.beams = beams;
-        out.samples = frame.samples;
-        out.angle_rad.clone_from(&self.directions.angle_rad);
-        out.width_rad.clone_from(&self.width_rad);
-        out.iq
-            .reserve_exact((beams * limits.samples).saturating_sub(out.iq.len()));
-        out.iq.resize(beams * frame.samples, Complex64::ZERO);
+        self.aimed.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -219,16 +162,9 @@ impl FastFan {
         self.transform_beams(frame.samples, &mut out.iq);
     }
 
-    fn measure_widths(&mut self) {
-        let wavelength_m = self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz;
-        let spacing = self.spacing_m / wavelength_m;
-        let sines = &self.directions.sine;
-        widths_rad(&self.weights, spacing, sines, &mut self.width_rad);
-    }
-
     fn transform_elements(&mut self, frame: &ElementFrame) {
-        let (correlator, stride) = (&self.correlator, self.stride);
-        let share = self.weights.len().div_ceil(self.workers.len());
+        let (correlator, stride) = (&self.aimed.correlator, self.stride);
+        let share = self.aimed.elements().div_ceil(self.workers.len());
         self.spectra
             .par_chunks_mut(share * stride)
             .zip(&mut self.workers)
@@ -248,8 +184,7 @@ impl FastFan {
 
     /// All beams at every frequency.
     fn mix(&mut self) {
-        let beams = self.directions.sine.len();
-        let length = self.correlator.length();
+        let (beams, length) = (self.aimed.beams(), self.aimed.correlator.length());
         let share = (length / TILE).div_ceil(self.workers.len());
         let mut workers = std::mem::take(&mut self.workers);
         let mut mixed = std::mem::take(&mut self.mixed);
@@ -273,7 +208,7 @@ impl FastFan {
 
     /// The elements' values at a tile of frequencies, weighted.
     fn gather(&self, first: usize, tile: &mut [Complex32]) {
-        let elements = self.weights.len();
+        let elements = self.aimed.elements();
         for (e, w) in self.spread.iter().enumerate() {
             let from = &self.spectra[e * self.stride + first..][..TILE];
             for (i, x) in from.iter().enumerate() {
@@ -284,7 +219,7 @@ impl FastFan {
 
     /// All beams at frequency `bin`, the `at`th of its tile.
     fn mix_one(&self, bin: usize, at: usize, worker: &mut Worker, tile: &mut [Complex32]) {
-        let (elements, grid) = (self.weights.len(), worker.line.len());
+        let (elements, grid) = (self.aimed.elements(), worker.line.len());
         // Element E/2 is the grid's zero; those before it lie at its far end.
         let values = &worker.tile[at * elements..][..elements];
         let (before, behind) = values.split_at(elements / 2);
@@ -301,29 +236,19 @@ impl FastFan {
             worker.grid.im[i] = y.im;
         }
         let band = Band {
-            per_sine: self.frequency_hz(bin) * self.spacing_m / self.sound_speed_m_per_s,
+            per_sine: self.aimed.band().frequency_hz(bin) * self.aimed.spacing_m()
+                / self.aimed.sound_speed_m_per_s,
             grid: grid as f64,
             alternates: elements.is_multiple_of(2),
         };
-        let steering = (&band, &self.directions.sine[..]);
+        let steering = (&band, &self.aimed.directions.sine[..]);
         let (kernel, out) = (&self.kernel[..], &mut tile[at..]);
         let places = &mut worker.places[..];
         interpolate(self.dialect, kernel, &worker.grid, steering, places, out);
     }
 
-    /// In the water, for bin `k`; the upper half of the bins lies below the centre.
-    fn frequency_hz(&self, k: usize) -> f64 {
-        let length = self.correlator.length();
-        let bin = match k < length / 2 {
-            true => k as f64,
-            false => k as f64 - length as f64,
-        };
-        let step_hz = self.correlator.limits().sample_rate_hz / length as f64;
-        self.correlator.pulse().center_frequency_hz + bin * step_hz
-    }
-
     fn transform_beams(&mut self, samples: usize, out: &mut [Complex64]) {
-        let beams = self.directions.sine.len();
+        let beams = self.aimed.beams();
         let (mixed, inverse) = (&self.mixed, &self.inverse);
         let share = beams.div_ceil(self.workers.len());
         out.par_chunks_mut(share * samples)

@@ -14,6 +14,7 @@
 //! by beam, so that the samples are the same bits for any number of threads.
 //!
 //! Not modelled: turning of the platform during the echo in the steering delays.
+mod aimed;
 pub mod backproject;
 pub mod block;
 pub mod conventional;

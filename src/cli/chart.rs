@@ -180,13 +180,13 @@ fn work_methods(chart: &chart::Chart) -> Vec<chart::methods::Method> {
 }
 
 /// The first of the three figures that Linux keeps; none elsewhere.
-fn load_average() -> Option<f64> {
+pub(super) fn load_average() -> Option<f64> {
     let text = fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next()?.parse().ok()
 }
 
 /// The processor as the kernel names it, and its cores.
-fn machine() -> String {
+pub(super) fn machine() -> String {
     let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
     let name = fs::read_to_string("/proc/cpuinfo")
         .ok()

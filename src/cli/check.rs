@@ -8,10 +8,10 @@ use clap::Args;
 
 use super::{Failure, load};
 use crate::config;
-use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
 use crate::echo::culling::left_out_share;
-use crate::flow::Synthesis;
-use crate::run::pipeline::engine_cards;
+use crate::flow::{MethodCard, Synthesis};
+use crate::run::pipeline::{PipelineError, engine_cards};
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
@@ -61,10 +61,13 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
         }
         print!("{}", config::summary(&spec));
         for sonar in &spec.sonars {
-            let refuse = |why| {
+            let refuse_text = |why: String| {
                 Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
             };
-            for card in engine_cards(sonar, &spec.medium).map_err(refuse)? {
+            let refuse = |why: PipelineError| refuse_text(why.to_string());
+            let cards = engine_cards(sonar, &spec.medium).map_err(refuse)?;
+            refuse_what_cannot_stream(&spec.run, sonar, &cards).map_err(refuse_text)?;
+            for card in cards {
                 let cost = match card.cost_ms > 0.0 {
                     true => format!(", {:.2} ms on one core per {}", card.cost_ms, whole(sonar)),
                     false => String::new(),
@@ -82,6 +85,40 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
             print!("{}", plan::text(&spec, args.all)?);
         }
         println!("{}: ok", path.display());
+    }
+    Ok(())
+}
+
+/// A ping that streams is computed before its pulse: what its engine is foreseen to take on all cores together, at the least, must lie between.
+/// An engine that foresees nothing is taken at its word.
+fn refuse_what_cannot_stream(
+    run: &RunSpec,
+    sonar: &SonarSpec,
+    cards: &[MethodCard],
+) -> Result<(), String> {
+    if run.delivery == DeliverySpec::PingEnd {
+        return Ok(());
+    }
+    let each = match sonar.model.synthesis {
+        Synthesis::Gridded2d => 1,
+        _ => sonar.receive.iter().map(|array| array.elements).sum(),
+    };
+    let cost_ms: f64 = cards.iter().map(|card| card.cost_ms * each as f64).sum();
+    let cores = match run.threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    let (least_ms, ahead_ms) = (cost_ms / cores as f64, run.ahead_s * 1e3);
+    let period_ms = 1e3 / sonar.settings.max_ping_rate_hz;
+    if least_ms > period_ms {
+        return Err(format!(
+            "run.delivery = \"streaming\": a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
+        ));
+    }
+    if least_ms > ahead_ms {
+        return Err(format!(
+            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores; must be longer (where pulses are not known beforehand, run.stream_latency_ms would have to be)"
+        ));
     }
     Ok(())
 }

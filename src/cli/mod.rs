@@ -50,7 +50,7 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// A small topside for people: connect to a 7k server, subscribe, print records
     Listen(listen::ListenArgs),
-    /// Mend records (.s7k) that were cut off; `run` does so by itself with those in its folder
+    /// Mend records that were cut off; `run` does so by itself with those in its folder
     Recover(recover::RecoverArgs),
     /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
     Mosaic(mosaic::MosaicArgs),

@@ -19,14 +19,10 @@ use crate::nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spr
 use crate::time::UtcNs;
 
 /// As sources are called in the output.
-const CHANNEL_NAMES: [&str; CHANNEL_COUNT] = [
-    "position",
-    "course-speed",
-    "heading",
-    "roll-pitch",
-    "heave",
-    "depth",
-];
+fn channel_names() -> impl Iterator<Item = &'static str> {
+    CHANNELS.iter().map(|channel| channel.name())
+}
+
 /// Gaps and jumps written out per quantity.
 const SHOWN: usize = 5;
 /// Largest file read, bytes; as for sources.
@@ -200,7 +196,7 @@ fn outcome_name(outcome: Outcome) -> &'static str {
 fn fate(s: &SentenceReport, report: &LogReport) -> String {
     let count = |outcome| s.outcomes.get(&outcome).copied().unwrap_or(0);
     let mut parts = Vec::new();
-    for (i, name) in CHANNEL_NAMES.iter().enumerate() {
+    for (i, name) in channel_names().enumerate() {
         if s.gave[i] > 0 {
             parts.push(format!("{name} {}", s.gave[i]));
         }
@@ -208,7 +204,7 @@ fn fate(s: &SentenceReport, report: &LogReport) -> String {
     if parts.is_empty() && count(Outcome::Used) > 0 {
         parts.push(format!("time or quality {}", count(Outcome::Used)));
     }
-    for (i, name) in CHANNEL_NAMES.iter().enumerate() {
+    for (i, name) in channel_names().enumerate() {
         if s.outspoken[i] > 0 {
             let others = report
                 .sentences
@@ -335,7 +331,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
         );
     }
     let _ = writeln!(out);
-    for (name, channel) in CHANNEL_NAMES.iter().zip(&r.channels) {
+    for (name, channel) in channel_names().zip(&r.channels) {
         if channel.samples == 0 {
             let _ = writeln!(out, "{name:13} nothing");
             continue;
@@ -377,12 +373,8 @@ fn spread_json(spread: Option<Spread>) -> Value {
 fn json_of(args: &NavArgs, r: &LogReport) -> Value {
     let c = &r.counters;
     let by_channel = |counts: &[u64; CHANNEL_COUNT]| {
-        let pairs = CHANNEL_NAMES.iter().zip(counts).filter(|(_, n)| **n > 0);
-        Value::Object(
-            pairs
-                .map(|(name, n)| ((*name).to_owned(), json!(n)))
-                .collect(),
-        )
+        let pairs = channel_names().zip(counts).filter(|(_, n)| **n > 0);
+        Value::Object(pairs.map(|(name, n)| (name.to_owned(), json!(n))).collect())
     };
     let sentences: Vec<Value> = r
         .sentences
@@ -406,7 +398,7 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
             })
         })
         .collect();
-    let channels = CHANNEL_NAMES.iter().zip(&r.channels).map(|(name, ch)| {
+    let channels = channel_names().zip(&r.channels).map(|(name, ch)| {
         let gaps: Vec<Value> = ch
             .gaps
             .iter()
@@ -420,7 +412,7 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
             "jumps": jumps,
             "not_after_the_one_before": ch.backward,
         });
-        ((*name).to_owned(), value)
+        (name.to_owned(), value)
     });
     json!({
         "file": args.log.display().to_string(),

@@ -9,7 +9,7 @@ use crate::io::record::recover::recover;
 
 #[derive(Args, Clone, Debug)]
 pub struct RecoverArgs {
-    /// `.s7k` files; mended in place
+    /// .s7k, .jsf, .xtf, .svlog, .wav, .jsonl, .sigmf-meta; mended in place
     #[arg(required = true)]
     pub files: Vec<PathBuf>,
 }

@@ -467,7 +467,7 @@ static NAV_SOURCE: Table = Table {
             "multicast",
             Kind::Text,
             Optional("\"239.192.0.1\""),
-            "Group to join. Only with kind = \"udp\".",
+            "Group to join, at the interface whose address `listen` has. Only with kind = \"udp\".",
         ),
         key(
             "port",

@@ -226,10 +226,7 @@ pub enum ParitySpec {
 impl NavSpec {
     /// Every source is recorded: the motion does not depend on the machine's time.
     pub fn is_recorded(&self) -> bool {
-        let recorded = |s: &NavSourceSpec| {
-            matches!(s.input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
-        };
-        self.sources.iter().all(recorded)
+        self.sources.iter().all(NavSourceSpec::is_recorded)
     }
 }
 
@@ -298,6 +295,15 @@ pub struct NavSourceSpec {
     pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
+}
+
+impl NavSourceSpec {
+    pub fn is_recorded(&self) -> bool {
+        matches!(
+            self.input,
+            NavInputSpec::Log { .. } | NavInputSpec::Csv { .. }
+        )
+    }
 }
 
 /// A motion sensor's place and attitude in the body; by default at the reference point, along its axes.
@@ -406,6 +412,20 @@ pub enum NavChannel {
     Heave,
     /// How deep the platform is.
     Depth,
+}
+
+impl NavChannel {
+    /// As `provides` has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            NavChannel::Position => "position",
+            NavChannel::CourseSpeed => "course-speed",
+            NavChannel::Heading => "heading",
+            NavChannel::RollPitch => "roll-pitch",
+            NavChannel::Heave => "heave",
+            NavChannel::Depth => "depth",
+        }
+    }
 }
 
 #[derive(Clone, Debug)]

@@ -23,8 +23,10 @@ use super::paths::has_avx512;
 use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
+mod light;
 mod line;
 
+use light::Light;
 pub use line::{LineEchoes, LineWorkspace, line_arrivals};
 
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
@@ -87,24 +89,6 @@ impl Illuminated {
 
     pub fn is_empty(&self) -> bool {
         self.range_m.is_empty()
-    }
-
-    fn clear(&mut self) {
-        self.x_m.clear();
-        self.y_m.clear();
-        self.z_m.clear();
-        self.range_m.clear();
-        self.amplitude.clear();
-        self.level.clear();
-        self.bias.clear();
-        self.curved.clear();
-        self.normal_x.clear();
-        self.normal_y.clear();
-        self.normal_z.clear();
-        self.closing_m_per_s.clear();
-        self.batch_range_m.clear();
-        self.batch_closing_m_per_s.clear();
-        self.batch_box_m.clear();
     }
 }
 
@@ -191,57 +175,24 @@ pub fn illuminate(
     let floor = pattern_floor(plan);
     let farthest_m = plan.sound_speed_m_per_s * window.last_s;
 
-    lit.clear();
+    lit.batch_range_m.clear();
+    lit.batch_closing_m_per_s.clear();
+    lit.batch_box_m.clear();
     lit.window = Some(window);
     lit.transmit = transmit;
     lit.curve.clone_from(&scatterers.curve);
-    let curve = scatterers.curve.as_deref();
-    let mut counts = EchoCounts::default();
-    let leg = TransmitLeg {
-        transmit: &transmit,
-        pattern,
-        one_way,
-        source,
+    let light = Light {
+        leg: TransmitLeg {
+            transmit: &transmit,
+            pattern,
+            one_way,
+            source,
+        },
+        scatterers,
+        floor,
+        farthest_m,
     };
-    let mut ahead = Ahead::default();
-    for first in (0..scatterers.len()).step_by(CHUNK) {
-        let n = CHUNK.min(scatterers.len() - first);
-        look(&leg, scatterers, first, n, &mut ahead);
-        for j in 0..n {
-            let (i, range_m) = (first + j, ahead.range_m[j]);
-            if range_m > farthest_m || range_m.is_nan() {
-                counts.outside_window += 1;
-                continue;
-            }
-            let facing = ahead.facing[j].max(0.0);
-            let normal = scatterers.normal[i];
-            let (law, bias, normal) = match scatterers.law[i] {
-                ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
-                ScatterLaw::Lambert => (facing.sqrt(), 0.0, normal),
-                ScatterLaw::LambertOneWay => (facing, 1.0, [0.0; 3]),
-                ScatterLaw::Curve => (half_of_curve(curve, facing.sqrt()), 0.0, normal),
-            };
-            let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
-            let level = ahead.level[j] * f64::from(scatterers.loud[i]);
-            if level < floor || amplitude == Complex64::ZERO {
-                counts.culled += 1;
-                continue;
-            }
-            counts.too_close += u64::from(range_m < one_way.wavelength_m);
-            lit.x_m.push(ahead.x_m[j]);
-            lit.y_m.push(ahead.y_m[j]);
-            lit.z_m.push(ahead.z_m[j]);
-            lit.range_m.push(range_m);
-            lit.amplitude.push(amplitude);
-            lit.level.push(level);
-            lit.bias.push(bias);
-            lit.curved.push(scatterers.law[i] == ScatterLaw::Curve);
-            lit.normal_x.push(normal[0]);
-            lit.normal_y.push(normal[1]);
-            lit.normal_z.push(normal[2]);
-            lit.closing_m_per_s.push(ahead.closing_m_per_s[j]);
-        }
-    }
+    let counts = light.shine(lit);
     lit.batch_range_m
         .extend(lit.range_m.chunks(CHUNK).map(ends));
     lit.batch_closing_m_per_s

@@ -43,7 +43,8 @@ pub fn cell_masks(
     }
 }
 
-fn mask_of(truth: &LineTruth, samples: std::ops::Range<usize>) -> Mask {
+/// What these samples of a line or a beam show together.
+pub(super) fn mask_of(truth: &LineTruth, samples: std::ops::Range<usize>) -> Mask {
     let mut energies = [(0u16, 0.0f64); TARGETS_PER_PIXEL];
     let mut total = 0.0;
     let (mut seen, mut hidden, mut down_m, mut grounds) = (false, false, 0.0, 0);

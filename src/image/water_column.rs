@@ -2,19 +2,25 @@
 //!
 //! The fan lies in the plane of its array: boresight down, starboard right, ranges and angles marked. A pixel takes the mean intensity of its
 //! samples of the beam nearest in angle; soundings are dots. The stack has a column per ping and slant range downwards; a pixel takes the strongest
-//! beam at its range, so that what hangs in the water stands above the bottom.
+//! beam at its range, so that what hangs in the water stands above the bottom. Masks are made of the same samples as the pixels ([`polar_masks`],
+//! [`Stack::masks`]).
 //!
 //! Not modelled: refraction; the picture is not turned with the roll.
 
+use std::ops::Range;
+
 use crate::config::spec::{ColourMap, Contrast};
-use crate::flow::{BeamFrame, PingPlan, Sounding};
+use crate::flow::{BeamFrame, LineTruth, PingPlan, Sounding};
 
 use super::labels;
+use super::masks::{Mask, mask_of};
 
 /// Of the longest range of a fan, and of a stack's.
 const PIXELS: usize = 480;
 /// Room for the labels.
 const MARGIN: usize = 40;
+/// A stack's, for its labels and marks.
+const LEFT: usize = MARGIN + 16;
 const NOTHING: [u8; 3] = [0, 0, 0];
 const MARK: [u8; 3] = [150, 150, 150];
 const SOUNDING: [u8; 3] = [255, 64, 32];
@@ -67,8 +73,8 @@ fn sample_of(plan: &PingPlan, rate_hz: f64, range_m: f64) -> f64 {
     (2.0 * range_m / plan.sound_speed_m_per_s - plan.first_sample_s) * rate_hz
 }
 
-/// Mean intensity of the samples of a beam from one slant range to another; the nearest where they hold none.
-fn intensity(fan: &BeamFrame, beam: usize, from: f64, to: f64) -> Option<f64> {
+/// The samples of a beam from one slant range to another; the nearest where there are none.
+fn samples_between(fan: &BeamFrame, from: f64, to: f64) -> Option<Range<usize>> {
     if to < 0.0 {
         return None;
     }
@@ -77,10 +83,115 @@ fn intensity(fan: &BeamFrame, beam: usize, from: f64, to: f64) -> Option<f64> {
         first = (0.5 * (from + to)).round().max(0.0) as usize;
         end = first + 1;
     }
-    let row = fan.beam(beam);
-    let inside = row.get(first..end.min(row.len()))?;
-    (!inside.is_empty())
-        .then(|| inside.iter().map(|y| y.norm_sqr()).sum::<f64>() / inside.len() as f64)
+    let end = end.min(fan.samples);
+    (first < end).then_some(first..end)
+}
+
+/// Mean intensity of those samples.
+fn intensity(fan: &BeamFrame, beam: usize, samples: Range<usize>) -> f64 {
+    let count = samples.len() as f64;
+    let inside = fan.beam(beam)[samples].iter();
+    inside.map(|y| y.norm_sqr()).sum::<f64>() / count
+}
+
+/// The beam nearest to an angle; none beyond half a step outside the fan.
+pub fn beam_at(angle_rad: &[f64], angle: f64) -> Option<usize> {
+    let (first, last) = (angle_rad.first()?, angle_rad.last()?);
+    let edge = half_step(angle_rad);
+    if !(first - edge..=last + edge).contains(&angle) {
+        return None;
+    }
+    Some(match angle_rad.partition_point(|a| *a < angle) {
+        0 => 0,
+        b if b == angle_rad.len() => b - 1,
+        b if angle - angle_rad[b - 1] < angle_rad[b] - angle => b - 1,
+        b => b,
+    })
+}
+
+/// Half of a fan's mean step.
+fn half_step(angle_rad: &[f64]) -> f64 {
+    match (angle_rad.first(), angle_rad.last()) {
+        (Some(first), Some(last)) => {
+            0.5 * (last - first) / angle_rad.len().saturating_sub(1).max(1) as f64
+        }
+        _ => 0.0,
+    }
+}
+
+/// Which samples lie where in a fan's picture.
+struct Polar<'a> {
+    plan: &'a PingPlan,
+    fan: &'a BeamFrame,
+    rate_hz: f64,
+    /// Of a pixel.
+    metres: f64,
+    /// Columns to either side of the sonar.
+    half: usize,
+    /// Row of the sonar.
+    top: usize,
+}
+
+impl<'a> Polar<'a> {
+    fn new(plan: &'a PingPlan, fan: &'a BeamFrame, rate_hz: f64) -> Self {
+        let reach = |angle: &f64| match angle.abs() >= std::f64::consts::FRAC_PI_2 {
+            true => PIXELS,
+            false => (angle.sin().abs() * PIXELS as f64).ceil() as usize,
+        };
+        let ends = [fan.angle_rad.first(), fan.angle_rad.last()];
+        let widest = ends.into_iter().flatten().map(reach).max().unwrap_or(0);
+        Self {
+            plan,
+            fan,
+            rate_hz,
+            metres: plan.settings.range_m / PIXELS as f64,
+            half: widest + MARGIN,
+            top: labels::HEIGHT,
+        }
+    }
+
+    fn size(&self) -> (usize, usize) {
+        (2 * self.half, PIXELS + MARGIN)
+    }
+
+    /// Beam and samples of a pixel.
+    fn samples(&self, x: usize, y: usize) -> Option<(usize, Range<usize>)> {
+        let across = x as f64 + 0.5 - self.half as f64;
+        let down = y.checked_sub(self.top)? as f64 + 0.5;
+        let (pixels, angle) = (across.hypot(down), across.atan2(down));
+        if pixels > PIXELS as f64 {
+            return None;
+        }
+        let beam = beam_at(&self.fan.angle_rad, angle)?;
+        let at = |pixels: f64| sample_of(self.plan, self.rate_hz, pixels * self.metres);
+        let samples = samples_between(self.fan, at(pixels - 0.5), at(pixels + 0.5))?;
+        Some((beam, samples))
+    }
+
+    /// Pixel of a place.
+    fn place(&self, pixels: f64, angle: f64) -> (usize, usize) {
+        let x = self.half as f64 + pixels * angle.sin();
+        let y = self.top as f64 + pixels * angle.cos();
+        (x.max(0.0) as usize, y.max(0.0) as usize)
+    }
+}
+
+/// The masks of [`polar`]'s picture, row-major from the top, and its size. `truths`: one for each beam.
+pub fn polar_masks(
+    plan: &PingPlan,
+    fan: &BeamFrame,
+    truths: &[LineTruth],
+    rate_hz: f64,
+) -> ((usize, usize), Vec<Mask>) {
+    let polar = Polar::new(plan, fan, rate_hz);
+    let (width, height) = polar.size();
+    let masks = (0..width * height).map(|p| {
+        let found = polar.samples(p % width, p / width);
+        found.map_or(Mask::NOTHING, |(beam, samples)| {
+            mask_of(&truths[beam], samples)
+        })
+    });
+    ((width, height), masks.collect())
 }
 
 /// The fan of one ping. `percentiles` contrast: 60 dB down from the brightest pixel.
@@ -91,42 +202,21 @@ pub fn polar(
     rate_hz: f64,
     contrast: Contrast,
 ) -> Picture {
-    let range_m = plan.settings.range_m;
-    let metres = range_m / PIXELS as f64;
+    let polar = Polar::new(plan, fan, rate_hz);
+    let (range_m, metres) = (plan.settings.range_m, polar.metres);
     let (first, last) = match (fan.angle_rad.first(), fan.angle_rad.last()) {
         (Some(first), Some(last)) => (*first, *last),
         _ => (0.0, 0.0),
     };
-    let reach = |angle: f64| match angle.abs() >= std::f64::consts::FRAC_PI_2 {
-        true => PIXELS,
-        false => (angle.sin().abs() * PIXELS as f64).ceil() as usize,
-    };
-    let half = reach(first).max(reach(last)) + MARGIN;
-    let mut picture = Picture::new(2 * half, PIXELS + MARGIN);
-    let edge = 0.5 * (last - first) / fan.beams.saturating_sub(1).max(1) as f64;
-    let top = labels::HEIGHT;
-    let mut levels = vec![f64::NAN; picture.width * picture.height];
+    let (width, height) = polar.size();
+    let mut picture = Picture::new(width, height);
+    let edge = half_step(&fan.angle_rad);
+    let mut levels = vec![f64::NAN; width * height];
     let mut greatest = 0.0_f64;
-    for y in top..picture.height {
-        for x in 0..picture.width {
-            let (across, down) = (x as f64 + 0.5 - half as f64, (y - top) as f64 + 0.5);
-            let (pixels, angle) = (across.hypot(down), across.atan2(down));
-            let inside = (first - edge..=last + edge).contains(&angle);
-            if !inside || pixels > PIXELS as f64 || fan.beams == 0 {
-                continue;
-            }
-            let after = fan.angle_rad.partition_point(|a| *a < angle);
-            let beam = match after {
-                0 => 0,
-                b if b == fan.beams => b - 1,
-                b if angle - fan.angle_rad[b - 1] < fan.angle_rad[b] - angle => b - 1,
-                b => b,
-            };
-            let at = |pixels: f64| sample_of(plan, rate_hz, pixels * metres);
-            if let Some(level) = intensity(fan, beam, at(pixels - 0.5), at(pixels + 0.5)) {
-                levels[y * picture.width + x] = level;
-                greatest = greatest.max(level);
-            }
+    for (p, into) in levels.iter_mut().enumerate() {
+        if let Some((beam, samples)) = polar.samples(p % width, p / width) {
+            *into = intensity(fan, beam, samples);
+            greatest = greatest.max(*into);
         }
     }
     let (low_db, high_db) = span_db(contrast, greatest);
@@ -139,11 +229,7 @@ pub fn polar(
             }
         }
     }
-    let place = |pixels: f64, angle: f64| {
-        let x = half as f64 + pixels * angle.sin();
-        let y = top as f64 + pixels * angle.cos();
-        (x.max(0.0) as usize, y.max(0.0) as usize)
-    };
+    let place = |pixels, angle| polar.place(pixels, angle);
     // Arcs of range, dotted, with their numbers at the starboard end.
     let step_m = labels::round_step(range_m, 5.0);
     let mut mark_m = step_m;
@@ -192,6 +278,8 @@ pub struct Stack {
     max_pings: usize,
     /// A column of [`PIXELS`] intensities for each ping; NaN is nothing.
     columns: Vec<f32>,
+    /// What each of them shows; empty where no truth was given.
+    masks: Vec<Mask>,
 }
 
 impl Stack {
@@ -203,27 +291,37 @@ impl Stack {
             first_ping: None,
             max_pings,
             columns: Vec::new(),
+            masks: Vec::new(),
         }
     }
 
-    pub fn push(&mut self, plan: &PingPlan, fan: &BeamFrame) {
+    /// `truths`: one for each beam, or none.
+    pub fn push(&mut self, plan: &PingPlan, fan: &BeamFrame, truths: &[LineTruth]) {
         let first = *self.first_ping.get_or_insert(plan.ping_number);
         let place = plan.ping_number.checked_sub(first).map(|p| p as usize);
         let Some(place) = place.filter(|&p| p < self.max_pings) else {
             return;
         };
-        if self.columns.len() < (place + 1) * PIXELS {
-            self.columns.resize((place + 1) * PIXELS, f32::NAN);
+        let end = (place + 1) * PIXELS;
+        if self.columns.len() < end {
+            self.columns.resize(end, f32::NAN);
+        }
+        if !truths.is_empty() && self.masks.len() < end {
+            self.masks.resize(end, Mask::NOTHING);
         }
         let metres = self.range_m / PIXELS as f64;
-        for (y, cell) in self.columns[place * PIXELS..(place + 1) * PIXELS]
-            .iter_mut()
-            .enumerate()
-        {
-            let at = |y: usize| sample_of(plan, self.rate_hz, y as f64 * metres);
-            let levels = (0..fan.beams).filter_map(|b| intensity(fan, b, at(y), at(y + 1)));
-            if let Some(level) = levels.reduce(f64::max) {
-                *cell = level as f32;
+        let at = |y: usize| sample_of(plan, self.rate_hz, y as f64 * metres);
+        for y in 0..PIXELS {
+            let Some(samples) = samples_between(fan, at(y), at(y + 1)) else {
+                continue;
+            };
+            let levels = (0..fan.beams).map(|b| (intensity(fan, b, samples.clone()), b));
+            let Some((level, beam)) = levels.reduce(|a, b| if b.0 > a.0 { b } else { a }) else {
+                continue;
+            };
+            self.columns[place * PIXELS + y] = level as f32;
+            if let Some(truth) = truths.get(beam) {
+                self.masks[place * PIXELS + y] = mask_of(truth, samples);
             }
         }
     }
@@ -232,12 +330,35 @@ impl Stack {
         self.columns.len() / PIXELS
     }
 
+    /// Columns of a ping: a few are not to be a thread.
+    fn wide(&self) -> usize {
+        (PIXELS / 2).div_ceil(self.pings().max(1)).max(1)
+    }
+
+    fn size(&self) -> (usize, usize) {
+        (LEFT + self.pings() * self.wide(), PIXELS)
+    }
+
+    /// The masks of [`Stack::picture`], row-major from the top, and its size: each pixel's of the beam that it shows. None where no truth was given.
+    pub fn masks(&self) -> Option<((usize, usize), Vec<Mask>)> {
+        if self.masks.is_empty() {
+            return None;
+        }
+        let ((width, height), wide) = (self.size(), self.wide());
+        let of = |p: usize| {
+            let (x, y) = (p % width, p / width);
+            let ping = x.checked_sub(LEFT)? / wide;
+            self.masks.get(ping * PIXELS + y).copied()
+        };
+        let masks = (0..width * height).map(|p| of(p).unwrap_or(Mask::NOTHING));
+        Some(((width, height), masks.collect()))
+    }
+
     /// The oldest ping on the left; slant range downwards, with marks on the left.
     pub fn picture(&self, contrast: Contrast) -> Picture {
-        let pings = self.pings();
-        // A few pings are not to be a thread.
-        let wide = (PIXELS / 2).div_ceil(pings.max(1)).max(1);
-        let mut picture = Picture::new(MARGIN + 16 + pings * wide, PIXELS);
+        let wide = self.wide();
+        let (width, height) = self.size();
+        let mut picture = Picture::new(width, height);
         let greatest = self.columns.iter().copied().filter(|l| l.is_finite());
         let (low_db, high_db) = span_db(contrast, f64::from(greatest.fold(0.0, f32::max)));
         for (ping, column) in self.columns.chunks_exact(PIXELS).enumerate() {
@@ -245,7 +366,7 @@ impl Stack {
                 let db = 10.0 * f64::from(*level).log10();
                 let colour = ColourMap::Blue.at(((db - low_db) / (high_db - low_db)) as f32);
                 for x in 0..wide {
-                    picture.set(MARGIN + 16 + ping * wide + x, y, colour);
+                    picture.set(LEFT + ping * wide + x, y, colour);
                 }
             }
         }
@@ -253,7 +374,7 @@ impl Stack {
         let mut mark_m = 0.0;
         while mark_m < self.range_m {
             let y = (mark_m / self.range_m * PIXELS as f64) as usize;
-            for x in MARGIN + 8..MARGIN + 16 {
+            for x in LEFT - 8..LEFT {
                 picture.set(x, y, MARK);
             }
             picture.write(
@@ -371,14 +492,14 @@ mod tests {
                 ping_number: ping,
                 ..plan()
             };
-            stack.push(&plan, &fan((10, sample)));
+            stack.push(&plan, &fan((10, sample)), &[]);
         }
         assert_eq!(stack.pings(), 3);
         let picture = stack.picture(Contrast::Percentiles {
             low: 0.0,
             high: 1.0,
         });
-        let left = MARGIN + 16;
+        let left = LEFT;
         let wide = (picture.width - left) / 3;
         let at = |ping: usize, y: usize| {
             let k = 3 * (y * picture.width + left + ping * wide);
@@ -390,6 +511,58 @@ mod tests {
         assert!(at(0, 150) > 700 && at(2, 350) > 700);
         assert!(at(0, 350) < 100, "{}", at(0, 350));
         assert_eq!(at(1, 150), 0);
+    }
+
+    #[test]
+    fn masks_lie_pixel_for_pixel_where_the_picture_shows_their_samples() {
+        let fan = fan((50, 600));
+        let blank = LineTruth {
+            side: crate::flow::Side::Starboard,
+            target: vec![0; 1000],
+            target_energy: vec![0.0; 1000],
+            other_energy: vec![1.0; 1000],
+            ground: vec![crate::flow::GroundSeen::None; 1000],
+            down_m: vec![f32::NAN; 1000],
+        };
+        let mut truths = vec![blank; 61];
+        (truths[50].target[600], truths[50].target_energy[600]) = (7, 5.0);
+        truths[20].ground[400] = crate::flow::GroundSeen::Hidden;
+        truths[20].down_m[400] = 18.0;
+        let contrast = Contrast::Percentiles {
+            low: 0.0,
+            high: 1.0,
+        };
+        let picture = polar(&plan(), &fan, &[], RATE_HZ, contrast);
+        let (size, masks) = polar_masks(&plan(), &fan, &truths, RATE_HZ);
+        assert_eq!(size, (picture.width, picture.height));
+        // The echo's pixels are white, but where marks lie over them; they are the target's.
+        let pixels = picture.rgb.chunks_exact(3);
+        let white: Vec<bool> = pixels.map(|p| p == [255, 255, 255]).collect();
+        let own: Vec<bool> = masks.iter().map(|m| m.target == 7).collect();
+        assert!(white.iter().any(|w| *w));
+        assert!(white.iter().zip(&own).all(|(white, own)| !white || *own));
+        let both = |v: &[bool]| v.iter().filter(|x| **x).count();
+        assert!(
+            both(&own) <= both(&white) + 12,
+            "{} {}",
+            both(&own),
+            both(&white)
+        );
+        let shadow = masks.iter().filter(|m| m.shadow && m.down_m == 18.0);
+        assert!(shadow.count() > 0);
+
+        // 48 m over 480 rows, one ping: the strongest beam at 30 m is the target's.
+        let mut stack = Stack::new(48.0, RATE_HZ, 10);
+        stack.push(&plan(), &fan, &truths);
+        let (size, masks) = stack.masks().expect("masks");
+        let picture = stack.picture(contrast);
+        assert_eq!(size, (picture.width, picture.height));
+        for (p, mask) in masks.iter().enumerate() {
+            let (x, y) = (p % size.0, p / size.0);
+            // Sample 600 is 30 m away.
+            let at_echo = x >= LEFT && y == 300;
+            assert_eq!(mask.target == 7, at_echo, "{x} {y}");
+        }
     }
 
     #[test]
@@ -408,7 +581,7 @@ mod tests {
             };
             assert!(polar(&plan(), &fan, &[], RATE_HZ, contrast).width > 0);
             let mut stack = Stack::new(48.0, RATE_HZ, 10);
-            stack.push(&plan(), &fan);
+            stack.push(&plan(), &fan, &[]);
             assert_eq!(stack.picture(contrast).height, PIXELS);
         }
         assert!(

@@ -50,12 +50,37 @@ pub enum Leaving {
 /// What was sent.
 #[derive(Debug, Default)]
 pub struct DatagramCounts {
-    pub packets: AtomicU64,
-    pub bytes: AtomicU64,
-    /// Refused by the operating system.
-    pub failed: AtomicU64,
+    /// One for each address, in the order of [`Route::send_to`]; none where a server's clients get the packets.
+    pub receivers: Vec<ReceiverCounts>,
+    /// Packets handed to a server, which counts each client's itself.
+    pub to_clients: AtomicU64,
     /// Pings that found the queue full.
     pub dropped_pings: AtomicU64,
+}
+
+/// What was sent to one address.
+#[derive(Debug)]
+pub struct ReceiverCounts {
+    pub to: SocketAddr,
+    pub packets: AtomicU64,
+    pub bytes: AtomicU64,
+    /// Packets that the operating system refused.
+    pub failed: AtomicU64,
+}
+
+impl DatagramCounts {
+    fn sum(&self, of: impl Fn(&ReceiverCounts) -> &AtomicU64) -> u64 {
+        let each = self.receivers.iter().map(|r| of(r).load(Ordering::Relaxed));
+        each.sum()
+    }
+    /// To anybody.
+    pub fn packets(&self) -> u64 {
+        self.to_clients.load(Ordering::Relaxed) + self.sum(|r| &r.packets)
+    }
+    /// Refused by the operating system.
+    pub fn failed(&self) -> u64 {
+        self.sum(|r| &r.failed)
+    }
 }
 
 /// The near end of the sending thread. Stops, with everything queued sent, when dropped.
@@ -75,8 +100,18 @@ impl DatagramSender {
             .map(|to| Ok((socket_for(*to, &route)?, SockAddr::from(*to))))
             .collect::<std::io::Result<Vec<_>>>()?;
         let pace_bytes_per_s = route.pace_bytes_per_s;
+        let receivers = route.send_to.iter().map(|&to| ReceiverCounts {
+            to,
+            packets: AtomicU64::new(0),
+            bytes: AtomicU64::new(0),
+            failed: AtomicU64::new(0),
+        });
+        let counts = DatagramCounts {
+            receivers: receivers.collect(),
+            ..DatagramCounts::default()
+        };
         Self::start(
-            Far::Addresses(sockets),
+            (Far::Addresses(sockets), counts),
             pace_bytes_per_s,
             route.queue,
             clock,
@@ -95,11 +130,12 @@ impl DatagramSender {
             server,
             pool: DatagramPool::new(0, MOST_KEPT_BUFFERS),
         };
+        let far = (far, DatagramCounts::default());
         Self::start(far, f64::INFINITY, queue, clock, sending)
     }
 
     fn start(
-        far: Far,
+        (far, counts): (Far, DatagramCounts),
         pace_bytes_per_s: f64,
         queue: usize,
         clock: Arc<dyn Clock>,
@@ -107,7 +143,7 @@ impl DatagramSender {
     ) -> std::io::Result<Self> {
         let (full, pings) = bounded(queue);
         let (give_back, empty) = bounded(queue + 1);
-        let counts = Arc::new(DatagramCounts::default());
+        let counts = Arc::new(counts);
         let machine = SystemClock::new();
         let mut line = Line {
             bucket: Bucket::new(pace_bytes_per_s, machine.mono()),
@@ -238,8 +274,8 @@ impl Line {
             let group: Vec<&[u8]> = (next..next + count).map(|k| ping.packet(k)).collect();
             match &mut self.far {
                 Far::Addresses(sockets) => {
-                    for (socket, to) in sockets {
-                        self.counts.send(socket, to, &group);
+                    for ((socket, to), receiver) in sockets.iter().zip(&self.counts.receivers) {
+                        receiver.send(socket, to, &group);
                     }
                 }
                 Far::Clients { server, pool } => {
@@ -247,7 +283,10 @@ impl Line {
                         .iter()
                         .map(|frame| pool.write(|buffer| buffer.extend_from_slice(frame)));
                     server.deliver(&frames.collect::<Vec<_>>());
-                    self.counts.sent(&group);
+                    let handed_over = group.len() as u64;
+                    self.counts
+                        .to_clients
+                        .fetch_add(handed_over, Ordering::Relaxed);
                 }
             }
             next += count;
@@ -255,7 +294,7 @@ impl Line {
     }
 }
 
-impl DatagramCounts {
+impl ReceiverCounts {
     fn sent(&self, packets: &[&[u8]]) {
         let bytes: usize = packets.iter().map(|packet| packet.len()).sum();
         self.packets
@@ -310,14 +349,21 @@ mod tests {
         let inboxes = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a socket"));
         let to = inboxes.each_ref().map(|s| s.local_addr().expect("address"));
         let sender = open(route(to.to_vec(), 1e9));
-        assert!(sender.send(ping_of(&[b"one", b"two"]), AT_ONCE));
+        assert!(sender.send(ping_of(&[b"one", b"three"]), AT_ONCE));
+        let counts = sender.counts().clone();
         drop(sender);
+        for (receiver, &to) in counts.receivers.iter().zip(&to) {
+            let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+            assert_eq!(receiver.to, to);
+            assert_eq!((read(&receiver.packets), read(&receiver.bytes)), (2, 8));
+            assert_eq!(read(&receiver.failed), 0);
+        }
         for inbox in inboxes {
             inbox
                 .set_read_timeout(Some(Duration::from_secs(10)))
                 .expect("set");
             let mut buffer = [0; 16];
-            for want in [b"one", b"two"] {
+            for want in [&b"one"[..], b"three"] {
                 let len = inbox.recv(&mut buffer).expect("a packet");
                 assert_eq!(&buffer[..len], want);
             }

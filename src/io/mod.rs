@@ -11,3 +11,8 @@ pub mod signals;
 pub mod sonar;
 mod stamp;
 pub mod trigger;
+
+/// A file of text, for those who may not open files themselves.
+pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {
+    std::fs::read_to_string(path)
+}

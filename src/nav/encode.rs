@@ -39,7 +39,8 @@ pub fn gga(out: &mut Vec<u8>, talker: &str, utc: UtcNs, fix: Option<&Fix>) {
             arc(f.latitude_rad, 2, ['N', 'S']),
             arc(f.longitude_rad, 3, ['E', 'W']),
             quality(f.quality),
-            f.height_m
+            // Not -0.000.
+            (f.height_m * 1e3).round() / 1e3 + 0.0
         ),
     };
     sentence(out, &body);
@@ -144,6 +145,12 @@ mod tests {
         let got = text(|out| gga(out, "IN", utc, Some(&fix)));
         let body = "INGGA,235959.25,2200.1050000,S,01800.0000000,W,4,,,-2.760,M,,M,,";
         assert_eq!(got, format!("${body}*{:02X}\r\n", checksum_of(body)));
+        let level = Fix {
+            height_m: -4e-4,
+            ..fix
+        };
+        let got = text(|out| gga(out, "IN", utc, Some(&level)));
+        assert!(got.contains(",,0.000,M,"), "{got}");
         assert!(
             text(|out| gga(out, "GP", utc, None)).starts_with("$GPGGA,235959.25,,,,,0,,,,M,,M,,*")
         );

@@ -30,7 +30,9 @@ use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use thiserror::Error;
 
-use crate::config::spec::{ClockSpec, DeliverySpec, NavMode, RigSpec, StampSpec};
+use crate::config::spec::{
+    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec,
+};
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
@@ -55,6 +57,7 @@ use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
 use crate::run::triggers::TriggerCounts;
+use crate::run::waiting;
 use crate::time::{
     Clock, MonoNs, NS_PER_S, PacedClock, SystemClock, Timeline, UtcNs, VirtualClock,
 };
@@ -89,6 +92,10 @@ pub enum DaemonError {
     TriggerOut(#[from] OutError),
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
+    #[error(
+        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+    )]
+    NoNav(String),
     #[error("a thread of the daemon ended in a panic; this is a bug")]
     Panic,
 }
@@ -321,11 +328,21 @@ impl Daemon {
 
     /// What it listens to and where to connect, a line each.
     pub fn describe(&self) -> Vec<String> {
-        let mut lines: Vec<String> = self
-            .inputs
-            .listening()
+        let sources = &self.rig.spec.nav.sources;
+        let transport = |name: &str| {
+            let tcp = |s: &NavSourceSpec| {
+                s.name == name && matches!(s.input, NavInputSpec::TcpListen { .. })
+            };
+            if sources.iter().any(tcp) {
+                "tcp"
+            } else {
+                "udp"
+            }
+        };
+        let listening = self.inputs.listening();
+        let mut lines: Vec<String> = listening
             .iter()
-            .map(|(name, address)| format!("nav {name} udp {address}"))
+            .map(|(name, address)| format!("nav {name} {} {address}", transport(name)))
             .collect();
         lines.extend(self.nav_out.addresses());
         lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
@@ -405,13 +422,10 @@ impl Daemon {
             .name("pipeline".into())
             .spawn(move || {
                 // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
-                pool.install(move || {
-                    if own_time {
-                        pacer.run_stepped();
-                    } else {
-                        pacer.run();
-                    }
-                });
+                pool.install(move || match own_time {
+                    true => pacer.run_stepped(),
+                    false => pacer.run(),
+                })
             })
             .map_err(DaemonError::Thread)?;
         // Whoever looks lives in the machine's time, whatever the rig's does.
@@ -422,7 +436,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults);
+            fault_log.write(&faults, control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -434,16 +448,16 @@ impl Daemon {
             }
         }
         notify.stopping();
-        pipeline.join().map_err(|_| DaemonError::Panic)?;
+        let pinged = pipeline.join().map_err(|_| DaemonError::Panic)?;
         let mut closed = Ok(());
         for thread in deliveries {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults);
+        fault_log.write(&faults, control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
-        closed.map_err(DaemonError::Output)
+        pinged.and(closed.map_err(DaemonError::Output))
     }
 }
 
@@ -462,14 +476,17 @@ impl FaultLogFile {
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, and ends the log.
-    fn write(&mut self, faults: &Faults) {
+    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
         let injections = faults.take_injections();
         if injections.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(&injections) {
             eprintln!("echotank: {error}");
+            if let Some(first) = sonars.first() {
+                add(&first.counters.recordings_stopped, 1);
+            }
             (self.directory, self.log) = (None, None);
         }
     }
@@ -584,13 +601,15 @@ enum Step {
 }
 
 impl Pacer {
-    fn run(mut self) {
-        let Some(timeline) = self.start() else { return };
+    fn run(mut self) -> Result<(), DaemonError> {
+        let Some(timeline) = self.start()? else {
+            return Ok(());
+        };
         // Set once, here; whoever asked before got the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
         let Some(beat) = self.beat(timeline) else {
-            return;
+            return Ok(());
         };
         let (sender, orders) = bounded(MOST_ORDERS);
         let coming = beat.coming();
@@ -600,7 +619,7 @@ impl Pacer {
             Err(why) => {
                 eprintln!("echotank: could not start a thread: {why}");
                 self.stop.store(true, Ordering::Release);
-                return;
+                return Ok(());
             }
         };
         while !self.stop.load(Ordering::Acquire) {
@@ -622,12 +641,13 @@ impl Pacer {
                     }
                     Step::Wait(until) => until,
                 },
-                None if self.inputs.finished() => return,
+                None if self.inputs.finished() => return Ok(()),
                 None => now.plus_ns(50 * POLL_NS),
             };
             let wait_until = wait_until.min(self.nav_out.next_publish());
             self.clock.doze_until(wait_until, &coming.bell);
         }
+        Ok(())
     }
 
     /// How long before its pulse a ping is ordered and computed.
@@ -646,15 +666,29 @@ impl Pacer {
         first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
-    /// When a recorded log first holds what a ping needs; none where it never does, or the daemon is stopped.
-    fn first_recorded(&mut self) -> Option<UtcNs> {
+    /// When the recorded logs first hold what a ping needs of them (the rest is live); none where the daemon is stopped.
+    fn first_recorded(&mut self) -> Result<Option<UtcNs>, DaemonError> {
+        let sources = self.rig.spec.nav.sources.clone();
+        let is_live = |channel| {
+            let gives = |s: &NavSourceSpec| s.provides.contains(&channel) && !s.is_recorded();
+            sources.iter().any(gives)
+        };
+        if self.rig.history.silent().into_iter().all(is_live) {
+            return Ok(self.inputs.recorded_start());
+        }
         loop {
-            if let Some(first) = self.rig.history.first_usable_utc() {
-                return Some(first);
+            let history = &self.rig.history;
+            if let Some(first) = history.first_usable_utc_of(|channel| !is_live(channel)) {
+                return Ok(Some(first));
             }
-            if self.stop.load(Ordering::Acquire) || !self.inputs.pull_next(&mut self.rig.history) {
-                return None;
+            if self.stop.load(Ordering::Acquire) {
+                return Ok(None);
             }
+            if self.inputs.is_all_known() {
+                let lacking = waiting::lacking(&self.rig.spec.nav, history);
+                return Err(DaemonError::NoNav(lacking));
+            }
+            self.inputs.pull_next(&mut self.rig.history);
         }
     }
 
@@ -680,17 +714,20 @@ impl Pacer {
     }
 
     /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
-    fn start(&mut self) -> Option<Timeline> {
+    fn start(&mut self) -> Result<Option<Timeline>, DaemonError> {
         if self.inputs.recorded_start().is_some() {
             // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
             // leaves at once.
-            let first = self.first_recorded()?;
+            let Some(first) = self.first_recorded()? else {
+                return Ok(None);
+            };
             let first = self.begin_schedules(first);
             self.rig.plan_all(&mut self.inputs, first);
             if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
                 // Nothing of it may leave before its pulse, which is foreseen before that.
                 let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
-                return Some(Timeline::through(ordered, first.plus_ns(-self.ahead_ns())));
+                let first = first.plus_ns(-self.ahead_ns());
+                return Ok(Some(Timeline::through(ordered, first)));
             }
             let latency_ns = (self.rig.spec.run.latency_s * NS_PER_S as f64) as i64;
             let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
@@ -699,31 +736,43 @@ impl Pacer {
                 .map(|unit| crate::ping::window_s(&unit.spec.settings, sound_speed_m_per_s))
                 .fold(0.0, f64::max);
             let window_ns = (window_s * NS_PER_S as f64) as i64;
-            return Some(Timeline::through(
+            return Ok(Some(Timeline::through(
                 self.clock.mono().plus_ns(FIRST_PING_AFTER_NS),
                 first.plus_ns(window_ns + latency_ns),
-            ));
+            )));
         }
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
-            self.inputs.pull(UtcNs(i64::MAX), &mut self.rig.history);
+            let rig_time = self.inputs.timeline();
+            let utc = rig_time.map_or(UtcNs(i64::MAX), |timeline| timeline.utc(now));
+            self.inputs.pull(utc, &mut self.rig.history);
             if let (Some(timeline), Some(first)) =
                 (self.inputs.timeline(), self.rig.history.first_usable_utc())
             {
                 self.begin_schedules(first.max(timeline.utc(now)));
-                return Some(timeline);
+                self.next_nav_lines = MonoNs(0);
+                return Ok(Some(timeline));
             }
+            self.renew_nav_lines_with(|pacer| {
+                let reason =
+                    waiting::reason(&pacer.rig.spec.nav, &mut pacer.inputs, &pacer.rig.history);
+                vec![reason]
+            });
             self.clock.sleep_until(now.plus_ns(POLL_NS));
         }
-        None
+        Ok(None)
     }
 
     fn renew_nav_lines(&mut self) {
+        self.renew_nav_lines_with(|_| Vec::new());
+    }
+
+    fn renew_nav_lines_with(&mut self, first: impl FnOnce(&mut Self) -> Vec<String>) {
         self.control.beat();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
-            let lines = [self.inputs.lines(), self.nav_out.lines()].concat();
+            let lines = [first(self), self.inputs.lines(), self.nav_out.lines()].concat();
             self.control.set_nav(lines, self.inputs.sources());
         }
     }
@@ -932,11 +981,11 @@ fn deliver(
             }
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
-        if let Err(error) = outputs.deliver() {
+        outputs.deliver(|error| {
             eprintln!("echotank: {error}");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
-        }
+        });
         if let Some(deadline) = deadline {
             way.histograms
                 .handed_over_us(way.clock.mono().0 - deadline.0);

@@ -112,12 +112,13 @@ impl Histograms {
     }
 
     /// By name: where bins end, microseconds, and what is in them; up to the last with anything in it.
-    pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 4] {
+    pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 5] {
         [
             ("start_error", self.start_error.bins()),
             ("compute_margin", self.margin.bins()),
             ("nav_to_samples", self.nav_to_samples.bins()),
             ("hand_over", self.hand_over.bins()),
+            ("send_pacing", self.pacing.bins()),
         ]
     }
 

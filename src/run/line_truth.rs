@@ -25,13 +25,13 @@ pub const MAIN_LOBE_DB: f64 = -12.0;
 const POSES: usize = 128;
 
 /// Where the platform is while it listens.
-struct Motion {
+pub(super) struct Motion {
     poses: Vec<Pose>,
     step_s: f64,
 }
 
 impl Motion {
-    fn of(plan: &PingPlan, rate_hz: f64) -> Self {
+    pub(super) fn of(plan: &PingPlan, rate_hz: f64) -> Self {
         let step_s = plan.window_s(rate_hz) / (POSES - 1) as f64;
         let poses = (0..POSES).map(|k| plan.trajectory.pose_at(k as f64 * step_s));
         Self {
@@ -39,20 +39,23 @@ impl Motion {
             step_s,
         }
     }
-    fn at(&self, time_s: f64) -> &Pose {
-        &self.poses[((time_s / self.step_s).round().max(0.0) as usize).min(POSES - 1)]
+    pub(super) fn at(&self, time_s: f64) -> &Pose {
+        &self.poses[self.place(time_s)]
+    }
+    fn place(&self, time_s: f64) -> usize {
+        ((time_s / self.step_s).round().max(0.0) as usize).min(POSES - 1)
     }
 }
 
 /// A face in the world at one instant.
-struct Face<'a> {
-    at_m: DVec3,
+pub(super) struct Face<'a> {
+    pub(super) at_m: DVec3,
     array_from_world: DQuat,
     directivity: &'a Directivity,
 }
 
 impl<'a> Face<'a> {
-    fn new(pose: &Pose, mounting: &Mounting, directivity: &'a Directivity) -> Self {
+    pub(super) fn new(pose: &Pose, mounting: &Mounting, directivity: &'a Directivity) -> Self {
         Self {
             at_m: pose.point_m(mounting.position_m),
             array_from_world: (pose.world_from_body * mounting.body_from_array).inverse(),
@@ -60,7 +63,7 @@ impl<'a> Face<'a> {
         }
     }
     /// Range, sine along the face, response, and the response as it would be without that sine.
-    fn towards(&self, at_m: DVec3) -> (f64, DVec3, f64, f64) {
+    pub(super) fn towards(&self, at_m: DVec3) -> (f64, DVec3, f64, f64) {
         let way = at_m - self.at_m;
         let range_m = way.length().max(1e-6);
         let u = self.array_from_world * (way / range_m);
@@ -93,7 +96,7 @@ pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
         .collect()
 }
 
-fn blank(side: Side, samples: usize) -> LineTruth {
+pub(super) fn blank(side: Side, samples: usize) -> LineTruth {
     LineTruth {
         side,
         target: vec![0; samples],
@@ -129,12 +132,7 @@ impl View<'_> {
             .collect();
         let spacing = array.spacing_m / wavelength_m;
         let lobe = 10f64.powf(MAIN_LOBE_DB / 20.0);
-        let resolved_hz = self
-            .plan
-            .pulse
-            .bandwidth_hz
-            .max(1.0 / self.plan.pulse.duration_s);
-        let half = (0.5 * (rate_hz / resolved_hz - 1.0)).round().max(0.0) as usize;
+        let half = half_cell(self.plan, rate_hz);
         let samples = truth.target.len();
         let mut own = vec![0.0f32; samples];
         let mut first = 0;
@@ -145,8 +143,7 @@ impl View<'_> {
             for i in first..end {
                 let at_m = scatterers.position_m(i);
                 let (out_m, u, sent, sent_middle) = sender.towards(at_m);
-                let pose = (2.0 * out_m / c / self.motion.step_s).round() as usize;
-                let hearer = &hearers[pose.min(POSES - 1)];
+                let hearer = &hearers[self.motion.place(2.0 * out_m / c)];
                 let (back_m, w, heard, heard_middle) = hearer.towards(at_m);
                 let factor = line_array_response(array.elements, spacing, w.x);
                 let middle = sent_middle * heard_middle;
@@ -172,79 +169,58 @@ impl View<'_> {
             }
             let from = touched.0.min(touched.1);
             for (k, energy) in own[from..touched.1].iter_mut().enumerate() {
-                let (k, energy) = (from + k, std::mem::take(energy));
-                if energy > truth.target_energy[k] {
-                    truth.other_energy[k] += truth.target_energy[k];
-                    (truth.target[k], truth.target_energy[k]) = (label, energy);
-                } else {
-                    truth.other_energy[k] += energy;
-                }
+                truth.claim(from + k, label, std::mem::take(energy));
             }
             first = end;
         }
     }
 
     fn ground(&self, rig: &Rig, truth: &mut LineTruth) {
-        let (array, c) = (self.array(), self.plan.sound_speed_m_per_s);
         let rate_hz = self.spec.receiver.sample_rate_hz;
-        let transmit = &self.spec.transmit[array.transmit].mounting;
-        let start = self.motion.at(0.0);
-        let sent_m = start.point_m(transmit.position_m);
-        let mut along = start.world_from_body * (transmit.body_from_array * DVec3::X);
-        if along.dot(start.world_from_body * DVec3::X) < 0.0 {
-            along = -along;
-        }
-        let level = along.truncate();
-        let Some(ahead) = level.try_normalize() else {
+        let mut sums = Depths::of(truth.target.len());
+        let end_s = truth.target.len() as f64 / rate_hz;
+        let walk = (self.spec, self.plan, self.motion);
+        walk_ground(rig, walk, self.line.array, self.line.side, end_s, |met| {
+            sums.meet(truth, (met.two_way_s * rate_hz).round() as usize, met);
+        });
+        sums.keep(truth);
+    }
+}
+
+/// Half of the samples, less the middle one, that a compressed echo takes.
+pub(super) fn half_cell(plan: &PingPlan, rate_hz: f64) -> usize {
+    let resolved_hz = plan.pulse.bandwidth_hz.max(1.0 / plan.pulse.duration_s);
+    (0.5 * (rate_hz / resolved_hz - 1.0)).round().max(0.0) as usize
+}
+
+/// A place of the ground as an array meets it.
+pub(super) struct Met {
+    pub(super) at_m: DVec3,
+    pub(super) two_way_s: f64,
+    pub(super) seen: bool,
+}
+
+/// Depths of the ground, sample by sample.
+pub(super) struct Depths(Vec<(f64, u32)>);
+
+impl Depths {
+    pub(super) fn of(samples: usize) -> Self {
+        Self(vec![(0.0, 0); samples])
+    }
+    /// What of sample `k` is seen, and how deep it lies. Samples beyond the record are none.
+    pub(super) fn meet(&mut self, truth: &mut LineTruth, k: usize, met: &Met) {
+        let Some(sum) = self.0.get_mut(k) else {
             return;
         };
-        let aside = match self.line.side {
-            Side::Starboard => DVec2::new(-ahead.y, ahead.x),
-            Side::Port => DVec2::new(ahead.y, -ahead.x),
-        };
-        let samples = truth.target.len();
-        let step_m = 0.25 * c / rate_hz;
-        let mut sums = vec![(0.0f64, 0u32); samples];
-        let Some(mut down_m) = rig.scene.seabed_down_m(sent_m.x, sent_m.y) else {
-            return;
-        };
-        let mut two_way_m = 2.0 * (down_m - sent_m.z).max(0.0);
-        let mut across_m = 0.0;
-        while across_m < 0.5 * samples as f64 / rate_hz * c {
-            across_m += step_m;
-            let heard_m = self
-                .motion
-                .at(two_way_m / c)
-                .point_m(array.mounting.position_m);
-            let eye_m = 0.5 * (sent_m + heard_m);
-            // Twice: the place depends on the depth, and that little on the place.
-            let mut seen = None;
-            let mut at = DVec2::ZERO;
-            for _ in 0..2 {
-                let ahead_m = -(down_m - eye_m.z) * along.z / level.length();
-                at = eye_m.truncate() + aside * across_m + ahead * ahead_m;
-                seen = rig.scene.ground_seen(self.line.array, at.x, at.y);
-                if let Some((there_m, _)) = seen {
-                    down_m = there_m;
-                }
-            }
-            let Some((there_m, seen)) = seen else {
-                continue;
-            };
-            let at_m = at.extend(there_m);
-            two_way_m = at_m.distance(sent_m) + at_m.distance(heard_m);
-            let k = (two_way_m / c * rate_hz).round() as usize;
-            if k >= samples {
-                continue;
-            }
-            if seen {
-                truth.ground[k] = GroundSeen::Seen;
-            } else if truth.ground[k] == GroundSeen::None {
-                truth.ground[k] = GroundSeen::Hidden;
-            }
-            sums[k] = (sums[k].0 + there_m, sums[k].1 + 1);
+        if met.seen {
+            truth.ground[k] = GroundSeen::Seen;
+        } else if truth.ground[k] == GroundSeen::None {
+            truth.ground[k] = GroundSeen::Hidden;
         }
-        for (down, sum) in truth.down_m.iter_mut().zip(sums) {
+        *sum = (sum.0 + met.at_m.z, sum.1 + 1);
+    }
+    pub(super) fn keep(self, truth: &mut LineTruth) {
+        for (down, sum) in truth.down_m.iter_mut().zip(self.0) {
             if sum.1 > 0 {
                 *down = (sum.0 / f64::from(sum.1)) as f32;
             }
@@ -252,8 +228,68 @@ impl View<'_> {
     }
 }
 
+/// Walks the ground to one side of receive array `array` until its echo comes after `end_s`.
+pub(super) fn walk_ground(
+    rig: &Rig,
+    (spec, plan, motion): (&SonarSpec, &PingPlan, &Motion),
+    array: usize,
+    side: Side,
+    end_s: f64,
+    mut meet: impl FnMut(&Met),
+) {
+    let c = plan.sound_speed_m_per_s;
+    let receive = &spec.receive[array].mounting;
+    let transmit = &spec.transmit[spec.receive[array].transmit].mounting;
+    let start = motion.at(0.0);
+    let sent_m = start.point_m(transmit.position_m);
+    let mut along = start.world_from_body * (transmit.body_from_array * DVec3::X);
+    if along.dot(start.world_from_body * DVec3::X) < 0.0 {
+        along = -along;
+    }
+    let level = along.truncate();
+    let Some(ahead) = level.try_normalize() else {
+        return;
+    };
+    let aside = match side {
+        Side::Starboard => DVec2::new(-ahead.y, ahead.x),
+        Side::Port => DVec2::new(ahead.y, -ahead.x),
+    };
+    let step_m = 0.25 * c / spec.receiver.sample_rate_hz;
+    let Some(mut down_m) = rig.scene.seabed_down_m(sent_m.x, sent_m.y) else {
+        return;
+    };
+    let mut two_way_m = 2.0 * (down_m - sent_m.z).max(0.0);
+    let mut across_m = 0.0;
+    while across_m < 0.5 * end_s * c {
+        across_m += step_m;
+        let heard_m = motion.at(two_way_m / c).point_m(receive.position_m);
+        let eye_m = 0.5 * (sent_m + heard_m);
+        // Twice: the place depends on the depth, and that little on the place.
+        let mut seen = None;
+        let mut at = DVec2::ZERO;
+        for _ in 0..2 {
+            let ahead_m = -(down_m - eye_m.z) * along.z / level.length();
+            at = eye_m.truncate() + aside * across_m + ahead * ahead_m;
+            seen = rig.scene.ground_seen(array, at.x, at.y);
+            if let Some((there_m, _)) = seen {
+                down_m = there_m;
+            }
+        }
+        let Some((there_m, seen)) = seen else {
+            continue;
+        };
+        let at_m = at.extend(there_m);
+        two_way_m = at_m.distance(sent_m) + at_m.distance(heard_m);
+        meet(&Met {
+            at_m,
+            two_way_s: two_way_m / c,
+            seen,
+        });
+    }
+}
+
 /// Pressure that the law of scatterer `i` sends from transmitter to receiver.
-fn law_of(scatterers: &Scatterers, i: usize, sender: &Face, hearer_m: &DVec3) -> f64 {
+pub(super) fn law_of(scatterers: &Scatterers, i: usize, sender: &Face, hearer_m: &DVec3) -> f64 {
     let at_m = scatterers.position_m(i);
     let normal = DVec3::from_array(scatterers.normal[i].map(f64::from));
     let cosine = |from_m: DVec3| ((from_m - at_m).normalize_or_zero().dot(normal)).max(0.0);

@@ -13,12 +13,13 @@ use crate::frames::angles_from_rotation;
 use crate::image::line::{Projection, RangeAxis, first_return_m};
 use crate::image::masks::WaterfallMasks;
 use crate::image::mosaic::{MosaicBuilder, MosaicError, MosaicSpec, Place};
-use crate::image::water_column::{Stack, polar};
+use crate::image::water_column::{Stack, polar, polar_masks};
 use crate::image::waterfall::{Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
 use crate::io::record::masks::MaskRecorder;
 use crate::io::record::picture::{write_masks, write_mosaic, write_picture};
 use crate::io::record::png::write_waterfall;
 use crate::io::record::{RecordError, make_folder};
+use crate::run::fan_truth::fan_truth;
 use crate::run::line_truth::line_truths;
 use crate::run::replay::Formats;
 use crate::run::rig::{PingSlot, Rig};
@@ -38,7 +39,8 @@ pub struct Pictures {
     mosaic: Option<MosaicBuilder>,
     stack: Option<Stack>,
     masks: Option<MaskRecorder>,
-    /// Fans drawn.
+    fan_masks: Option<MaskRecorder>,
+    /// Fans drawn, and their masks.
     written: Vec<PathBuf>,
     gains: Vec<Complex64>,
     /// Altitude by the newest first return.
@@ -51,7 +53,11 @@ impl Pictures {
         let lined = !spec.beams.lines.is_empty();
         Ok(Self {
             masks: match formats.masks && lined {
-                true => Some(MaskRecorder::create(folder)?),
+                true => Some(MaskRecorder::of_lines(folder)?),
+                false => None,
+            },
+            fan_masks: match formats.masks && spec.beams.fan.is_some() {
+                true => Some(MaskRecorder::of_beams(folder)?),
                 false => None,
             },
             spec: spec.clone(),
@@ -68,7 +74,7 @@ impl Pictures {
 
     /// The ping that `rig` has just made.
     pub fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
-        self.fan(slot)?;
+        self.fan(slot, rig)?;
         let Formats {
             png, mosaic, masks, ..
         } = self.formats;
@@ -126,11 +132,22 @@ impl Pictures {
         Ok(())
     }
 
-    fn fan(&mut self, slot: &PingSlot) -> Result<(), RecordError> {
+    fn fan(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let (plan, output) = (&slot.plan, &slot.output);
-        let Some(fan) = output.beams.first().filter(|_| self.formats.fan) else {
+        let Formats { fan, masks, .. } = self.formats;
+        let Some(beams) = output.beams.first().filter(|_| fan || masks) else {
             return Ok(());
         };
+        let truths = match masks {
+            true => fan_truth(rig, slot),
+            false => Vec::new(),
+        };
+        if let Some(recorder) = &mut self.fan_masks {
+            recorder.push(plan.ping_number, &truths)?;
+        }
+        if !fan {
+            return Ok(());
+        }
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let contrast = self.spec.picture.contrast;
         let first = self.stack.is_none();
@@ -138,12 +155,19 @@ impl Pictures {
         let max_pings = WaterfallSpec::default().max_pings;
         self.stack
             .get_or_insert_with(|| Stack::new(range_m, rate_hz, max_pings))
-            .push(plan, fan);
+            .push(plan, beams, &truths);
         if first || plan.ping_number % self.spec.picture.fan_every_pings == 0 {
-            let picture = polar(plan, fan, &output.soundings, rate_hz, contrast);
-            let path = self.folder.join(format!("fan_{:06}.png", plan.ping_number));
+            let picture = polar(plan, beams, &output.soundings, rate_hz, contrast);
+            let stem = format!("fan_{:06}", plan.ping_number);
+            let path = self.folder.join(format!("{stem}.png"));
             write_picture(&path, &picture)?;
             self.written.push(path);
+            if !truths.is_empty() {
+                let (size, masks) = polar_masks(plan, beams, &truths, rate_hz);
+                let (folder, masks) = (&self.folder, masks.iter().copied());
+                let names = target_names(rig.targets());
+                (self.written).extend(write_masks(folder, &stem, size, masks, &names)?);
+            }
         }
         Ok(())
     }
@@ -255,13 +279,23 @@ impl Pictures {
 
     /// Writes what was gathered, and names the files.
     pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
-        let names: Vec<String> = targets.iter().map(|t| t.name.clone()).collect();
+        let names = target_names(targets);
         let look = &self.spec.picture;
         let mut written = self.written;
         if let Some(stack) = &self.stack {
             let path = self.folder.join("water_column.png");
             write_picture(&path, &stack.picture(look.contrast))?;
             written.push(path);
+            if let Some((size, masks)) = stack.masks() {
+                let masks = masks.iter().copied();
+                written.extend(write_masks(
+                    &self.folder,
+                    "water_column",
+                    size,
+                    masks,
+                    &names,
+                )?);
+            }
         }
         if let Some((waterfall, labels)) = &self.waterfall {
             let path = self.folder.join("waterfall.png");
@@ -303,11 +337,15 @@ impl Pictures {
                 }
             }
         }
-        if let Some(masks) = self.masks {
+        for masks in [self.masks, self.fan_masks].into_iter().flatten() {
             written.extend(masks.finish()?);
         }
         Ok(written)
     }
+}
+
+fn target_names(targets: &[Target]) -> Vec<String> {
+    targets.iter().map(|t| t.name.clone()).collect()
 }
 
 struct Arms {

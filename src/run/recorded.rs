@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavChannel, RigSpec, TriggerFrom, TriggerSpec};
+use crate::config::spec::{RigSpec, TriggerFrom, TriggerSpec};
 use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::ping::PingOrder;
 use crate::ping::beats::{Beats, InForce};
 use crate::run::rig::{Rig, RigError};
+use crate::run::waiting::lacking;
 use crate::time::{UtcNs, VirtualClock};
 
 #[derive(Debug, Error)]
@@ -20,8 +21,10 @@ pub enum RecordedError {
         "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
     )]
     NoLog,
-    #[error("the recorded navigation holds no usable sample of {0:?}, which every ping needs")]
-    NoNav(Vec<NavChannel>),
+    #[error(
+        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+    )]
+    NoNav(String),
 }
 
 pub struct RecordedRig {
@@ -47,9 +50,10 @@ impl RecordedRig {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;
             }
-            if !inputs.pull_next(&mut rig.history) {
-                return Err(RecordedError::NoNav(rig.history.silent()));
+            if inputs.is_all_known() {
+                return Err(RecordedError::NoNav(lacking(&spec.nav, &rig.history)));
             }
+            inputs.pull_next(&mut rig.history);
         };
         // Known for long enough to foresee it.
         let first = first.plus_ns(spec.run.ahead_ns());

@@ -9,6 +9,8 @@ use echotank_protocols::ping_protocol::{Frame, Message, PingFraming, PingStream}
 use echotank_protocols::vita49::{Context, Packet, PacketType};
 use echotank_protocols::wbms::{self, Bathymetry, WbmsFraming, WbmsStream};
 
+use echotank::io::control::client;
+
 use super::{Daemon, PATIENCE};
 
 /// Two-way time of a range, seconds, in the rig's water.
@@ -68,6 +70,8 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
         "--set",
         "sonar.output.sigmf={}",
         "--set",
+        "control.listen=127.0.0.1:0",
+        "--set",
         "scene.seabed.density_per_m2=2.0",
         "--set",
         &format!("record.directory={:?}", record.path()),
@@ -75,6 +79,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     let ping = daemon.announced("ping surveyor", "tcp");
     let control = daemon.announced("wbms surveyor control", "tcp");
     let bathymetry = daemon.announced("wbms surveyor bathymetry", "tcp");
+    let http = daemon.announced("control http", "http");
 
     // The makers' protocol: what was asked, what was answered, what the next pings did.
     let mut topside = TcpStream::connect(ping).expect("listening");
@@ -181,6 +186,27 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
         (said.sample_rate_hz, said.rf_reference_hz),
         (Some(34e3), Some(240e3))
     );
+
+    // Who gets what, in numbers: the board, that nobody asked, like the clients.
+    let (_, metrics) = client::get(http, "/metrics", None).expect("answers");
+    let to = board.local_addr().expect("address");
+    for (family, peer) in [
+        ("vita49", format!("UDP {to}")),
+        (
+            "ping",
+            format!("TCP {}", topside.local_addr().expect("bound")),
+        ),
+    ] {
+        let label = format!("{{sonar=\"surveyor\",family=\"{family}\",peer=\"{peer}\"}} ");
+        for (name, least) in [("bytes_sent", 1000), ("records_sent", 3)] {
+            let start = format!("echotank_client_{name}{label}");
+            let value = metrics.lines().find_map(|line| line.strip_prefix(&start));
+            let value: u64 = value.and_then(|v| v.parse().ok()).expect(&start);
+            assert!(value >= least, "{start}{value}");
+        }
+    }
+    let (_, status) = client::get(http, "/status", None).expect("answers");
+    assert!(status.contains(&format!("UDP {to}: ")), "{status}");
 
     let printed = daemon.terminate();
     assert!(printed.contains("vita49 surveyor:"), "{printed}");

@@ -1,10 +1,13 @@
 //! Killed at any moment, a record holds every ping that had left, and the next start mends it.
 
-use std::process::Command;
+use std::io::BufReader;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 use echotank_protocols::sevenk::file::{CataloguePointer, FileReader};
 
-use super::modes::{pings_in, pings_of, rig, wait_delivered};
+use super::modes::{pings_in, pings_of, rig, status, wait_delivered};
+use super::{Daemon, PATIENCE};
 
 #[test]
 fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
@@ -44,4 +47,72 @@ fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
         .expect("echotank runs");
     let said = String::from_utf8_lossy(&done.stdout);
     assert!(done.status.success() && said.contains("is whole"), "{said}");
+}
+
+/// Every kind of record at once.
+const EVERY_KIND: [&str; 12] = [
+    "run.queue_pings=30",
+    "sonar.output.sevenk.listen=127.0.0.1:0",
+    "control.listen=127.0.0.1:0",
+    "sonar.model.synthesis=direct",
+    "sonar.ping.range_m=15",
+    "sonar.ping.rate_hz=20",
+    "nav.loop=true",
+    "sonar.output.jsf={listen=\"127.0.0.1:0\", listen_data=\"127.0.0.1:0\", record=true}",
+    "sonar.output.xtf={}",
+    "sonar.output.ping={device=\"omniscan450\", side=\"port\", listen=\"127.0.0.1:0\"}",
+    "sonar.output.sigmf={arrays=[\"port\"]}",
+    "sonar.output.wav={arrays=[\"port\"]}",
+];
+
+#[test]
+fn files_that_can_grow_no_more_stop_their_recordings_each_counted_and_the_pings_go_on() {
+    let folder = tempfile::tempdir().expect("folder");
+    // Some tens of kilobytes for each file, and no signal that would end the process: a write fails as on a full disk.
+    let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" \"$@\"";
+    let mut command = Command::new("sh");
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
+    command.arg("hil-configs/points.toml");
+    let record = format!("record.directory={:?}", folder.path());
+    for set in EVERY_KIND.iter().chain([&record.as_str()]) {
+        command.args(["--set", set]);
+    }
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    let mut child = command.stdout(Stdio::piped()).spawn().expect("runs");
+    let stdout = BufReader::new(child.stdout.take().expect("piped"));
+    let mut daemon = Daemon {
+        child,
+        stdout,
+        printed: String::new(),
+    };
+    let at = daemon.announced("control http", "http");
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let stopped = &status(at)["sonars"][0]["counters"]["recordings_stopped"];
+        if *stopped == 6 {
+            break;
+        }
+        assert!(Instant::now() < until, "{stopped} of 6 recordings stopped");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let then = status(at)["pings_delivered"].as_u64().expect("a count");
+    wait_delivered(at, then + 5);
+    daemon.child.kill().expect("killed");
+    daemon.child.wait().expect("gone");
+    // What they hold is whole, or mended to be so.
+    let files = std::fs::read_dir(folder.path()).expect("folder");
+    let files: Vec<_> = files.map(|e| e.expect("entry").path()).collect();
+    let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
+    for kind in kinds {
+        let file = files
+            .iter()
+            .find(|f| f.extension().is_some_and(|e| e == kind));
+        let file = file.unwrap_or_else(|| panic!("a .{kind} among {files:?}"));
+        for want in ["", "is whole"] {
+            let done = Command::new(env!("CARGO_BIN_EXE_echotank"));
+            let done = { done }.arg("recover").arg(file).output().expect("runs");
+            let said = String::from_utf8_lossy(&done.stdout);
+            assert!(done.status.success() && said.contains(want), "{said}");
+        }
+    }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use echotank::config;
 use echotank::config::spec::RigSpec;
-use echotank::flow::{DopplerModel, PathModel, PingPlan, Scatterers};
+use echotank::flow::{Certificate, DopplerModel, PathModel, PingPlan, Scatterers};
 use echotank::frames::Trajectory;
 use echotank::run::fidelity::costs::Costs;
 use echotank::run::fidelity::first::pings;
@@ -242,7 +242,7 @@ fn a_slow_or_careless_sonar_gets_the_cheap_models_and_ten_knots_at_1e_4_does_not
     let one = One::new(
         60.0,
         false,
-        "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"",
+        "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"",
     );
     assert_eq!(
         one.at(0.0, 1e-4),
@@ -282,7 +282,7 @@ fn on_small_random_rigs_plans_keep_their_promises() {
 /// At rest, and from 4 s on under way: (ping number, plan) of every ping, and a sum over the bits of its samples.
 fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
     let folder = tempfile::tempdir().expect("folder");
-    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
     let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
     for k in 0..280 {
@@ -327,4 +327,55 @@ fn a_platform_that_gets_under_way_gets_another_plan_at_the_same_ping_every_time(
     let changed = plans.iter().position(|plan| *plan > 1).expect("a new plan");
     assert!((15..30).contains(&changed), "{plans:?}");
     assert_eq!(once, voyage(2));
+}
+
+/// The next dearer, at a later ping that the fault's own ping decides; counted.
+#[test]
+fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
+    let spec = rig(folder.path(), 60.0, false, model);
+    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..200 {
+        let t_s = 0.1 * k as f64;
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            0.5 * t_s
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    let marks: Vec<_> = pool(1).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        let mut marks = Vec::new();
+        while let Some((sonar, order)) = recorded.next_order(16) {
+            assert!(recorded.settle(sonar, &order), "the track is long enough");
+            let mode = spec.nav.mode;
+            let made = recorded.rig.make(sonar, &order, mode, UtcNs(0), &mut slot);
+            made.expect("no gap");
+            marks.push(slot.output.fidelity.expect("a plan"));
+            if order.ping_number == 3 {
+                let scatterers = recorded.rig.scatterers().clone();
+                let failed = Certificate {
+                    samples: 64,
+                    error: 2e-2,
+                    low: 1e-2,
+                    high: 3e-2,
+                    tolerance: 1e-2,
+                    fault: true,
+                };
+                let planner = recorded.rig.sonars[0].planner.as_mut().expect("auto");
+                planner.after(&slot.plan, &scatterers, Some(&failed));
+                assert_eq!(planner.counts.given_up, 1);
+            }
+        }
+        marks
+    });
+    // 2 Hz and 4 s: ping 11.
+    let (before, after) = (marks[9], marks[10]);
+    assert_eq!((before.plan, after.plan), (1, 2), "{marks:?}");
+    assert!(after.predicted_ms >= before.predicted_ms, "{marks:?}");
+    assert!(after.predicted_error <= 1e-2, "{marks:?}");
 }

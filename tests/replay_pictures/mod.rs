@@ -1,4 +1,4 @@
-//! Masks, ground range and mosaics of a replay against geometry worked out here: a box on a flat bottom, a level sonar on a straight track.
+//! Masks, ground range, fans and mosaics of a replay against geometry worked out here: a box on a flat bottom, a level sonar on a straight track.
 
 use std::fs;
 use std::path::Path;
@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::{files, replay_file};
 
 // The long form uses the rest of it.
+mod fan_masks;
 #[allow(dead_code)]
 #[path = "../../tools/src/soundings/measure.rs"]
 mod measure;

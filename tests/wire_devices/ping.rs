@@ -232,6 +232,19 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         bytes
     };
     assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
+    // The number that clients of earlier definitions send is acknowledged as such.
+    let mut earlier = Vec::new();
+    let id = message_id::SET_SPEED_OF_SOUND_EARLIER;
+    emit_frame(&mut earlier, id, 0, 1, |buf| {
+        buf.extend(1_480_500_u32.to_le_bytes());
+    });
+    let answered = bench.say(&earlier);
+    let frame = Frame::parse(&answered[0]).expect("a frame");
+    let acked = Message::parse(&frame).expect("a message");
+    assert!(
+        matches!(acked, Message::Ack(ack) if ack.acked_id == id),
+        "{acked:?}"
+    );
     let key = KeptKey {
         via: "ping",
         name: "speed_of_sound",

@@ -7,6 +7,8 @@ mod controls;
 mod flat_bottom;
 mod load;
 mod navigation;
+mod pipeline;
+mod pulses;
 mod rig;
 mod spread;
 mod together;

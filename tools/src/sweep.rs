@@ -37,6 +37,9 @@ struct Arguments {
     /// Only scenes whose name or motion contains this.
     #[arg(long)]
     only: Option<String>,
+    /// Only this method.
+    #[arg(long, conflicts_with = "keep")]
+    method: Option<String>,
     /// Random scenes.
     #[arg(long, default_value_t = 200)]
     random: u64,
@@ -66,6 +69,7 @@ fn main() -> std::io::Result<()> {
         .map(|case| {
             let truth = measure::truth(case);
             let rows: Vec<Row> = Method::of(case)
+                .filter(|m| asked(*m, &given))
                 .map(|m| Row::of(m, case, &truth, &TOLERANCES))
                 .collect();
             for row in &rows {
@@ -96,7 +100,7 @@ fn main() -> std::io::Result<()> {
         .iter()
         .flat_map(|row| row.cells.iter().map(|cell| (row.method, cell)));
     text += &counts(&cells.collect::<Vec<_>>());
-    text += &random(given.random);
+    text += &random(&given);
     print!("{text}");
     if given.keep {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/tolerances.txt");
@@ -106,6 +110,13 @@ fn main() -> std::io::Result<()> {
         std::process::exit(1);
     }
     Ok(())
+}
+
+fn asked(method: Method, given: &Arguments) -> bool {
+    given
+        .method
+        .as_deref()
+        .is_none_or(|name| name == method.name())
 }
 
 fn reasons(row: &Row) -> String {
@@ -127,7 +138,8 @@ fn reasons(row: &Row) -> String {
 }
 
 /// Methods over random scenes: how often each answered, its worst error over its tolerance, and where.
-fn random(count: u64) -> String {
+fn random(given: &Arguments) -> String {
+    let count = given.random;
     struct One {
         method: Method,
         cell: Cell,
@@ -142,7 +154,7 @@ fn random(count: u64) -> String {
             let truth = measure::truth(&case);
             let about = case::describe(&case);
             let mut found = Vec::new();
-            for method in Method::of(&case) {
+            for method in Method::of(&case).filter(|m| asked(*m, given)) {
                 for cell in Row::of(method, &case, &truth, tolerances).cells {
                     found.push(One {
                         method,

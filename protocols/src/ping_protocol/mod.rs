@@ -52,6 +52,8 @@ pub mod message_id {
     pub const SET_NET_INFO: u16 = 17;
     pub const SET_DEVICE_ID: u16 = 100;
     pub const SET_SPEED_OF_SOUND: u16 = 116;
+    /// The same in the definitions that some clients were generated from (crate `bluerobotics-ping` 0.3.6).
+    pub const SET_SPEED_OF_SOUND_EARLIER: u16 = 1002;
     pub const WATER_STATS: u16 = 118;
     pub const SYNC_CHANNEL: u16 = 169;
     pub const SET_SYNC_CHANNEL: u16 = 170;
@@ -219,7 +221,7 @@ impl<'a> Message<'a> {
             message_id::GENERAL_REQUEST => Self::GeneralRequest(GeneralRequest::parse(payload)?),
             message_id::SET_DEVICE_ID => Self::SetDeviceId(SetDeviceId::parse(payload)?),
             message_id::JSON_WRAPPER => Self::Json(payload),
-            message_id::SET_SPEED_OF_SOUND => {
+            message_id::SET_SPEED_OF_SOUND | message_id::SET_SPEED_OF_SOUND_EARLIER => {
                 Self::SetSpeedOfSound(SetSpeedOfSound::parse(payload)?)
             }
             message_id::SYNC_CHANNEL => Self::SyncChannel(SyncChannel::parse(payload)?),

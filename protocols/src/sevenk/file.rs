@@ -21,8 +21,8 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::frame::{
-    DataRecordFrame, Fixed, MIN_RECORD_BYTES, OpenRecord, Record, RecordStamp, read_fixed,
-    write_fixed,
+    DataRecordFrame, Fixed, MIN_RECORD_BYTES, OpenRecord, Record, RecordStamp, SYNC_PATTERN,
+    read_fixed, write_fixed,
 };
 use super::records::{data_at, rth, text_field, text_of};
 use super::{SevenKTime, WireError, record_id};
@@ -368,6 +368,9 @@ pub struct FileReadError {
     pub error: WireError,
 }
 
+/// Of the pattern, from the front of a record.
+const SYNC_AT_BYTES: usize = 4;
+
 /// Walks through the records of a file, closed or cut off. After an error it goes on at the next thing that looks like a record; the
 /// bytes between are counted.
 #[derive(Debug, Clone)]
@@ -392,6 +395,20 @@ impl<'a> FileReader<'a> {
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped_bytes
     }
+
+    /// Over everything that cannot be the front of a record: without the pattern in its place none is.
+    fn skip_to_sync(&mut self) {
+        let rest = &self.bytes[self.at..];
+        let pattern = SYNC_PATTERN.to_le_bytes();
+        let behind_front = rest.get(SYNC_AT_BYTES..).unwrap_or_default();
+        let next = behind_front
+            .windows(pattern.len())
+            .position(|window| window == pattern);
+        // What is too short for the pattern is passed over byte by byte.
+        let skipped = next.unwrap_or(behind_front.len().saturating_sub(pattern.len() - 1));
+        self.at += skipped;
+        self.skipped_bytes += skipped as u64;
+    }
 }
 
 impl<'a> Iterator for FileReader<'a> {
@@ -399,6 +416,9 @@ impl<'a> Iterator for FileReader<'a> {
 
     fn next(&mut self) -> Option<Self::Item> {
         while self.at < self.bytes.len() {
+            if self.searching {
+                self.skip_to_sync();
+            }
             let (offset_bytes, rest) = (self.at as u64, &self.bytes[self.at..]);
             let frame =
                 DataRecordFrame::parse(rest).and_then(|frame| frame.check().map(|()| frame));

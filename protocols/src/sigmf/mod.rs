@@ -165,7 +165,7 @@ impl Recording {
 }
 
 impl Capture {
-    fn to_json(&self) -> Value {
+    pub fn to_json(&self) -> Value {
         let mut map = Map::new();
         map.insert("core:sample_start".into(), self.sample_start.into());
         if let Some(hz) = self.frequency_hz {
@@ -175,7 +175,7 @@ impl Capture {
         map.into()
     }
 
-    fn parse(value: &Value) -> Result<Self, SigmfError> {
+    pub fn parse(value: &Value) -> Result<Self, SigmfError> {
         Ok(Self {
             sample_start: whole_at(value, "core:sample_start")?,
             frequency_hz: value.get("core:frequency").and_then(Value::as_f64),
@@ -187,7 +187,7 @@ impl Capture {
 }
 
 impl Annotation {
-    fn to_json(&self) -> Value {
+    pub fn to_json(&self) -> Value {
         let mut value = json!({
             "core:sample_start": self.sample_start,
             "core:sample_count": self.sample_count,
@@ -201,7 +201,7 @@ impl Annotation {
         value
     }
 
-    fn parse(value: &Value) -> Result<Self, SigmfError> {
+    pub fn parse(value: &Value) -> Result<Self, SigmfError> {
         let edge = |field| value.get(field).and_then(Value::as_f64);
         let text = |field| text_at(value, field).unwrap_or_default().to_owned();
         Ok(Self {

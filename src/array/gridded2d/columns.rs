@@ -6,7 +6,8 @@ use std::time::Instant;
 use num_complex::Complex64;
 
 use super::engine::{Orders, Work};
-use super::lanes::{BLOCK, Lanes, Split};
+use super::lanes::{Apart, BLOCK, Lanes, Split};
+use super::merge::Merge;
 use super::panel::{PANEL, transposed};
 use super::pulse::{Instants, MOST_INSTANTS, chebyshev, chebyshev_nodes};
 use super::sample::Sample;
@@ -16,10 +17,16 @@ use super::task::{MOST_ALONG, MOST_TURN, Ray, Task};
 /// Of what a series may leave out, what powers along the stretch that are left out of single products may.
 const TRIMMED: f64 = 0.1;
 
+/// Of what may be left all over a slab, a coefficient that is no more.
+const NOTHING: f64 = 1e-3;
+
+/// Coefficients are worked on so many at a time; their rows end in zeros.
+const WHOLE: usize = 16;
+
 /// One coefficient of the templates.
 #[derive(Clone, Copy)]
 pub struct Entry {
-    /// Which sound it is of: instant times products and product.
+    /// Which sound it is of: instant times channels and channel.
     pub source: usize,
     /// Along the stretch.
     pub power: usize,
@@ -31,9 +38,9 @@ impl<T: Sample> Task<'_, T> {
         self.engine.blocks.len() * BLOCK
     }
 
-    /// Instants, products of kind, bend and twist, powers along the stretch: entries of a template per power of the frequency.
+    /// Instants, channels, powers along the stretch: entries of a template per power of the frequency.
     fn entries(&self) -> usize {
-        self.orders.instants * self.kept().len() * self.orders.along
+        self.orders.instants * self.channels() * self.orders.along
     }
 
     /// Each column to frequency, and there into the powers along the stretch.
@@ -41,109 +48,83 @@ impl<T: Sample> Task<'_, T> {
     pub fn to_moments<const FUSED: bool>(&self, work: &mut Work<T>) {
         let instants = &self.engine.instants[self.orders.instants - 1];
         let mut since = Instant::now();
-        self.spectra::<FUSED>(work);
-        work.stages.lap(Stage::Transform, &mut since);
         self.dilation_series(work);
-        self.dilation_lines::<FUSED>(work);
         self.shapes(work, instants);
         work.stages.lap(Stage::Templates, &mut since);
+        let channels = self.channels();
+        work.spectrum.resize(self.columns * channels * self.heard());
         work.moments
             .resize(self.heard() * self.columns * work.powers);
-        work.sounds
-            .resize(instants.len() * self.kept().len(), Lanes::ZERO);
+        work.sounds.resize(instants.len() * channels, Lanes::ZERO);
         for split in &mut work.here {
-            split.resize(work.entries.len());
+            split.resize(work.entries.len().next_multiple_of(WHOLE));
         }
-        for column in 0..self.columns {
-            self.template(work, column);
-            for block in 0..self.engine.blocks.len() {
-                self.block::<FUSED>(work, column, block, instants);
+        // A column follows its channels at once, while they are in the cache.
+        let mut column = 0;
+        for panel in 0..self.panels() {
+            self.spectra::<FUSED>(work, panel);
+            work.stages.lap(Stage::Transform, &mut since);
+            let ready = (panel + 1) * PANEL;
+            while column < self.columns && (column + 1) * channels <= ready {
+                self.template(work, column);
+                for block in 0..self.engine.blocks.len() {
+                    self.block::<FUSED>(work, column, block, instants);
+                }
+                column += 1;
             }
+            work.stages.lap(Stage::Combine, &mut since);
         }
-        work.stages.lap(Stage::Combine, &mut since);
     }
 
-    /// All channels of all columns to frequency.
+    /// One panel of channels and columns to frequency.
     #[inline(always)]
-    fn spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
+    fn spectra<const FUSED: bool>(&self, work: &mut Work<T>, panel: usize) {
         let (rows, bins) = (self.engine.rows, self.engine.bins());
         let heard = self.heard();
         let all = self.columns * self.channels();
-        work.spectrum.resize(all * heard);
         let [a, b] = &mut work.panel;
         // The first bin that is heard lies below the centre: at the transform's end.
         let first = (rows + self.engine.blocks.start * BLOCK - bins / 2) % rows;
-        for (panel, grid) in work.grid.chunks_exact(self.engine.panel_rows()).enumerate() {
-            let from = self.engine.forward.run::<FUSED>(&grid[..rows], [a, b]);
-            let lanes = PANEL.min(all - panel * PANEL);
-            let re = &mut work.spectrum.re[panel * PANEL * heard..][..lanes * heard];
-            let im = &mut work.spectrum.im[panel * PANEL * heard..][..lanes * heard];
-            // Squares of 16 by 16 stay in the cache.
-            for q in (0..heard).step_by(PANEL) {
-                let mut square = [&from[0]; PANEL];
-                for (k, row) in square.iter_mut().enumerate() {
-                    *row = &from[(first + q + k) % rows];
-                }
-                let (mut of_re, mut of_im) = ([[T::ZERO; PANEL]; PANEL], [[T::ZERO; PANEL]; PANEL]);
-                for k in 0..PANEL {
-                    (of_re[k], of_im[k]) = (square[k].re, square[k].im);
-                }
-                let (of_re, of_im) = (transposed(of_re), transposed(of_im));
-                for lane in 0..lanes {
-                    let to = lane * heard + q;
-                    re[to..][..PANEL].copy_from_slice(&of_re[lane]);
-                    im[to..][..PANEL].copy_from_slice(&of_im[lane]);
-                }
+        let grid = &work.grid[panel * self.engine.panel_rows()..][..rows];
+        let forward = &self.engine.forward;
+        let from = forward.run::<FUSED>(grid, [a, b]);
+        let lanes = PANEL.min(all - panel * PANEL);
+        let re = &mut work.spectrum.re[panel * PANEL * heard..][..lanes * heard];
+        let im = &mut work.spectrum.im[panel * PANEL * heard..][..lanes * heard];
+        // Squares of 16 by 16 stay in the cache.
+        for q in (0..heard).step_by(PANEL) {
+            let mut square = [&from[0]; PANEL];
+            for (k, row) in square.iter_mut().enumerate() {
+                *row = &from[forward.place((first + q + k) % rows)];
+            }
+            let (mut of_re, mut of_im) = ([[T::ZERO; PANEL]; PANEL], [[T::ZERO; PANEL]; PANEL]);
+            for k in 0..PANEL {
+                (of_re[k], of_im[k]) = (square[k].re, square[k].im);
+            }
+            let (of_re, of_im) = (transposed(of_re), transposed(of_im));
+            for lane in 0..lanes {
+                let to = lane * heard + q;
+                re[to..][..PANEL].copy_from_slice(&of_re[lane]);
+                im[to..][..PANEL].copy_from_slice(&of_im[lane]);
             }
         }
     }
 
-    /// exp(-j psi w d) at each instant w as a series of T_r(d): the r-th term's coefficient is (-j)^r times a real number, which goes in as
-    /// powers of the frequency.
+    /// exp(-j psi w d) at each instant w as a series of T_r(d), at a few frequencies: `[instant][dilation][frequency]`.
     fn dilation_series(&self, work: &mut Work<T>) {
         let orders = self.orders;
-        let powers = &self.engine.powers[orders.band - 1];
         let series = &self.engine.series[orders.dilation - 1];
-        let entries = orders.instants * orders.dilation;
         work.dilation.clear();
-        work.dilation.resize(orders.band * entries, T::ZERO);
-        for (n, w) in chebyshev_nodes(orders.instants).enumerate() {
+        for w in chebyshev_nodes(orders.instants) {
             for r in 0..orders.dilation {
-                for power in 0..orders.band {
-                    let mut sum = Complex64::ZERO;
-                    for (b, f) in chebyshev_nodes(orders.band).enumerate() {
-                        let angle = self.rest_rad(f) * w;
-                        for (d, unit) in chebyshev_nodes(orders.dilation).enumerate() {
-                            let share =
-                                series[r * orders.dilation + d] * powers[power * orders.band + b];
-                            sum += Complex64::from_polar(share, -angle * unit);
-                        }
-                    }
-                    work.dilation[power * entries + n * orders.dilation + r] =
-                        T::narrow(if r % 2 == 0 { sum.re } else { sum.im });
+                let shares = &series[r * orders.dilation..][..orders.dilation];
+                for f in chebyshev_nodes(orders.band) {
+                    let angle = self.rest_rad(f) * w;
+                    let terms = chebyshev_nodes(orders.dilation).zip(shares);
+                    let term =
+                        |(unit, &share): (f64, &f64)| Complex64::from_polar(share, -angle * unit);
+                    work.dilation.push(terms.map(term).sum());
                 }
-            }
-        }
-    }
-
-    /// The same over the bins of each block: `[block][instant][dilation][lane]`.
-    #[inline(always)]
-    fn dilation_lines<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let orders = self.orders;
-        let entries = orders.instants * orders.dilation;
-        let x = self.lanes();
-        work.dilation_lines.clear();
-        for block in 0..self.engine.blocks.len() {
-            let middle = self.middle_band(block);
-            for entry in 0..entries {
-                work.dilation_lines.push(line::<T, FUSED>(
-                    &work.dilation,
-                    entry,
-                    entries,
-                    orders.band,
-                    middle,
-                    &x,
-                ));
             }
         }
     }
@@ -199,22 +180,18 @@ impl<T: Sample> Task<'_, T> {
                 orders.twist * inner,
             );
             along_dimension(&engine.series[orders.twist - 1], next, values, inner);
-            along_dimension(&engine.powers[along - 1], values, next, band);
-            along_dimension(&engine.powers[band - 1], next, values, 1);
+            self.merge_products(&work.merge, &work.dilation, values, next);
+            along_dimension(&engine.powers[along - 1], next, values, band);
+            along_dimension(&engine.powers[band - 1], values, next, 1);
             for power in 0..band {
-                for n in 0..orders.instants {
-                    for kept in self.kept() {
-                        let kind = n * orders.kinds + kept.kind;
-                        let from = (kind * orders.bend + kept.bend) * orders.twist + kept.twist;
-                        let along = (0..along).map(|q| values[(from * along + q) * band + power]);
-                        work.all_shapes.extend(along);
-                    }
-                }
+                let of_power = next.iter().skip(power).step_by(band);
+                work.all_shapes.extend(of_power);
             }
         }
         self.choose_entries(work);
-        let (all, kept) = (self.entries(), work.entries.len());
-        work.shapes.resize(self.nodes * band * kept);
+        let all = self.entries();
+        let kept = work.entries.len().next_multiple_of(WHOLE);
+        work.shapes.clear_to(self.nodes * band * kept);
         let rows = work.all_shapes.chunks_exact(all).enumerate();
         for (row, values) in rows {
             for (e, entry) in work.entries.iter().enumerate() {
@@ -225,7 +202,42 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Of every kept product, the highest powers along the stretch that together are next to nothing are left out; and of those that the turn
+    /// Templates of products, `[instant][kind][bend][twist][place][frequency]`, times those of what is left of the dilation, to those of
+    /// channels: `[instant][channel][place][frequency]`.
+    fn merge_products(
+        &self,
+        merge: &Merge,
+        dilation: &[Complex64],
+        from: &[Complex64],
+        to: &mut Vec<Complex64>,
+    ) {
+        let orders = self.orders;
+        let (channels, band) = (self.channels(), orders.band);
+        let inner = orders.along * band;
+        to.clear();
+        to.resize(orders.instants * channels * inner, Complex64::ZERO);
+        for (n, to) in to.chunks_exact_mut(channels * inner).enumerate() {
+            for (m, (kept, r)) in self.products().enumerate() {
+                let kind = n * orders.kinds + kept.kind;
+                let product = (kind * orders.bend + kept.bend) * orders.twist + kept.twist;
+                let from = &from[product * inner..][..inner];
+                let turned = &dilation[(n * orders.dilation + r) * band..][..band];
+                for (i, to) in to.chunks_exact_mut(inner).enumerate() {
+                    let share = merge.of_template(m, i);
+                    if share == 0.0 {
+                        continue;
+                    }
+                    for (to, from) in to.chunks_exact_mut(band).zip(from.chunks_exact(band)) {
+                        for ((to, from), turned) in to.iter_mut().zip(from).zip(turned) {
+                            *to += from * turned * share;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Of every channel, the highest powers along the stretch that together are next to nothing are left out; and of those that the turn
     /// inside a block adds.
     fn choose_entries(&self, work: &mut Work<T>) {
         let Orders {
@@ -235,19 +247,22 @@ impl<T: Sample> Task<'_, T> {
             band,
             ..
         } = self.orders;
-        let products = self.kept().len();
+        let channels = self.channels();
         let all = self.entries();
-        // Of each product and power: the most that it is at any slope, instant and frequency.
+        // Of each channel and power: the most that it is at any slope, instant and frequency.
         work.most.clear();
-        work.most.resize(products * along, 0.0);
+        work.most.resize(channels * along, 0.0);
         for node in work.all_shapes.chunks_exact(all * band) {
             for entry in 0..all {
                 let size: f64 = node[entry..].iter().step_by(all).map(|c| c.norm()).sum();
-                let most = &mut work.most[entry % (products * along)];
-                *most = most.max(size);
+                let at = entry % (channels * along);
+                let most = &mut work.most[at];
+                *most = most.max(size * work.merge.peak[at / along]);
             }
         }
-        let share = TRIMMED * self.engine.fineness.series / products as f64;
+        let share = TRIMMED * self.engine.fineness.series / channels as f64;
+        // No more than rounding, and products of such come near the least numbers there are, which processors are slow with.
+        let nothing = NOTHING * self.engine.fineness.far;
         work.entries.clear();
         let powers_of = |most: &[f64]| {
             let (mut powers, mut rest) = (along, 0.0);
@@ -258,9 +273,9 @@ impl<T: Sample> Task<'_, T> {
             powers
         };
         for power in 0..along {
-            for source in 0..instants * products {
-                let product = source % products;
-                if power < powers_of(&work.most[product * along..][..along]) {
+            for source in 0..instants * channels {
+                let most = &work.most[source % channels * along..][..along];
+                if power < powers_of(most) && most[power] > nothing {
                     work.entries.push(Entry { source, power });
                 }
             }
@@ -286,7 +301,7 @@ impl<T: Sample> Task<'_, T> {
     /// A column's template, from those at the few slopes.
     #[inline(always)]
     fn template(&self, work: &mut Work<T>, column: usize) {
-        let len = self.orders.band * work.entries.len();
+        let len = self.orders.band * work.entries.len().next_multiple_of(WHOLE);
         let x = self.slopes().unit(self.slope(column));
         let series = &self.engine.series[self.nodes - 1];
         work.template.clear_to(len);
@@ -350,41 +365,36 @@ impl<T: Sample> Task<'_, T> {
         // Over a block everything smooth is a line.
         let (middle, x) = (self.middle_band(block), self.lanes());
         let [here, slope] = &mut work.here;
-        let entries = work.entries.len();
-        tangent::<T, FUSED>(&work.template, entries, orders.band, middle, here, slope);
-        let lines = orders.instants * orders.dilation;
-        let lines = &work.dilation_lines[block * lines..][..lines];
+        let whole = work.entries.len().next_multiple_of(WHOLE);
+        tangent::<T, FUSED>(&work.template, whole, orders.band, middle, here, slope);
         let first = column * self.channels() * heard_bins + block * BLOCK;
 
         let s = self.slope(column);
         let pulses = self.pulses::<FUSED>(s, block, nodes);
-        // Of each instant, every product as the pulse then has it.
-        let mut source = 0;
-        for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
-            let lines = &lines[n * orders.dilation..][..orders.dilation];
-            let mut at = first;
-            for kept in self.kept() {
-                let mut heard = Lanes::ZERO;
-                for (r, weights) in lines[..kept.dilation].iter().enumerate() {
-                    let channel = Lanes::load(&work.spectrum, at);
-                    at += heard_bins;
-                    heard.add_weighted::<FUSED>(&channel, weights, r % 2 == 1);
-                }
-                work.sounds[source] = heard.times::<FUSED>(pulse);
-                source += 1;
+        // Of each instant, every channel as the pulse then has it.
+        let channels = self.channels();
+        for channel in 0..channels {
+            let heard = Lanes::load(&work.spectrum, first + channel * heard_bins);
+            for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
+                work.sounds[n * channels + channel] = heard.times::<FUSED>(pulse);
             }
         }
         let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
         let mut e = 0;
         for (q, sum) in sums[..along].iter_mut().enumerate() {
-            let mut total = Lanes::<T>::ZERO;
-            while e < entries && work.entries[e].power == q {
-                let shape =
-                    Lanes::line::<FUSED>([here.re[e], here.im[e]], [slope.re[e], slope.im[e]], &x);
-                total.add_product::<FUSED>(&work.sounds[work.entries[e].source], &shape);
-                e += 1;
+            let mut total = Apart::<T>::ZERO;
+            let of_power = work.entries[e..]
+                .iter()
+                .take_while(|entry| entry.power == q);
+            let at = e..e + of_power.count();
+            e = at.end;
+            let values = here.re[at.clone()].iter().zip(&here.im[at.clone()]);
+            let slopes = slope.re[at.clone()].iter().zip(&slope.im[at.clone()]);
+            for ((entry, value), slope) in work.entries[at].iter().zip(values).zip(slopes) {
+                let shape = Lanes::line::<FUSED>([*value.0, *value.1], [*slope.0, *slope.1], &x);
+                total.add_product::<FUSED>(&work.sounds[entry.source], &shape);
             }
-            *sum = total;
+            *sum = total.sum();
         }
         // exp(j theta x), theta the turn within the block, times the powers so far.
         let mut theta = [T::ZERO; BLOCK];
@@ -438,16 +448,19 @@ fn tangent_of<T: Sample, const FUSED: bool>(
     value: &mut [T],
     slope: &mut [T],
 ) {
-    for e in 0..entries {
-        (value[e], slope[e]) = (series[(powers - 1) * entries + e], T::ZERO);
-    }
-    for power in (0..powers - 1).rev() {
-        let row = &series[power * entries..][..entries];
-        let (value, slope) = (&mut value[..entries], &mut slope[..entries]);
-        for e in 0..entries {
-            slope[e] = slope[e].times_plus::<FUSED>(x, value[e]);
-            value[e] = value[e].times_plus::<FUSED>(x, row[e]);
+    let last = &series[(powers - 1) * entries..][..entries];
+    for at in (0..entries).step_by(WHOLE) {
+        let part = |row: &[T]| -> [T; WHOLE] { row[at..][..WHOLE].try_into().expect("whole") };
+        let (mut sum, mut rise) = (part(last), [T::ZERO; WHOLE]);
+        for power in (0..powers - 1).rev() {
+            let next = part(&series[power * entries..]);
+            for e in 0..WHOLE {
+                rise[e] = rise[e].times_plus::<FUSED>(x, sum[e]);
+                sum[e] = sum[e].times_plus::<FUSED>(x, next[e]);
+            }
         }
+        value[at..][..WHOLE].copy_from_slice(&sum);
+        slope[at..][..WHOLE].copy_from_slice(&rise);
     }
 }
 
@@ -456,25 +469,6 @@ fn add_scaled<T: Sample>(to: &mut [T], from: &[T], share: T) {
     for (sum, value) in to.iter_mut().zip(from) {
         *sum = *sum + share * *value;
     }
-}
-
-/// One real polynomial `[power][entry]` about `middle`, as a line over `x`.
-#[inline(always)]
-fn line<T: Sample, const FUSED: bool>(
-    series: &[T],
-    entry: usize,
-    entries: usize,
-    powers: usize,
-    middle: f64,
-    x: &[T; BLOCK],
-) -> [T; BLOCK] {
-    let middle = T::narrow(middle);
-    let (mut value, mut slope) = (T::ZERO, T::ZERO);
-    for power in (0..powers).rev() {
-        slope = slope.times_plus::<FUSED>(middle, value);
-        value = value.times_plus::<FUSED>(middle, series[power * entries + entry]);
-    }
-    std::array::from_fn(|j| slope.times_plus::<FUSED>(x[j], value))
 }
 
 /// Applies a square matrix along one dimension of `from`: that with `inner` values between neighbours.

@@ -14,11 +14,32 @@ use super::stages::Stage;
 use super::task::Task;
 
 /// Pairs of elements worked on together, and lanes: as many sums as there are registers for.
-const PAIRS: usize = 4;
+const PAIRS: usize = 2;
 const PART: usize = 16;
+/// Columns whose powers stay in the nearest cache while all pairs are seen to.
+const NEAR: usize = 8;
 
-/// Real and imaginary parts, pair by pair.
-type Sums<T, const PAIRS: usize> = [[[T; PART]; 2]; PAIRS];
+/// Real and imaginary parts.
+type Part<T> = [[T; PART]; 2];
+
+/// Of a pair of elements and a block: what both have in common, real and imaginary parts, and what with opposite signs.
+pub type PairSums<T> = [[T; BLOCK]; 4];
+
+/// Some columns of one block, for the processor's own kernel of [`Sample::elements_wide`].
+pub struct Columns<'a, T> {
+    /// Of `count` columns, `[column][power][lane]`.
+    pub(super) re: &'a [T],
+    pub(super) im: &'a [T],
+    pub(super) powers: usize,
+    pub(super) first: usize,
+    pub(super) count: usize,
+    /// `[pair][column]`, `room` to a pair.
+    pub(super) rotors: &'a [[T; 2]],
+    pub(super) room: usize,
+    /// Place of each pair, of the half stretch.
+    pub(super) x: &'a [T],
+    pub(super) sums: &'a mut [PairSums<T>],
+}
 
 impl<T: Sample> Task<'_, T> {
     /// From the filled grid to the samples of all elements.
@@ -56,57 +77,67 @@ impl<T: Sample> Task<'_, T> {
         work.stages.lap(Stage::Return, &mut since);
     }
 
-    /// All columns to all elements, block by block, some pairs of elements at a time so that the powers are read less often.
+    /// All columns to all elements, block by block, a few columns at a time.
     #[inline(always)]
     fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
         let elements = self.stretch.along_m.len();
         let pairs = elements.div_ceil(2);
+        let room = self.columns.next_multiple_of(LANES);
         work.elements.resize(elements * self.heard());
-        work.rotors.clear();
-        work.rotors
-            .resize(PAIRS * self.columns.next_multiple_of(LANES), [T::ZERO; 2]);
+        work.rotors.resize(pairs * room, [T::ZERO; 2]);
+        let half_m = self.half_m();
+        let places = self.stretch.along_m[..pairs].iter();
+        work.places.clear();
+        work.places.extend(places.map(|&y| T::narrow(y / half_m)));
         for block in 0..self.engine.blocks.len() {
-            let mut e = 0;
-            while e + PAIRS <= pairs {
-                self.pairs::<PAIRS, FUSED>(work, block, e);
-                e += PAIRS;
+            for (rotors, &y) in work
+                .rotors
+                .chunks_exact_mut(room)
+                .zip(&self.stretch.along_m)
+            {
+                self.rotors(rotors, block, y);
             }
-            while e < pairs {
-                self.pairs::<1, FUSED>(work, block, e);
-                e += 1;
+            work.sums.clear();
+            work.sums.resize(pairs, [[T::ZERO; BLOCK]; 4]);
+            for first in (0..self.columns).step_by(NEAR) {
+                let count = NEAR.min(self.columns - first);
+                let at = (block * self.columns + first) * work.powers * BLOCK;
+                let len = count * work.powers * BLOCK;
+                let columns = Columns {
+                    re: &work.moments.re[at..][..len],
+                    im: &work.moments.im[at..][..len],
+                    powers: work.powers,
+                    first,
+                    count,
+                    rotors: &work.rotors,
+                    room,
+                    x: &work.places,
+                    sums: &mut work.sums,
+                };
+                if FUSED && T::takes_wide(work.powers, self.engine.dialect) {
+                    T::elements_wide(columns, self.engine.dialect);
+                } else {
+                    all_pairs::<T, FUSED>(columns);
+                }
             }
+            self.part_of_elements::<FUSED>(work, block);
         }
     }
 
-    /// Elements `first`, ... and their images: at y and -y they have conjugate rotors, and the same even and odd powers.
+    /// Pairs apart: at y and -y elements have conjugate rotors, and the same even and odd powers.
     #[inline(always)]
-    fn pairs<const PAIRS: usize, const FUSED: bool>(
-        &self,
-        work: &mut Work<T>,
-        block: usize,
-        first: usize,
-    ) {
-        let elements = self.stretch.along_m.len();
-        let heard = self.heard();
-        let mut x = [T::ZERO; PAIRS];
-        let room = self.columns.next_multiple_of(LANES);
-        for (p, x) in x.iter_mut().enumerate() {
-            let y = self.stretch.along_m[first + p];
-            self.rotors(&mut work.rotors[p * room..][..room], block, y);
-            *x = T::narrow(y / self.half_m());
-        }
-        for part in (0..BLOCK).step_by(PART) {
-            let [common, opposite] = self.sums::<PAIRS, FUSED>(work, block, part, &x);
-            for p in 0..PAIRS {
-                let e = first + p;
-                for (e, sign) in [(elements - 1 - e, -T::one()), (e, T::one())] {
-                    let at = e * heard + block * BLOCK + part;
-                    for lane in 0..PART {
-                        work.elements.re[at + lane] =
-                            sign.times_plus::<FUSED>(opposite[p][0][lane], common[p][0][lane]);
-                        work.elements.im[at + lane] =
-                            sign.times_plus::<FUSED>(opposite[p][1][lane], common[p][1][lane]);
-                    }
+    fn part_of_elements<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
+        let (elements, heard) = (self.stretch.along_m.len(), self.heard());
+        for (pair, [re, im, opposite_re, opposite_im]) in work.sums.iter().enumerate() {
+            for (e, sign) in [(elements - 1 - pair, -T::one()), (pair, T::one())] {
+                let at = e * heard + block * BLOCK;
+                let (to_re, to_im) = (
+                    &mut work.elements.re[at..][..BLOCK],
+                    &mut work.elements.im[at..][..BLOCK],
+                );
+                for lane in 0..BLOCK {
+                    to_re[lane] = sign.times_plus::<FUSED>(opposite_re[lane], re[lane]);
+                    to_im[lane] = sign.times_plus::<FUSED>(opposite_im[lane], im[lane]);
                 }
             }
         }
@@ -131,66 +162,6 @@ impl<T: Sample> Task<'_, T> {
                 );
             }
         }
-    }
-
-    /// Over all columns, for part of a block's lanes: what both elements of a pair have in common, and what with opposite signs.
-    #[inline(always)]
-    fn sums<const PAIRS: usize, const FUSED: bool>(
-        &self,
-        work: &Work<T>,
-        block: usize,
-        part: usize,
-        x: &[T; PAIRS],
-    ) -> [Sums<T, PAIRS>; 2] {
-        let powers = work.powers;
-        let room = self.columns.next_multiple_of(LANES);
-        let zero = [[[T::ZERO; PART]; 2]; PAIRS];
-        let (mut common, mut opposite) = (zero, zero);
-        let odd_powers = powers / 2;
-        let even_powers = powers - odd_powers;
-        let mut square = *x;
-        for x in &mut square {
-            *x = *x * *x;
-        }
-        let per_column = powers * BLOCK;
-        let from = block * self.columns * per_column;
-        let re = work.moments.re[from..][..self.columns * per_column].chunks_exact(per_column);
-        let im = work.moments.im[from..][..self.columns * per_column].chunks_exact(per_column);
-        for (column, (re, im)) in re.zip(im).enumerate() {
-            // From the highest power down.
-            let mut even = zero;
-            for q in (0..even_powers).rev() {
-                let next = part_of(re, im, 2 * q * BLOCK + part);
-                horner::<T, PAIRS, FUSED>(&mut even, &square, next);
-            }
-            let mut odd = zero;
-            for q in (0..odd_powers).rev() {
-                let next = part_of(re, im, (2 * q + 1) * BLOCK + part);
-                horner::<T, PAIRS, FUSED>(&mut odd, &square, next);
-            }
-            for p in 0..PAIRS {
-                let [cos, sin] = work.rotors[p * room + column];
-                let (cos_x, sin_x) = (cos * x[p], sin * x[p]);
-                let ([even_re, even_im], [odd_re, odd_im]) = (even[p], odd[p]);
-                for j in 0..PART {
-                    let c = common[p][0][j];
-                    common[p][0][j] = (T::ZERO - odd_im[j])
-                        .times_plus::<FUSED>(sin_x, even_re[j].times_plus::<FUSED>(cos, c));
-                    let c = common[p][1][j];
-                    common[p][1][j] = odd_re[j]
-                        .times_plus::<FUSED>(sin_x, even_im[j].times_plus::<FUSED>(cos, c));
-                    let o = opposite[p][0][j];
-                    opposite[p][0][j] = odd_re[j].times_plus::<FUSED>(
-                        cos_x,
-                        (T::ZERO - even_im[j]).times_plus::<FUSED>(sin, o),
-                    );
-                    let o = opposite[p][1][j];
-                    opposite[p][1][j] = odd_im[j]
-                        .times_plus::<FUSED>(cos_x, even_re[j].times_plus::<FUSED>(sin, o));
-                }
-            }
-        }
-        [common, opposite]
     }
 
     /// Elements back to time.
@@ -229,6 +200,79 @@ impl<T: Sample> Task<'_, T> {
     }
 }
 
+/// Adds columns to all pairs' sums.
+#[inline(always)]
+pub fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
+    let pairs = columns.sums.len();
+    for part in (0..BLOCK).step_by(PART) {
+        let mut pair = 0;
+        while pair + PAIRS <= pairs {
+            add_columns::<T, PAIRS, FUSED>(&mut columns, part, pair);
+            pair += PAIRS;
+        }
+        while pair < pairs {
+            add_columns::<T, 1, FUSED>(&mut columns, part, pair);
+            pair += 1;
+        }
+    }
+}
+
+/// Adds columns to some pairs' sums, for part of a block's lanes.
+#[inline(always)]
+fn add_columns<T: Sample, const PAIRS: usize, const FUSED: bool>(
+    columns: &mut Columns<T>,
+    part: usize,
+    pair: usize,
+) {
+    let powers = columns.powers;
+    let zero = [[[T::ZERO; PART]; 2]; PAIRS];
+    let odd_powers = powers / 2;
+    let even_powers = powers - odd_powers;
+    let x: [T; PAIRS] = std::array::from_fn(|p| columns.x[pair + p]);
+    let square = x.map(|x| x * x);
+    let lanes =
+        |sums: &[T; BLOCK]| -> [T; PART] { sums[part..][..PART].try_into().expect("a part") };
+    let mut sums: [[[T; PART]; 4]; PAIRS] =
+        std::array::from_fn(|p| std::array::from_fn(|k| lanes(&columns.sums[pair + p][k])));
+    let re = columns.re.chunks_exact(powers * BLOCK);
+    let im = columns.im.chunks_exact(powers * BLOCK);
+    for (column, (re, im)) in re.zip(im).enumerate() {
+        let rotor = |p: usize| columns.rotors[(pair + p) * columns.room + columns.first + column];
+        // From the highest power down; even powers are done with before odd ones are begun, or there would be too few registers.
+        let mut even = zero;
+        for q in (0..even_powers).rev() {
+            let next = part_of(re, im, 2 * q * BLOCK + part);
+            horner::<T, PAIRS, FUSED>(&mut even, &square, next);
+        }
+        for p in 0..PAIRS {
+            let [cos, sin] = rotor(p);
+            let ([re, im], sums) = (even[p], &mut sums[p]);
+            add_scaled::<T, FUSED>(&mut sums[0], &re, cos);
+            add_scaled::<T, FUSED>(&mut sums[1], &im, cos);
+            add_scaled::<T, FUSED>(&mut sums[2], &im, T::ZERO - sin);
+            add_scaled::<T, FUSED>(&mut sums[3], &re, sin);
+        }
+        let mut odd = zero;
+        for q in (0..odd_powers).rev() {
+            let next = part_of(re, im, (2 * q + 1) * BLOCK + part);
+            horner::<T, PAIRS, FUSED>(&mut odd, &square, next);
+        }
+        for p in 0..PAIRS {
+            let [cos, sin] = rotor(p).map(|part| part * x[p]);
+            let ([re, im], sums) = (odd[p], &mut sums[p]);
+            add_scaled::<T, FUSED>(&mut sums[0], &im, T::ZERO - sin);
+            add_scaled::<T, FUSED>(&mut sums[1], &re, sin);
+            add_scaled::<T, FUSED>(&mut sums[2], &re, cos);
+            add_scaled::<T, FUSED>(&mut sums[3], &im, cos);
+        }
+    }
+    for (p, sums) in sums.iter().enumerate() {
+        for (k, sum) in sums.iter().enumerate() {
+            columns.sums[pair + p][k][part..][..PART].copy_from_slice(sum);
+        }
+    }
+}
+
 #[inline(always)]
 fn part_of<'a, T>(re: &'a [T], im: &'a [T], at: usize) -> [&'a [T; PART]; 2] {
     let re: &[T; PART] = re[at..][..PART].try_into().expect("a part");
@@ -236,10 +280,17 @@ fn part_of<'a, T>(re: &'a [T], im: &'a [T], at: usize) -> [&'a [T; PART]; 2] {
     [re, im]
 }
 
+#[inline(always)]
+fn add_scaled<T: Sample, const FUSED: bool>(to: &mut [T; PART], from: &[T; PART], by: T) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = from.times_plus::<FUSED>(by, *to);
+    }
+}
+
 /// Polynomials of several places at once: value times square plus the next coefficient.
 #[inline(always)]
 fn horner<T: Sample, const PAIRS: usize, const FUSED: bool>(
-    value: &mut Sums<T, PAIRS>,
+    value: &mut [Part<T>; PAIRS],
     square: &[T; PAIRS],
     [re, im]: [&[T; PART]; 2],
 ) {

@@ -12,19 +12,23 @@ use crate::array::gridded::transform::grid_size;
 use crate::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, PingPlan};
 
 use super::columns::Entry;
+use super::elements::PairSums;
 use super::lanes::{BLOCK, Lanes, Split};
+use super::merge::Merge;
 use super::panel::{PanelFft, Row};
 use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{powers_from_nodes, series_from_nodes};
 use super::smooth::{Echoes, Smooth};
-use super::spread::{Centring, Prepared, Spread, Survey};
+use super::spread::{Centring, Mixing, Prepared, Spread, Survey};
 use super::stages::{Stage, Stages};
 use super::task::{MOST_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
 /// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
 const FILTERED: f64 = 0.1;
+/// Of what each series may leave out, what following the bow to second order may.
+const BOW_SHARE: f64 = 0.1;
 /// By how much more than surveyed the spans of a task are taken, until all echoes lie within.
 const MARGINS: [f64; 3] = [0.03, 0.3, 3.0];
 
@@ -95,7 +99,7 @@ pub struct TaskReport {
     pub heard: usize,
     pub columns: usize,
     pub channels: usize,
-    /// Of which so many products of kind, bend and twist.
+    /// What those are sums of: products of kind, dilation, bend and twist.
     pub products: usize,
     /// Coefficients of a template, and powers along the stretch.
     pub entries: usize,
@@ -162,7 +166,9 @@ pub struct Ping {
 pub struct Work<T: Sample> {
     pub(super) stages: Stages,
     echoes: Echoes,
+    pub(super) merge: Merge,
     pub(super) prepared: Box<Prepared<T>>,
+    pub(super) mixing: Mixing<T>,
     /// `[panel][row]`, a panel's lanes from `[column][channel]` as they come.
     pub(super) grid: Vec<Row<T>>,
     /// Two buffers of one panel.
@@ -172,12 +178,12 @@ pub struct Work<T: Sample> {
     pub(super) spectrum: Split<T>,
     /// `[block][column][power][lane]`.
     pub(super) moments: Split<T>,
-    /// `[instant][bend][twist][power along][power of frequency]`.
+    /// `[instant][kind][bend][twist]`, then `[instant][channel]`; `[power along][power of frequency]`.
     pub(super) values: Vec<Complex64>,
     pub(super) values_next: Vec<Complex64>,
-    /// `[slope][power of frequency][instant][kept][power along]`.
+    /// `[slope][power of frequency][instant][channel][power along]`.
     pub(super) all_shapes: Vec<Complex64>,
-    /// Of each product and power along the stretch, the most that it is.
+    /// Of each channel and power along the stretch, the most that it is.
     pub(super) most: Vec<f64>,
     /// Those of the shapes that count, power by power.
     pub(super) entries: Vec<Entry>,
@@ -189,14 +195,15 @@ pub struct Work<T: Sample> {
     pub(super) template: Split<T>,
     /// Of one block: value at its middle, and slope.
     pub(super) here: [Split<T>; 2],
-    /// `[power of frequency][instant][dilation]`, real or imaginary by turns.
-    pub(super) dilation: Vec<T>,
-    /// `[block][instant][dilation]`
-    pub(super) dilation_lines: Vec<[T; BLOCK]>,
-    /// Of one block of one column: `[instant][kept]`.
+    /// What is left of the dilation: `[instant][dilation][frequency]`.
+    pub(super) dilation: Vec<Complex64>,
+    /// Of one block of one column: `[instant][channel]`.
     pub(super) sounds: Vec<Lanes<T>>,
-    /// Of a few elements and one block, per column: cosine and sine.
+    /// Of one block, by pair of elements and column: cosine and sine.
     pub(super) rotors: Vec<[T; 2]>,
+    /// Of one block, pair by pair; and the pairs' places, of the half stretch.
+    pub(super) sums: Vec<PairSums<T>>,
+    pub(super) places: Vec<T>,
     /// `[element][bin]`.
     pub(super) elements: Split<T>,
 }
@@ -302,9 +309,11 @@ impl<T: Sample> LineEngine<T> {
         Work {
             stages: Stages::default(),
             echoes: Echoes::default(),
+            merge: Merge::default(),
             prepared: Box::default(),
+            mixing: Mixing::default(),
             grid: Vec::new(),
-            panel: std::array::from_fn(|_| vec![Row::ZERO; self.rows]),
+            panel: std::array::from_fn(|_| vec![Row::ZERO; self.forward.room()]),
             scratch: vec![zero; self.inverse.get_inplace_scratch_len()],
             spectrum: Split::default(),
             moments: Split::default(),
@@ -318,9 +327,10 @@ impl<T: Sample> LineEngine<T> {
             template: Split::default(),
             here: Default::default(),
             dilation: Vec::new(),
-            dilation_lines: Vec::new(),
             sounds: Vec::new(),
             rotors: Vec::new(),
+            sums: Vec::new(),
+            places: Vec::new(),
             elements: Split::default(),
         }
     }
@@ -467,6 +477,19 @@ impl<T: Sample> LineEngine<T> {
         self.rows as f64 * self.rate_hz / self.bins() as f64
     }
 
+    /// The steepest that dilation beyond its line may become per slope: templates follow what changes from column to column to second order,
+    /// so that the cube of the phase that is met from one to the next is left.
+    fn steepest_bow(&self, half_m: f64) -> f64 {
+        let ping = &self.ping;
+        let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
+        let columns_per_slope = self.top_hz() / ping.sound_speed_m_per_s
+            * 2.0
+            * self.fineness.slope_oversampling
+            * reach_m;
+        let turn_rad = (BOW_SHARE * self.fineness.series).cbrt();
+        turn_rad * columns_per_slope / (std::f64::consts::PI * self.top_hz() * ping.duration_s)
+    }
+
     /// One task: echoes from `source` to samples, element by element, slab-long. `output` is resized; empty where there are no echoes.
     pub fn run(
         &self,
@@ -494,10 +517,17 @@ impl<T: Sample> LineEngine<T> {
             return (counts, report);
         }
         let window_s = 0.5 * self.ping.duration_s;
-        let surveyed = Smooth::of(&work.echoes, window_s, self.stretch(task).half_m);
+        let half_m = self.stretch(task).half_m;
+        let surveyed = Smooth::of(&work.echoes, window_s, half_m, self.steepest_bow(half_m));
         work.stages.lap(Stage::Survey, &mut since);
         for margin in MARGINS {
-            let numbers = Task::new(self, self.stretch(task), surveyed.widened(margin));
+            let numbers = Task::new(
+                self,
+                self.stretch(task),
+                surveyed.widened(margin),
+                &work.echoes,
+                &mut work.merge,
+            );
             work.stages.lap(Stage::Orders, &mut since);
             let fades = numbers.fades();
             let mut spread = Spread::new(&numbers, centring, work);
@@ -518,7 +548,7 @@ impl<T: Sample> LineEngine<T> {
                 heard: numbers.heard(),
                 columns: numbers.columns,
                 channels: numbers.channels(),
-                products: numbers.kept().len(),
+                products: numbers.products().count(),
                 entries: work.entries.len(),
                 powers: work.powers,
                 orders: numbers.orders,

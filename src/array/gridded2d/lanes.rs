@@ -60,22 +60,6 @@ impl<T: Sample> Lanes<T> {
         lanes
     }
 
-    /// Adds `a` times real numbers, or times those times j.
-    #[inline(always)]
-    pub fn add_weighted<const FUSED: bool>(&mut self, a: &Self, by: &[T; BLOCK], by_j: bool) {
-        if by_j {
-            for (j, &by) in by.iter().enumerate() {
-                self.re[j] = (-a.im[j]).times_plus::<FUSED>(by, self.re[j]);
-                self.im[j] = a.re[j].times_plus::<FUSED>(by, self.im[j]);
-            }
-        } else {
-            for (j, &by) in by.iter().enumerate() {
-                self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
-                self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
-            }
-        }
-    }
-
     #[inline(always)]
     pub fn add(&mut self, a: &Self) {
         for j in 0..BLOCK {
@@ -117,5 +101,39 @@ impl<T: Sample> Lanes<T> {
             self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
             self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
         }
+    }
+}
+
+/// A sum of products of blocks, its four real products apart: no addition waits for the one before it.
+#[derive(Clone, Copy)]
+pub struct Apart<T> {
+    parts: [[T; BLOCK]; 4],
+}
+
+impl<T: Sample> Apart<T> {
+    pub const ZERO: Self = Self {
+        parts: [[T::ZERO; BLOCK]; 4],
+    };
+
+    #[inline(always)]
+    pub fn add_product<const FUSED: bool>(&mut self, a: &Lanes<T>, b: &Lanes<T>) {
+        let [re_re, im_im, re_im, im_re] = &mut self.parts;
+        for j in 0..BLOCK {
+            re_re[j] = a.re[j].times_plus::<FUSED>(b.re[j], re_re[j]);
+            im_im[j] = a.im[j].times_plus::<FUSED>(b.im[j], im_im[j]);
+            re_im[j] = a.re[j].times_plus::<FUSED>(b.im[j], re_im[j]);
+            im_re[j] = a.im[j].times_plus::<FUSED>(b.re[j], im_re[j]);
+        }
+    }
+
+    #[inline(always)]
+    pub fn sum(&self) -> Lanes<T> {
+        let [re_re, im_im, re_im, im_re] = &self.parts;
+        let mut sum = Lanes::ZERO;
+        for j in 0..BLOCK {
+            sum.re[j] = re_re[j] - im_im[j];
+            sum.im[j] = re_im[j] + im_re[j];
+        }
+        sum
     }
 }

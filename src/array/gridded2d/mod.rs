@@ -8,8 +8,9 @@
 //!
 //! with slope s, dilation d (its Doppler) and range R of its own. Echoes are spread on a grid over u and s. Of the dilation, the line
 //! d = d0 + d1 s is left to the grid: a column of one slope has one Doppler, and the aperture grows by c d1 T. What is left of d (motion
-//! across the array, the bottom's roughness) and R are short Chebyshev series, a channel of the grid for each term; each echo carries its
-//! own values, so any steady motion of the platform is met without a model of the bottom. What is smooth in the time of emission is taken
+//! across the array, the bottom's roughness) and R are short Chebyshev series; each echo carries its own values, so any steady motion of
+//! the platform is met without a model of the bottom. The channels of the grid are a few sums of the series' products, as the echoes of the
+//! task need them (`merge.rs`). What is smooth in the time of emission is taken
 //! at a few instants of it, so a ping's templates are values of functions that only the pulse decides ([`pulse`]), read where the motion
 //! puts them: they are made anew for every task. Then, column by column: FFT over time, templates, and the turn from the column to each
 //! element, as a polynomial in the element's place times one rotor per block of bins; element by element: inverse FFT. Slabs of delay are
@@ -26,9 +27,12 @@
 
 mod columns;
 mod elements;
+#[cfg(target_arch = "x86_64")]
+mod elements_avx512;
 mod engine;
 mod lanes;
 mod line_array;
+mod merge;
 mod panel;
 pub mod plan;
 pub mod pulse;
@@ -36,6 +40,8 @@ mod sample;
 mod series;
 mod smooth;
 mod spread;
+#[cfg(target_arch = "x86_64")]
+mod spread_avx512;
 mod stages;
 mod task;
 mod weights;

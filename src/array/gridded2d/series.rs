@@ -3,6 +3,7 @@
 use num_complex::Complex64;
 
 use super::pulse::{chebyshev, chebyshev_nodes};
+use super::sample::Sample;
 
 /// Points at which a function is tried beyond the most terms allowed.
 const EXTRA: usize = 4;
@@ -23,6 +24,19 @@ pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MOST_SIZES] {
         }
     }
     sums.map(Complex64::norm)
+}
+
+/// T_0(x) ... of so many terms.
+#[inline(always)]
+pub fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
+    let mut values = [T::one(); MOST];
+    let twice = x + x;
+    let (mut before, mut now) = (T::one(), x);
+    for value in &mut values[1..terms.max(1)] {
+        *value = now;
+        (before, now) = (now, twice * now - before);
+    }
+    values
 }
 
 /// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.

@@ -87,8 +87,8 @@ impl Span {
     }
 }
 
-/// a (1 - s^2) + b (p + q s), s the slope: what steady motion makes of twist and swing, its part along the line the first term, and the
-/// mean of its part across the line the second.
+/// a (1 - s^2) + p + q s, s the slope: what steady motion makes of twist and swing, its part along the line the first term, the mean of its
+/// part across the line the others.
 ///
 /// Columns beside the echoes' slopes take the curve's values there: a polynomial that were free to follow the echoes' scatter would run
 /// away between them.
@@ -105,14 +105,22 @@ impl Curve {
         self.along * (1.0 - slope * slope) + self.constant + self.linear * slope
     }
 
-    /// By least squares, the term along the line first. `odd`: the second term is s, else 1.
+    /// By least squares. `odd`: without a constant.
     fn fit(odd: bool, points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
-        let second = |s: f64| if odd { s } else { 1.0 };
-        let [along, across] = least_squares(points.map(|(s, v)| ([1.0 - s * s, second(s)], v)));
+        if odd {
+            let [along, linear] = least_squares(points.map(|(s, v)| ([1.0 - s * s, s], v)));
+            return Self {
+                along,
+                linear,
+                constant: 0.0,
+            };
+        }
+        let columns = |s: f64| [1.0 - s * s, 1.0, s];
+        let [along, constant, linear] = least_squares(points.map(|(s, v)| (columns(s), v)));
         Self {
             along,
-            constant: if odd { 0.0 } else { across },
-            linear: if odd { across } else { 0.0 },
+            constant,
+            linear,
         }
     }
 }
@@ -162,6 +170,8 @@ pub struct Smooth {
     /// (Taking out a function of range too was tried: the tensor of its terms with those of the rest came out larger.)
     pub dilation0: f64,
     pub dilation1: f64,
+    /// And of the square of what the slope is from its middle: beyond the plane wave, so that the templates take it.
+    pub dilation2: f64,
     /// Of what is left of it.
     pub dilation_rest: f64,
     pub per_range_per_m: Span,
@@ -177,19 +187,25 @@ pub struct Smooth {
     pub faded: [f64; FADES],
 }
 
+/// Of narrower spans of slopes the dilation is a line: a square would run away beside them.
+const LEAST_BOW: f64 = 0.05;
+
 /// Orders of the change of strength along a stretch.
 pub const FADES: usize = 2;
 /// Windows, half a pulse each, over which energies are taken together; later ones join the last.
 const WINDOWS: usize = 256;
 
 impl Smooth {
-    /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch.
-    pub fn of(echoes: &Echoes, window_s: f64, half_m: f64) -> Self {
+    /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch; `steepest`: that the bow may become, per slope.
+    pub fn of(echoes: &Echoes, window_s: f64, half_m: f64, steepest: f64) -> Self {
         let slope = Span::of(echoes.slope.iter().copied());
-        let fit = least_squares((0..echoes.len()).map(|i| {
-            let x = slope.unit(echoes.slope[i]);
-            ([1.0, x], echoes.dilation[i])
-        }));
+        let points = (0..echoes.len()).map(|i| (slope.unit(echoes.slope[i]), echoes.dilation[i]));
+        let [a, b, bow] = least_squares(points.clone().map(|(x, d)| ([1.0, x, x * x], d)));
+        let bowed = slope.half > LEAST_BOW && 2.0 * bow.abs() <= steepest * slope.half;
+        let (fit, dilation2) = match bowed {
+            true => ([a, b], bow / (slope.half * slope.half)),
+            false => (least_squares(points.map(|(x, d)| ([1.0, x], d))), 0.0),
+        };
         let dilation1 = if slope.half > 0.0 {
             fit[1] / slope.half
         } else {
@@ -200,6 +216,7 @@ impl Smooth {
             per_range_per_m: Span::of(echoes.per_range_per_m.iter().copied()),
             dilation0: fit[0] - dilation1 * slope.middle,
             dilation1,
+            dilation2,
             ..Self::default()
         };
         let rest = Span::of((0..echoes.len()).map(|i| smooth.rest(echoes, i)));
@@ -277,7 +294,14 @@ impl Smooth {
     /// What the fits leave of an echo's dilation.
     #[inline]
     pub fn rest(&self, echoes: &Echoes, i: usize) -> f64 {
-        echoes.dilation[i] - self.dilation(echoes.slope[i])
+        echoes.dilation[i] - self.dilation(echoes.slope[i]) - self.bow(echoes.slope[i])
+    }
+
+    /// What templates add to [`Self::dilation`] at a slope.
+    #[inline(always)]
+    pub fn bow(&self, slope: f64) -> f64 {
+        let beside = slope - self.slope.middle;
+        self.dilation2 * beside * beside
     }
 
     /// The dilation shared at a slope.

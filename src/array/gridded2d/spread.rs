@@ -9,12 +9,14 @@ use crate::array::gridded::kernel::MAX_WIDTH;
 use crate::array::phasor::cis;
 use crate::flow::{CHUNK, LineChunk, LineSink};
 
-use super::engine::{Ping, PulseMotion, Work};
+use super::engine::{Orders, Ping, PulseMotion, Work};
+use super::merge::Merge;
 use super::panel::{PANEL, Row};
 use super::sample::Sample;
+use super::series::chebyshev_terms as chebyshev;
 use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
-use super::task::{KINDS, Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
-use super::weights::taps;
+use super::task::{KINDS, Kept, Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
+use super::weights::{Taps, taps};
 
 /// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
 const LEAST_BROADSIDE: f64 = 1e-3;
@@ -142,21 +144,125 @@ impl LineSink for Survey<'_> {
 
 /// A chunk between its two loops, structure of arrays.
 pub struct Prepared<T> {
-    re: [T; CHUNK],
-    im: [T; CHUNK],
+    pub(super) re: [T; CHUNK],
+    pub(super) im: [T; CHUNK],
     /// What is left of dilation, bend and twist, each over its span.
-    dilation: [T; CHUNK],
-    bend: [T; CHUNK],
-    twist: [T; CHUNK],
+    pub(super) dilation: [T; CHUNK],
+    pub(super) bend: [T; CHUNK],
+    pub(super) twist: [T; CHUNK],
     /// Of every kind but the echo itself: what fade and curl make of it at the stretch's end, what is left of the swing at the pulse's.
-    kinds: [[T; CHUNK]; KINDS - 1],
+    pub(super) kinds: [[T; CHUNK]; KINDS - 1],
     /// Greatest of the three.
     farthest: [f64; CHUNK],
-    row: [i32; CHUNK],
-    column: [i32; CHUNK],
+    pub(super) row: [i32; CHUNK],
+    pub(super) column: [i32; CHUNK],
     /// -1..1 across the cell.
-    in_row: [T; CHUNK],
-    in_column: [T; CHUNK],
+    pub(super) in_row: [T; CHUNK],
+    pub(super) in_column: [T; CHUNK],
+}
+
+/// How products become channels, and where those of an echo's columns lie in the vectors of a panel.
+#[derive(Default)]
+pub struct Mixing<T> {
+    /// `[product][channel]`, whole vectors.
+    pub(super) into: Vec<[T; PANEL]>,
+    /// Vectors of one product.
+    vectors: usize,
+    /// By the place of an echo's first value in its panel, and vector by vector: each lane's channel, and its tap.
+    pub(super) lanes: Vec<[[i32; PANEL]; 2]>,
+    /// Vectors of one place.
+    pub(super) reach: usize,
+}
+
+/// A tap that every kernel has, of weight 0.
+const NO_TAP: i32 = MAX_WIDTH as i32 - 1;
+
+impl<T: Sample> Mixing<T> {
+    fn set(&mut self, merge: &Merge, products: usize, slope_width: usize) {
+        let channels = merge.count;
+        self.vectors = channels.div_ceil(PANEL);
+        self.into.clear();
+        for product in 0..products {
+            for vector in 0..self.vectors {
+                self.into.push(std::array::from_fn(|lane| {
+                    let channel = vector * PANEL + lane;
+                    let known = channel < channels;
+                    T::narrow(if known {
+                        merge.share_of_channel(product, channel)
+                    } else {
+                        0.0
+                    })
+                }));
+            }
+        }
+        let values = slope_width * channels;
+        self.reach = (PANEL - 1 + values).div_ceil(PANEL);
+        self.lanes.clear();
+        for before in 0..PANEL {
+            for vector in 0..self.reach {
+                let value = |lane: usize| (vector * PANEL + lane).checked_sub(before);
+                let within = |lane: usize| value(lane).filter(|&value| value < values);
+                self.lanes.push([
+                    std::array::from_fn(|lane| within(lane).map_or(0, |v| (v % channels) as i32)),
+                    std::array::from_fn(|lane| {
+                        within(lane).map_or(NO_TAP, |v| (v / channels) as i32)
+                    }),
+                ]);
+            }
+        }
+    }
+}
+
+impl<T: Sample> Mixing<T> {
+    /// The channels of one echo, less its amplitude; zeros up to a whole vector.
+    #[inline(always)]
+    fn one<const FUSED: bool>(
+        &self,
+        task: &Task<T>,
+        p: &Prepared<T>,
+        i: usize,
+        mixed: &mut [T; MOST_CHANNELS + PANEL],
+    ) {
+        let (orders, kinds) = (task.orders, task.kinds());
+        let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
+        let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
+        let twist = chebyshev::<T, MOST_TWIST>(p.twist[i], orders.twist);
+        mixed[..self.vectors * PANEL].fill(T::ZERO);
+        let mut rows = self.into.chunks_exact(self.vectors.max(1));
+        for kept in task.kept() {
+            let of_kind = match kinds[kept.kind] {
+                Kind::Whole => T::one(),
+                Kind::Fade(order) => p.kinds[order][i],
+                Kind::Swing => p.kinds[FADES][i],
+            };
+            let share = of_kind * bend[kept.bend] * twist[kept.twist];
+            for (&r, into) in dilation[..kept.dilation].iter().zip(&mut rows) {
+                for (v, into) in into.iter().enumerate() {
+                    let sum = vector_mut(mixed, v * PANEL);
+                    *sum = scaled_plus::<T, FUSED>(*into, share * r, *sum);
+                }
+            }
+        }
+    }
+}
+
+/// One chunk of echoes onto the grid, a vector for each: what the processor's own kernel of [`Sample::spread_wide`] is given.
+pub struct Wide<'a, T> {
+    pub(super) prepared: &'a Prepared<T>,
+    pub(super) len: usize,
+    pub(super) grid: &'a mut [Row<T>],
+    pub(super) panel_rows: usize,
+    pub(super) channels: usize,
+    pub(super) orders: Orders,
+    pub(super) kinds: &'a [Kind],
+    pub(super) kept: &'a [Kept],
+    pub(super) mixing: &'a Mixing<T>,
+    pub(super) time_taps: &'a [Taps<T>],
+    pub(super) slope_taps: &'a [Taps<T>],
+    pub(super) time_width: usize,
+    pub(super) slope_width: usize,
+    pub(super) last_row: usize,
+    pub(super) last_column: usize,
 }
 
 impl<T: Sample> Default for Prepared<T> {
@@ -234,7 +340,8 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
     for i in 0..chunk.len.min(CHUNK) {
         let echo = centring.echo(chunk, i);
         let s = echo.slope;
-        let dilation = (echo.dilation - k.smooth.dilation(s)) * k.per_dilation;
+        let shared = k.smooth.dilation(s) + k.smooth.bow(s);
+        let dilation = (echo.dilation - shared) * k.per_dilation;
         let bend = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_bend;
         let shared = echo.per_range_per_m * k.smooth.twist.at(s);
         let twist = (echo.twist_per_s - shared) * k.per_twist;
@@ -283,6 +390,7 @@ pub struct Spread<'a, T: Sample> {
     centring: Centring,
     grid: &'a mut [Row<T>],
     prepared: &'a mut Prepared<T>,
+    mixing: &'a Mixing<T>,
     pub echoes: usize,
     /// Echoes outside the spans that the task was made for: left out if they would lie outside the grid.
     pub beyond: usize,
@@ -296,12 +404,16 @@ impl<'a, T: Sample> Spread<'a, T> {
         work.grid.clear();
         work.grid
             .resize(task.panels() * task.engine.panel_rows(), Row::ZERO);
+        let slope_width = task.engine.slope_kernel.width;
+        work.mixing
+            .set(&work.merge, task.products().count(), slope_width);
         Self {
             task,
             scales: Scales::new(task),
             centring,
             grid: &mut work.grid,
             prepared: &mut work.prepared,
+            mixing: &work.mixing,
             echoes: 0,
             beyond: 0,
             spent: start.elapsed(),
@@ -323,7 +435,35 @@ impl<'a, T: Sample> Spread<'a, T> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
     fn accept_avx512(&mut self, chunk: &LineChunk) {
-        self.accept_plain::<true>(chunk);
+        if !T::WIDE || self.task.channels() > PANEL {
+            return self.accept_plain::<true>(chunk);
+        }
+        self.prepare_all(chunk);
+        let (engine, task) = (self.task.engine, self.task);
+        let len = chunk.len.min(CHUNK);
+        self.echoes += len;
+        let farthest = self.prepared.farthest[..len].iter();
+        self.beyond += farthest.filter(|&&farthest| farthest > 1.0).count();
+        self.beyond += T::spread_wide(
+            Wide {
+                prepared: self.prepared,
+                len,
+                grid: self.grid,
+                panel_rows: engine.panel_rows(),
+                channels: task.channels(),
+                orders: task.orders,
+                kinds: task.kinds(),
+                kept: task.kept(),
+                mixing: self.mixing,
+                time_taps: &engine.time_taps,
+                slope_taps: &engine.slope_taps,
+                time_width: engine.time_kernel.width,
+                slope_width: engine.slope_kernel.width,
+                last_row: engine.rows - engine.time_kernel.width,
+                last_column: task.columns - engine.slope_kernel.width,
+            },
+            engine.dialect,
+        );
     }
 
     #[cfg(target_arch = "x86_64")]
@@ -334,11 +474,16 @@ impl<'a, T: Sample> Spread<'a, T> {
 
     #[inline(always)]
     fn accept_plain<const FUSED: bool>(&mut self, chunk: &LineChunk) {
+        self.prepare_all(chunk);
+        self.add::<FUSED>(chunk.len);
+    }
+
+    #[inline(always)]
+    fn prepare_all(&mut self, chunk: &LineChunk) {
         prepare(self.scales, self.centring, chunk, self.prepared);
         if self.task.kinds().len() > 1 {
             prepare_kinds(self.scales, self.centring, chunk, self.prepared);
         }
-        self.add::<FUSED>(chunk.len);
     }
 
     /// Echo by echo onto the grid.
@@ -348,11 +493,10 @@ impl<'a, T: Sample> Spread<'a, T> {
         let engine = task.engine;
         let (time_width, slope_width) = (engine.time_kernel.width, engine.slope_kernel.width);
         let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
-        let orders = task.orders;
-        let kinds = task.kinds();
         let channels = task.channels();
         let panel_rows = engine.panel_rows();
         let mut each = [[T::ZERO; MOST_CHANNELS + PANEL]; 2];
+        let mut mixed = [T::ZERO; MOST_CHANNELS + PANEL];
         let mut line = [[T::ZERO; MOST_LINE]; 2];
         let p = &*self.prepared;
         self.echoes += len;
@@ -363,26 +507,11 @@ impl<'a, T: Sample> Spread<'a, T> {
                 self.beyond += 1;
                 continue;
             }
-            if channels == 1 {
-                (each[0][0], each[1][0]) = (p.re[i], p.im[i]);
-            } else {
-                let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
-                let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
-                let twist = chebyshev::<T, MOST_TWIST>(p.twist[i], orders.twist);
-                let of_kind = |kind: Kind| match kind {
-                    Kind::Whole => T::one(),
-                    Kind::Fade(order) => p.kinds[order][i],
-                    Kind::Swing => p.kinds[FADES][i],
-                };
-                let mut at = 0;
-                for kept in task.kept() {
-                    let share = of_kind(kinds[kept.kind]) * bend[kept.bend] * twist[kept.twist];
-                    let (re, im) = (p.re[i] * share, p.im[i] * share);
-                    for &r in &dilation[..kept.dilation] {
-                        (each[0][at], each[1][at]) = (re * r, im * r);
-                        at += 1;
-                    }
-                }
+            self.mixing.one::<FUSED>(task, p, i, &mut mixed);
+            for v in (0..channels).step_by(PANEL) {
+                let mixed = *vector(&mixed, v);
+                *vector_mut(&mut each[0], v) = scaled(mixed, p.re[i]);
+                *vector_mut(&mut each[1], v) = scaled(mixed, p.im[i]);
             }
             // Whole vectors, each tap's over the zeros behind the one before it; zeros before the first and behind the last.
             let weights = taps::<T, FUSED>(&engine.slope_taps, p.in_column[i]);
@@ -451,17 +580,4 @@ fn scaled_plus<T: Sample, const FUSED: bool>(
         plus[j] = a[j].times_plus::<FUSED>(by, plus[j]);
     }
     plus
-}
-
-/// T_0(x) ... of so many terms.
-#[inline(always)]
-fn chebyshev<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
-    let mut values = [T::one(); MOST];
-    let twice = x + x;
-    let (mut before, mut now) = (T::one(), x);
-    for value in &mut values[1..terms.max(1)] {
-        *value = now;
-        (before, now) = (now, twice * now - before);
-    }
-    values
 }

@@ -8,11 +8,12 @@ use crate::array::phasor::cis;
 
 use super::engine::{LineEngine, Orders, PulseMotion, Stretch};
 use super::lanes::BLOCK;
+use super::merge::{MIDWAY, Merge};
 use super::panel::PANEL;
 use super::pulse::{MOST_INSTANTS, PulseSpectra};
 use super::sample::Sample;
-use super::series::{sizes, terms_needed};
-use super::smooth::{FADES, Smooth, Span};
+use super::series::{chebyshev_terms as chebyshev, sizes, terms_needed};
+use super::smooth::{Echoes, FADES, Smooth, Span};
 
 /// Most terms of each series; what does not converge with them is reported as error.
 pub const MOST_ALONG: usize = 16;
@@ -23,8 +24,12 @@ pub const MOST_TURN: usize = 12;
 pub const MOST_TWIST: usize = 4;
 const MOST_NODES: usize = 16;
 const MOST_KEPT: usize = KINDS * MOST_BEND * MOST_TWIST;
-/// Most channels of the grid.
+/// Most products of the series, and so most channels of the grid.
 pub const MOST_CHANNELS: usize = 96;
+/// Of what each series may leave out, what the products' sums may leave of an echo.
+const MERGED: f64 = 1.0;
+/// A product's template is at least this much.
+const LEAST_WEIGHT: f64 = 1e-9;
 
 /// Of what a series may leave out, a kind that is left without channels.
 const KIND_SHARE: f64 = 0.5;
@@ -81,6 +86,7 @@ pub struct Task<'a, T: Sample> {
     /// Which products of kinds and terms of bend and twist have channels, and for how many terms of the dilation.
     kept: [Kept; MOST_KEPT],
     kept_len: usize,
+    merged: usize,
     pub left_out: f64,
     /// Slope per column, index of the first column, number.
     pub step: f64,
@@ -89,7 +95,14 @@ pub struct Task<'a, T: Sample> {
 }
 
 impl<'a, T: Sample> Task<'a, T> {
-    pub fn new(engine: &'a LineEngine<T>, stretch: &'a Stretch, smooth: Smooth) -> Self {
+    /// `smooth` of the surveyed `echoes`; `merge` is set to what this task's channels carry.
+    pub fn new(
+        engine: &'a LineEngine<T>,
+        stretch: &'a Stretch,
+        smooth: Smooth,
+        echoes: &Echoes,
+        merge: &mut Merge,
+    ) -> Self {
         let ping = &engine.ping;
         let c = ping.sound_speed_m_per_s;
         // The aperture, and how much farther the motion along the line carries it while the pulse is emitted.
@@ -110,12 +123,13 @@ impl<'a, T: Sample> Task<'a, T> {
             kinds: [Kind::Whole; KINDS],
             kept: [Kept::default(); MOST_KEPT],
             kept_len: 0,
+            merged: 0,
             left_out: 0.0,
             step,
             first,
             columns: (last - first + 1) as usize,
         };
-        task.choose_orders();
+        task.choose_orders(echoes, merge);
         task
     }
 
@@ -176,6 +190,7 @@ impl<'a, T: Sample> Task<'a, T> {
         // Second order of the delay, and the third that follows from it: the range itself changes along the line.
         let path_m = per_range * t * (twist * y + 0.5 * quadratic * swing * t)
             + twist_rest * y * t
+            + c * self.smooth.bow(s) * t
             + bend * y * y * 0.5 * (1.0 + s * y * per_range)
             + 1.5 * s * per_range * per_range * y * t * (twist * y + quadratic * swing * t);
         let (cos, sin) = cis(-self.absolute_hz(band) / c * path_m);
@@ -221,7 +236,7 @@ impl<'a, T: Sample> Task<'a, T> {
             * (1.0 / inverse(y * per_column))
     }
 
-    fn choose_orders(&mut self) {
+    fn choose_orders(&mut self, echoes: &Echoes, merge: &mut Merge) {
         let ping = &self.engine.ping;
         let half_m = self.stretch.half_m;
         // What a series leaves out is as smooth over the slope as what it keeps: the kernel's own spectrum cancels from it too.
@@ -311,7 +326,7 @@ impl<'a, T: Sample> Task<'a, T> {
         };
         left_out += unkept;
         self.nodes = nodes;
-        left_out += self.choose_channels(slopes, tolerance);
+        left_out += self.choose_channels(slopes, tolerance, echoes, merge);
         let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
         // Fourth order of the delay along the stretch.
         left_out +=
@@ -319,8 +334,15 @@ impl<'a, T: Sample> Task<'a, T> {
         self.left_out = left_out;
     }
 
-    /// Channels whose terms together are too small to count are left out too. Returns their sum.
-    fn choose_channels(&mut self, slopes: [f64; 3], tolerance: f64) -> f64 {
+    /// Products whose terms together are too small to count are left out too, the others merged into channels. Returns what all that
+    /// leaves out.
+    fn choose_channels(
+        &mut self,
+        slopes: [f64; 3],
+        tolerance: f64,
+        echoes: &Echoes,
+        merge: &mut Merge,
+    ) -> f64 {
         let Orders {
             dilation,
             bend,
@@ -357,7 +379,7 @@ impl<'a, T: Sample> Task<'a, T> {
         }
         let products = self.orders.kinds * bend * twist;
         let mut share = tolerance / products as f64;
-        loop {
+        let left_out = loop {
             let (channels, left_out) = self.keep(
                 share,
                 &dilation_sizes[..dilation],
@@ -366,9 +388,71 @@ impl<'a, T: Sample> Task<'a, T> {
             );
             // Where there are too many, all give up alike.
             if channels <= MOST_CHANNELS {
-                return left_out;
+                break left_out;
             }
             share *= 1.5;
+        };
+        let weights = self.products().map(|(kept, r)| {
+            (dilation_sizes[r] * bend_sizes[kept.bend] * twist_sizes[kept.twist]).max(LEAST_WEIGHT)
+        });
+        let (every, looked) = Merge::sample(echoes.len());
+        let midway = Merge::midway(looked);
+        merge.start(weights, looked + midway);
+        self.look(echoes, every, looked, merge);
+        let unmerged = merge.choose(MERGED * tolerance, self.engine.dialect);
+        for (number, kind) in self.kinds().iter().enumerate() {
+            if matches!(kind, Kind::Fade(_)) {
+                let products = self.products().enumerate();
+                let of_kind = products.filter(|(_, (kept, _))| kept.kind == number);
+                let peak = (KIND_PEAK * self.size_of(*kind)).min(1.0);
+                merge.keep_apart(of_kind.map(|(product, _)| product), peak);
+            }
+        }
+        self.merged = merge.count;
+        left_out + unmerged
+    }
+
+    /// The products of all echoes that are looked at, but for fades.
+    fn look(&self, echoes: &Echoes, every: usize, looked: usize, merge: &mut Merge) {
+        let per = |half: f64| if half > 0.0 { 1.0 / half } else { 0.0 };
+        let smooth = &self.smooth;
+        let (per_dilation, per_twist) = (per(smooth.dilation_rest), per(smooth.twist_rest));
+        let per_bend = per(smooth.per_range_per_m.half);
+        let per_swing = self.rad_per_swing();
+        let own = |i: usize| {
+            let (s, per_range) = (echoes.slope[i], echoes.per_range_per_m[i]);
+            [
+                smooth.rest(echoes, i) * per_dilation,
+                (per_range - smooth.per_range_per_m.middle) * per_bend,
+                (echoes.twist_per_s[i] - per_range * smooth.twist.at(s)) * per_twist,
+                (echoes.swing_m_per_s2[i] - per_range * smooth.swing.at(s)) * per_swing,
+            ]
+        };
+        let all = looked + Merge::midway(looked);
+        let products = merge.products_mut();
+        for k in 0..all {
+            let [dilation, bend, twist, swing] = match k.checked_sub(looked) {
+                None => own(k * every),
+                Some(between) => {
+                    let (a, b) = (
+                        own(between * MIDWAY * every),
+                        own((between * MIDWAY + 1) * every),
+                    );
+                    std::array::from_fn(|j| 0.5 * (a[j] + b[j]))
+                }
+            };
+            let of_dilation = chebyshev::<f64, MOST_DILATION>(dilation, self.orders.dilation);
+            let of_bend = chebyshev::<f64, MOST_BEND>(bend, self.orders.bend);
+            let of_twist = chebyshev::<f64, MOST_TWIST>(twist, self.orders.twist);
+            for (m, (kept, r)) in self.products().enumerate() {
+                let of_kind = match self.kinds[kept.kind] {
+                    Kind::Whole => 1.0,
+                    Kind::Fade(_) => 0.0,
+                    Kind::Swing => swing,
+                };
+                products[m * all + k] =
+                    of_kind * of_dilation[r] * of_bend[kept.bend] * of_twist[kept.twist];
+            }
         }
     }
 
@@ -432,8 +516,18 @@ impl<'a, T: Sample> Task<'a, T> {
         least.abs().max(most.abs()) + self.step
     }
 
+    /// What the channels are sums of: each kept product times each of its terms of the dilation.
+    pub fn products(&self) -> impl Iterator<Item = (Kept, usize)> + '_ {
+        let terms = |kept: &Kept| {
+            let kept = *kept;
+            (0..kept.dilation).map(move |r| (kept, r))
+        };
+        self.kept().iter().flat_map(terms)
+    }
+
+    /// Of the grid.
     pub fn channels(&self) -> usize {
-        self.kept().iter().map(|kept| kept.dilation).sum()
+        self.merged
     }
 
     /// Powers along the stretch, with those that the turn inside a block adds, at most.

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::cli::Failure;
+use crate::cli::chart::{load_average, machine};
 use crate::config::spec::{RigSpec, SonarSpec};
 use crate::ping::fidelity::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use crate::ping::period_ns;
@@ -247,12 +248,14 @@ fn sonar_json(told: &Told) -> Value {
 pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
     let costs = Costs::of(spec.run.costs.as_deref())
         .map_err(|why| Failure::Configuration(why.to_string()))?;
+    let load = load_average().map_or("unknown".into(), |load| format!("{load:.1}"));
     let Calibration {
         costs,
         methods,
         before,
         after,
-    } = calibrate::calibrate(spec, &costs).map_err(Failure::running)?;
+    } = calibrate::calibrate(spec, &costs, &format!("{}, load {load}", machine()))
+        .map_err(Failure::running)?;
     std::fs::write(file, costs.text())
         .map_err(|why| Failure::Configuration(format!("{}: {why}", file.display())))?;
     println!(

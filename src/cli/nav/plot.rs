@@ -119,7 +119,9 @@ impl Picture {
         }
     }
 
+    /// What would run over the edge is moved in from it.
     fn text(&mut self, left: usize, top: usize, text: &str) {
+        let left = left.min(WIDTH.saturating_sub(text.len() * 4 * SCALE));
         for (i, letter) in text.chars().enumerate() {
             for (row, bits) in glyph(letter).into_iter().enumerate() {
                 for column in 0..3 {

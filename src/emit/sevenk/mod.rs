@@ -6,6 +6,9 @@
 //! - [`session`]: one client's commands and subscriptions, bytes in and records out
 //! - [`protocol`]: both, as the servers know them
 //!
+//! Of several pulses in one ping ([`crate::flow::PulseLines`]) each has a 7000 and a 7007 of its own, with the ping's number and 1, 2 .. as multi-ping
+//! sequence; those of the further pulses come last. Everything else is the sonar's own pulse's.
+//!
 //! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
 //! the time at which the state holds, the start of the pulse.
 
@@ -18,6 +21,7 @@ pub mod session;
 
 use std::sync::Arc;
 
+use echotank_protocols::sevenk::RecordStamp;
 use echotank_protocols::sevenk::records::{
     BeamAngles, BeamSample, CalibratedSide, Rth7007, Rth7018, Rth7038, Rth7057, Rth10038,
     SAMPLE_TYPE_I16, SideSamples, emit_1016, emit_7004, emit_7007, emit_7018,
@@ -25,7 +29,7 @@ use echotank_protocols::sevenk::records::{
 };
 
 use crate::emit::pool::DatagramPool;
-use crate::flow::{BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Side};
+use crate::flow::{BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Pulse, Side};
 use bottom::{Source, Workspace};
 use kept::Kept;
 use records::{DeviceSheet, View};
@@ -140,9 +144,13 @@ impl SevenKEmitter {
     pub fn new(sheet: Arc<DeviceSheet>, waiting_pings: usize) -> Self {
         let elements = u16::try_from(sheet.wire_elements())
             .expect("the configuration keeps 7038 to 65535 elements");
+        let pulses = 1 + sheet.sonar().more_pulses.len();
         let pools = RECORDS[..PING_RECORDS]
             .iter()
-            .map(|&id| DatagramPool::new(id, waiting_pings + 1))
+            .map(|&id| {
+                let each = if matches!(id, 7000 | 7007) { pulses } else { 1 };
+                DatagramPool::new(id, each * (waiting_pings + 1))
+            })
             .collect();
         Self {
             element_numbers: (0..elements).collect(),
@@ -191,22 +199,99 @@ impl SevenKEmitter {
         into: &mut Vec<Arc<Datagram>>,
     ) -> EmitCounts {
         let mut counts = EmitCounts::default();
-        for (place, &id) in RECORDS[..PING_RECORDS].iter().enumerate() {
-            if !wanted.contains(id) {
-                continue;
-            }
-            let Some((record, saturated)) = self.record(place, id, plan, output) else {
-                continue;
-            };
+        let mut keep = |(record, saturated): (Arc<Datagram>, u64)| {
             counts += EmitCounts {
                 records: 1,
                 bytes: record.bytes.len() as u64,
                 saturated,
             };
             into.push(record);
+        };
+        for (place, &id) in RECORDS[..PING_RECORDS].iter().enumerate() {
+            if wanted.contains(id)
+                && let Some(made) = self.record(place, id, plan, output)
+            {
+                keep(made);
+            }
+        }
+        for number in 0..output.more_lines.len() {
+            for id in [7000, 7007] {
+                if wanted.contains(id)
+                    && let Some(made) = self.further_record(number, id, plan, output)
+                {
+                    keep(made);
+                }
+            }
         }
         self.totals += counts;
         counts
+    }
+
+    /// 7000 or 7007 of the `number`th pulse beside the sonar's own.
+    fn further_record(
+        &mut self,
+        number: usize,
+        id: u32,
+        plan: &PingPlan,
+        output: &PingOutput,
+    ) -> Option<(Arc<Datagram>, u64)> {
+        let sheet = Arc::clone(&self.sheet);
+        let pulse = sheet.sonar().more_pulses.get(number)?.pulse;
+        let more = &output.more_lines[number];
+        let stamp = sheet.stamp(plan.stamp_utc.plus_s(more.delay_s + plan.pulse.duration_s));
+        let sequence = number as u16 + 2;
+        let place = RECORDS.iter().position(|&known| known == id)?;
+        if id == 7007 {
+            return self.side_scan(place, plan, &more.lines, sequence, &stamp);
+        }
+        let mut view = View::of_plan(plan);
+        view.pulse = Pulse {
+            duration_s: plan.pulse.duration_s,
+            ..pulse
+        };
+        let width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
+        let mut settings = sheet.settings_7000(plan.ping_number, &view, width_rad);
+        self.kept.report_7000(&mut settings);
+        settings.multi_ping_sequence = sequence;
+        let record = self.pools[place].write(|buf| {
+            settings.emit(buf, &stamp);
+        });
+        Some((record, 0))
+    }
+
+    /// 7007 of one pulse's lines.
+    fn side_scan(
+        &mut self,
+        place: usize,
+        plan: &PingPlan,
+        lines: &[Line],
+        multi_ping_sequence: u16,
+        stamp: &RecordStamp,
+    ) -> Option<(Arc<Datagram>, u64)> {
+        if lines.is_empty() {
+            return None;
+        }
+        let scale_v = self.sheet.full_scale_v();
+        let saturated = fill_side(&mut self.port, lines, Side::Port, scale_v)
+            + fill_side(&mut self.starboard, lines, Side::Starboard, scale_v);
+        // A side that is not there is silent.
+        let samples = self.port.len().max(self.starboard.len());
+        self.port.resize(samples, 0);
+        self.starboard.resize(samples, 0);
+        let rth = Rth7007 {
+            sonar_id: self.sheet.sonar_id(),
+            ping_number: plan.ping_number,
+            multi_ping_sequence,
+            ..Rth7007::default()
+        };
+        let sides = SideSamples::U16 {
+            port: &self.port,
+            starboard: &self.starboard,
+        };
+        let record = self.pools[place].write(|buf| {
+            emit_7007(buf, stamp, &rth, &sides);
+        });
+        Some((record, saturated))
     }
 
     /// One record, and how many of its values were saturated; none if this ping has nothing for it.
@@ -238,6 +323,7 @@ impl SevenKEmitter {
                 let beam_width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
                 let mut settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
                 self.kept.report_7000(&mut settings);
+                settings.multi_ping_sequence = own_sequence(output);
                 exact(pool.write(|buf| {
                     settings.emit(buf, &ping_stamp);
                 }))
@@ -331,31 +417,13 @@ impl SevenKEmitter {
                     emit_10038(buf, &ping_stamp, &rth, &self.single);
                 }))
             }
-            7007 => {
-                if output.lines.is_empty() {
-                    return None;
-                }
-                let scale_v = sheet.full_scale_v();
-                let saturated = fill_side(&mut self.port, &output.lines, Side::Port, scale_v)
-                    + fill_side(&mut self.starboard, &output.lines, Side::Starboard, scale_v);
-                // A side that is not there is silent.
-                let samples = self.port.len().max(self.starboard.len());
-                self.port.resize(samples, 0);
-                self.starboard.resize(samples, 0);
-                let rth = Rth7007 {
-                    sonar_id: sheet.sonar_id(),
-                    ping_number: plan.ping_number,
-                    ..Rth7007::default()
-                };
-                let sides = SideSamples::U16 {
-                    port: &self.port,
-                    starboard: &self.starboard,
-                };
-                let record = pool.write(|buf| {
-                    emit_7007(buf, &ping_stamp, &rth, &sides);
-                });
-                Some((record, saturated))
-            }
+            7007 => self.side_scan(
+                place,
+                plan,
+                &output.lines,
+                own_sequence(output),
+                &ping_stamp,
+            ),
             7018 => {
                 let fan = output.beams.first()?;
                 let before = silent_samples(plan, sheet.sample_rate_hz());
@@ -453,6 +521,11 @@ impl SevenKEmitter {
             other => unreachable!("{other} is no ping record"),
         }
     }
+}
+
+/// Multi-ping sequence of the sonar's own pulse: 0 where it is the only one.
+fn own_sequence(output: &PingOutput) -> u16 {
+    u16::from(!output.more_lines.is_empty())
 }
 
 /// Samples between the start of the pulse and the first sample computed: the wire counts from range 0.

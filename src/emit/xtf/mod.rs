@@ -1,8 +1,10 @@
 //! XTF packets of a ping: side-scan lines with the navigation in their header, and the attitude. Files only.
 //!
 //! A sample is the envelope of a line: u16 with the receiver's full scale as 65535, saturations counted, or f32 in volts. Sample 0 is the start
-//! of the pulse. Not modelled: a tow behind a ship (ship and sensor are one place), notes, bathymetry.
+//! of the pulse. Of several pulses in one ping each has channels of its own ("port 2", ..), as a sonar of two frequencies has; a file has six channels, so that
+//! pulses beyond the third (of two sides) are left out. Not modelled: a tow behind a ship (ship and sensor are one place), notes, bathymetry.
 
+use echotank_protocols::xtf::file_header::MAX_CHANNELS;
 use echotank_protocols::xtf::{
     Attitude, ChannelHeader, ChannelInfo, ChannelKind, FileHeader, NavUnits, PingHeader,
     SampleFormat, Samples, emit_ping,
@@ -10,8 +12,8 @@ use echotank_protocols::xtf::{
 
 use super::jsf::altitude_m;
 use super::sevenk::quantise;
-use crate::config::spec::{SonarSpec, XtfSpec};
-use crate::flow::{Pattern, PingOutput, PingPlan, Side};
+use crate::config::spec::{LineSpec, SonarSpec, XtfSpec};
+use crate::flow::{Pattern, PingOutput, PingPlan, Pulse, Side};
 use crate::frames::angles_from_rotation;
 
 const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
@@ -32,49 +34,17 @@ impl XtfEmitter {
         } else {
             SampleFormat::U16
         };
-        let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
-        let channels = sonar.beams.lines.iter().map(|line| {
-            let array = &sonar.receive[line.array];
-            let p = array.mounting.position_m;
-            let (_, pitch_rad, yaw_rad) = angles_from_rotation(array.mounting.body_from_array);
-            let length_m = array.elements as f64 * array.spacing_m;
-            let across_m = match array.element_pattern {
-                Pattern::Rectangle { width_m, .. } => width_m,
-                Pattern::Omnidirectional => 0.0,
-            };
-            // 0.886 wavelengths over the length; 0 where it has none.
-            let width_deg = |length_m: f64| {
-                if length_m > 0.0 {
-                    (0.886 * wavelength_m / length_m).to_degrees().min(360.0) as f32
-                } else {
-                    0.0
-                }
-            };
-            let boresight = array.mounting.body_from_array * glam::DVec3::Z;
-            ChannelInfo {
-                kind: match line.side {
-                    Side::Port => ChannelKind::Port,
-                    Side::Starboard => ChannelKind::Starboard,
-                },
-                format,
-                name: match line.side {
-                    Side::Port => "port".into(),
-                    Side::Starboard => "starboard".into(),
-                },
-                frequency_khz: (sonar.pulse.center_frequency_hz / 1e3) as f32,
-                horizontal_beam_deg: width_deg(length_m),
-                // Down from the horizontal.
-                tilt_deg: boresight.z.clamp(-1.0, 1.0).asin().to_degrees() as f32,
-                beam_width_deg: width_deg(across_m),
-                volt_scale: sonar.receiver.full_scale_v as f32,
-                offset_m: [p.y as f32, p.x as f32, p.z as f32],
-                offset_yaw_pitch_roll_deg: [
-                    yaw_rad.to_degrees() as f32,
-                    pitch_rad.to_degrees() as f32,
-                    0.0,
-                ],
-            }
-        });
+        let pulses =
+            std::iter::once(&sonar.pulse).chain(sonar.more_pulses.iter().map(|m| &m.pulse));
+        let channels = (1..)
+            .zip(pulses)
+            .take(pulses_written(sonar))
+            .flat_map(|(number, pulse)| {
+                let lines = sonar.beams.lines.iter();
+                lines.map(move |line| {
+                    channel(sonar, line, (number, pulse), format, sound_speed_m_per_s)
+                })
+            });
         let header = FileHeader {
             program: "etank".into(),
             program_version: env!("CARGO_PKG_VERSION").into(),
@@ -103,12 +73,18 @@ impl XtfEmitter {
 
     /// Appends the packets of one ping, if it has lines, and returns how many samples did not fit.
     pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, buf: &mut Vec<u8>) -> u64 {
-        let lines = &self.sonar.beams.lines;
-        let found: Vec<_> = lines
-            .iter()
-            .filter_map(|spec| output.lines.iter().find(|line| line.side == spec.side))
+        let specs = &self.sonar.beams.lines;
+        let pulses = pulses_written(&self.sonar);
+        let of_each =
+            std::iter::once(&output.lines).chain(output.more_lines.iter().map(|m| &m.lines));
+        let found: Vec<_> = of_each
+            .take(pulses)
+            .flat_map(|made| {
+                let lines = specs.iter();
+                lines.filter_map(move |spec| made.iter().find(|line| line.side == spec.side))
+            })
             .collect();
-        if found.len() != lines.len() || found.is_empty() {
+        if found.len() != self.header.channels.len() || found.is_empty() {
             return 0;
         }
         let nav = &plan.nav;
@@ -135,14 +111,18 @@ impl XtfEmitter {
             .zip(&self.counts)
             .enumerate()
             .map(|(index, (line, counts))| {
+                let pulse = match (index / specs.len()).checked_sub(1) {
+                    None => &plan.pulse,
+                    Some(more) => &self.sonar.more_pulses[more].pulse,
+                };
                 let duration_s = line.amplitude.len() as f64 / rate_hz;
                 let header = ChannelHeader {
                     channel: index as u16,
                     slant_range_m: (0.5 * plan.sound_speed_m_per_s * duration_s) as f32,
                     time_duration_s: duration_s as f32,
                     seconds_per_ping: (1.0 / plan.ping_rate_hz) as f32,
-                    frequency_khz: (plan.pulse.center_frequency_hz / 1e3).round() as u16,
-                    bandwidth_khz: (plan.pulse.bandwidth_hz / 1e3).round() as u16,
+                    frequency_khz: (pulse.center_frequency_hz / 1e3).round() as u16,
+                    bandwidth_khz: (pulse.bandwidth_hz / 1e3).round() as u16,
                     ..ChannelHeader::default()
                 };
                 let samples = if self.output.is_float {
@@ -155,6 +135,64 @@ impl XtfEmitter {
             .collect();
         emit_ping(buf, &self.header, &ping_header(plan, output), &channels);
         saturated
+    }
+}
+
+/// Pulses of a ping whose lines the channels of a file hold.
+fn pulses_written(sonar: &SonarSpec) -> usize {
+    let fit = MAX_CHANNELS / sonar.beams.lines.len().max(1);
+    fit.min(1 + sonar.more_pulses.len())
+}
+
+/// The channel of one line and one pulse, the `number`th from 1.
+fn channel(
+    sonar: &SonarSpec,
+    line: &LineSpec,
+    (number, pulse): (usize, &Pulse),
+    format: SampleFormat,
+    sound_speed_m_per_s: f64,
+) -> ChannelInfo {
+    let wavelength_m = sound_speed_m_per_s / pulse.center_frequency_hz;
+    let array = &sonar.receive[line.array];
+    let p = array.mounting.position_m;
+    let (_, pitch_rad, yaw_rad) = angles_from_rotation(array.mounting.body_from_array);
+    let length_m = array.elements as f64 * array.spacing_m;
+    let across_m = match array.element_pattern {
+        Pattern::Rectangle { width_m, .. } => width_m,
+        Pattern::Omnidirectional => 0.0,
+    };
+    // 0.886 wavelengths over the length; 0 where it has none.
+    let width_deg = |length_m: f64| {
+        if length_m > 0.0 {
+            (0.886 * wavelength_m / length_m).to_degrees().min(360.0) as f32
+        } else {
+            0.0
+        }
+    };
+    let boresight = array.mounting.body_from_array * glam::DVec3::Z;
+    let (kind, side) = match line.side {
+        Side::Port => (ChannelKind::Port, "port"),
+        Side::Starboard => (ChannelKind::Starboard, "starboard"),
+    };
+    ChannelInfo {
+        kind,
+        format,
+        name: match number {
+            1 => side.into(),
+            more => format!("{side} {more}"),
+        },
+        frequency_khz: (pulse.center_frequency_hz / 1e3) as f32,
+        horizontal_beam_deg: width_deg(length_m),
+        // Down from the horizontal.
+        tilt_deg: boresight.z.clamp(-1.0, 1.0).asin().to_degrees() as f32,
+        beam_width_deg: width_deg(across_m),
+        volt_scale: sonar.receiver.full_scale_v as f32,
+        offset_m: [p.y as f32, p.x as f32, p.z as f32],
+        offset_yaw_pitch_roll_deg: [
+            yaw_rad.to_degrees() as f32,
+            pitch_rad.to_degrees() as f32,
+            0.0,
+        ],
     }
 }
 

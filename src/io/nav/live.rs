@@ -3,11 +3,13 @@
 //! Threads hand over raw bytes with the monotonic arrival of the first one (of a datagram: when the kernel had it); whoever pulls decodes them. Until rig time is known they are
 //! kept as bytes, so that every sample is decoded on the timeline it belongs to.
 
+mod serial;
 mod tcp;
 
+pub(super) use serial::{Port, open as open_serial};
+
 use std::collections::VecDeque;
-use std::io::Read;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{
     AtomicBool, AtomicU64,
@@ -20,9 +22,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::{LiveCounters, NavOpenError, SourceCounters};
-use crate::config::spec::{
-    NavInputSpec, NavSourceSpec, NavSpec, ParitySpec, SerialLine, TimePolicy,
-};
+use crate::config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use crate::flow::NavSample;
 use crate::io::stamp;
 use crate::nav::decoder::unwatched;
@@ -169,7 +169,7 @@ impl Live {
                 source.byte_ns = line.bits_per_byte() * NS_PER_S / i64::from((*baud).max(1));
                 let (port, baud, line, byte_ns) = (port.clone(), *baud, *line, source.byte_ns);
                 thread.spawn(move || {
-                    read_serial(open, || open_serial(&port, baud, line), byte_ns, &outlet);
+                    serial::read(open, || open_serial(&port, baud, line), byte_ns, &outlet);
                 })
             }
             NavInputSpec::TcpConnect { address } => {
@@ -379,21 +379,30 @@ fn is_timeout(error: &std::io::Error) -> bool {
 // ---------------------------------------------------------------- UDP
 
 fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<UdpSocket> {
-    let socket = Socket::new(
-        Domain::for_address(listen),
-        Type::DGRAM,
-        Some(Protocol::UDP),
-    )?;
+    // What is sent to a group is not addressed to any one interface: `listen` says at which it comes in, and the socket is bound to all.
+    let (bound, interface) = match (multicast, listen.ip()) {
+        (None, _) => (listen, Ipv4Addr::UNSPECIFIED),
+        (Some(_), IpAddr::V4(interface)) => (any_at(listen.port()), interface),
+        (Some(_), IpAddr::V6(_)) => (any_at(listen.port()), Ipv4Addr::UNSPECIFIED),
+    };
+    let socket = Socket::new(Domain::for_address(bound), Type::DGRAM, Some(Protocol::UDP))?;
     // Other programs on this machine may listen to the same broadcast.
     socket.set_reuse_address(true)?;
     // What the kernel does not give is seen in its own drop counters.
     let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
     socket.set_read_timeout(Some(READ_TIMEOUT))?;
-    socket.bind(&listen.into())?;
+    socket.bind(&bound.into())?;
     if let Some(group) = multicast {
-        socket.join_multicast_v4(&group, &Ipv4Addr::UNSPECIFIED)?;
+        socket.join_multicast_v4(&group, &interface)?;
+        // Else groups that other programs have joined would come too.
+        #[cfg(target_os = "linux")]
+        socket.set_multicast_all_v4(false)?;
     }
     Ok(socket.into())
+}
+
+fn any_at(port: u16) -> SocketAddr {
+    (Ipv4Addr::UNSPECIFIED, port).into()
 }
 
 fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
@@ -406,62 +415,6 @@ fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
             Err(_) => {
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
                 outlet.pause(READ_TIMEOUT);
-            }
-        }
-    }
-}
-
-// ---------------------------------------------------------------- serial
-
-pub(super) type Port = Box<dyn serialport::SerialPort>;
-
-pub(super) fn open_serial(port: &str, baud: u32, line: SerialLine) -> serialport::Result<Port> {
-    use serialport::{DataBits, Parity, StopBits};
-    serialport::new(port, baud)
-        .parity(match line.parity {
-            ParitySpec::None => Parity::None,
-            ParitySpec::Even => Parity::Even,
-            ParitySpec::Odd => Parity::Odd,
-        })
-        .data_bits(match line.data_bits {
-            5 => DataBits::Five,
-            6 => DataBits::Six,
-            7 => DataBits::Seven,
-            _ => DataBits::Eight,
-        })
-        .stop_bits(match line.stop_bits {
-            2 => StopBits::Two,
-            _ => StopBits::One,
-        })
-        .timeout(READ_TIMEOUT)
-        .open()
-}
-
-fn read_serial(
-    open: Port,
-    reopen: impl Fn() -> serialport::Result<Port>,
-    byte_ns: i64,
-    outlet: &Outlet,
-) {
-    let mut port = Some(open);
-    let mut buffer = vec![0; 4096];
-    while !outlet.stopped() {
-        let Some(open) = &mut port else {
-            outlet.pause(REOPEN_INTERVAL);
-            port = reopen().ok();
-            outlet
-                .stats
-                .reopened
-                .fetch_add(u64::from(port.is_some()), Relaxed);
-            continue;
-        };
-        match open.read(&mut buffer) {
-            Ok(len) if len > 0 => outlet.send(&buffer[..len], byte_ns),
-            Err(error) if is_timeout(&error) => {}
-            // No bytes without a timeout: the line hung up.
-            Ok(_) | Err(_) => {
-                outlet.stats.read_errors.fetch_add(1, Relaxed);
-                port = None;
             }
         }
     }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{NavInputSpec, NavSpec};
+use crate::config::spec::NavSpec;
 use crate::nav::health::State;
 use crate::nav::log::LogCounts;
 use crate::nav::track::TrackError;
@@ -125,10 +125,7 @@ impl NavInputs {
             })
             .collect();
         let recorded = Recorded::open(spec, &mut counters)?;
-        let recorded_kind = |input: &NavInputSpec| {
-            matches!(input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
-        };
-        let has_live = spec.sources.iter().any(|s| !recorded_kind(&s.input));
+        let has_live = !spec.is_recorded();
         let live = if has_live {
             Some(Live::open(spec, clock, recorded.is_some())?)
         } else {
@@ -187,6 +184,13 @@ impl NavInputs {
             }
             _ => false,
         }
+    }
+
+    /// Every recorded sample has come, at least once.
+    pub fn is_all_known(&self) -> bool {
+        self.recorded
+            .as_ref()
+            .is_none_or(|r| r.next_arrival().is_none_or(|next| next > r.end()))
     }
 
     /// No sample will come any more.

@@ -20,15 +20,20 @@ use super::RecordError;
 pub struct FaultLog {
     path: PathBuf,
     file: File,
+    length_bytes: u64,
     lines: String,
 }
 
 impl FaultLog {
     /// Replaces what has this name.
     pub fn create(path: &Path) -> Result<Self, RecordError> {
+        let file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         Ok(Self {
             path: path.to_owned(),
-            file: File::create(path).map_err(RecordError::io(path, "create"))?,
+            file,
+            length_bytes: 0,
             lines: String::new(),
         })
     }
@@ -45,6 +50,12 @@ impl FaultLog {
         }
         self.file
             .write_all(self.lines.as_bytes())
-            .map_err(RecordError::io(&self.path, "write"))
+            .map_err(|source| {
+                // Whole lines only; if even this fails, the last is torn.
+                let _ = self.file.set_len(self.length_bytes);
+                RecordError::io(&self.path, "write")(source)
+            })?;
+        self.length_bytes += self.lines.len() as u64;
+        Ok(())
     }
 }

@@ -131,11 +131,18 @@ fn of_s7k(bytes: &[u8]) -> Result<Vec<RecordedPing>, String> {
         // A record that does not parse is the world's: the others stay good.
         match id {
             7000 => {
-                if let Ok(found) = SonarSettings7000::parse(body) {
+                if let Ok(found) = SonarSettings7000::parse(body)
+                    && found.multi_ping_sequence <= 1
+                {
                     settings.insert(found.ping_number, found);
                 }
             }
-            7007 => lines.extend(SideScan7007::parse(body).ok().map(|line| (utc_ns, line))),
+            // Of several pulses the sonar's own: where the others look, no record says.
+            7007 => {
+                let line = SideScan7007::parse(body).ok();
+                let own = line.filter(|line| line.rth.multi_ping_sequence <= 1);
+                lines.extend(own.map(|line| (utc_ns, line)));
+            }
             1003 => {
                 if let Ok(p) = Position1003::parse(body)
                     && p.position_type == Position1003::GEOGRAPHIC

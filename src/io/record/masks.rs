@@ -7,6 +7,9 @@
 //! | `depth_m` | pings, lines, samples | f4, of the ground on the beam's axis below the world's zero; NaN none |
 //! | `line_side` | lines | i4, -1 port, +1 starboard |
 //! | `ping_number` | pings | i8 |
+//!
+//! `fan_masks.npz`: the same for every beam of the first fan (pings, beams, samples), sample for sample with `beams` of `pings.npz`, without
+//! `line_side`.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +23,9 @@ pub struct MaskRecorder {
     shadow: PartialFile,
     depth_m: PartialFile,
     ping_number: PartialFile,
-    sides: Vec<Side>,
+    /// None of beams.
+    sides: Option<Vec<Side>>,
+    rows: usize,
     samples: usize,
     pings: usize,
     bytes: Vec<u8>,
@@ -28,15 +33,25 @@ pub struct MaskRecorder {
 
 impl MaskRecorder {
     /// Will make `dir/masks.npz`; the folder must exist.
-    pub fn create(dir: &Path) -> Result<Self, RecordError> {
-        let grow = |name: &str| PartialFile::create(&dir.join(format!("masks.npz.{name}")));
+    pub fn of_lines(dir: &Path) -> Result<Self, RecordError> {
+        Self::create(dir, "masks.npz", Some(Vec::new()))
+    }
+
+    /// Will make `dir/fan_masks.npz`; the folder must exist.
+    pub fn of_beams(dir: &Path) -> Result<Self, RecordError> {
+        Self::create(dir, "fan_masks.npz", None)
+    }
+
+    fn create(dir: &Path, name: &str, sides: Option<Vec<Side>>) -> Result<Self, RecordError> {
+        let grow = |member: &str| PartialFile::create(&dir.join(format!("{name}.{member}")));
         Ok(Self {
-            path: dir.join("masks.npz"),
+            path: dir.join(name),
             target: grow("target")?,
             shadow: grow("shadow")?,
             depth_m: grow("depth_m")?,
             ping_number: grow("ping_number")?,
-            sides: Vec::new(),
+            sides,
+            rows: 0,
             samples: 0,
             pings: 0,
             bytes: Vec::new(),
@@ -45,7 +60,10 @@ impl MaskRecorder {
 
     pub fn push(&mut self, ping_number: u32, truths: &[LineTruth]) -> Result<(), RecordError> {
         if self.pings == 0 {
-            self.sides = truths.iter().map(|t| t.side).collect();
+            if let Some(sides) = &mut self.sides {
+                sides.extend(truths.iter().map(|t| t.side));
+            }
+            self.rows = truths.len();
             self.samples = truths.first().map_or(0, |t| t.target.len());
         }
         let odd = truths.iter().find(|t| t.target.len() != self.samples);
@@ -90,17 +108,19 @@ impl MaskRecorder {
             return Ok(None);
         }
         let mut archive = Archive::create(&self.path)?;
-        let shape = [self.pings, self.sides.len(), self.samples];
+        let shape = [self.pings, self.rows, self.samples];
         archive.streamed("target", "<u2", &shape, self.target)?;
         archive.streamed("shadow", "|u1", &shape, self.shadow)?;
         archive.streamed("depth_m", "<f4", &shape, self.depth_m)?;
-        let sides: Vec<u8> = (self.sides.iter())
-            .flat_map(|side| match side {
-                Side::Port => (-1_i32).to_le_bytes(),
-                Side::Starboard => 1_i32.to_le_bytes(),
-            })
-            .collect();
-        archive.small("line_side", "<i4", &[self.sides.len()], &sides)?;
+        if let Some(sides) = &self.sides {
+            let numbers: Vec<u8> = (sides.iter())
+                .flat_map(|side| match side {
+                    Side::Port => (-1_i32).to_le_bytes(),
+                    Side::Starboard => 1_i32.to_le_bytes(),
+                })
+                .collect();
+            archive.small("line_side", "<i4", &[sides.len()], &numbers)?;
+        }
         archive.streamed("ping_number", "<i8", &[self.pings], self.ping_number)?;
         archive.finish()?;
         Ok(Some(self.path))

@@ -3,7 +3,7 @@
 //! - [`faults`]: what was injected, one JSON line per fault.
 //! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
 //! - [`png`]: the waterfall picture.
-//! - [`recover`]: mends a `.s7k` that was cut off.
+//! - [`recover`]: mends records that were cut off.
 //! - [`masks`]: what each sample of each line shows.
 //! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics, and the masks beside them.
 //! - [`lines`]: a recording's lines, read again.
@@ -17,10 +17,12 @@
 //!
 //! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
 //! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k`, `.jsf`, `.xtf` and `truth.jsonl`
-//! grow in place and are readable up to the last whole record or line whenever they are cut off.
+//! grow in place and are readable up to the last whole record or line whenever they are cut off; so do `.svlog`, SigMF and WAV once they are
+//! mended ([`recover`]).
 pub mod faults;
 pub mod lines;
 pub mod masks;
+mod mend;
 pub mod npz;
 pub mod picture;
 mod plan_text;

@@ -1,4 +1,5 @@
-//! Mends a `.s7k` that was cut off: what is behind the last whole record goes, the catalogue is written, the header points at it.
+//! Mends records that were cut off. Here `.s7k`: what is behind the last whole record goes, the catalogue is written, the header points at it.
+//! The other kinds are in [`mend`](super::mend).
 //!
 //! A file that is being recorded is locked by its recorder, and left alone.
 
@@ -6,10 +7,13 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use echotank_protocols::jsf::JsfFraming;
+use echotank_protocols::ping_protocol::PingFraming;
 use echotank_protocols::sevenk::file::{CataloguePointer, FileBuilder, FileHeader7200};
 use echotank_protocols::sevenk::{DataRecordFrame, Record, RecordStamp, WireError, record_id};
+use echotank_protocols::xtf::{FileHeader, XtfFraming};
 
-use super::RecordError;
+use super::{RecordError, mend};
 
 /// Bytes that tell how long a record is.
 const FRAME_BYTES: usize = 64;
@@ -24,9 +28,10 @@ pub enum Recovered {
     /// Somebody records into it.
     InUse,
     Mended {
-        /// The header among them.
+        /// In the file now: records (a file's header among them), pings, lines or moments.
         records: u64,
-        /// Of a record begun, taken away.
+        what: &'static str,
+        /// Of one that was begun, taken away.
         cut_bytes: u64,
     },
 }
@@ -36,9 +41,13 @@ impl std::fmt::Display for Recovered {
         match self {
             Self::Whole => f.write_str("is whole"),
             Self::InUse => f.write_str("is being recorded; left alone"),
-            Self::Mended { records, cut_bytes } => write!(
+            Self::Mended {
+                records,
+                what,
+                cut_bytes,
+            } => write!(
                 f,
-                "had been cut off: mended, {records} records, {cut_bytes} bytes of an unfinished one taken away"
+                "had been cut off: mended, {records} {what}, {cut_bytes} bytes of an unfinished one taken away"
             ),
         }
     }
@@ -50,18 +59,59 @@ pub enum RecoverError {
     Record(#[from] RecordError),
     #[error("{}: does not begin with a 7k file header: {why}", path.display())]
     NoHeader { path: PathBuf, why: WireError },
+    /// Left as it was.
+    #[error("{}: at byte {at}: {why}: not as this program records, left alone", path.display())]
+    Strange { path: PathBuf, at: u64, why: String },
+    #[error("{}: no record of a kind that is mended: {}", path.display(), KINDS.join(", "))]
+    Unknown { path: PathBuf },
 }
+
+/// What is mended, by the ends of names. A SigMF recording is one, whichever of its files is named.
+const KINDS: [&str; 7] = [
+    ".s7k",
+    ".jsf",
+    ".xtf",
+    ".svlog",
+    ".wav",
+    ".jsonl",
+    ".sigmf-meta",
+];
 
 /// Mends one file in place.
 pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let extension = name.and_then(|name| name.rsplit_once('.'));
+    match extension.map(|(_, extension)| extension) {
+        Some("s7k") => recover_s7k(path),
+        Some("jsf") => mend::frames(path, 0, &JsfFraming::default()),
+        Some("xtf") => mend::frames(path, FileHeader::SIZE_BYTES, &XtfFraming::default()),
+        Some("svlog") => mend::frames(path, 0, &PingFraming),
+        Some("jsonl") => mend::lines(path),
+        Some("wav") => mend::wav(path),
+        Some("sigmf-meta" | "sigmf-data" | "sigmf-journal") => mend::sigmf(path),
+        _ => Err(RecoverError::Unknown {
+            path: path.to_owned(),
+        }),
+    }
+}
+
+/// A record to mend; none where somebody records into it.
+pub(super) fn open_to_mend(path: &Path) -> Result<Option<File>, RecordError> {
     let io = |action| RecordError::io(path, action);
     let opened = File::options().read(true).write(true).open(path);
-    let mut file = opened.map_err(io("open"))?;
+    let file = opened.map_err(io("open"))?;
     match file.try_lock() {
-        Ok(()) => {}
-        Err(std::fs::TryLockError::WouldBlock) => return Ok(Recovered::InUse),
-        Err(std::fs::TryLockError::Error(source)) => return Err(io("lock")(source).into()),
+        Ok(()) => Ok(Some(file)),
+        Err(std::fs::TryLockError::WouldBlock) => Ok(None),
+        Err(std::fs::TryLockError::Error(source)) => Err(io("lock")(source)),
     }
+}
+
+fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
+    let io = |action| RecordError::io(path, action);
+    let Some(mut file) = open_to_mend(path)? else {
+        return Ok(Recovered::InUse);
+    };
     let length = file.metadata().map_err(io("read"))?.len();
     let no_header = |why| RecoverError::NoHeader {
         path: path.to_owned(),
@@ -111,6 +161,7 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
         .map_err(io("mend"))?;
     Ok(Recovered::Mended {
         records,
+        what: "records",
         cut_bytes: length - end_of_records,
     })
 }
@@ -121,9 +172,12 @@ pub fn recover_folder(folder: &Path) -> Vec<String> {
         return Vec::new();
     };
     let paths = entries.flatten().map(|entry| entry.path());
-    let mut paths: Vec<_> = paths
-        .filter(|path| path.extension().is_some_and(|e| e == "s7k"))
-        .collect();
+    let is_kind = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let is_ours = |name: &str| !name.ends_with(".jsonl") || name.starts_with("faults-");
+        name.is_some_and(|name| is_ours(name) && KINDS.iter().any(|kind| name.ends_with(kind)))
+    };
+    let mut paths: Vec<_> = paths.filter(is_kind).collect();
     paths.sort();
     let mend = |path: &PathBuf| match recover(path) {
         Ok(Recovered::Whole | Recovered::InUse) => None,
@@ -204,6 +258,7 @@ mod tests {
             let got = recover(&path).expect("mended");
             let want = Recovered::Mended {
                 records: kept as u64,
+                what: "records",
                 cut_bytes,
             };
             assert_eq!(got, want, "cut at {length}");

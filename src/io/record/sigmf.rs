@@ -1,13 +1,15 @@
 //! SigMF recordings: I and Q of the elements, 16 bits each, with a capture and an annotation for every ping.
 //!
 //! `NAME.sigmf-data` grows ping by ping; `NAME.sigmf-meta`, which says what is in it, is written anew after 1, 2, 4, ... pings, every
-//! [`MOST_PINGS_UNSAID`] at the latest, and at the end: what a recording that was cut off has no words for is at its end.
+//! [`MOST_PINGS_UNSAID`] at the latest, and at the end. The words of the pings since are in `NAME.sigmf-journal`, a line each, which goes with
+//! the end: of a recording that was cut off `recover` puts them where they belong.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use echotank_protocols::sigmf::{Annotation, Capture, DataType, Recording};
+use serde_json::{Value, json};
 
 use super::RecordError;
 use crate::config::spec::SonarSpec;
@@ -17,11 +19,58 @@ use crate::flow::{PingOutput, PingPlan, PulseKind};
 /// Pings that a recording may hold without words for them.
 const MOST_PINGS_UNSAID: usize = 1024;
 
+/// The files of one recording.
+#[derive(Clone, Debug)]
+pub(super) struct Paths {
+    pub data: PathBuf,
+    pub meta: PathBuf,
+    pub journal: PathBuf,
+}
+
+impl Paths {
+    /// `stem` is the name of all without their ends.
+    pub fn of(stem: &Path) -> Self {
+        let named = |extension| {
+            let mut path = stem.as_os_str().to_owned();
+            path.push(extension);
+            PathBuf::from(path)
+        };
+        Self {
+            data: named(".sigmf-data"),
+            meta: named(".sigmf-meta"),
+            journal: named(".sigmf-journal"),
+        }
+    }
+
+    /// Under a name of its own first, so that the words are whole at any moment.
+    pub fn write_words(&self, text: &str) -> Result<(), RecordError> {
+        let mut partial = self.meta.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        std::fs::write(&partial, text).map_err(RecordError::io(&partial, "write"))?;
+        std::fs::rename(&partial, &self.meta).map_err(RecordError::io(&self.meta, "rename to"))
+    }
+}
+
+fn journal_line(capture: &Capture, annotation: &Annotation) -> String {
+    let (capture, annotation) = (capture.to_json(), annotation.to_json());
+    format!("{}\n", json!([capture, annotation]))
+}
+
+/// The words of whole lines.
+pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotation)> {
+    text.lines().map_while(|line| {
+        let both: Value = serde_json::from_str(line).ok()?;
+        let capture = Capture::parse(both.get(0)?).ok()?;
+        Some((capture, Annotation::parse(both.get(1)?).ok()?))
+    })
+}
+
 /// Writes one recording. Dropping it closes it as well as it can.
 pub struct SigmfRecorder {
-    data_path: PathBuf,
-    meta_path: PathBuf,
+    paths: Paths,
     data: File,
+    journal: File,
     arrays: Vec<usize>,
     sonar: SonarSpec,
     words: Recording,
@@ -38,13 +87,11 @@ pub struct SigmfRecorder {
 impl SigmfRecorder {
     /// `stem` is the name of both files without `.sigmf-data` and `.sigmf-meta`; what has these names is replaced.
     pub fn create(stem: &Path, arrays: &[usize], sonar: &SonarSpec) -> Result<Self, RecordError> {
-        let named = |extension| {
-            let mut path = stem.as_os_str().to_owned();
-            path.push(extension);
-            PathBuf::from(path)
-        };
-        let (data_path, meta_path) = (named(".sigmf-data"), named(".sigmf-meta"));
-        let data = File::create(&data_path).map_err(RecordError::io(&data_path, "create"))?;
+        let paths = Paths::of(stem);
+        let create = |path| File::create(path).map_err(RecordError::io(path, "create"));
+        let (data, journal) = (create(&paths.data)?, create(&paths.journal)?);
+        // Keeps `recover` away.
+        let _ = data.try_lock();
         let elements: usize = arrays.iter().map(|&a| sonar.receive[a].elements).sum();
         let receiver = &sonar.receiver;
         let names: Vec<_> = arrays
@@ -66,9 +113,9 @@ impl SigmfRecorder {
             annotations: Vec::new(),
         };
         let mut recorder = Self {
-            data_path,
-            meta_path,
+            paths,
             data,
+            journal,
             arrays: arrays.to_vec(),
             sonar: sonar.clone(),
             words,
@@ -83,14 +130,14 @@ impl SigmfRecorder {
     }
 
     pub fn paths(&self) -> [&Path; 2] {
-        [&self.data_path, &self.meta_path]
+        [&self.paths.data, &self.paths.meta]
     }
 
     /// Appends a ping; returns how many values did not fit.
     pub fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<u64, RecordError> {
         if self.closed {
             return Err(RecordError::Stopped {
-                path: self.data_path.clone(),
+                path: self.paths.data.clone(),
             });
         }
         let samples = plan.sample_count;
@@ -100,13 +147,14 @@ impl SigmfRecorder {
         self.bytes
             .extend(self.iq.as_flattened().iter().flat_map(|v| v.to_le_bytes()));
         if let Err(source) = self.data.write_all(&self.bytes) {
-            // Whole pings only; the words have none that is not there.
-            let moment_bytes = 4 * u64::from(self.words.channels);
-            let _ = self.data.set_len(self.samples * moment_bytes);
-            self.closed = true;
-            return Err(RecordError::io(&self.data_path, "write")(source));
+            return Err(self.stop(source));
         }
         let (capture, annotation) = words_of(plan, self.samples, saturated);
+        // The samples first: the journal has words for none that are not there.
+        let line = journal_line(&capture, &annotation);
+        if let Err(source) = self.journal.write_all(line.as_bytes()) {
+            return Err(self.stop(source));
+        }
         self.words.captures.push(capture);
         self.words.annotations.push(annotation);
         self.samples += samples as u64;
@@ -117,17 +165,22 @@ impl SigmfRecorder {
         Ok(saturated)
     }
 
-    /// Writes what there is to say under a name of its own first, so that the words are whole at any moment.
+    /// Whole pings only: what was begun is taken back, and no more is written. The words stay as they are on the disk, with the journal.
+    fn stop(&mut self, source: std::io::Error) -> RecordError {
+        let moment_bytes = 4 * u64::from(self.words.channels);
+        let _ = self.data.set_len(self.samples * moment_bytes);
+        self.closed = true;
+        RecordError::io(&self.paths.data, "write")(source)
+    }
+
     fn say(&mut self) -> Result<(), RecordError> {
-        let mut partial = self.meta_path.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
-        std::fs::write(&partial, self.words.to_json())
-            .map_err(RecordError::io(&partial, "write"))?;
-        std::fs::rename(&partial, &self.meta_path)
-            .map_err(RecordError::io(&self.meta_path, "rename to"))?;
+        self.paths.write_words(&self.words.to_json())?;
         self.said = self.words.captures.len();
-        Ok(())
+        // What is said twice is passed over: an end between these two loses nothing.
+        let emptied = self.journal.set_len(0);
+        emptied
+            .and_then(|()| self.journal.rewind())
+            .map_err(RecordError::io(&self.paths.journal, "write"))
     }
 
     pub fn close(mut self) -> Result<(), RecordError> {
@@ -139,6 +192,8 @@ impl SigmfRecorder {
         if self.said < self.words.captures.len() {
             self.say()?;
         }
+        // Of a recording that is closed there is none; one that is left over does no harm.
+        let _ = std::fs::remove_file(&self.paths.journal);
         Ok(())
     }
 }

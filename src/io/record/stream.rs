@@ -22,6 +22,8 @@ impl StreamRecorder {
     /// Replaces what has this name. `head`: what the file begins with.
     pub fn create(path: &Path, head: &[u8]) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
             file,

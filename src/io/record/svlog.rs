@@ -28,6 +28,8 @@ impl SvlogRecorder {
         utc: UtcNs,
     ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
             file,
@@ -41,6 +43,9 @@ impl SvlogRecorder {
         let timestamp = chrono::DateTime::from_timestamp_nanos(utc.0).to_rfc3339();
         let words = json!({
             "session_id": 1,
+            // Frames count their milliseconds from `timestamp` on, and readers subtract these.
+            "os_uptime": 0.0,
+            "process_uptime": 0.0,
             "session_uptime": 0.0,
             "session_devices": [{ "url": url, "product_id": product }],
             "session_platform": null,

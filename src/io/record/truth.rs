@@ -198,6 +198,8 @@ impl TruthRecorder {
 
     fn at(path: PathBuf) -> Result<Self, RecordError> {
         let file = File::create(&path).map_err(RecordError::io(&path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         Ok(Self {
             path,
             file,

@@ -37,6 +37,8 @@ impl WavRecorder {
     /// Replaces what has this name.
     pub fn create(path: &Path, output: &WavSpec, sonar: &SonarSpec) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
+        // Keeps `recover` away.
+        let _ = file.try_lock();
         let channels: usize = output
             .arrays
             .iter()
@@ -107,11 +109,16 @@ impl WavRecorder {
             .file
             .seek(SeekFrom::Start(at))
             .and_then(|_| self.file.write_all(&self.bytes));
-        self.moments = if written.is_ok() { last } else { self.moments };
+        let before = self.moments;
+        self.moments = if written.is_ok() { last } else { before };
         written
             .and_then(|()| self.write_header())
             .map_err(|source| {
                 self.stopped = true;
+                // Whole pings only. If even this fails, readers go by the header.
+                let frame_bytes = self.format.frame_bytes();
+                let end = echotank_protocols::wav::HEADER_BYTES as u64 + before * frame_bytes;
+                let _ = self.file.set_len(end);
                 RecordError::io(&self.path, "write")(source)
             })?;
         Ok(saturated)

@@ -4,13 +4,22 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Where the ping number stands in the RTH of 7000, 7503, 7007, 7018 and 7038.
 const PING_NUMBER_AT: usize = 8;
+/// And the multi-ping sequence in that of 7000 and 7007.
+const SEQUENCE_AT: usize = 12;
 
 /// Missing ping numbers remembered per record type; beyond these the lowest count as lost for good.
 const MISSING_LIMIT: usize = 100_000;
 
-/// The ping number of a record body; none for records without one, and for the answer to a request (7503 with 0).
+/// The ping number of a record body; none for records without one, for the answer to a request (7503 with 0), and for the further pulses of a
+/// ping (multi-ping sequence 2 and on), whose first counts for it.
 pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     if !matches!(record_type, 7000 | 7503 | 7007 | 7018 | 7038) {
+        return None;
+    }
+    if matches!(record_type, 7000 | 7007)
+        && let Some(bytes) = body.get(SEQUENCE_AT..).and_then(|b| b.first_chunk())
+        && u16::from_le_bytes(*bytes) > 1
+    {
         return None;
     }
     let bytes = body.get(PING_NUMBER_AT..)?.first_chunk::<4>()?;

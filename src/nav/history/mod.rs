@@ -237,11 +237,16 @@ impl NavHistory {
 
     /// The first instant at which every channel that a ping needs has a sample; none while one of them is silent.
     pub fn first_usable_utc(&self) -> Option<UtcNs> {
-        let mut first = UtcNs(i64::MIN);
-        for channel in self.needed() {
-            first = first.max(self.ring(channel).oldest()?);
+        self.first_usable_utc_of(|_| true)
+    }
+
+    /// The same, of what `counts` among the channels a ping needs; none too where it needs none of them.
+    pub fn first_usable_utc_of(&self, counts: impl Fn(NavChannel) -> bool) -> Option<UtcNs> {
+        let mut first = None;
+        for channel in self.needed().filter(|&channel| counts(channel)) {
+            first = first.max(Some(self.ring(channel).oldest()?));
         }
-        Some(first)
+        first
     }
 
     /// Channels that a ping needs and that have been silent so far.

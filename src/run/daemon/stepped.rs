@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
+use super::{DaemonError, FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
 use crate::run::rig::PingSlot;
 use crate::time::{Clock, Timeline};
 
@@ -29,9 +29,9 @@ impl Lane {
 
 impl Pacer {
     /// Pings until the navigation ends or the daemon stops.
-    pub(super) fn run_stepped(mut self) {
-        let Some(first) = self.first_recorded() else {
-            return;
+    pub(super) fn run_stepped(mut self) -> Result<(), DaemonError> {
+        let Some(first) = self.first_recorded()? else {
+            return Ok(());
         };
         let first = self.begin_schedules(first);
         self.rig.plan_all(&mut self.inputs, first);
@@ -42,14 +42,14 @@ impl Pacer {
             .get_or_init(|| Timeline::through(first_mono, first));
         self.inputs.set_timeline(timeline);
         let Some(mut beat) = self.beat(timeline) else {
-            return;
+            return Ok(());
         };
         let gate = self.control.gate().clone();
         let mut handed_over = 0;
         loop {
             self.renew_nav_lines();
             if !gate.wait_open() || self.stop.load(Ordering::Acquire) {
-                return;
+                return Ok(());
             }
             self.foresee();
             let Some(at) = beat.next_pulse() else {
@@ -63,17 +63,17 @@ impl Pacer {
                 continue;
             };
             if !self.rig.read_on(&mut self.inputs, sonar, &order) {
-                return;
+                return Ok(());
             }
             let stop = self.stop.clone();
             let Some(slot) = self.lanes[sonar].next_slot(|| stop.load(Ordering::Acquire)) else {
-                return;
+                return Ok(());
             };
             if self.compute(sonar, &order, None, slot, &timeline) {
                 handed_over += 1;
                 // A step is over when its ping has left: whoever asked for it may change settings for the next.
                 if gate.is_paused() && !gate.wait_delivered(handed_over) {
-                    return;
+                    return Ok(());
                 }
             }
         }

@@ -3,8 +3,6 @@
 //!
 //! The fit is in logarithms, since a factor is what matters, and holds on to the table it starts from where the times say nothing.
 
-use std::fs;
-
 use thiserror::Error;
 
 use crate::config::spec::{AutoModel, RigSpec};
@@ -20,7 +18,7 @@ const REPEATS: usize = 3;
 /// Methods that would take longer are left out, ms.
 const LONGEST_MS: f64 = 3000.0;
 /// Weight of staying where the table was, against one method's.
-const HOLD: f64 = 0.02;
+const HOLD: f64 = 1e-3;
 /// Rounds of the search.
 const ROUNDS: usize = 400;
 
@@ -49,7 +47,12 @@ struct Timed {
     took_ms: f64,
 }
 
-pub fn calibrate(spec: &RigSpec, before: &Costs) -> Result<Calibration, CalibrateError> {
+/// `machine`: whose figures they will be.
+pub fn calibrate(
+    spec: &RigSpec,
+    before: &Costs,
+    machine: &str,
+) -> Result<Calibration, CalibrateError> {
     let pool = pool(1)?;
     pool.install(|| {
         let mut timed = Vec::new();
@@ -71,7 +74,11 @@ pub fn calibrate(spec: &RigSpec, before: &Costs) -> Result<Calibration, Calibrat
             *value = (exact * digits).round() / digits;
         }
         let mut costs = before.with_values(new);
-        costs.machine = machine(&spec.sonars[0].name, timed.len());
+        costs.machine = format!(
+            "{machine}; one thread, {} methods on sonar {} and those beside it",
+            timed.len(),
+            spec.sonars[0].name
+        );
         Ok(Calibration {
             costs,
             methods: timed.len(),
@@ -175,22 +182,6 @@ fn fit(timed: &[Timed]) -> [f64; FIGURES] {
         }
     }
     logs.map(f64::exp)
-}
-
-/// Whose figures these are.
-fn machine(sonar: &str, methods: usize) -> String {
-    let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-        let line = text.lines().find(|line| line.starts_with("model name"))?;
-        Some(line.split_once(':')?.1.trim().to_owned())
-    });
-    let load = fs::read_to_string("/proc/loadavg")
-        .ok()
-        .and_then(|text| text.split_whitespace().next().map(str::to_owned));
-    format!(
-        "{}, one thread, load {}, {methods} methods on sonar {sonar} and those beside it",
-        name.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
-        load.unwrap_or_else(|| "unknown".to_owned()),
-    )
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::io::text_of;
 use crate::ping::fidelity::{FIGURES, Work};
 
 /// The table that comes with the program.
@@ -18,7 +19,10 @@ pub enum CostsError {
     #[error("{path}: {why}")]
     Read { path: String, why: std::io::Error },
     #[error("{path}: {why}")]
-    Parse { path: String, why: toml::de::Error },
+    Parse {
+        path: String,
+        why: Box<toml::de::Error>,
+    },
     #[error("{path}: {key} = {value}: must be above 0 and finite")]
     Value {
         path: String,
@@ -80,24 +84,23 @@ impl Costs {
             .expect("costs.toml is checked by a test")
     }
 
-    pub fn read(path: &Path) -> Result<Self, CostsError> {
+    /// The file, or without one the committed table.
+    pub fn of(path: Option<&Path>) -> Result<Self, CostsError> {
+        let Some(path) = path else {
+            return Ok(Self::committed());
+        };
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|why| CostsError::Read {
+        let text = text_of(path).map_err(|why| CostsError::Read {
             path: name.clone(),
             why,
         })?;
         Self::parse(&text, &name)
     }
 
-    /// The file, or without one the committed table.
-    pub fn of(path: Option<&Path>) -> Result<Self, CostsError> {
-        path.map_or_else(|| Ok(Self::committed()), Self::read)
-    }
-
     fn parse(text: &str, name: &str) -> Result<Self, CostsError> {
         let costs: Self = toml::from_str(text).map_err(|why| CostsError::Parse {
             path: name.to_owned(),
-            why,
+            why: Box::new(why),
         })?;
         for (key, value) in NAMES.into_iter().zip(costs.values()) {
             if !(value > 0.0 && value.is_finite()) {

@@ -182,8 +182,8 @@ impl Report for ElementsReport {
             let way = if *is_tcp { "TCP" } else { "UDP" };
             format!(
                 "  {way}: {} frames, {} failed, {} pings dropped",
-                read(&counts.packets),
-                read(&counts.failed),
+                counts.packets(),
+                counts.failed(),
                 read(&counts.dropped_pings),
             )
         }));

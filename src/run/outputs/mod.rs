@@ -102,6 +102,8 @@ pub struct StreamCounts {
     pub family: &'static str,
     /// `TCP 127.0.0.1:51234`.
     pub peer: String,
+    /// What it subscribed to, where the family has names for it.
+    pub receives: String,
     pub bytes_sent: u64,
     pub records_sent: u64,
     pub records_dropped: u64,
@@ -275,14 +277,13 @@ impl Outputs {
         }
     }
 
-    /// Hands over what [`Self::encode`] made: every output its own, and the first error of any.
-    pub fn deliver(&mut self) -> Result<(), OutputError> {
-        let mut outcome = Ok(());
+    /// Hands over what [`Self::encode`] made, every output its own; `failed` is told of each recorder that stops.
+    pub fn deliver(&mut self, mut failed: impl FnMut(OutputError)) {
         for out in &mut self.all {
-            let this = out.deliver();
-            outcome = outcome.and(this);
+            if let Err(error) = out.deliver() {
+                failed(error);
+            }
         }
-        outcome
     }
 
     /// Closes the recorders.

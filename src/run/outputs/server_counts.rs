@@ -36,6 +36,7 @@ pub fn server_streams(family: &'static str, report: &ServerReport) -> Vec<Stream
     let counts = clients.map(|client| StreamCounts {
         family,
         peer: format!("{} {}", client.transport, client.peer),
+        receives: String::new(),
         bytes_sent: client.counts.bytes_sent,
         records_sent: client.counts.records_sent,
         records_dropped: client.counts.records_dropped,

@@ -147,6 +147,13 @@ impl Report for SevenKReport {
     }
 
     fn streams(&self) -> Vec<StreamCounts> {
-        server_streams("7k", &self.server.report())
+        let report = self.server.report();
+        let mut streams = server_streams("7k", &report);
+        for (stream, client) in streams.iter_mut().zip(&report.clients) {
+            let records = RecordSet::from(client.subscribed).iter();
+            let records: Vec<_> = records.map(|id| id.to_string()).collect();
+            stream.receives = records.join(" ");
+        }
+        streams
     }
 }

@@ -78,7 +78,6 @@ impl Output for Vita49 {
     fn report(&self) -> Arc<dyn Report> {
         Arc::new(Vita49Report {
             name: self.name.clone(),
-            send_to: self.send_to.clone(),
             counts: Arc::clone(self.sender.counts()),
             saturated: Arc::clone(&self.saturated),
         })
@@ -113,37 +112,44 @@ impl Output for Vita49 {
 
 struct Vita49Report {
     name: String,
-    send_to: Vec<std::net::SocketAddr>,
     counts: Arc<DatagramCounts>,
     saturated: Arc<AtomicU64>,
 }
 
 impl Report for Vita49Report {
+    /// The sonar's, and one for each receiver.
     fn lines(&self) -> Vec<String> {
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        vec![format!(
-            "vita49 {}: {} packets, {:.1} MB sent, {} failed, {} pings dropped, {} values held at full scale",
+        let mut lines = vec![format!(
+            "vita49 {}: {} pings dropped, {} values held at full scale",
             self.name,
-            read(&self.counts.packets),
-            read(&self.counts.bytes) as f64 / 1e6,
-            read(&self.counts.failed),
             read(&self.counts.dropped_pings),
             read(&self.saturated),
-        )]
+        )];
+        lines.extend(self.counts.receivers.iter().map(|receiver| {
+            format!(
+                "  UDP {}: {:.1} MB, {} packets sent, {} failed",
+                receiver.to,
+                read(&receiver.bytes) as f64 / 1e6,
+                read(&receiver.packets),
+                read(&receiver.failed),
+            )
+        }));
+        lines
     }
 
-    /// One thread sends the same to all.
     fn streams(&self) -> Vec<StreamCounts> {
-        let share =
-            |count: &AtomicU64| count.load(Ordering::Relaxed) / self.send_to.len().max(1) as u64;
-        let streams = self.send_to.iter().map(|to| StreamCounts {
+        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        let receivers = self.counts.receivers.iter();
+        let counts = receivers.map(|receiver| StreamCounts {
             family: "vita49",
-            peer: format!("UDP {to}"),
-            bytes_sent: share(&self.counts.bytes),
-            records_sent: share(&self.counts.packets),
-            records_dropped: share(&self.counts.failed),
+            peer: format!("UDP {}", receiver.to),
+            receives: String::new(),
+            bytes_sent: read(&receiver.bytes),
+            records_sent: read(&receiver.packets),
+            records_dropped: read(&receiver.failed),
             queued_bytes: 0,
         });
-        streams.collect()
+        counts.collect()
     }
 }

@@ -112,8 +112,8 @@ impl Work {
     fn of(stage: Stage, r: &TaskReport) -> Self {
         let [columns, channels, rows, heard] =
             [r.columns, r.channels, r.rows, r.heard].map(|n| n as f64);
-        let [instants, along, turn, products] =
-            [r.orders.instants, r.orders.along, r.orders.turn, r.products].map(|n| n as f64);
+        let [instants, along, turn] =
+            [r.orders.instants, r.orders.along, r.orders.turn].map(|n| n as f64);
         let [entries, powers] = [r.entries, r.powers].map(|n| n as f64);
         let grid = columns * channels;
         let elements = r.elements as f64;
@@ -122,11 +122,11 @@ impl Work {
             Stage::Transform => (grid * fft(rows), grid * (rows + heard)),
             Stage::Combine => {
                 let pulses = instants * (4.0 * PULSE_POINTS + 4.0 * instants);
-                let weights = instants * (channels * 4.0 + products * 6.0);
+                let sounds = instants * channels * 6.0;
                 let shape = entries * 12.0;
                 let turned = along * turn * 6.0;
                 (
-                    columns * heard * (pulses + weights + shape + turned),
+                    columns * heard * (pulses + sounds + shape + turned),
                     heard * (grid + columns * powers),
                 )
             }
@@ -196,39 +196,52 @@ fn fused_per_s() -> f64 {
         unsafe { fused_avx2() };
         8
     } else {
-        fused::<4>();
-        4
+        plain();
+        1
     };
     #[cfg(not(target_arch = "x86_64"))]
     let lanes = {
-        fused::<4>();
-        4
+        plain();
+        1
     };
     (2 * lanes * SUMS * ROUNDS) as f64 / start.elapsed().as_secs_f64()
 }
 
+/// By intrinsics: a compiler makes sixteen scalar multiplications of arrays.
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl,fma")]
+#[target_feature(enable = "avx512f")]
 fn fused_avx512() {
-    fused::<16>();
+    use std::arch::x86_64::{_mm512_fmadd_ps, _mm512_set1_ps};
+    let (by, plus) = (_mm512_set1_ps(black_box(0.999)), _mm512_set1_ps(0.5));
+    let mut sums = [_mm512_set1_ps(black_box(1.0)); SUMS];
+    for _ in 0..ROUNDS {
+        for sum in &mut sums {
+            *sum = _mm512_fmadd_ps(*sum, by, plus);
+        }
+    }
+    black_box(sums);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn fused_avx2() {
-    fused::<8>();
-}
-
-#[inline(always)]
-fn fused<const LANES: usize>() {
-    let by = black_box([0.999f32; LANES]);
-    let plus = black_box([0.5f32; LANES]);
-    let mut sums = black_box([[1.0f32; LANES]; SUMS]);
+    use std::arch::x86_64::{_mm256_fmadd_ps, _mm256_set1_ps};
+    let (by, plus) = (_mm256_set1_ps(black_box(0.999)), _mm256_set1_ps(0.5));
+    let mut sums = [_mm256_set1_ps(black_box(1.0)); SUMS];
     for _ in 0..ROUNDS {
         for sum in &mut sums {
-            for ((sum, by), plus) in sum.iter_mut().zip(&by).zip(&plus) {
-                *sum = sum.mul_add(*by, *plus);
-            }
+            *sum = _mm256_fmadd_ps(*sum, by, plus);
+        }
+    }
+    black_box(sums);
+}
+
+fn plain() {
+    let (by, plus) = (black_box(0.999f32), black_box(0.5f32));
+    let mut sums = black_box([1.0f32; SUMS]);
+    for _ in 0..ROUNDS {
+        for sum in &mut sums {
+            *sum = *sum * by + plus;
         }
     }
     black_box(sums);

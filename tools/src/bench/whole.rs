@@ -84,7 +84,7 @@ const SEAWAY: DVec3 = DVec3::new(5.0, 0.3, 0.3);
 const FAST: DVec3 = DVec3::new(10.0, 0.3, 0.3);
 
 /// Elements from which an engine for lines is asked.
-const LEAST_LINE: usize = 8;
+const LEAST_LINE: usize = 4;
 
 impl Ping {
     /// What `--only` looks at.

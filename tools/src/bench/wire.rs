@@ -5,26 +5,34 @@
 //! readers, while a third reads a byte a second.
 
 use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use echotank::config::spec::{
-    FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, Shading, SonarSpec, XtfSpec,
+    FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, Shading,
+    SonarSpec, Vita49Spec, XtfSpec,
 };
+use echotank::emit::imagenex872::{Head, emit_ping as emit_imagenex};
 use echotank::emit::jsf::{JsfEmitter, JsfSheet};
+use echotank::emit::packets::Packets;
+use echotank::emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
+use echotank::emit::session::Wants;
 use echotank::emit::sevenk::records::DeviceSheet;
 use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank::emit::vita49::Vita49Emitter;
+use echotank::emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
 use echotank::emit::xtf::XtfEmitter;
-use echotank::flow::{BeamFrame, ElementFrame, Line, PingOutput, Side};
+use echotank::flow::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
 use echotank::io::sonar::client::SevenKClient;
 use echotank::io::sonar::start_sevenk;
 use echotank::io::sonar::verify::Verifier;
 use echotank_protocols::jsf::{Message, SonarData80, message_type};
 use echotank_protocols::sevenk::records::RawIq7038;
 use echotank_protocols::sevenk::{Command, Record};
+use echotank_protocols::vita49::{Packet, PacketType, complex_samples};
 use num_complex::Complex64;
 
 use super::report::Report;
@@ -173,11 +181,120 @@ pub fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), 
         packets.len()
     });
     tell("xtf u16", 0.5 / 65_535.0, speed, packets.len());
+    devices(while_s, &plan, &output, &mut tell)?;
 
     if let Some(seconds) = load_s {
         load(seconds, &output, &mut report)?;
     }
     report.keep(json)
+}
+
+/// VITA 49, WBMS, the Ping protocol, Imagenex 872.
+fn devices(
+    while_s: f64,
+    plan: &PingPlan,
+    output: &PingOutput,
+    tell: &mut impl FnMut(&str, f64, f64, usize),
+) -> Result<(), String> {
+    let sonar = large();
+    let boards = Vita49Spec {
+        send_to: Vec::new(),
+        arrays: vec![0],
+        passband_rate_hz: None,
+        is_vector: false,
+        first_stream: 1,
+        max_packet: 1472,
+        pace_bytes_per_s: 1e9,
+        multicast_interface: Ipv4Addr::LOCALHOST,
+        multicast_ttl: 1,
+    };
+    let mut emitter = Vita49Emitter::new(&boards, &sonar);
+    let mut packets = Packets::default();
+    let speed = gb_per_s(while_s, || {
+        emitter.emit_ping(plan, output, false, &mut packets);
+        packets.len_bytes()
+    });
+    let error = error_vita49(&packets, output)?;
+    tell(
+        "vita49, a stream an element",
+        error,
+        speed,
+        packets.len_bytes(),
+    );
+
+    let mut emitter = WbmsEmitter::new(Arc::new(WbmsDevice::new(&sonar, SOUND_M_PER_S)), 1);
+    let wanted = Wanted {
+        bathymetry: false,
+        water_column: true,
+        side_scan: false,
+    };
+    let mut sent = Vec::new();
+    let mut encode = || {
+        sent.clear();
+        emitter.emit_ping(plan, output, wanted, &mut sent);
+        sent[0].bytes.len()
+    };
+    let bytes = encode();
+    let speed = gb_per_s(while_s, encode);
+    // Half a count of 32767.
+    tell("wbms water column", 0.5 / 32_767.0, speed, bytes);
+
+    let spec = PingProtocolSpec {
+        device: PingDevice::Omniscan450 { side: Side::Port },
+        listen: ([127, 0, 0, 1], 0).into(),
+        serial: None,
+        channel: (0, 1),
+        client_queue_bytes: 0,
+        max_clients: 0,
+    };
+    let device = PingDeviceState::new(&spec, &sonar, SOUND_M_PER_S, TRANSMIT_UTC);
+    let mut emitter = PingEmitter::new(Arc::new(device), 1);
+    let mut sent = Vec::new();
+    let mut encode = || {
+        sent.clear();
+        emitter.emit_ping(plan, output, &mut sent);
+        sent[0].bytes.len()
+    };
+    let bytes = encode();
+    let speed = gb_per_s(while_s, encode);
+    // Of the span of its dB.
+    tell("ping 2198", 0.5 / 65_535.0, speed, bytes);
+
+    let head = Head::default();
+    let (mut sent, scale) = (Vec::new(), (sonar.receiver.sample_rate_hz, FULL_SCALE_V));
+    let mut encode = || {
+        sent.clear();
+        emit_imagenex(&head, plan, output, scale, Wants::ALL, &mut sent);
+        sent.iter().map(|answer| answer.bytes.len()).sum()
+    };
+    let bytes = encode();
+    let speed = gb_per_s(while_s, encode);
+    tell("imagenex 872, two sides", 0.5 / 255.0, speed, bytes);
+    Ok(())
+}
+
+/// Of the samples read back, over full scale.
+fn error_vita49(packets: &Packets, output: &PingOutput) -> Result<f64, String> {
+    let mut next = vec![0; ELEMENTS];
+    let mut worst = 0.0_f64;
+    for bytes in packets.iter() {
+        let packet = Packet::parse(bytes).map_err(|e| e.to_string())?;
+        if packet.packet_type == PacketType::Context {
+            continue;
+        }
+        let element = packet.stream_id as usize - 1;
+        for [i, q] in complex_samples(packet.payload) {
+            let want = output.elements[0].element(element)[next[element]];
+            let volt = |count: i16| f64::from(count) / 32_767.0 * FULL_SCALE_V;
+            let off = (volt(i) - want.re).abs().max((volt(q) - want.im).abs());
+            worst = worst.max(off / FULL_SCALE_V);
+            next[element] += 1;
+        }
+    }
+    match next.iter().all(|&count| count == SAMPLES) {
+        true => Ok(worst),
+        false => Err("samples are missing".into()),
+    }
 }
 
 fn jsf(channels: JsfChannels, format: JsfFormat) -> JsfSpec {
@@ -237,57 +354,104 @@ fn error_80(bytes: &[u8], output: &PingOutput, format: JsfFormat) -> Result<f64,
     Ok(off.fold(0.0, f64::max) / largest)
 }
 
-/// Delivers in real time and says what came, and how late the deliveries were.
+/// What became of one run.
+struct Run {
+    /// Of every delivery, milliseconds behind its moment, sorted.
+    late_ms: Vec<f64>,
+    /// Records that the two readers did not get.
+    lost: u64,
+    /// Whole records that the third missed.
+    dropped: u64,
+}
+
+impl Run {
+    fn at(&self, share: f64) -> f64 {
+        self.late_ms[((self.late_ms.len() - 1) as f64 * share) as usize]
+    }
+    fn figures(&self) -> [f64; 4] {
+        [0.5, 0.99, 0.999, 1.0].map(|share| self.at(share))
+    }
+}
+
+/// Delivers in real time with nobody there and with three clients, and says how late the deliveries were and what came.
 fn load(seconds: u32, output: &PingOutput, report: &mut Report) -> Result<(), String> {
     let pings = seconds * PINGS_PER_S;
+    let runs = [
+        deliver(pings, output, false)?,
+        deliver(pings, output, true)?,
+    ];
+    let words = runs.each_ref().map(|run| {
+        let [p50, p99, p999, most] = run.figures();
+        format!("{p50:.3} / {p99:.3} / {p999:.3} / {most:.3}")
+    });
+    let loaded = &runs[1];
+    report.row(
+        &format!(
+            "load: {pings} pings of 7038 and 7018; deliveries late by p50 / p99 / p99.9 / worst, ms: {} without clients, {} with two readers and a third that reads a byte a second; {} records lost by the two; the third missed {} whole records",
+            words[0], words[1], loaded.lost, loaded.dropped
+        ),
+        serde_json::json!({
+            "load_pings": pings, "lost": loaded.lost, "third_missed": loaded.dropped,
+            "late_ms_without": runs[0].figures(), "late_ms_with": runs[1].figures(),
+        }),
+    );
+    Ok(())
+}
+
+fn deliver(pings: u32, output: &PingOutput, has_clients: bool) -> Result<Run, String> {
     let mut spec = output_spec();
     spec.arrays = vec![0];
     spec.client_queue_bytes = 64 << 20;
     let sheet = sevenk_sheet();
     let server = start_sevenk(&spec, sheet.clone(), store(), Arc::new(|| TRANSMIT_UTC))
         .map_err(|e| e.to_string())?;
-    let mut third = TcpStream::connect(server.local_addr()).map_err(|e| e.to_string())?;
-    let elements = Command::Subscribe {
-        record_type_ids: vec![7038],
-    };
-    third
-        .write_all(&command(elements, 1))
-        .map_err(|e| e.to_string())?;
-    let peer = third.local_addr().map_err(|e| e.to_string())?;
-    thread::spawn(move || {
-        // Ends with the program.
-        let mut byte = [0; 1];
-        while matches!(third.read(&mut byte), Ok(1)) {
-            thread::sleep(Duration::from_secs(1));
-        }
-    });
+    let mut peer = None;
     let mut readers = Vec::new();
-    for _ in 0..2 {
-        let mut client = SevenKClient::connect(server.local_addr()).map_err(|e| e.to_string())?;
-        client.subscribe(&[7038, 7018]).map_err(|e| e.to_string())?;
-        readers.push(thread::spawn(move || {
-            let mut verifier = Verifier::default();
-            while verifier.tally(7038).received < u64::from(pings) {
-                match client.next_record(Duration::from_secs(5)) {
-                    Ok(Some(record)) => verifier.note(record.record_type(), record.body()),
-                    _ => break,
-                };
+    if has_clients {
+        let mut third = TcpStream::connect(server.local_addr()).map_err(|e| e.to_string())?;
+        let elements = Command::Subscribe {
+            record_type_ids: vec![7038],
+        };
+        third
+            .write_all(&command(elements, 1))
+            .map_err(|e| e.to_string())?;
+        peer = Some(third.local_addr().map_err(|e| e.to_string())?);
+        thread::spawn(move || {
+            // Ends with the program.
+            let mut byte = [0; 1];
+            while matches!(third.read(&mut byte), Ok(1)) {
+                thread::sleep(Duration::from_secs(1));
             }
-            verifier
-        }));
+        });
+        for _ in 0..2 {
+            let mut client =
+                SevenKClient::connect(server.local_addr()).map_err(|e| e.to_string())?;
+            client.subscribe(&[7038, 7018]).map_err(|e| e.to_string())?;
+            readers.push(thread::spawn(move || {
+                let mut verifier = Verifier::default();
+                while verifier.tally(7038).received < u64::from(pings) {
+                    match client.next_record(Duration::from_secs(5)) {
+                        Ok(Some(record)) => verifier.note(record.record_type(), record.body()),
+                        _ => break,
+                    };
+                }
+                verifier
+            }));
+        }
     }
     let mut emitter = SevenKEmitter::new(sheet, 32);
     let mut records = Vec::new();
     let mut late_ms = Vec::new();
+    // Records are made beside the moment in both runs.
+    let wanted = RecordSet::of(&[7018, 7038]);
     let began = Instant::now();
     for ping in 1..=pings {
         records.clear();
-        let wanted = RecordSet::from(server.wanted());
         emitter.emit_ping(&plan(ping, SAMPLES), output, wanted, &mut records);
         let due = began + Duration::from_secs(1) / PINGS_PER_S * ping;
         thread::sleep(due.saturating_duration_since(Instant::now()));
-        server.deliver(&records);
         late_ms.push(due.elapsed().as_secs_f64() * 1e3);
+        server.deliver(&records);
     }
     let mut received = Vec::new();
     for reader in readers {
@@ -296,18 +460,14 @@ fn load(seconds: u32, output: &PingOutput, report: &mut Report) -> Result<(), St
     }
     late_ms.sort_by(f64::total_cmp);
     let clients = server.report().clients;
-    let dropped = clients.iter().find(|c| c.peer == peer);
-    let dropped = dropped.map_or(0, |c| c.counts.records_dropped);
-    let lost: u64 = received
+    let third = clients.iter().find(|c| Some(c.peer) == peer);
+    let lost = received
         .iter()
         .map(|t| u64::from(pings) - (t.received - t.duplicate))
         .sum();
-    let (median, worst) = (late_ms[late_ms.len() / 2], late_ms[late_ms.len() - 1]);
-    report.row(
-        &format!(
-            "load: {pings} pings of 7038 and 7018 to two readers: {lost} records lost; the third missed {dropped} whole records; deliveries late by {median:.2} ms median, {worst:.2} ms worst"
-        ),
-        serde_json::json!({ "load_pings": pings, "lost": lost, "third_missed": dropped, "late_ms_median": median, "late_ms_worst": worst }),
-    );
-    Ok(())
+    Ok(Run {
+        late_ms,
+        lost,
+        dropped: third.map_or(0, |c| c.counts.records_dropped),
+    })
 }

@@ -60,25 +60,32 @@ impl Look {
 const GAP: usize = 8;
 const PAPER: [u8; 3] = [255, 255, 255];
 const NOTHING: [u8; 3] = [30, 34, 60];
+/// Shades of one panel: as many as an eye tells apart in speckle, and a file of a third.
+const SHADES: usize = 32;
 
-/// Panels side by side.
+/// Panels side by side, at most seven.
 pub fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
     let height = panels.iter().map(|p| p.0.height).max().unwrap_or(1);
     let width = panels.iter().map(|p| p.0.width).sum::<usize>() + GAP * (panels.len() - 1);
-    let mut pixels = PAPER.repeat(width * height);
+    let mut palette = [PAPER, NOTHING].concat();
+    let mut pixels = vec![0u8; width * height];
     let mut left = 0;
     for (grid, look) in panels {
+        let first = palette.len() / 3;
+        for shade in 0..SHADES {
+            palette.extend(look.map.at(shade as f32 / (SHADES - 1) as f32));
+        }
         for y in 0..grid.height {
             for x in 0..grid.width {
                 let level = grid.level[y * grid.width + x];
-                let colour = match level.is_nan() {
-                    true => NOTHING,
-                    false => look
-                        .map
-                        .at((level - look.low) / (look.high - look.low).max(1e-9)),
+                let share = (level - look.low) / (look.high - look.low).max(1e-9);
+                let shade = (share.clamp(0.0, 1.0) * (SHADES - 1) as f32).round() as usize;
+                pixels[y * width + left + x] = match level.is_nan() {
+                    true => 1,
+                    false => {
+                        u8::try_from(first + shade).map_err(|e| format!("too many panels: {e}"))?
+                    }
                 };
-                let at = 3 * (y * width + left + x);
-                pixels[at..at + 3].copy_from_slice(&colour);
             }
         }
         left += grid.width + GAP;
@@ -86,8 +93,9 @@ pub fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
     let written = || -> Result<(), Box<dyn std::error::Error>> {
         let out = BufWriter::new(std::fs::File::create(file)?);
         let mut encoder = png::Encoder::new(out, width as u32, height as u32);
-        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_color(png::ColorType::Indexed);
         encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_palette(palette);
         encoder.set_compression(png::Compression::High);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&pixels)?;

@@ -20,7 +20,7 @@ use glam::DVec3;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Case {
     Flat,
-    /// 10 degrees across the track.
+    /// Falls to starboard by 10 degrees.
     Slope,
     /// The survey of the quickstart, on a straight track.
     Survey,
@@ -89,11 +89,11 @@ pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<
         fan.sector_rad = 120f64.to_radians();
         fan.form.bottom_detection = true;
     }
-    let plane = |slope_east| SeabedSpec {
+    let plane = |slope_north| SeabedSpec {
         shape: SeabedShape::Plane {
             depth_m: 50.0,
-            slope_north: 0.0,
-            slope_east,
+            slope_north,
+            slope_east: 0.0,
         },
         density: Density::PerM2(10.0),
         bottom: BottomSpec::Lambert { mu_db: -27.0 },
@@ -104,7 +104,8 @@ pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<
     match case {
         Case::Flat => spec.scene.seabed = Some(plane(0.0)),
         Case::Slope => {
-            spec.scene.seabed = Some(plane(10f64.to_radians().tan()));
+            // The track leads east: starboard is south.
+            spec.scene.seabed = Some(plane(-10f64.to_radians().tan()));
             // At 55 degrees the bottom that falls away lies 107 m off.
             spec.sonars[0].settings.range_m = 120.0;
             if let Some(fan) = &mut spec.sonars[0].beams.fan {

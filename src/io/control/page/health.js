@@ -6,6 +6,7 @@ const SPREADS = [
   ["start_error", "Late: due until handed over"],
   ["nav_to_samples", "Pulse until computed"],
   ["hand_over", "Due until all have it"],
+  ["send_pacing", "Datagrams late for their instant"],
 ];
 
 export class Health {
@@ -20,7 +21,8 @@ export class Health {
   show(state, sonar) {
     if (byId("pane-health").hidden) return;
     const s = state.sonars[sonar];
-    const spreads = SPREADS.map(([name, title]) => spread(title, s.microseconds[name], s.bins[name]));
+    // A way of sending that is not used has nothing to show.
+    const spreads = SPREADS.filter(([name]) => s.bins[name]?.length > 0 || name !== "send_pacing").map(([name, title]) => spread(title, s.microseconds[name], s.bins[name]));
     byId("health").replaceChildren(make("div", { class: "figures" }, ...spreads), make("div", { class: "figures" }, this.#counts(s, state), this.#plan(s)), clients(s, state));
   }
 
@@ -50,6 +52,8 @@ export class Health {
       rows.push(["Culling", m.cull_db === null ? "none" : `${m.cull_db} dB`], ["Scatterers", m.scatterers.toLocaleString("en")], ["In shadow", m.shadowed.toLocaleString("en")]);
       const cert = m.certificate;
       rows.push(["Certificate", cert ? `${cert.error.toExponential(1)} of ${cert.tolerance.toExponential(0)}` : "not asked for"]);
+      const plan = s.fidelity;
+      rows.push(["Plan of methods", plan ? `no. ${plan.plan}: ${plan.predicted_error.toExponential(1)} of ${plan.tolerance.toExponential(0)} predicted` : "none: as configured"]);
       if (cert) rows.push(["95 % interval", `${cert.low.toExponential(1)} to ${cert.high.toExponential(1)}${cert.fault ? ", FAULT" : ""}`]);
     }
     return facts(rows);
@@ -77,7 +81,7 @@ function spread(title, figures, bins) {
 
 function clients(s, state) {
   const rows = s.streams.map((c) => make("tr", {},
-    make("th", { scope: "row", text: `${c.family}  ${c.peer}` }),
+    make("th", { scope: "row" }, `${c.family} ${c.peer}`, c.receives ? make("small", { text: `  ${c.receives}` }) : null),
     make("td", { text: String(c.records_sent) }),
     make("td", { text: bytes(c.bytes_sent) }),
     make("td", { text: bytes(c.queued_bytes) }),

@@ -1,5 +1,5 @@
 // The waterfall: a row a ping, the newest on top, port on the left. A sample is drawn at its slant range; of several in one pixel the loudest.
-import { Contrast, byId, degrees, digits, ink, line as stroke, lookup, make, mapNames, painter, palette, pointer, say, stepOf, timeOf } from "./lib.js";
+import { Contrast, byId, degrees, ink, line as stroke, lookup, make, mapNames, painter, palette, pointer, say, stepOf, timeOf } from "./lib.js";
 import { STEP_DB } from "./link.js";
 
 /** Lines kept for scrolling back. */
@@ -197,6 +197,17 @@ export class Waterfall {
     g.lineWidth = scale;
     g.strokeStyle = "#ffffff30";
     stroke(g, Math.floor(w / 2), 0, Math.floor(w / 2), h);
+    g.font = `${10.5 * scale}px system-ui, sans-serif`;
+    g.textBaseline = "top";
+    g.lineWidth = 3 * scale;
+    g.strokeStyle = "#000a";
+    g.fillStyle = "#fffc";
+    for (const [name, align, x] of [["port", "left", 6 * scale], ["starboard", "right", w - 6 * scale]]) {
+      g.textAlign = align;
+      g.strokeText(name, x, 5 * scale);
+      g.fillText(name, x, 5 * scale);
+    }
+    g.lineWidth = scale;
     if (this.cursor) {
       g.strokeStyle = "#ffffffa0";
       g.setLineDash([4 * scale, 3 * scale]);
@@ -227,15 +238,11 @@ export class Waterfall {
         g.fillText(r === 0 ? "0" : `${Math.round(r * 10) / 10} m`, x, scale);
       }
     }
-    g.textAlign = "left";
-    g.fillText("port", half * 0.5 * 0.02 + 48 * scale, scale);
-    g.textAlign = "right";
-    g.fillText("starboard", w - 52 * scale, scale);
   }
 
   #read(visible) {
     const newest = this.lines.at(-1);
-    if (newest) say(byId("wf-from"), newest.of === "lines" ? "" : `no side-scan lines: the loudest of the ${newest.of}`);
+    if (newest) say(byId("wf-from"), newest.of === "lines" ? "" : `the loudest of the ${newest.of}`);
     if (!this.cursor) return;
     const line = visible[this.cursor.row];
     if (!line) return say(byId("wf-cursor"), "no ping here");
@@ -330,5 +337,3 @@ export function placeOf(line, side, slant) {
   const lon = nav.lon + ((across * Math.sin(bearing)) / EARTH_M / Math.cos((nav.lat * Math.PI) / 180)) * (180 / Math.PI);
   return { across, lat, lon, north: nav.north + across * Math.cos(bearing), east: nav.east + across * Math.sin(bearing) };
 }
-
-export { digits };

@@ -201,3 +201,101 @@ impl Way for Serial {
         self.with(|port| port.write_all(bytes))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+    use std::sync::{Arc, Mutex};
+
+    use serialport::{
+        ClearBuffer, DataBits, FlowControl, Parity, Result as PortResult, SerialPort, StopBits,
+    };
+
+    use super::*;
+
+    /// A port with modem lines, which no pseudo-terminal has: writes down what is done with it.
+    #[derive(Clone, Default)]
+    struct Bench(Arc<Mutex<Vec<String>>>);
+
+    impl Bench {
+        fn note(&self, what: String) {
+            self.0.lock().expect("unspoiled").push(what);
+        }
+    }
+
+    impl Read for Bench {
+        fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+            Err(io::ErrorKind::TimedOut.into())
+        }
+    }
+
+    impl Write for Bench {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.note(String::from_utf8_lossy(bytes).trim_end().to_owned());
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[rustfmt::skip]
+    impl SerialPort for Bench {
+        fn name(&self) -> Option<String> { None }
+        fn baud_rate(&self) -> PortResult<u32> { Ok(9600) }
+        fn data_bits(&self) -> PortResult<DataBits> { Ok(DataBits::Eight) }
+        fn flow_control(&self) -> PortResult<FlowControl> { Ok(FlowControl::None) }
+        fn parity(&self) -> PortResult<Parity> { Ok(Parity::None) }
+        fn stop_bits(&self) -> PortResult<StopBits> { Ok(StopBits::One) }
+        fn timeout(&self) -> Duration { Duration::ZERO }
+        fn set_baud_rate(&mut self, _: u32) -> PortResult<()> { Ok(()) }
+        fn set_data_bits(&mut self, _: DataBits) -> PortResult<()> { Ok(()) }
+        fn set_flow_control(&mut self, _: FlowControl) -> PortResult<()> { Ok(()) }
+        fn set_parity(&mut self, _: Parity) -> PortResult<()> { Ok(()) }
+        fn set_stop_bits(&mut self, _: StopBits) -> PortResult<()> { Ok(()) }
+        fn set_timeout(&mut self, _: Duration) -> PortResult<()> { Ok(()) }
+        fn write_request_to_send(&mut self, level: bool) -> PortResult<()> { self.note(format!("RTS {level}")); Ok(()) }
+        fn write_data_terminal_ready(&mut self, level: bool) -> PortResult<()> { self.note(format!("DTR {level}")); Ok(()) }
+        fn read_clear_to_send(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_data_set_ready(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_ring_indicator(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_carrier_detect(&mut self) -> PortResult<bool> { Ok(false) }
+        fn bytes_to_read(&self) -> PortResult<u32> { Ok(0) }
+        fn bytes_to_write(&self) -> PortResult<u32> { Ok(0) }
+        fn clear(&self, _: ClearBuffer) -> PortResult<()> { Ok(()) }
+        fn try_clone(&self) -> PortResult<Box<dyn SerialPort>> { Ok(Box::new(self.clone())) }
+        fn set_break(&self) -> PortResult<()> { Ok(()) }
+        fn clear_break(&self) -> PortResult<()> { Ok(()) }
+    }
+
+    #[test]
+    fn a_pulse_raises_and_lowers_the_line_that_was_named_and_no_other() {
+        for (pulse, want) in [
+            (
+                PulseSpec::Rts,
+                &["RTS true", "$GPZDA", "RTS false", "$GPHDT"][..],
+            ),
+            (
+                PulseSpec::Dtr,
+                &["DTR true", "$GPZDA", "DTR false", "$GPHDT"],
+            ),
+            (PulseSpec::Byte, &["\u{7}", "$GPZDA", "$GPHDT"]),
+            (PulseSpec::None, &["$GPZDA", "$GPHDT"]),
+        ] {
+            let bench = Bench::default();
+            let mut way = Serial {
+                path: "/dev/none".into(),
+                baud: 9600,
+                line: SerialLine::default(),
+                pulse,
+                port: Some(Box::new(bench.clone())),
+                tried: None,
+            };
+            way.pulse(true).expect("raised");
+            way.send(b"$GPZDA\r\n").expect("sent");
+            way.pulse(false).expect("lowered");
+            way.send(b"$GPHDT\r\n").expect("sent");
+            assert_eq!(*bench.0.lock().expect("unspoiled"), want, "{pulse:?}");
+        }
+    }
+}

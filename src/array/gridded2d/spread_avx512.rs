@@ -1,0 +1,159 @@
+//! AVX-512 kernel that spreads echoes of up to sixteen channels. Its scalar twin is `Spread::add`.
+
+use std::arch::x86_64::*;
+
+use super::panel::PANEL;
+use super::smooth::FADES;
+use super::spread::Wide;
+use super::task::{Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST};
+use super::weights::Taps;
+
+/// Most vectors that one echo's row has: sixteen channels in fourteen columns, and the place of the first.
+const MOST_REACH: usize = 15;
+/// Rows are fetched so many echoes ahead.
+const AHEAD: usize = 4;
+
+/// Sum of powers of `x`, each table's lanes times its power.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn weights(tables: &[Taps<f32>], x: f32) -> __m512 {
+    let x = _mm512_set1_ps(x);
+    let mut sum = _mm512_setzero_ps();
+    for table in tables.iter().rev() {
+        // SAFETY: a table is sixteen numbers.
+        let table = unsafe { _mm512_loadu_ps(table.as_ptr()) };
+        sum = _mm512_fmadd_ps(sum, x, table);
+    }
+    sum
+}
+
+/// T_0(x) ... of so many terms.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn chebyshev<const MOST: usize>(x: __m512, terms: usize) -> [__m512; MOST] {
+    let one = _mm512_set1_ps(1.0);
+    let mut values = [one; MOST];
+    let twice = _mm512_add_ps(x, x);
+    let (mut before, mut now) = (one, x);
+    for value in &mut values[1..terms.max(1)] {
+        *value = now;
+        (before, now) = (now, _mm512_fmsub_ps(twice, now, before));
+    }
+    values
+}
+
+/// Every product of the sixteen echoes from `start` on, `[product][echo]`.
+#[target_feature(enable = "avx512f")]
+fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MOST_CHANNELS]) {
+    let p = wide.prepared;
+    // SAFETY: chunks are whole multiples of sixteen long.
+    let load = |values: &[f32]| unsafe { _mm512_loadu_ps(values[start..][..PANEL].as_ptr()) };
+    let orders = wide.orders;
+    let dilation = chebyshev::<MOST_DILATION>(load(&p.dilation), orders.dilation);
+    let bend = chebyshev::<MOST_BEND>(load(&p.bend), orders.bend);
+    let twist = chebyshev::<MOST_TWIST>(load(&p.twist), orders.twist);
+    let mut rows = to.iter_mut();
+    for kept in wide.kept {
+        let mut share = _mm512_mul_ps(bend[kept.bend], twist[kept.twist]);
+        match wide.kinds[kept.kind] {
+            Kind::Whole => {}
+            Kind::Fade(order) => share = _mm512_mul_ps(share, load(&p.kinds[order])),
+            Kind::Swing => share = _mm512_mul_ps(share, load(&p.kinds[FADES])),
+        }
+        for (&r, row) in dilation[..kept.dilation].iter().zip(&mut rows) {
+            // SAFETY: a row is sixteen numbers.
+            unsafe { _mm512_storeu_ps(row.as_mut_ptr(), _mm512_mul_ps(share, r)) };
+        }
+    }
+}
+
+/// Echoes onto the grid; returns how many would lie outside, and are left out.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+pub fn add(mut wide: Wide<f32>) -> usize {
+    let grid = std::mem::take(&mut wide.grid);
+    let &Wide {
+        prepared: p,
+        len,
+        panel_rows,
+        channels,
+        mixing,
+        time_taps,
+        slope_taps,
+        time_width,
+        slope_width,
+        last_row,
+        last_column,
+        ..
+    } = &wide;
+    let (lanes, reach) = (&mixing.lanes[..], mixing.reach);
+    assert!(reach <= MOST_REACH && channels <= PANEL);
+    let mut of_echoes = [[0.0f32; PANEL]; MOST_CHANNELS];
+    let values = slope_width * channels;
+    let mut outside = 0;
+    for i in 0..len {
+        if i % PANEL == 0 {
+            products(&wide, i, &mut of_echoes);
+        }
+        let (row, column) = (p.row[i] as usize, p.column[i] as usize);
+        if row > last_row || column > last_column {
+            outside += 1;
+            continue;
+        }
+        let next = (i + AHEAD).min(len - 1);
+        let at = (p.column[next] as usize).wrapping_mul(channels) / PANEL;
+        let at = at
+            .wrapping_mul(panel_rows)
+            .wrapping_add(p.row[next] as usize);
+        if let Some(rows) = grid.get(at..).and_then(|rows| rows.get(..time_width)) {
+            for row in rows {
+                _mm_prefetch::<_MM_HINT_T0>(row.re.as_ptr().cast());
+                _mm_prefetch::<_MM_HINT_T0>(row.im.as_ptr().cast());
+            }
+        }
+        let of_slope = weights(slope_taps, p.in_column[i]);
+        let of_time = weights(time_taps, p.in_row[i]);
+        let re = _mm512_mul_ps(of_time, _mm512_set1_ps(p.re[i]));
+        let im = _mm512_mul_ps(of_time, _mm512_set1_ps(p.im[i]));
+        let mut of_rows = [[0.0f32; PANEL]; 2];
+        // SAFETY: both arrays are sixteen numbers.
+        unsafe {
+            _mm512_storeu_ps(of_rows[0].as_mut_ptr(), re);
+            _mm512_storeu_ps(of_rows[1].as_mut_ptr(), im);
+        }
+        let mut mixed = _mm512_setzero_ps();
+        for (into, product) in mixing.into.iter().zip(&of_echoes) {
+            // SAFETY: sixteen numbers.
+            let into = unsafe { _mm512_loadu_ps(into.as_ptr()) };
+            mixed = _mm512_fmadd_ps(into, _mm512_set1_ps(product[i % PANEL]), mixed);
+        }
+        let place = column * channels;
+        let (first, before) = (place / PANEL, place % PANEL);
+        let vectors = (before + values).div_ceil(PANEL);
+        for (v, [channel, tap]) in lanes[before * reach..][..vectors].iter().enumerate() {
+            // SAFETY: sixteen numbers each.
+            let (channel, tap) = unsafe {
+                (
+                    _mm512_loadu_si512(channel.as_ptr().cast()),
+                    _mm512_loadu_si512(tap.as_ptr().cast()),
+                )
+            };
+            let line = _mm512_mul_ps(
+                _mm512_permutexvar_ps(channel, mixed),
+                _mm512_permutexvar_ps(tap, of_slope),
+            );
+            let rows = &mut grid[(first + v) * panel_rows + row..][..time_width];
+            let [of_re, of_im] = &of_rows;
+            for ((sum, &re), &im) in rows.iter_mut().zip(of_re).zip(of_im) {
+                let (to_re, to_im) = (sum.re.as_mut_ptr(), sum.im.as_mut_ptr());
+                // SAFETY: both parts of a row are sixteen numbers, aligned to 64 bytes as the row is.
+                unsafe {
+                    let now = _mm512_load_ps(to_re);
+                    _mm512_store_ps(to_re, _mm512_fmadd_ps(line, _mm512_set1_ps(re), now));
+                    let now = _mm512_load_ps(to_im);
+                    _mm512_store_ps(to_im, _mm512_fmadd_ps(line, _mm512_set1_ps(im), now));
+                }
+            }
+        }
+    }
+    outside
+}

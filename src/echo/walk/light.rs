@@ -1,0 +1,229 @@
+//! The transmit leg of all scatterers, in parts side by side: each packs what it keeps to its front, and neighbours are then pushed together,
+//! so that the order is that of the scatterers for any number of threads.
+
+use super::*;
+
+/// So many scatterers are one thread's.
+const PART: usize = 32 * CHUNK;
+
+/// Where what is lit goes: slices as long as the scatterers of a part.
+struct Room<'a> {
+    x_m: &'a mut [f64],
+    y_m: &'a mut [f64],
+    z_m: &'a mut [f64],
+    range_m: &'a mut [f64],
+    amplitude: &'a mut [Complex64],
+    level: &'a mut [f64],
+    bias: &'a mut [f32],
+    curved: &'a mut [bool],
+    normal_x: &'a mut [f32],
+    normal_y: &'a mut [f32],
+    normal_z: &'a mut [f32],
+    closing_m_per_s: &'a mut [f64],
+}
+
+impl<'a> Room<'a> {
+    fn of(lit: &'a mut Illuminated, len: usize) -> Self {
+        lit.x_m.resize(len, 0.0);
+        lit.y_m.resize(len, 0.0);
+        lit.z_m.resize(len, 0.0);
+        lit.range_m.resize(len, 0.0);
+        lit.amplitude.resize(len, Complex64::ZERO);
+        lit.level.resize(len, 0.0);
+        lit.bias.resize(len, 0.0);
+        lit.curved.resize(len, false);
+        lit.normal_x.resize(len, 0.0);
+        lit.normal_y.resize(len, 0.0);
+        lit.normal_z.resize(len, 0.0);
+        lit.closing_m_per_s.resize(len, 0.0);
+        Self {
+            x_m: &mut lit.x_m,
+            y_m: &mut lit.y_m,
+            z_m: &mut lit.z_m,
+            range_m: &mut lit.range_m,
+            amplitude: &mut lit.amplitude,
+            level: &mut lit.level,
+            bias: &mut lit.bias,
+            curved: &mut lit.curved,
+            normal_x: &mut lit.normal_x,
+            normal_y: &mut lit.normal_y,
+            normal_z: &mut lit.normal_z,
+            closing_m_per_s: &mut lit.closing_m_per_s,
+        }
+    }
+
+    fn split(&mut self, at: usize) -> (Room<'_>, Room<'_>) {
+        let x_m = self.x_m.split_at_mut(at);
+        let y_m = self.y_m.split_at_mut(at);
+        let z_m = self.z_m.split_at_mut(at);
+        let range_m = self.range_m.split_at_mut(at);
+        let amplitude = self.amplitude.split_at_mut(at);
+        let level = self.level.split_at_mut(at);
+        let bias = self.bias.split_at_mut(at);
+        let curved = self.curved.split_at_mut(at);
+        let normal_x = self.normal_x.split_at_mut(at);
+        let normal_y = self.normal_y.split_at_mut(at);
+        let normal_z = self.normal_z.split_at_mut(at);
+        let closing = self.closing_m_per_s.split_at_mut(at);
+        let low = Room {
+            x_m: x_m.0,
+            y_m: y_m.0,
+            z_m: z_m.0,
+            range_m: range_m.0,
+            amplitude: amplitude.0,
+            level: level.0,
+            bias: bias.0,
+            curved: curved.0,
+            normal_x: normal_x.0,
+            normal_y: normal_y.0,
+            normal_z: normal_z.0,
+            closing_m_per_s: closing.0,
+        };
+        let high = Room {
+            x_m: x_m.1,
+            y_m: y_m.1,
+            z_m: z_m.1,
+            range_m: range_m.1,
+            amplitude: amplitude.1,
+            level: level.1,
+            bias: bias.1,
+            curved: curved.1,
+            normal_x: normal_x.1,
+            normal_y: normal_y.1,
+            normal_z: normal_z.1,
+            closing_m_per_s: closing.1,
+        };
+        (low, high)
+    }
+
+    fn move_to(&mut self, from: std::ops::Range<usize>, to: usize) {
+        self.x_m.copy_within(from.clone(), to);
+        self.y_m.copy_within(from.clone(), to);
+        self.z_m.copy_within(from.clone(), to);
+        self.range_m.copy_within(from.clone(), to);
+        self.amplitude.copy_within(from.clone(), to);
+        self.level.copy_within(from.clone(), to);
+        self.bias.copy_within(from.clone(), to);
+        self.curved.copy_within(from.clone(), to);
+        self.normal_x.copy_within(from.clone(), to);
+        self.normal_y.copy_within(from.clone(), to);
+        self.normal_z.copy_within(from.clone(), to);
+        self.closing_m_per_s.copy_within(from, to);
+    }
+}
+
+/// What decides who is kept.
+pub(super) struct Light<'a> {
+    pub leg: TransmitLeg<'a>,
+    pub scatterers: &'a Scatterers,
+    pub floor: f64,
+    pub farthest_m: f64,
+}
+
+impl Light<'_> {
+    /// Fills `lit` and leaves it as long as what was kept.
+    pub fn shine(&self, lit: &mut Illuminated) -> EchoCounts {
+        let mut room = Room::of(lit, self.scatterers.len());
+        let (kept, counts) = self.part(0, &mut room);
+        lit.x_m.truncate(kept);
+        lit.y_m.truncate(kept);
+        lit.z_m.truncate(kept);
+        lit.range_m.truncate(kept);
+        lit.amplitude.truncate(kept);
+        lit.level.truncate(kept);
+        lit.bias.truncate(kept);
+        lit.curved.truncate(kept);
+        lit.normal_x.truncate(kept);
+        lit.normal_y.truncate(kept);
+        lit.normal_z.truncate(kept);
+        lit.closing_m_per_s.truncate(kept);
+        counts
+    }
+
+    /// Scatterers from `first` on, as many as there is room for; how many are kept.
+    fn part(&self, first: usize, room: &mut Room) -> (usize, EchoCounts) {
+        let len = room.x_m.len();
+        if len <= PART {
+            return self.batches(first, room);
+        }
+        let middle = (len / 2).next_multiple_of(CHUNK);
+        let (mut low, mut high) = room.split(middle);
+        let ((kept, mut counts), (more, others)) = rayon::join(
+            || self.part(first, &mut low),
+            || self.part(first + middle, &mut high),
+        );
+        counts += others;
+        if kept < middle {
+            room.move_to(middle..middle + more, kept);
+        }
+        (kept + more, counts)
+    }
+
+    fn batches(&self, first: usize, room: &mut Room) -> (usize, EchoCounts) {
+        let mut counts = EchoCounts::default();
+        let mut ahead = Ahead::default();
+        let mut kept = 0;
+        let end = first + room.x_m.len();
+        for first in (first..end).step_by(CHUNK) {
+            let n = CHUNK.min(end - first);
+            look(&self.leg, self.scatterers, first, n, &mut ahead);
+            for j in 0..n {
+                kept += usize::from(self.place(first + j, j, &ahead, kept, room, &mut counts));
+            }
+        }
+        (kept, counts)
+    }
+
+    /// Writes scatterer `i`, the `j`-th of its batch, to place `to`; false if it is not to be kept.
+    #[inline(always)]
+    fn place(
+        &self,
+        i: usize,
+        j: usize,
+        ahead: &Ahead,
+        to: usize,
+        room: &mut Room,
+        counts: &mut EchoCounts,
+    ) -> bool {
+        let scatterers = self.scatterers;
+        let range_m = ahead.range_m[j];
+        if range_m > self.farthest_m || range_m.is_nan() {
+            counts.outside_window += 1;
+            return false;
+        }
+        let facing = ahead.facing[j].max(0.0);
+        let (law, bias, normal) = match scatterers.law[i] {
+            ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
+            ScatterLaw::Lambert => (facing.sqrt(), 0.0, scatterers.normal[i]),
+            ScatterLaw::LambertOneWay => (facing, 1.0, [0.0; 3]),
+            ScatterLaw::Curve => {
+                let curve = scatterers.curve.as_deref();
+                (
+                    half_of_curve(curve, facing.sqrt()),
+                    0.0,
+                    scatterers.normal[i],
+                )
+            }
+        };
+        let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
+        let level = ahead.level[j] * f64::from(scatterers.loud[i]);
+        if level < self.floor || amplitude == Complex64::ZERO {
+            counts.culled += 1;
+            return false;
+        }
+        counts.too_close += u64::from(range_m < self.leg.one_way.wavelength_m);
+        room.x_m[to] = ahead.x_m[j];
+        room.y_m[to] = ahead.y_m[j];
+        room.z_m[to] = ahead.z_m[j];
+        room.range_m[to] = range_m;
+        room.amplitude[to] = amplitude;
+        room.level[to] = level;
+        room.bias[to] = bias;
+        room.curved[to] = scatterers.law[i] == ScatterLaw::Curve;
+        room.normal_x[to] = normal[0];
+        room.normal_y[to] = normal[1];
+        room.normal_z[to] = normal[2];
+        room.closing_m_per_s[to] = ahead.closing_m_per_s[j];
+        true
+    }
+}

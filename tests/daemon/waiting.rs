@@ -1,0 +1,90 @@
+//! A daemon that makes no ping says what it waits for.
+
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use echotank::io::control::client;
+
+use super::modes::status;
+use super::{Daemon, LIVE, PATIENCE, sentence};
+
+#[test]
+fn what_the_first_ping_waits_for_is_said_until_it_comes() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("live.toml");
+    std::fs::write(&path, LIVE).expect("written");
+    let mut daemon = Daemon::start(&[
+        path.to_str().expect("text"),
+        "--set",
+        "control.listen=127.0.0.1:0",
+        "--set",
+        "nav.source.0.provides=[\"position\", \"heading\", \"roll-pitch\"]",
+    ]);
+    let nav = daemon.announced("nav bridge", "udp");
+    let at = daemon.announced("control http", "http");
+    let first_line = || status(at)["nav"][0].as_str().unwrap_or("").to_owned();
+    let until = |what: &str, says: &mut dyn FnMut(&str)| {
+        let begun = Instant::now();
+        loop {
+            let line = first_line();
+            if line.contains(what) {
+                return line;
+            }
+            assert!(begun.elapsed() < PATIENCE, "no `{what}`: {line}");
+            says(&line);
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    until(
+        "waiting for navigation: nothing has come from any source",
+        &mut |_| {},
+    );
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
+    let say = |bodies: &[&str]| {
+        let text: String = bodies.iter().map(|b| sentence(b)).collect();
+        let _ = socket.send_to(text.as_bytes(), nav);
+    };
+    // A receiver without a date; then a date of long ago; then attitude.
+    let fix = [
+        "GPGGA,120000.00,5400.000000,N,01000.000000,E,1,9,0.9,1.0,M,0.0,M,,",
+        "GPHDT,123.45,T",
+    ];
+    say(&fix);
+    until("has no date", &mut |_| {});
+    say(&["GPZDA,120000.10,17,03,2012,00,00"]);
+    let line = until("no roll-pitch from bridge yet", &mut |_| say(&fix));
+    assert!(!line.contains("no position"), "{line}");
+    // Waiting is no ailment.
+    assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
+    until("nav bridge", &mut |_| {
+        say(&["PSXN,23,1.50,-2.50,123.45,0.20"])
+    });
+    daemon.terminate();
+}
+
+#[test]
+fn a_log_without_what_every_ping_needs_ends_the_daemon_with_words() {
+    // For ever (`loop`), too.
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/nav/gyro_90s.rvdas");
+    for clock in ["realtime", "fast"] {
+        let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+            .arg("run")
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .args([
+                "--set",
+                &format!("nav.source.0.path=\"{}\"", log.display()),
+                "--set",
+                "sonar.output.sevenk.listen=127.0.0.1:0",
+                "--set",
+                &format!("run.clock=\"{clock}\""),
+            ])
+            .output()
+            .expect("echotank runs");
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(!done.status.success(), "{clock}: {said}");
+        assert!(said.contains("no position from"), "{clock}: {said}");
+        assert!(said.contains("`provides`"), "{clock}: {said}");
+    }
+}

@@ -1,0 +1,143 @@
+//! Datagrams that are sent to many: broadcast, multicast; and lines with unusual rates.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use echotank::config::spec::{NavChannel, NavInputSpec, ParitySpec, SerialLine, TimePolicy};
+use echotank::io::nav::NavInputs;
+use echotank::nav::NavHistory;
+use echotank::time::{SystemClock, UtcNs};
+use serialport::SerialPort;
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::{PATIENCE, nav_spec, pseudo_terminal, source};
+
+const HDT: &[u8] = b"$HEHDT,218.53,T*12\r\n";
+
+fn opened(inputs: Vec<NavInputSpec>) -> (NavInputs, NavHistory) {
+    let gyro = |(i, input)| {
+        let mut gyro = source(&format!("gyro{i}"), input);
+        gyro.provides = vec![NavChannel::Heading];
+        gyro.time = TimePolicy::Arrival { latency_s: 0.0 };
+        gyro
+    };
+    let spec = nav_spec(inputs.into_iter().enumerate().map(gyro).collect());
+    let inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    (inputs, NavHistory::new(&spec))
+}
+
+fn samples(inputs: &mut NavInputs, source: usize) -> u64 {
+    inputs.counters()[source].decoder.samples
+}
+
+fn wait(inputs: &mut NavInputs, history: &mut NavHistory, what: &str, want: u64) {
+    let begun = Instant::now();
+    while samples(inputs, 0) < want {
+        assert!(
+            begun.elapsed() < PATIENCE,
+            "{what}: {:?}",
+            inputs.counters()
+        );
+        inputs.pull(UtcNs(i64::MAX), history);
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn sender() -> Socket {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).expect("a socket");
+    let at: SocketAddr = (Ipv4Addr::LOCALHOST, 0).into();
+    socket.bind(&at.into()).expect("bound");
+    socket
+}
+
+fn send(socket: &Socket, bytes: &[u8], to: (Ipv4Addr, u16)) {
+    let to: SocketAddr = to.into();
+    socket.send_to(bytes, &to.into()).expect("sent");
+}
+
+#[test]
+fn a_broadcast_reaches_every_source_that_listens_on_its_port() {
+    let listen = |port| NavInputSpec::Udp {
+        listen: (Ipv4Addr::UNSPECIFIED, port).into(),
+        multicast: None,
+    };
+    let (mut inputs, mut history) = opened(vec![listen(0)]);
+    let port = inputs.listening()[0].1.port();
+    // Another program on the same machine.
+    let (mut others, mut other_history) = opened(vec![listen(port)]);
+    let socket = sender();
+    socket.set_broadcast(true).expect("allowed");
+    for _ in 0..3 {
+        send(&socket, HDT, (Ipv4Addr::new(127, 255, 255, 255), port));
+    }
+    wait(&mut inputs, &mut history, "first", 3);
+    wait(&mut others, &mut other_history, "second", 3);
+}
+
+#[test]
+fn of_the_groups_on_a_port_a_source_hears_its_own_at_the_interface_it_names() {
+    let [own, foreign] = [1, 2].map(|last| Ipv4Addr::new(239, 192, 0, last));
+    let member = |group, port| NavInputSpec::Udp {
+        listen: (Ipv4Addr::LOCALHOST, port).into(),
+        multicast: Some(group),
+    };
+    let (mut inputs, mut history) = opened(vec![member(own, 0)]);
+    let port = inputs.listening()[0].1.port();
+    let (mut others, mut other_history) = opened(vec![member(foreign, port)]);
+    let socket = sender();
+    socket
+        .set_multicast_if_v4(&Ipv4Addr::LOCALHOST)
+        .expect("an interface");
+    // As IEC 61162-450 wraps them: two sentences in a datagram.
+    let wrapped = [
+        b"UdPbC\0\\s:HE0001,n:1*1B\\",
+        HDT,
+        b"\\s:HE0001,n:2*18\\",
+        HDT,
+    ]
+    .concat();
+    for _ in 0..2 {
+        send(&socket, &wrapped, (own, port));
+        send(&socket, HDT, (foreign, port));
+    }
+    wait(&mut inputs, &mut history, "own group", 4);
+    wait(&mut others, &mut other_history, "foreign group", 2);
+    assert_eq!(samples(&mut inputs, 0), 4, "none of the other's");
+    assert_eq!(samples(&mut others, 0), 2, "none of the other's");
+    // What is sent to the computer itself comes too.
+    send(&socket, HDT, (Ipv4Addr::LOCALHOST, port));
+}
+
+#[test]
+fn a_line_of_any_rate_is_opened_at_it() {
+    for (baud, line) in [
+        (4800, SerialLine::default()),
+        // No table has it.
+        (250_000, SerialLine::default()),
+        (
+            38_400,
+            SerialLine {
+                parity: ParitySpec::Even,
+                data_bits: 7,
+                stop_bits: 2,
+            },
+        ),
+    ] {
+        let (mut instrument, port) = pseudo_terminal();
+        let (mut inputs, mut history) = opened(vec![NavInputSpec::Serial {
+            port: port.name().expect("a name"),
+            baud,
+            line,
+        }]);
+        // Both ends of a pseudo-terminal have one rate.
+        assert_eq!(
+            instrument.baud_rate().expect("known"),
+            baud,
+            "{}",
+            line.name()
+        );
+        std::io::Write::write_all(&mut instrument, HDT).expect("written");
+        wait(&mut inputs, &mut history, &line.name(), 1);
+    }
+}

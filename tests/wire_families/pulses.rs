@@ -1,0 +1,143 @@
+//! Two pulses in the water together: what the families that can say so say of the second.
+
+use echotank::config::spec::{MorePulseSpec, SonarSpec};
+use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank::flow::{PingOutput, Pulse, PulseKind, PulseLines};
+use echotank::io::sonar::verify::Verifier;
+use echotank_protocols::sevenk::Record;
+use echotank_protocols::sevenk::records::{SideScan7007, SonarSettings7000};
+use echotank_protocols::xtf::{FileHeader, Ping};
+
+use super::rig::*;
+use super::wire_rig::*;
+
+const DELAY_S: f64 = 2e-3;
+const SAMPLES: usize = 40;
+
+fn two_pulses() -> (SonarSpec, PingOutput) {
+    let mut sonar = sonar();
+    let second = Pulse {
+        kind: PulseKind::LfmDown,
+        center_frequency_hz: 103_000.0,
+        ..sonar.pulse
+    };
+    sonar.more_pulses = vec![MorePulseSpec {
+        pulse: second,
+        delay_s: DELAY_S,
+        transmit: None,
+    }];
+    let mut output = output(SAMPLES);
+    let mut lines = output.lines.clone();
+    for (line, level) in output.lines.iter_mut().zip([0.8, 0.6]) {
+        line.amplitude = vec![level; SAMPLES];
+    }
+    for (line, level) in lines.iter_mut().zip([0.4, 0.2]) {
+        line.amplitude = vec![level; SAMPLES];
+    }
+    output.more_lines = vec![PulseLines {
+        delay_s: DELAY_S,
+        lines,
+    }];
+    (sonar, output)
+}
+
+#[test]
+fn each_pulse_has_settings_and_lines_of_its_own_in_7k_under_one_ping_number() {
+    let (sonar, output) = two_pulses();
+    let mut emitter = SevenKEmitter::new(sheet_of(&sonar), 2);
+    let (plan, mut records) = (plan(9, SAMPLES), Vec::new());
+    emitter.emit_ping(&plan, &output, RecordSet::ALL, &mut records);
+    let of = |id: u32| {
+        let found = records.iter().filter(move |r| r.record_type == id);
+        found.map(|r| Record::parse(&r.bytes).expect("a record"))
+    };
+    let settings: Vec<_> = of(7000)
+        .map(|r| SonarSettings7000::parse(r.body()).expect("7000"))
+        .collect();
+    let said = settings.iter();
+    let said: Vec<_> = said
+        .map(|s| (s.ping_number, s.multi_ping_sequence, s.frequency_hz))
+        .collect();
+    assert_eq!(said, [(9, 1, 100_000.0), (9, 2, 103_000.0)]);
+    let last: Vec<_> = records
+        .iter()
+        .rev()
+        .take(2)
+        .map(|r| r.record_type)
+        .collect();
+    assert_eq!(last, [7007, 7000], "the second pulse comes behind the ping");
+
+    let lines: Vec<_> = of(7007).collect();
+    let levels: Vec<_> = lines
+        .iter()
+        .map(|r| {
+            let line = SideScan7007::parse(r.body()).expect("7007");
+            let counts = [line.port().next(), line.starboard().next()];
+            (line.rth.multi_ping_sequence, counts.map(Option::unwrap))
+        })
+        .collect();
+    let [(1, own), (2, second)] = levels[..] else {
+        panic!("{levels:?}")
+    };
+    for (own, second, ratio) in [(own[0], second[0], 0.5), (own[1], second[1], 1.0 / 3.0)] {
+        let got = f64::from(second) / f64::from(own);
+        assert!((got - ratio).abs() < 1e-3, "{got}, want {ratio}");
+    }
+    // Each carries the end of its own transmission.
+    let times = lines
+        .iter()
+        .map(|r| r.frame.time.to_utc_ns().expect("a time"));
+    for (time, late_s) in times.zip([0.0, DELAY_S]) {
+        let want = plan.stamp_utc.plus_s(PULSE_S + late_s).0;
+        assert!((time - want).abs() < 4000, "{time}, want {want}");
+    }
+
+    // Who counts pings counts it once.
+    let mut verifier = Verifier::default();
+    for record in &records {
+        let body = Record::parse(&record.bytes).expect("a record");
+        verifier.note(record.record_type, body.body());
+    }
+    for id in [7000, 7007] {
+        let tally = verifier.tally(id);
+        assert_eq!((tally.sent, tally.received, tally.duplicate), (1, 1, 0));
+    }
+}
+
+#[test]
+fn each_pulse_has_channels_of_its_own_in_xtf() {
+    let (sonar, output) = two_pulses();
+    let mut emitter = xtf_emitter(&sonar);
+    let file = FileHeader::parse(&emitter.file_head()).expect("a header");
+    let channels = file.channels.iter();
+    let channels: Vec<_> = channels
+        .map(|c| (c.name.as_str(), c.frequency_khz))
+        .collect();
+    assert_eq!(
+        channels,
+        [
+            ("port", 100.0),
+            ("starboard", 100.0),
+            ("port 2", 103.0),
+            ("starboard 2", 103.0)
+        ]
+    );
+    let mut packets = Vec::new();
+    emitter.emit_ping(&plan(9, SAMPLES), &output, &mut packets);
+    let ping = Ping::parse(&packets[64..], &file).expect("a ping");
+    let of = ping.channels.iter();
+    let of: Vec<_> = of
+        .map(|c| {
+            let first = c.values().next().expect("samples");
+            (c.header.frequency_khz, first)
+        })
+        .collect();
+    assert_eq!(
+        of.iter().map(|c| c.0).collect::<Vec<_>>(),
+        [100, 100, 103, 103]
+    );
+    for (k, ratio) in [(1, 0.75), (2, 0.5), (3, 0.25)] {
+        let got = of[k].1 / of[0].1;
+        assert!((got - ratio).abs() < 1e-3, "channel {k}: {got}");
+    }
+}
