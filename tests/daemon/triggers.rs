@@ -173,8 +173,11 @@ fn in_lockstep_a_trigger_is_a_step_and_a_number_counts_once() {
     daemon.terminate();
 }
 
-/// Ping number and time stamp (bytes of the record's frame) of every 7000 of a sonar's records, and all its records of pings.
-fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, BTreeMap<(u32, u32), Vec<u8>>) {
+/// Bodies by kind and ping number.
+type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
+
+/// Ping number and time stamp (of the record's frame) of every 7000 of a sonar's records, and all its records of pings.
+fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
     let files = std::fs::read_dir(folder).expect("folder");
     let mut paths = files.map(|e| e.expect("entry").path());
     let its = |path: &std::path::PathBuf| {
