@@ -151,7 +151,12 @@ impl Beats {
         in_force: impl Fn(UtcNs) -> InForce,
     ) -> Option<Event> {
         let lane = &mut self.lanes[sonar];
-        let queued = lane.schedule.queued_due(at, |at| in_force(at).triggered());
+        let queued = lane.schedule.queued_due(at, |at| {
+            // A second trigger of a sonar with a beat of its own waits too.
+            let InForce { settings, armed } = in_force(at);
+            let armed = armed || settings.pinging;
+            InForce { settings, armed }.triggered()
+        });
         if let Some(triggered) = queued {
             return Some(Event::Trigger(triggered));
         }
@@ -273,7 +278,7 @@ mod tests {
     fn a_second_trigger_is_early_and_refused_or_makes_a_ping_as_soon_as_it_may() {
         for (early, want) in [
             (EarlyTrigger::Refuse, vec![0, 200, 400]),
-            (EarlyTrigger::Queue, vec![0, 103, 206, 400]),
+            (EarlyTrigger::Queue, vec![0, 103, 206, 406]),
         ] {
             let spec = TriggerSpec {
                 early,
