@@ -205,8 +205,6 @@ fn the_makers_rust_client_is_obeyed_by_an_omniscan_over_tcp_and_udp() {
         "sonar.1.output.ping.listen=127.0.0.1:0",
         "--set",
         "scene.seabed.density_per_m2=3.0",
-        "--set",
-        "sonar.model.synthesis=direct",
     ]);
     let at = daemon.announced("ping port", "tcp");
     run(async {
@@ -292,8 +290,6 @@ fn the_makers_rust_client_is_obeyed_by_a_surveyor_over_tcp_and_udp() {
         "sonar.output.ping.listen=127.0.0.1:0",
         "--set",
         "scene.seabed.density_per_m2=1.0",
-        "--set",
-        "sonar.model.synthesis=direct",
     ]);
     let at = daemon.announced("ping surveyor", "tcp");
     run(async {
