@@ -645,6 +645,10 @@ pub struct Heard {
     /// By how much the errors of echoes at random phases add up to more than their root mean square in the worst window of any element, and
     /// what else a sample of the echoes does not show.
     pub spread: f64,
+    /// Of the energy of a window, at most, what its loudest echo alone has.
+    pub loudest: f64,
+    /// Echoes of all elements.
+    pub echoes: f64,
 }
 
 impl Conditions {

@@ -14,6 +14,8 @@ mod makers_client;
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/plans.rs"]
+mod plans;
 #[path = "daemon/streaming.rs"]
 mod streaming;
 #[path = "daemon/triggers.rs"]

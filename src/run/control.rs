@@ -478,6 +478,18 @@ impl ControlPort for RunControl {
                 }
             }
         }
+        for (k, (name, doc, _)) in first.counters.errors().into_iter().enumerate() {
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} gauge"
+            );
+            for sonar in &self.sonars {
+                if let Some(value) = sonar.counters.errors()[k].2 {
+                    let who = &sonar.name;
+                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{who}\"}} {value:e}");
+                }
+            }
+        }
         for (k, (name, doc, _)) in first.histograms.all().into_iter().enumerate() {
             let name = format!("echotank_{name}_seconds");
             let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} summary");

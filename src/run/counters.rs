@@ -298,6 +298,38 @@ impl PingCounters {
         .map(|(name, doc, counter)| (name, doc, read(counter)))
     }
 
+    /// As [`Self::all`], of what is no count: what the newest ping's plan and certificate say. None where there is none.
+    pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
+        let of = |bits: &AtomicU64| f64::from_bits(read(bits));
+        let planned = read(&self.plan) > 0;
+        let certified = read(&self.certified) > 0;
+        let [predicted, tolerance] = [0, 1].map(|k| planned.then(|| of(&self.plan_promise[k])));
+        let measured = certified.then(|| of(&self.certificate[0]));
+        let margin = tolerance.zip(measured);
+        [
+            (
+                "plan_predicted_error",
+                "Error of element samples that the newest ping's plan of methods promises not to exceed, relative",
+                predicted,
+            ),
+            (
+                "plan_tolerance",
+                "Error that the newest ping's plan of methods is allowed",
+                tolerance,
+            ),
+            (
+                "certificate_error",
+                "Measured error of the newest certificate",
+                measured,
+            ),
+            (
+                "plan_margin",
+                "Tolerance over measured error",
+                margin.map(|(tolerance, error)| tolerance / error.max(f64::MIN_POSITIVE)),
+            ),
+        ]
+    }
+
     pub fn skipped(&self) -> u64 {
         read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
     }

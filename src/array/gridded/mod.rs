@@ -9,6 +9,7 @@ mod avx512;
 mod choose;
 pub mod dialect;
 pub mod doppler;
+pub mod foreseen;
 pub mod kernel;
 mod least_squares;
 pub mod moments;
@@ -19,4 +20,5 @@ pub mod transform;
 
 pub use dialect::Dialect;
 pub use doppler::DopplerSpan;
+pub use foreseen::Foreseen;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};

@@ -258,9 +258,20 @@ pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
         .map_err(Failure::running)?;
     std::fs::write(file, costs.text())
         .map_err(|why| Failure::Configuration(format!("{}: {why}", file.display())))?;
+    let near = |(_, predicted_ms, took_ms): &&(String, f64, f64)| {
+        (1.0 / 1.5..=1.5).contains(&(predicted_ms / took_ms))
+    };
+    let within = methods.iter().filter(near).count();
     println!(
-        "{methods} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square)\nwrote {}",
-        file.display()
+        "{} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square), {within} of them within 1.5",
+        methods.len()
     );
+    let mut worst: Vec<_> = methods.iter().collect();
+    let off = |(_, predicted_ms, took_ms): &(String, f64, f64)| (predicted_ms / took_ms).ln().abs();
+    worst.sort_by(|a, b| off(b).total_cmp(&off(a)));
+    for (name, predicted_ms, took_ms) in worst.iter().take(12) {
+        println!("  {took_ms:>8.2} ms, {predicted_ms:>8.2} predicted: {name}");
+    }
+    println!("wrote {}", file.display());
     Ok(())
 }

@@ -744,8 +744,8 @@ fn model(
 /// What is left to the plan of methods.
 const AUTO: &str = "auto";
 
-/// Of a path that is left to the plan, until it is made, seconds.
-const START_SEGMENT_S: f64 = 0.01;
+/// Of a path that is left to the plan, until it is made, seconds: short enough for any motion there is.
+const START_SEGMENT_S: f64 = 0.001;
 
 fn auto_model(table: &RawTable) -> AutoModel {
     let is_auto = |key: &str| table.text(key) == Some(AUTO);
