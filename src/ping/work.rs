@@ -48,6 +48,7 @@ figures! {
     DirectEdge "direct_edge" "the two sharp ends of an echo in `direct` behind the receiver filter";
     ReferencePoint "reference_point" "a point of an echo in `reference`";
     SpectralBin "spectral_bin" "a bin of an echo in `spectral`";
+    ReplicaEcho "replica_echo" "an echo in `nearest` and `linear`";
     ReplicaSample "replica_sample" "a sample of an echo in `nearest`; `linear` has two";
     FilterTap "filter_tap" "a tap of the receiver filter, for each sample behind it";
     Gridded1dEcho "gridded_1d_echo" "what `gridded-1d` foresees for its echoes, in its own ns";

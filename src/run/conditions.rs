@@ -13,7 +13,7 @@ const STILL_M_PER_S2: f64 = 1e-9;
 const STILL_M_PER_S: f64 = 1e-12;
 
 /// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`.
-pub fn step_s(window_s: f64, segment_s: f64) -> f64 {
+pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
     window_s / (window_s / segment_s).ceil().max(1.0)
 }
 
@@ -76,7 +76,7 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         acceleration_m_per_s2: above(acceleration, STILL_M_PER_S2),
         turning_m_per_s: above(turning, STILL_M_PER_S),
         range_m: (nearest_m.clamp(wavelength_m, farthest_m), farthest_m),
-        segment_s: step_s(plan.window_s(rate_hz), plan.model.segment_s),
+        segment_s: segment_step_s(plan.window_s(rate_hz), plan.model.segment_s),
         scatterers: scatterers.len(),
         elements: spec.receive.iter().map(|array| array.elements).sum(),
         tolerance: spec.synthesis.tolerance,

@@ -234,9 +234,8 @@ fn says_much(candidate: &Candidate) -> bool {
     match (model.path, model.doppler) {
         (PathModel::StopAndHop, DopplerModel::None) => true,
         (PathModel::KSegment, DopplerModel::Stretch) => segment_ms == 10 || segment_ms == 1,
-        (PathModel::KSegment | PathModel::Continuous, DopplerModel::StretchQuadratic) => {
-            segment_ms == 10
-        }
+        (PathModel::KSegment, DopplerModel::StretchQuadratic) => segment_ms == 10,
+        (PathModel::Continuous, DopplerModel::StretchQuadratic) => true,
         _ => false,
     }
 }

@@ -24,11 +24,11 @@ use crate::flow::{
 };
 use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::ping::work::{Figure, Work};
-use crate::run::conditions::{conditions, step_s};
+use crate::run::conditions::{conditions, segment_step_s};
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::heard::{Shares, kept_shares};
-use crate::run::fidelity::walked::{Walked, direct_runs};
+use crate::run::fidelity::walked::{Walked, direct_runs, flank_points};
 use crate::run::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
 
@@ -242,7 +242,7 @@ impl<'a> Maker<'a> {
         for (path, segment_s) in paths {
             let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
             let under = Conditions {
-                segment_s: step_s(window_s, segment_s),
+                segment_s: segment_step_s(window_s, segment_s),
                 ..self.conditions
             };
             for &doppler in &dopplers {
@@ -546,7 +546,7 @@ impl<'a> Maker<'a> {
                 let sharp = filtered && pulse.taper == 0.0;
                 Work::of(Figure::DirectRun, pairs * runs)
                     .and(Figure::DirectPoint, pairs * points)
-                    .and(Figure::DirectFlank, pairs * points * pulse.taper)
+                    .and(Figure::DirectFlank, pairs * flank_points(pulse, points))
                     .and(Figure::DirectEdge, if sharp { pairs } else { 0.0 })
                     .and(Figure::FilterTap, self.samples() * self.taps(synthesis))
             }
@@ -555,8 +555,14 @@ impl<'a> Maker<'a> {
                 let bins = self.scene.plan.sample_count as f64 + echo_samples + tails;
                 Work::of(Figure::SpectralBin, pairs * bins)
             }
-            Synthesis::Nearest => Work::of(Figure::ReplicaSample, pairs * echo_samples),
-            Synthesis::Linear => Work::of(Figure::ReplicaSample, 2.0 * pairs * echo_samples),
+            Synthesis::Nearest | Synthesis::Linear => {
+                let of_each = match synthesis {
+                    Synthesis::Linear => 2.0,
+                    _ => 1.0,
+                };
+                Work::of(Figure::ReplicaSample, of_each * pairs * echo_samples)
+                    .and(Figure::ReplicaEcho, pairs)
+            }
             _ => Work::NONE,
         };
         let card = synthesis_card(synthesis, &self.conditions);

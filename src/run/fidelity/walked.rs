@@ -1,7 +1,7 @@
 //! How much of the walk over the scatterers a ping asks for: what the closed forms of its costs want to know of scene and sonar.
 
 use crate::config::spec::SonarSpec;
-use crate::flow::{CHUNK, Conditions, DopplerModel, Pattern, PingPlan, Scatterers};
+use crate::flow::{CHUNK, Conditions, DopplerModel, Pattern, PingPlan, Pulse, Scatterers};
 
 /// Points of an echo that `direct` makes from one start, at most, and at a time.
 const LONGEST_RUN: f64 = 512.0;
@@ -78,4 +78,13 @@ pub fn direct_runs(conditions: &Conditions, doppler: DopplerModel, dense_rate_hz
         _ => LONGEST_RUN,
     };
     (points / longest).ceil().max(1.0)
+}
+
+/// Of an echo's points those that are weighted one by one: on its flanks, in whole blocks, and what is left over at its end.
+pub fn flank_points(pulse: &Pulse, points: f64) -> f64 {
+    let ends = match pulse.taper > 0.0 {
+        true => 1.5 * LANES,
+        false => 0.5 * LANES,
+    };
+    pulse.taper * points + ends
 }
