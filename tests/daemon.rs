@@ -8,6 +8,8 @@ mod families;
 mod faults;
 #[path = "daemon/killed.rs"]
 mod killed;
+#[path = "daemon/load.rs"]
+mod load;
 #[path = "daemon/makers_client.rs"]
 mod makers_client;
 #[path = "daemon/modes.rs"]

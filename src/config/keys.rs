@@ -1099,7 +1099,7 @@ static PULSE: Table = Table {
 };
 
 static MORE_PULSE: Table = Table {
-    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture; not in 7k records). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
+    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture, records 7000 and 7007 of their own, channels of XTF, subsystems of JSF). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
     keys: &[
         key(
             "sweep",

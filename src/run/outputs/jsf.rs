@@ -132,9 +132,8 @@ impl Output for Jsf {
         if self.data.wanted().is_empty() && self.recorder.is_none() {
             return;
         }
-        let subsystem = self.emitter.sheet().output.subsystem;
         let settings = Arc::clone(&self.settings);
-        let active = |channel| is_active(settings.as_ref(), subsystem, channel);
+        let active = |subsystem, channel| is_active(settings.as_ref(), subsystem, channel);
         self.emitter
             .emit_ping(&slot.plan, &slot.output, active, &mut self.pending);
     }
