@@ -24,15 +24,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
-use self::beat::{Beat, Company};
+use self::beat::{Beat, Company, Ordered};
 use self::triggers::{Triggers, at_first};
 use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use serde::Serialize;
 use thiserror::Error;
 
 use crate::config::spec::{
-    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec,
+    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, OverloadSpec, RigSpec, StampSpec,
 };
+use crate::flow::Strain;
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
@@ -50,10 +52,10 @@ use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
 use crate::run::faults::nav::NavSpoiler;
-use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
+use crate::run::overload::{Backlog, Ladder, Strained};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
@@ -117,6 +119,17 @@ struct Due {
     ready_by: MonoNs,
     /// All that leaves at the end of the ping.
     deadline: MonoNs,
+}
+
+/// How a ping is made where time is the machine's.
+#[derive(Clone, Copy)]
+struct Paced {
+    due: Due,
+    /// How loose it is.
+    rung: usize,
+    put_off_s: f64,
+    /// Not before then, rehearsed.
+    least: MonoNs,
 }
 
 /// What a delivery thread works with besides its outputs.
@@ -193,6 +206,8 @@ fn open_lane(
 struct Waiting {
     sonar: usize,
     order: PingOrder,
+    /// How much later its pulse is than the beat had it.
+    put_off_s: f64,
     window_s: f64,
     due: Due,
 }
@@ -230,7 +245,13 @@ impl Daemon {
         };
         remarks.push(punctuality(spec.run.priority));
         let pool = pool(threads)?;
-        let rig = pool.install(|| Rig::open(spec))?;
+        let rig = pool.install(|| {
+            let mut rig = Rig::open(spec)?;
+            if spec.run.overload == OverloadSpec::Degrade && !spec.run.clock.is_own() {
+                rig.make_looser()?;
+            }
+            Ok::<_, RigError>(rig)
+        })?;
         let mut inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
         let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
         inputs.spoil_with(Box::new(spoiler));
@@ -389,7 +410,8 @@ impl Daemon {
         let notify = Notify::from_environment();
         notify.ready();
         let faults = rig.faults.clone();
-        let mut fault_log = FaultLogFile::new(&rig.spec);
+        let mut fault_log = EventLog::new("faults", &rig.spec);
+        let mut strain_log = EventLog::new("overload", &rig.spec);
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -407,7 +429,12 @@ impl Daemon {
             lanes.push(lane);
             deliveries.extend(threads);
         }
+        let backlog = Arc::new(Backlog::new(settings.len()));
+        let ladders = rig.sonars.iter().map(|unit| Ladder::new(unit.rungs()));
         let pacer = Pacer {
+            ladders: ladders.collect(),
+            backlog,
+            has_rested: true,
             first: None,
             triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
@@ -442,7 +469,8 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults, control.sonars());
+            fault_log.write(&faults.take_injections(), control.sonars());
+            strain_log.write(&control.strains().take(), control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -460,35 +488,37 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults, control.sonars());
+        fault_log.write(&faults.take_injections(), control.sonars());
+        strain_log.write(&control.strains().take(), control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         pinged.and(closed.map_err(DaemonError::Output))
     }
 }
 
-/// The log of injected faults; begun with the first of them.
-struct FaultLogFile {
+/// A log of what befell single pings, JSON lines; begun with the first of them.
+struct EventLog {
+    stem: &'static str,
     directory: Option<PathBuf>,
     log: Option<FaultLog>,
 }
 
-impl FaultLogFile {
-    fn new(spec: &RigSpec) -> Self {
+impl EventLog {
+    fn new(stem: &'static str, spec: &RigSpec) -> Self {
         let beside = spec.record.as_ref().map(|record| record.directory.clone());
         Self {
+            stem,
             directory: spec.run.fault_directory.clone().or(beside),
             log: None,
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
-    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
-        let injections = faults.take_injections();
-        if injections.is_empty() || self.directory.is_none() {
+    /// Writes what happened since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write<T: Serialize>(&mut self, events: &[T], sonars: &[SonarControl]) {
+        if events.is_empty() || self.directory.is_none() {
             return;
         }
-        if let Err(error) = self.append(&injections) {
+        if let Err(error) = self.append(events) {
             eprintln!("echotank: {error}");
             if let Some(first) = sonars.first() {
                 add(&first.counters.recordings_stopped, 1);
@@ -497,7 +527,7 @@ impl FaultLogFile {
         }
     }
 
-    fn append(&mut self, injections: &[Injection]) -> Result<(), DaemonError> {
+    fn append<T: Serialize>(&mut self, events: &[T]) -> Result<(), DaemonError> {
         let Some(directory) = &self.directory else {
             return Ok(());
         };
@@ -506,11 +536,11 @@ impl FaultLogFile {
             none => {
                 make_folder(directory)?;
                 let now = DateTime::from_timestamp_nanos(SystemClock::new().host_utc().0);
-                let name = format!("faults-{}.jsonl", now.format("%Y%m%dT%H%M%S"));
+                let name = format!("{}-{}.jsonl", self.stem, now.format("%Y%m%dT%H%M%S"));
                 none.insert(FaultLog::create(&directory.join(name))?)
             }
         };
-        Ok(log.write(injections)?)
+        Ok(log.write(events)?)
     }
 }
 
@@ -574,6 +604,12 @@ fn wire_time(
 /// Turns the passing of time into orders, and orders into pings.
 struct Pacer {
     rig: Rig,
+    /// What pings cost and how loose they are, one per sonar.
+    ladders: Vec<Ladder>,
+    /// What the beat is told of that.
+    backlog: Arc<Backlog>,
+    /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
+    has_rested: bool,
     inputs: NavInputs,
     nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
@@ -643,6 +679,7 @@ impl Pacer {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
                         self.waiting.pop_front();
+                        self.backlog.done(front.sonar);
                         continue;
                     }
                     Step::Wait(until) => until,
@@ -651,6 +688,7 @@ impl Pacer {
                 None => now.plus_ns(50 * POLL_NS),
             };
             let wait_until = wait_until.min(self.nav_out.next_publish());
+            self.has_rested = true;
             self.clock.doze_until(wait_until, &coming.bell);
         }
         Ok(())
@@ -713,6 +751,7 @@ impl Pacer {
             control: self.control.clone(),
             faults: self.rig.faults.clone(),
             clock: self.clock.clone(),
+            backlog: self.backlog.clone(),
         };
         let triggers = self.triggers.take()?;
         let spec = &self.rig.spec;
@@ -788,39 +827,40 @@ impl Pacer {
         for (sonar, settings) in self.settings.iter().enumerate() {
             if settings.version() != self.foreseen[sonar] {
                 let (settings, version) = settings.snapshot();
-                self.rig.sonars[sonar].pipeline.expect(&settings);
+                self.rig.sonars[sonar].expect(&settings);
                 self.foreseen[sonar] = version;
             }
         }
     }
 
     /// Puts down every ping whose instant has come.
-    fn take_orders(&mut self, orders: &Receiver<(usize, PingOrder)>, timeline: &Timeline) {
-        let latency_s = self.rig.spec.run.latency_s;
+    fn take_orders(&mut self, orders: &Receiver<Ordered>, timeline: &Timeline) {
         let ended = match self.inputs.finished() {
             true => self.inputs.recorded_end(),
             false => None,
         };
-        for (sonar, order) in orders.try_iter() {
+        for ordered in orders.try_iter() {
+            let Ordered {
+                sonar,
+                order,
+                put_off_s,
+            } = ordered;
             // A log that has ended makes no more pings; the beat may have gone on a little.
             if ended.is_some_and(|end| order.transmit_utc >= end) {
+                self.backlog.done(sonar);
                 continue;
             }
             if self.waiting.len() >= MOST_ORDERS {
+                self.backlog.done(sonar);
                 add(&self.counters(sonar).skipped_queue, 1);
                 continue;
             }
             let window_s = self.rig.window_s(sonar, &order);
-            let pulse = timeline.mono(order.transmit_utc);
-            let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
-            let ready_by = match self.rig.spec.run.delivery {
-                DeliverySpec::PingEnd => deadline,
-                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
-            };
+            let run = &self.rig.spec.run;
             let due = Due {
-                pulse,
-                ready_by,
-                deadline,
+                pulse: timeline.mono(order.transmit_utc),
+                ready_by: timeline.mono(order.transmit_utc.plus_s(run.ready_after_s(window_s))),
+                deadline: timeline.mono(order.transmit_utc.plus_s(window_s + run.latency_s)),
             };
             let place = self
                 .waiting
@@ -830,6 +870,7 @@ impl Pacer {
                 Waiting {
                     sonar,
                     order,
+                    put_off_s,
                     window_s,
                     due,
                 },
@@ -843,6 +884,7 @@ impl Pacer {
             order,
             window_s,
             due,
+            put_off_s,
         } = *front;
         let deadline = due.ready_by;
         let mode = self.rig.spec.nav.mode;
@@ -858,14 +900,12 @@ impl Pacer {
             }
         };
         if now >= deadline {
-            add(
-                if covered {
-                    &self.counters(sonar).skipped_late
-                } else {
-                    &self.counters(sonar).skipped_nav
-                },
-                1,
-            );
+            if covered {
+                add(&self.counters(sonar).skipped_late, 1);
+                self.strained("skipped", sonar, &order);
+            } else {
+                add(&self.counters(sonar).skipped_nav, 1);
+            }
             return Step::Done;
         }
         if !covered {
@@ -874,8 +914,44 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        self.compute(sonar, &order, Some(due), slot, timeline);
+        let waited = !self.has_rested;
+        let Some(rung) = self.ladders[sonar].choose(deadline.0 - now.0, waited) else {
+            add(&self.counters(sonar).skipped_late, 1);
+            self.strained("skipped", sonar, &order);
+            self.lanes[sonar].spare = Some(slot);
+            return Step::Done;
+        };
+        self.has_rested = false;
+        self.backlog.begun(now.0);
+        let rehearsed_s = self.rig.spec.run.rehearse_s * 0.5_f64.powi(rung as i32);
+        let paced = Paced {
+            due,
+            rung,
+            put_off_s,
+            least: now.plus_s(rehearsed_s),
+        };
+        self.compute(sonar, &order, Some(paced), slot, timeline);
+        let ready = self.clock.mono();
+        let ladder = &mut self.ladders[sonar];
+        ladder.note(ready.0 - now.0, ready <= deadline);
+        self.backlog.costs(sonar, ladder.now_ns());
         Step::Done
+    }
+
+    fn strained(&self, what: &'static str, sonar: usize, order: &PingOrder) {
+        self.strained_as(what, sonar, order, Strain::NONE);
+    }
+
+    fn strained_as(&self, what: &'static str, sonar: usize, order: &PingOrder, strain: Strain) {
+        let put_off = Some(strain.put_off_s).filter(|put_off_s| *put_off_s > 0.0);
+        self.control.strains().note(Strained {
+            what,
+            sonar: self.control.sonars()[sonar].name.clone(),
+            ping_number: order.ping_number,
+            utc_ns: order.transmit_utc.0,
+            tolerance: strain.tolerance,
+            put_off_ms: put_off.map(|put_off_s| put_off_s * 1e3),
+        });
     }
 
     fn counters(&self, sonar: usize) -> &PingCounters {
@@ -887,15 +963,22 @@ impl Pacer {
         &mut self,
         sonar: usize,
         order: &PingOrder,
-        due: Option<Due>,
+        paced: Option<Paced>,
         mut slot: Box<PingSlot>,
         timeline: &Timeline,
     ) -> bool {
+        let due = paced.map(|paced| paced.due);
+        let rung = paced.map_or(0, |paced| paced.rung);
         let began = self.machine.mono();
         let mode = self.rig.spec.nav.mode;
         let host_now = self.clock.host_utc();
         let host_utc = host_now.plus_ns(timeline.mono(order.transmit_utc).0 - self.clock.mono().0);
-        let made = self.rig.make(sonar, order, mode, host_utc, &mut slot);
+        let made = self
+            .rig
+            .make_on(rung, sonar, order, mode, host_utc, &mut slot);
+        if let Some(paced) = paced {
+            self.clock.sleep_until(paced.least);
+        }
         let SonarControl {
             counters,
             histograms,
@@ -906,12 +989,28 @@ impl Pacer {
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
+        if let Some(put_off_s) = paced.map(|paced| paced.put_off_s).filter(|s| *s > 0.0) {
+            slot.output.strain.put_off_s = put_off_s;
+            // The rate actually kept.
+            slot.plan.ping_rate_hz = 1.0 / (1.0 / slot.plan.ping_rate_hz + put_off_s);
+        }
         let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
         if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
             // Its first samples cannot leave in time: none do, or the latency would not be constant.
             add(&counters.skipped_late, 1);
+            self.strained("skipped", sonar, order);
             self.lanes[sonar].spare = Some(slot);
             return false;
+        }
+        let strain = slot.output.strain;
+        if strain.tolerance.is_some() {
+            self.strained_as("degraded", sonar, order, strain);
+        }
+        if strain.put_off_s > 0.0 {
+            self.strained_as("stretched", sonar, order, strain);
+        }
+        if due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+            self.strained_as("late", sonar, order, strain);
         }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
@@ -919,6 +1018,7 @@ impl Pacer {
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        counters.strain(rung, &output.strain);
         if let Some(planner) = &self.rig.sonars[sonar].planner {
             counters.plan(output.fidelity.as_ref(), &planner.counts);
         }
@@ -982,6 +1082,7 @@ fn deliver(
             let late_us = (way.clock.mono().0 - deadline.0).max(0) as u64 / 1000;
             way.histograms.start_error_us(late_us);
             worst(&way.counters.worst_late_us, late_us);
+            way.counters.drift_us.store(late_us, Ordering::Relaxed);
             if late_us > DEADLINE_TOLERANCE_US {
                 add(&way.counters.deadline_misses, 1);
             }

@@ -16,6 +16,7 @@ pub mod line_engines;
 pub mod line_truth;
 pub mod more_pulses;
 pub mod outputs;
+pub mod overload;
 pub mod page;
 pub mod pictures;
 pub mod pipeline;

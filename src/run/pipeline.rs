@@ -30,7 +30,8 @@ use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
     BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, ModelChoice,
-    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
+    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Strain,
+    Synthesis,
 };
 use crate::image::bottom::BottomDetector;
 use crate::ping;
@@ -260,6 +261,7 @@ impl SonarPipeline {
             scene: SceneCounts::default(),
             certificate: None,
             fidelity: None,
+            strain: Strain::NONE,
         }
     }
 

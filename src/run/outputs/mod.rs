@@ -23,7 +23,7 @@ use crate::io::datagrams::Leaving;
 use crate::io::line::Line as Passage;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
-use crate::io::sonar::{OpenError, RigTime};
+use crate::io::sonar::{OpenError, RigTime, SonarServer};
 use crate::run::faults::line::{Line, LineMark, Shape};
 use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
@@ -176,6 +176,13 @@ impl Opening<'_> {
     fn line(&self, shape: Shape) -> Box<dyn Passage> {
         let faults = Arc::clone(&self.unit.faults);
         Box::new(Line::new(faults, shape, Arc::clone(&self.mark)))
+    }
+
+    /// What a server's records pass on their way, and how they are spread.
+    fn lay(&self, server: &SonarServer, shape: Shape) {
+        server.set_line(self.line(shape));
+        server.set_sending(self.sending.clone());
+        server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
     /// `NAME-20140801T000010.EXTENSION`: one run's recording does not overwrite another's.
