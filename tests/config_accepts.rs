@@ -98,7 +98,7 @@ fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_
     let rig = parse(&minimal());
     assert_eq!(rig.run.delivery, DeliverySpec::PingEnd);
     assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.0, Some(0.8)));
-    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\npace = \"burst\"\n";
+    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\nstream_tiles = true\npace = \"burst\"\n";
     let output =
         "\n[sonar.output.elements]\nsend_to = \"127.0.0.1:5, 127.0.0.1:6\"\nsample = \"f32\"\n";
     let text = minimal().replace(
@@ -112,6 +112,7 @@ fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_
         DeliverySpec::Streaming { block_s, latency_s }
     );
     assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.1, None));
+    assert!(rig.run.stream_tiles && !rig.run.pace_tcp);
     let OutputSpec::Elements(elements) = &rig.sonars[0].outputs[0] else {
         panic!("{:?}", rig.sonars[0].outputs);
     };

@@ -240,6 +240,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     }
     if let Some(t) = table.table("run") {
         overload::refuse_what_has_nothing_to_give(t, &heads, problems);
+        streaming::refuse_what_has_no_tiles(t, &heads, problems);
     }
     let rig = scene::Rig {
         sonars: &heads,
@@ -395,6 +396,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
         },
         pace_tcp: table.bool("pace_tcp")?,
         delivery: delivery?,
+        stream_tiles: table.bool("stream_tiles")?,
         overload: match table.text("overload")? {
             "degrade" => OverloadSpec::Degrade,
             "stretch" => OverloadSpec::Stretch,

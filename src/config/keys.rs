@@ -964,6 +964,12 @@ static RUN: Table = Table {
             "Constant. Only with delivery = \"streaming\".",
         ),
         key(
+            "stream_tiles",
+            Kind::Bool,
+            Default("false"),
+            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\", \"direct\", \"nearest\" or \"linear\", without certificates, further pulses and passband samples.",
+        ),
+        key(
             "ahead_ms",
             Kind::Number(from(0.0, 10_000.0)),
             Shown("100.0"),
@@ -1009,7 +1015,7 @@ static RUN: Table = Table {
             "fault_directory",
             Kind::Folder,
             Optional("\"out\""),
-            "Where faults-TIME.jsonl and overload-TIME.jsonl go; left out: record.directory, and without that nowhere.",
+            "Where faults-TIME.jsonl and overload-TIME.jsonl go; left out: record.directory (with overload = \"skip\" the first alone), and without that nowhere.",
         ),
         key(
             "costs",

@@ -810,6 +810,8 @@ pub struct RunSpec {
     /// So over TCP too.
     pub pace_tcp: bool,
     pub delivery: DeliverySpec,
+    /// Pings that stream are made tile by tile, and leave meanwhile.
+    pub stream_tiles: bool,
     pub overload: OverloadSpec,
     /// A ping takes at least so long, and half of it at each looser tolerance, seconds: an overload rehearsed.
     pub rehearse_s: f64,

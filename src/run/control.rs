@@ -474,7 +474,8 @@ impl ControlPort for RunControl {
             return text;
         };
         for (k, (name, doc, _)) in first.all_counters().enumerate() {
-            let kind = match name.starts_with("worst_") || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us")
+            let kind = match name.starts_with("worst_")
+                || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us")
             {
                 true => "gauge",
                 false => "counter",

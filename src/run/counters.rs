@@ -19,6 +19,8 @@ pub struct PingCounters {
     /// Made with a looser tolerance because computing did not keep up, and how many steps looser the newest ping is.
     pub degraded: AtomicU64,
     pub looser: AtomicU64,
+    /// Began to stream, and could not go on in time: the rest of their samples did not leave by the streams.
+    pub torn: AtomicU64,
     /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
     pub stretched: AtomicU64,
     pub stretched_us: AtomicU64,
@@ -166,6 +168,10 @@ impl PingCounters {
             (n, 0) => text += &format!(", OVERLOAD: {n} made looser, none now"),
             (n, now) => text += &format!(", OVERLOAD: {n} made looser, now by {now} steps"),
         }
+        match read(&self.torn) {
+            0 => {}
+            n => text += &format!(", OVERLOAD: {n} torn while they streamed"),
+        }
         match read(&self.stretched) {
             0 => {}
             n => {
@@ -269,6 +275,11 @@ impl PingCounters {
                 "looser_now",
                 "Steps by which the newest ping's tolerance is looser than the configured one",
                 &self.looser,
+            ),
+            (
+                "pings_torn",
+                "Pings whose first samples streamed, and whose others were not ready in time to",
+                &self.torn,
             ),
             (
                 "pings_stretched",

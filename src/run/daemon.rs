@@ -19,6 +19,7 @@ mod triggers;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -59,6 +60,7 @@ use crate::run::overload::{Backlog, Ladder, Strained};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
+use crate::run::tiles::tile_ends;
 use crate::run::triggers::TriggerCounts;
 use crate::run::waiting;
 use crate::time::{
@@ -72,6 +74,8 @@ const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
 /// How often the navigation's counters and states are written down for whoever prints.
 const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
+/// Tiles of a sonar's pings that may be on their way at a time.
+const TILE_SLOTS: usize = 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
 const MOST_ORDERS: usize = 1000;
 
@@ -108,6 +112,10 @@ struct Delivery {
     slot: Box<PingSlot>,
     /// None where time is the pipeline's own: at once.
     due: Option<Due>,
+    /// Its samples that stream; those before have left already.
+    samples: Range<usize>,
+    /// There is more of the ping to come: when these samples have left the slot goes back.
+    is_tile: bool,
 }
 
 /// When what a ping makes is due.
@@ -119,6 +127,15 @@ struct Due {
     ready_by: MonoNs,
     /// All that leaves at the end of the ping.
     deadline: MonoNs,
+}
+
+/// What of a ping has left before it was whole.
+#[derive(Clone, Copy, Default)]
+struct Streamed {
+    /// The first of them that have not.
+    samples: usize,
+    /// When the first tile was made.
+    first_ready: Option<MonoNs>,
 }
 
 /// How a ping is made where time is the machine's.
@@ -150,11 +167,20 @@ struct Lane {
     /// A slot whose ping was skipped.
     spare: Option<Box<PingSlot>>,
     to_delivery: Sender<Delivery>,
+    /// For tiles of pings that stream.
+    tiles: Receiver<Box<PingSlot>>,
+    spare_tile: Option<Box<PingSlot>>,
 }
 
 impl Lane {
     fn slot(&mut self) -> Option<Box<PingSlot>> {
         self.spare.take().or_else(|| self.free.try_recv().ok())
+    }
+
+    fn tile(&mut self) -> Option<Box<PingSlot>> {
+        self.spare_tile
+            .take()
+            .or_else(|| self.tiles.try_recv().ok())
     }
 }
 
@@ -172,14 +198,22 @@ fn open_lane(
     let (outputs, streams) = outputs.split();
     let (mut to_delivery, deliveries) = bounded::<Delivery>(slots);
     let mut threads = Vec::new();
+    let tile_slots = match rig.spec.run.stream_tiles && !streams.is_empty() {
+        true => TILE_SLOTS,
+        false => 0,
+    };
+    let (to_tiles, tiles) = bounded::<Box<PingSlot>>(tile_slots);
+    for _ in 0..tile_slots {
+        let _ = to_tiles.try_send(Box::new(rig.slot(sonar)));
+    }
     if !streams.is_empty() {
         // Ahead of the delivery thread, which waits for the end of the ping before.
-        let (to_streams, pings) = bounded::<Delivery>(slots);
+        let (to_streams, pings) = bounded::<Delivery>(slots + tile_slots);
         let on = std::mem::replace(&mut to_delivery, to_streams);
         let way = way.clone();
         let thread = thread::Builder::new()
             .name(format!("streams {sonar}"))
-            .spawn(move || stream(streams, &pings, &on, &way))
+            .spawn(move || stream(streams, &pings, (&on, &to_tiles), &way))
             .map_err(DaemonError::Thread)?;
         threads.push(thread);
     }
@@ -197,6 +231,8 @@ fn open_lane(
         free,
         spare: None,
         to_delivery,
+        tiles,
+        spare_tile: None,
     };
     Ok((lane, threads))
 }
@@ -410,8 +446,12 @@ impl Daemon {
         let notify = Notify::from_environment();
         notify.ready();
         let faults = rig.faults.clone();
-        let mut fault_log = EventLog::new("faults", &rig.spec);
-        let mut strain_log = EventLog::new("overload", &rig.spec);
+        let said = rig.spec.run.fault_directory.clone();
+        let beside = rig.spec.record.as_ref().map(|r| r.directory.clone());
+        let mut fault_log = EventLog::new("faults", said.clone().or(beside.clone()));
+        // A ping that is skipped misses its number in the records themselves.
+        let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
+        let mut strain_log = EventLog::new("overload", said.or(beside));
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -435,6 +475,7 @@ impl Daemon {
             ladders: ladders.collect(),
             backlog,
             has_rested: true,
+            first_ready: None,
             first: None,
             triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
@@ -504,11 +545,10 @@ struct EventLog {
 }
 
 impl EventLog {
-    fn new(stem: &'static str, spec: &RigSpec) -> Self {
-        let beside = spec.record.as_ref().map(|record| record.directory.clone());
+    fn new(stem: &'static str, directory: Option<PathBuf>) -> Self {
         Self {
             stem,
-            directory: spec.run.fault_directory.clone().or(beside),
+            directory,
             log: None,
         }
     }
@@ -610,6 +650,8 @@ struct Pacer {
     backlog: Arc<Backlog>,
     /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
     has_rested: bool,
+    /// Of a ping that was made tile by tile: when the first was.
+    first_ready: Option<MonoNs>,
     inputs: NavInputs,
     nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
@@ -931,11 +973,50 @@ impl Pacer {
             least: now.plus_s(rehearsed_s),
         };
         self.compute(sonar, &order, Some(paced), slot, timeline);
-        let ready = self.clock.mono();
+        let whole = self.clock.mono();
+        let ready = self.first_ready.take().unwrap_or(whole);
         let ladder = &mut self.ladders[sonar];
         ladder.note(ready.0 - now.0, ready <= deadline);
         self.backlog.costs(sonar, ladder.now_ns());
         Step::Done
+    }
+
+    /// When the block that begins with a sample leaves.
+    fn block_due(&self, sonar: usize, due: Due, sample: usize) -> MonoNs {
+        let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
+        due.ready_by.plus_s(sample as f64 / rate_hz)
+    }
+
+    /// Makes the tiles of a ping that is prepared and lets them leave, as long as they are in time and there is room.
+    fn send_tiles(&mut self, sonar: usize, slot: &mut PingSlot, due: Due) -> Streamed {
+        let mut streamed = Streamed::default();
+        let DeliverySpec::Streaming { block_s, .. } = self.rig.spec.run.delivery else {
+            return streamed;
+        };
+        let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
+        for end in tile_ends(slot.plan.sample_count, rate_hz, block_s) {
+            let Some(mut tile) = self.lanes[sonar].tile() else {
+                return streamed;
+            };
+            let is_first = streamed.samples == 0;
+            let made = self.rig.begin(sonar, slot, (end, is_first), &mut tile);
+            let now = self.clock.mono();
+            if !made || now > self.block_due(sonar, due, streamed.samples) {
+                self.lanes[sonar].spare_tile = Some(tile);
+                return streamed;
+            }
+            streamed.first_ready.get_or_insert(now);
+            let delivery = Delivery {
+                slot: tile,
+                due: Some(due),
+                samples: streamed.samples..end,
+                is_tile: true,
+            };
+            // The queue has room for every slot there is.
+            let _ = self.lanes[sonar].to_delivery.try_send(delivery);
+            streamed.samples = end;
+        }
+        streamed
     }
 
     fn strained(&self, what: &'static str, sonar: usize, order: &PingOrder) {
@@ -973,9 +1054,21 @@ impl Pacer {
         let mode = self.rig.spec.nav.mode;
         let host_now = self.clock.host_utc();
         let host_utc = host_now.plus_ns(timeline.mono(order.transmit_utc).0 - self.clock.mono().0);
-        let made = self
-            .rig
-            .make_on(rung, sonar, order, mode, host_utc, &mut slot);
+        let mut streamed = Streamed::default();
+        let made = match due.filter(|_| self.rig.spec.run.stream_tiles) {
+            Some(due) => {
+                let prepared = self.rig.prepare(sonar, order, mode, host_utc, &mut slot);
+                prepared.map(|()| {
+                    streamed = self.send_tiles(sonar, &mut slot, due);
+                    self.first_ready = streamed.first_ready;
+                    self.rig.finish(sonar, &mut slot);
+                    slot.output.strain = Strain::NONE;
+                })
+            }
+            None => self
+                .rig
+                .make_on(rung, sonar, order, mode, host_utc, &mut slot),
+        };
         if let Some(paced) = paced {
             self.clock.sleep_until(paced.least);
         }
@@ -995,7 +1088,16 @@ impl Pacer {
             slot.plan.ping_rate_hz = 1.0 / (1.0 / slot.plan.ping_rate_hz + put_off_s);
         }
         let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
-        if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+        let total = slot.plan.sample_count;
+        let mut samples = streamed.samples..total;
+        if let Some(due) = due.filter(|_| streamed.samples > 0) {
+            // What has begun to leave goes on in time or not at all.
+            if self.clock.mono() > self.block_due(sonar, due, streamed.samples) {
+                samples = total..total;
+                add(&counters.torn, 1);
+                self.strained("torn", sonar, order);
+            }
+        } else if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
             // Its first samples cannot leave in time: none do, or the latency would not be constant.
             add(&counters.skipped_late, 1);
             self.strained("skipped", sonar, order);
@@ -1024,14 +1126,18 @@ impl Pacer {
         }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
-            let now = self.clock.mono();
+            let now = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
             histograms.margin_us(due.ready_by.0 - now.0);
             histograms.nav_to_samples_us(now.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
-        if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
-            .to_delivery
-            .try_send(Delivery { slot, due })
+        if let Err(TrySendError::Disconnected(_)) =
+            self.lanes[sonar].to_delivery.try_send(Delivery {
+                slot,
+                due,
+                samples,
+                is_tile: false,
+            })
         {
             self.stop.store(true, Ordering::Release);
         }
@@ -1039,11 +1145,11 @@ impl Pacer {
     }
 }
 
-/// Lets the samples of each ping leave as they would be heard, and hands it on at once.
+/// Lets the samples of each ping leave as they would be heard, and hands it on at once; a tile goes back.
 fn stream(
     mut outputs: Outputs,
     pings: &Receiver<Delivery>,
-    on: &Sender<Delivery>,
+    (on, back): (&Sender<Delivery>, &Sender<Box<PingSlot>>),
     way: &Way,
 ) -> Result<(), OutputError> {
     if way.priority > 0 {
@@ -1051,7 +1157,13 @@ fn stream(
         let _ = priority::first_in_first_out(way.priority);
     }
     for ping in pings {
-        outputs.stream(&ping.slot, ping.due.map(|due| due.pulse));
+        let pulse = ping.due.map(|due| due.pulse);
+        outputs.stream(&ping.slot, ping.samples.clone(), pulse);
+        if ping.is_tile {
+            // Its place in the channel is free: it came from there.
+            let _ = back.try_send(ping.slot);
+            continue;
+        }
         // It holds as many as there are slots. Nobody there: the daemon ends.
         if on.send(ping).is_err() {
             break;
@@ -1072,7 +1184,7 @@ fn deliver(
         let _ = priority::first_in_first_out(way.priority);
     }
     let mut first_error = None;
-    for Delivery { slot, due } in deliveries {
+    for Delivery { slot, due, .. } in deliveries {
         let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.

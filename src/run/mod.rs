@@ -26,6 +26,7 @@ pub mod replay;
 pub mod rig;
 pub mod settings;
 pub mod synthetic_aperture;
+pub mod tiles;
 pub mod triggers;
 mod view;
 pub mod waiting;

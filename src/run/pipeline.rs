@@ -349,6 +349,33 @@ impl SonarPipeline {
         }
     }
 
+    /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing
+    /// of this ping has been made before.
+    pub fn begin_ping(
+        &mut self,
+        plan: &mut PingPlan,
+        end: usize,
+        is_first: bool,
+        scatterers: &Scatterers,
+        elements: &mut [ElementFrame],
+    ) {
+        // Counted with the whole ping.
+        let mut counts = EchoCounts::default();
+        if is_first {
+            // All that the ping hears, so that what is cut short goes through the same batches.
+            self.light(plan, scatterers, &mut counts);
+        }
+        let samples = std::mem::replace(&mut plan.sample_count, end);
+        let (first_s, rate_hz, len) = self.grid(plan);
+        for lit in &mut self.lit {
+            lit.hear(Window::of_samples(first_s, rate_hz, len));
+        }
+        for (index, frame) in elements.iter_mut().enumerate() {
+            self.synthesise(plan, scatterers, index, frame, &mut counts);
+        }
+        plan.sample_count = samples;
+    }
+
     /// The transmit leg, once per transmit array. The reference walks the scatterers itself.
     fn light(&mut self, plan: &PingPlan, scatterers: &Scatterers, counts: &mut EchoCounts) {
         if plan.model.synthesis == Synthesis::Reference {

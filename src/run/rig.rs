@@ -288,6 +288,32 @@ impl Rig {
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
         self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.finish(sonar, slot);
+        Ok(())
+    }
+
+    /// The first samples of a ping that is prepared, up to `end`, in `tile`; false where the ping can only be made as a whole.
+    pub fn begin(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        (end, is_first): (usize, bool),
+        tile: &mut PingSlot,
+    ) -> bool {
+        let unit = &mut self.sonars[sonar];
+        if !unit.pipeline.faults_mut().is_empty() {
+            return false;
+        }
+        let elements = &mut tile.output.elements;
+        let plan = &mut slot.plan;
+        unit.pipeline
+            .begin_ping(plan, end, is_first, &self.scatterers, elements);
+        tile.plan.clone_from(&slot.plan);
+        true
+    }
+
+    /// Makes a ping that is prepared.
+    pub fn finish(&mut self, sonar: usize, slot: &mut PingSlot) {
         let unit = &mut self.sonars[sonar];
         let PingSlot { plan, output } = slot;
         unit.pipeline.compute_ping(plan, &self.scatterers, output);
@@ -295,7 +321,6 @@ impl Rig {
             output.fidelity = planner.mark();
             planner.after(plan, &self.scatterers, output.certificate.as_ref());
         }
-        Ok(())
     }
 
     /// As [`Self::make`], with the tolerance of a rung: 0 is the configured one.

@@ -16,7 +16,8 @@ type Instant = Vec<u8>;
 /// Five seconds of 20 pings a second, each of which takes 75 ms where 50 are to be had.
 fn strained(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let overload = format!("run.overload={overload}");
-    let mut sets = vec![overload.as_str(), "run.rehearse_ms=75"];
+    let log = format!("run.fault_directory={folder:?}");
+    let mut sets = vec![overload.as_str(), log.as_str(), "run.rehearse_ms=75"];
     sets.extend(QUICK.iter().chain(more));
     let mut daemon = rig(folder, &sets);
     let control = daemon.announced("control http", "http");
@@ -146,11 +147,7 @@ fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_com
         "sonar.receiver.rx_filter=fir",
         "sonar.model.tolerance=1e-4",
     ];
-    let looser = [
-        sets[0],
-        sets[1],
-        "sonar.model.tolerance=1e-3",
-    ];
+    let looser = [sets[0], sets[1], "sonar.model.tolerance=1e-3"];
     let folders = [0, 1, 2].map(|_| tempfile::tempdir().expect("folder"));
     let fine = at_leisure(folders[0].path(), &sets);
     let coarse = at_leisure(folders[1].path(), &looser);
@@ -205,7 +202,10 @@ fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
     for (number, period_s) in &made[1..] {
         match stretched.contains(number) {
             true => assert!(*period_s > 0.05, "ping {number}: {period_s} s"),
-            false => assert!((period_s - 0.05).abs() < 1e-6, "ping {number}: {period_s} s"),
+            false => assert!(
+                (period_s - 0.05).abs() < 1e-6,
+                "ping {number}: {period_s} s"
+            ),
         }
     }
     // From the first that waited on they keep their 75 ms, but for what the queue still held.

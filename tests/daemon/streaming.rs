@@ -174,6 +174,16 @@ fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_li
 /// Pulses of somebody else's are known when they come: the latency has room for the whole ping to be made.
 #[test]
 fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_recorded_at_their_end() {
+    triggered(&[]);
+}
+
+#[test]
+fn so_do_those_that_are_made_tile_by_tile_while_they_leave() {
+    triggered(&["run.stream_tiles=true"]);
+    triggered(&["run.stream_tiles=true", "sonar.receiver.rx_filter=fir"]);
+}
+
+fn triggered(more: &[&str]) {
     const LATENCY_S: f64 = 0.3;
     let folder = tempfile::tempdir().expect("folder");
     let record = format!("record.directory={:?}", folder.path());
@@ -195,7 +205,10 @@ fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_record
         "nav.loop=true",
         "run.delivery=streaming",
         "run.ahead_ms=0",
-    ] {
+    ]
+    .iter()
+    .chain(more)
+    {
         arguments.extend(["--set", set]);
     }
     let mut daemon = Daemon::start(&arguments);

@@ -111,7 +111,13 @@ impl Trailer {
     }
 
     fn from_word(word: u32) -> Self {
-        let [calibrated_time, valid_data, over_range, sample_loss, degraded] = TRAILER_ENABLES
+        let [
+            calibrated_time,
+            valid_data,
+            over_range,
+            sample_loss,
+            degraded,
+        ] = TRAILER_ENABLES
             .map(|bit| (word >> bit & 1 == 1).then_some(word >> (bit - 12) & 1 == 1));
         Self {
             calibrated_time,

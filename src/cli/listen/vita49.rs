@@ -97,7 +97,10 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
     let socket = UdpSocket::bind(address).map_err(Failure::running)?;
     // As much as the system gives.
     let _ = socket2::SockRef::from(&socket).set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
-    println!("listening at {}", socket.local_addr().map_err(Failure::running)?);
+    println!(
+        "listening at {}",
+        socket.local_addr().map_err(Failure::running)?
+    );
     let end = args
         .seconds
         .map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
@@ -114,7 +117,9 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
         if left.is_zero() {
             break;
         }
-        socket.set_read_timeout(Some(left)).map_err(Failure::running)?;
+        socket
+            .set_read_timeout(Some(left))
+            .map_err(Failure::running)?;
         let Ok(len) = socket.recv(&mut buffer) else {
             continue;
         };

@@ -351,11 +351,7 @@ impl Beat {
     }
 
     /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
-    pub fn start(
-        self,
-        orders: Sender<Ordered>,
-        priority: u8,
-    ) -> std::io::Result<BeatThread> {
+    pub fn start(self, orders: Sender<Ordered>, priority: u8) -> std::io::Result<BeatThread> {
         let stop = Arc::new(AtomicBool::new(false));
         let (clock, bell) = (self.clock.clone(), self.triggers.bell.clone());
         let thread = thread::Builder::new().name("beat".into()).spawn({
