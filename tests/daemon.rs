@@ -16,6 +16,8 @@ mod makers_client;
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/overload.rs"]
+mod overload;
 #[path = "daemon/plans.rs"]
 mod plans;
 #[path = "daemon/streaming.rs"]
