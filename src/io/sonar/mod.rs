@@ -17,6 +17,7 @@
 pub mod client;
 mod dial;
 pub mod elements;
+pub mod heard;
 mod paced;
 mod queue;
 mod sevenk;
