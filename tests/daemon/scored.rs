@@ -21,7 +21,8 @@ use super::modes::{rig, tell, wait_delivered};
 use super::{Daemon, PATIENCE};
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
-/// Each strikes with probability one half.
+/// Each strikes with this probability.
+const PROBABILITY: f64 = 0.6;
 const KINDS: [&str; 9] = [
     "drop",
     "duplicate",
@@ -34,8 +35,9 @@ const KINDS: [&str; 9] = [
     "link-down",
 ];
 /// Pings that a kind stands, and clean ones after it.
-const STRUCK: u64 = 8;
-const CLEAN: u64 = 4;
+const STRUCK: u64 = 6;
+/// What is delayed by a quarter of a second has come.
+const CLEAN: u64 = 3;
 
 /// What one listener brings home.
 struct Heard {
@@ -203,7 +205,7 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<Logged>) {
     for (seed, kind) in KINDS.into_iter().enumerate() {
         if clean.is_some() {
             let mut fault =
-                json!({ "do": "fault", "kind": kind, "probability": 0.5, "seed": seed });
+                json!({ "do": "fault", "kind": kind, "probability": PROBABILITY, "seed": seed });
             if matches!(kind, "delay" | "jitter") {
                 // Three pings.
                 fault["value"] = json!(250.0);
@@ -226,7 +228,7 @@ fn every_live_family_finds_exactly_what_the_log_tells() {
     for (name, heard) in &clean {
         assert_eq!(heard.report.findings, [], "{name}");
         assert_eq!(heard.errors, 0, "{name}");
-        assert!(heard.sums.len() > 100, "{name}: {}", heard.sums.len());
+        assert!(heard.sums.len() > 80, "{name}: {}", heard.sums.len());
     }
     let (faulty, log) = run(Some(&clean));
     for (name, heard) in &faulty {
@@ -239,7 +241,7 @@ fn every_live_family_finds_exactly_what_the_log_tells() {
         );
         for kind in KINDS {
             let tally = score.kinds[kind];
-            // One record of each ping, drawn with one half: one in 256 finds none.
+            // One record of each ping at least: six draws.
             assert!(tally.injected > 0, "{name} {kind}: {tally:?}");
             assert_eq!(tally.untold, 0, "{name} {kind}");
             let held = matches!(kind, "reorder" | "delay" | "jitter");
@@ -250,6 +252,8 @@ fn every_live_family_finds_exactly_what_the_log_tells() {
         }
     }
 }
+
+const ROUNDS: u64 = 2;
 
 /// The families of which nothing but a connection is tested, in steps that nobody hurries.
 fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
@@ -269,7 +273,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let control = daemon.address_of("control http", "http");
     let mut listeners = Listeners::new();
     // Steps follow each other much faster, and a silence is made longer.
-    let silence = Some(Duration::from_millis(500));
+    let silence = Some(Duration::from_millis(300));
     listeners.listen(Family::SevenK, "7k", sevenk, None, silence);
     listeners.listen(Family::Elements, "elements", elements, None, silence);
     let now = |ever: u64| format!("1 clients now, {ever} ever");
@@ -282,7 +286,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     };
     both(1);
     let mut delivered = 0;
-    for round in 1..=3 {
+    for round in 1..=ROUNDS {
         step(control, &mut delivered, 2);
         let mut fault = json!({ "do": "fault", "kind": kind });
         fault["for_s"] = value.clone();
@@ -291,7 +295,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
         match kind {
             "reset" => both(1 + round),
             // Nobody hears anything meanwhile.
-            _ => thread::sleep(Duration::from_millis(800)),
+            _ => thread::sleep(Duration::from_millis(500)),
         }
         step(control, &mut delivered, 2);
         tell(control, &json!({ "do": "clear-faults" }));
@@ -306,12 +310,19 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
 
 #[test]
 fn resets_and_silences_of_connections_are_found_where_the_log_has_them() {
-    for (kind, value, pings) in [("reset", json!(0.05), 1), ("half-open", json!(0.25), 3)] {
-        let (sevenk, elements) = connections(kind, &value, pings);
+    let both = thread::scope(|scope| {
+        let kinds = [("reset", json!(0.05), 1), ("half-open", json!(0.25), 3)];
+        let running = kinds.map(|(kind, value, pings)| {
+            (kind, scope.spawn(move || connections(kind, &value, pings)))
+        });
+        running.map(|(kind, thread)| (kind, thread.join().expect("ends")))
+    });
+    for (kind, (sevenk, elements)) in both {
         for (name, score) in [("7k", sevenk), ("elements", elements)] {
             let tally = score.kinds[kind];
-            assert_eq!((tally.injected, tally.found), (3, 3), "{name} {kind}");
-            // A machine that stands still for half a second is silent too.
+            let found = (tally.injected, tally.found);
+            assert_eq!(found, (ROUNDS, ROUNDS), "{name} {kind}: {score:?}");
+            // A machine that stands still for a third of a second is silent too.
             let invented = score.invented.iter().filter(|f| f.kind != "silent");
             assert_eq!(invented.count(), 0, "{name} {kind}: {:?}", score.invented);
         }
@@ -348,24 +359,30 @@ fn a_dead_element_asked_for_live_is_dead_in_the_pings_of_the_log_and_in_no_other
     daemon.terminate();
     // Array 1 comes after the eight elements of array 0.
     let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
-    let mut dead = Vec::new();
-    let mut pings = 0;
-    let open = |client: &mut ElementClient, dead: &mut Vec<u32>, pings: &mut u32| {
-        client.read(Duration::from_secs(5), |frame, _| {
+    // Whether anything was heard of it in a ping's frames.
+    let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
+    let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
+    loop {
+        let open = client.read(Duration::from_secs(5), |frame, _| {
             assert_eq!(usize::from(frame.head.elements), ELEMENTS);
             let heard = |element: usize| {
                 let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
                 moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
             };
-            assert!(heard(its_neighbour), "ping {}", frame.head.ping_number);
-            if !heard(dead_one) {
-                dead.push(frame.head.ping_number);
-            }
-            *pings += 1;
-        })
-    };
-    while open(&mut client, &mut dead, &mut pings).expect("to the end") {}
-    assert_eq!(pings, 8);
+            let number = frame.head.ping_number;
+            *pings.entry(number).or_default() |= heard(dead_one);
+            *neighbours.entry(number).or_default() |= heard(its_neighbour);
+        });
+        if !open.expect("to the end") {
+            break;
+        }
+    }
+    assert_eq!(pings.len(), 8);
+    assert!(neighbours.values().all(|heard| *heard), "{neighbours:?}");
+    let dead: Vec<u32> = pings
+        .into_iter()
+        .filter_map(|(number, heard)| (!heard).then_some(number))
+        .collect();
     let log = logged(folders[1].path());
     let struck: Vec<_> = log.iter().map(|l| l.ping_number).collect();
     assert_eq!((struck.len(), &struck), (3, &dead));

@@ -289,6 +289,11 @@ impl SonarServer {
         *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
+    /// How its connections are to be from now on.
+    pub fn connect(&self, connection: Connection) {
+        self.shared.connect(connection);
+    }
+
     pub fn report(&self) -> ServerReport {
         self.shared.report()
     }

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use echotank_protocols::elements::{ElementFraming, ElementStream, Frame as ElementFrame};
 use echotank_protocols::imagenex872::{AnswerFraming, AnswerStream};
 use echotank_protocols::jsf::{JsfFraming, JsfStream, Message as JsfMessage, message_type};
-use echotank_protocols::ping_protocol::{Frame, PingFraming, PingStream, message_id};
+use echotank_protocols::ping_protocol::{Frame, Message, PingFraming, PingStream};
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_BYTES};
 use echotank_protocols::sevenk::{DataRecordFrame, StreamDecoder};
 use echotank_protocols::vita49::Packet;
@@ -306,16 +306,20 @@ fn of_wbms(bytes: &[u8]) -> Option<Sighting<'_>> {
     Some(Sighting::ping(record_type, u32_at(bytes, at)?, bytes))
 }
 
+/// Times since the device was switched on are left out of what is compared.
 fn of_ping(bytes: &[u8]) -> Option<Sighting<'_>> {
     let frame = Frame::parse(bytes).ok()?;
-    let at = match frame.message_id {
-        message_id::OS_MONO_PROFILE => 0,
-        message_id::YZ_POINT_DATA => 4,
-        message_id::ATOF_POINT_DATA => 4,
+    let (number, content_at) = match Message::parse(&frame).ok()? {
+        // Its pings count from 0.
+        Message::OsMonoProfile(profile) => (profile.head.ping_number.wrapping_add(1), 16),
+        Message::YzPointData(data) => (data.head.ping_number, 4),
+        Message::AtofPointData(data) => (data.head.ping_number, 4),
         _ => return None,
     };
-    let number = u32_at(frame.payload, at)?;
-    Some(Sighting::ping(u32::from(frame.message_id), number, bytes))
+    Some(Sighting {
+        content: frame.payload.get(content_at..)?,
+        ..Sighting::ping(frame.message_id.into(), number, bytes)
+    })
 }
 
 fn of_elements(bytes: &[u8]) -> Option<Sighting<'_>> {
