@@ -20,6 +20,8 @@ mod nav_while_pinging;
 mod overload;
 #[path = "daemon/plans.rs"]
 mod plans;
+#[path = "daemon/scored.rs"]
+mod scored;
 #[path = "daemon/streaming.rs"]
 mod streaming;
 #[path = "daemon/triggers.rs"]
@@ -87,6 +89,17 @@ impl Daemon {
                     .expect("an address");
             }
         }
+    }
+
+    /// The same, whatever was asked before.
+    fn address_of(&mut self, line: &str, before: &str) -> SocketAddr {
+        let address = |text: &str| {
+            let mut words = text.split_whitespace().skip_while(|word| *word != before);
+            words.nth(1).and_then(|word| word.parse().ok())
+        };
+        let mut said = self.printed.lines();
+        let found = said.find(|text| text.starts_with(line)).and_then(address);
+        found.unwrap_or_else(|| self.announced(line, before))
     }
 
     /// Tells it to stop and returns everything it printed.

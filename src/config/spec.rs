@@ -11,8 +11,8 @@ mod samples;
 mod trigger;
 
 pub use faults::{
-    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavFault,
-    TransportFault,
+    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavByteFault,
+    NavFault, TransportFault,
 };
 
 use std::net::SocketAddr;

@@ -18,3 +18,8 @@ pub mod words;
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {
     std::fs::read_to_string(path)
 }
+
+/// The same, written; what has the name is replaced.
+pub fn write_text(path: &std::path::Path, text: &str) -> std::io::Result<()> {
+    std::fs::write(path, text)
+}

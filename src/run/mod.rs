@@ -24,6 +24,7 @@ pub mod recorded;
 pub mod recorders;
 pub mod replay;
 pub mod rig;
+pub mod score;
 pub mod settings;
 pub mod synthetic_aperture;
 pub mod tiles;

@@ -17,6 +17,7 @@
 pub mod client;
 mod dial;
 pub mod elements;
+pub mod heard;
 mod paced;
 mod queue;
 mod sevenk;
@@ -293,6 +294,11 @@ impl SonarServer {
     /// All that is delivered passes `line` from now on.
     pub fn set_line(&self, line: Box<dyn Line>) {
         *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+    }
+
+    /// How its connections are to be from now on.
+    pub fn connect(&self, connection: Connection) {
+        self.shared.connect(connection);
     }
 
     pub fn report(&self) -> ServerReport {
