@@ -1,5 +1,6 @@
 //! Draws the map of failures; see `tools/atlas --help`.
 
+#[allow(dead_code, reason = "shared with tests/stability.rs")]
 #[path = "atlas/mod.rs"]
 mod atlas;
 #[allow(dead_code, reason = "the chart's own, of which maps use a part")]

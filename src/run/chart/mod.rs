@@ -14,13 +14,12 @@ use std::time::Instant;
 
 use thiserror::Error;
 
-use crate::array::cards::synthesis_card;
 use crate::config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
 use crate::run::chart::methods::Method;
 use crate::run::chart::metrics::{Errors, errors};
-use crate::run::conditions::conditions;
+use crate::run::conditions::{conditions, sum_card};
 use crate::run::fidelity::costs::{Costs, CostsError};
 use crate::run::fidelity::{self, Swell, rank, sample, with_choice};
 use crate::run::pipeline::SonarPipeline;
@@ -329,7 +328,7 @@ fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) ->
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
     let model = &spec.model;
-    let synthesis = synthesis_card(model.synthesis, &conditions).error;
+    let synthesis = sum_card(model.synthesis, spec, plan, &conditions).error;
     match model.synthesis {
         // On the trajectory itself, whatever path and Doppler say.
         Synthesis::Reference => synthesis,

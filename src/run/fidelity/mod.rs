@@ -23,7 +23,7 @@ use crate::flow::{
 use crate::ping::fidelity::{
     Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
 };
-use crate::run::conditions::conditions;
+use crate::run::conditions::{conditions, sum_card};
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::heard::kept_shares;
@@ -509,6 +509,7 @@ impl<'a> Maker<'a> {
     }
 
     fn plain(&self, synthesis: Synthesis, motion: &Motion, culling: Culling) -> Candidate {
+        let spec = self.scene.spec;
         let pairs = culling.kept * (self.scene.count * self.conditions.elements) as f64;
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
@@ -536,7 +537,7 @@ impl<'a> Maker<'a> {
             Synthesis::Linear => work[8] = 2.0 * pairs * echo_samples,
             _ => {}
         }
-        let card = synthesis_card(synthesis, &self.conditions);
+        let card = sum_card(synthesis, spec, self.scene.plan, &self.conditions);
         self.candidate(
             synthesis,
             motion,

@@ -3,12 +3,11 @@
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use echotank::array::cards::synthesis_card;
 use echotank::config::spec::{AutoModel, SonarSpec};
 use echotank::echo::cards::{doppler_card, path_card};
 use echotank::flow::*;
 use echotank::run::chart::methods::Method;
-use echotank::run::conditions::conditions;
+use echotank::run::conditions::{conditions, sum_card};
 use echotank::run::fidelity::costs::Costs;
 use echotank::run::fidelity::{Scene, Swell, rank, with_choice};
 use echotank::run::pipeline::SonarPipeline;
@@ -197,7 +196,7 @@ impl Bench {
         if let Err(why) = Method::of(&spec).applies(&spec) {
             return Outcome::Refused(why);
         }
-        let said = cards.said(spot, synthesis, doppler, path);
+        let said = cards.said(spot, plan, (synthesis, doppler, path));
         match self.run(&spec, spot, plan, scatterers) {
             Err(outcome) => outcome,
             Ok((got, counted)) => {
@@ -367,9 +366,8 @@ impl Cards {
     fn said(
         &self,
         spot: &Spot,
-        synthesis: Synthesis,
-        doppler: DopplerModel,
-        path: PathModel,
+        plan: &PingPlan,
+        (synthesis, doppler, path): (Synthesis, DopplerModel, PathModel),
     ) -> f64 {
         let mut conditions = self.conditions;
         conditions.tolerance = spot.spec.synthesis.tolerance;
@@ -379,7 +377,7 @@ impl Cards {
             + match synthesis.keeps_tolerance() {
                 // Made for the tolerance, and never beyond it by itself.
                 true => conditions.tolerance,
-                false => synthesis_card(synthesis, &conditions).error,
+                false => sum_card(synthesis, &spot.spec, plan, &conditions).error,
             }
     }
 }

@@ -86,7 +86,7 @@ pub const ALL: [Regime; 20] = [
         few: &[0.0, 1e-6, 3e-3, 0.3, 30.0],
         spot: |base, r_m| {
             let mut spot = base.under_way(CRUISE_M_PER_S);
-            spot.scatterers = scatter(&[DVec3::new(0.0, r_m, DOWN_M + 0.1)]);
+            spot.scatterers = scatter(&[DVec3::new(0.0, r_m, DOWN_M)]);
             spot.scatterers.strength[0] = 1.0.into();
             spot
         },
@@ -105,7 +105,6 @@ pub const ALL: [Regime; 20] = [
         spot: |base, deg| {
             let mut spot = base.under_way(CRUISE_M_PER_S);
             let (sin, cos) = deg.to_radians().sin_cos();
-            // The arrays are too small to matter but exactly at grazing.
             let points: Vec<DVec3> = (0..5)
                 .map(|k| {
                     let range_m = 30.0 + 2.0 * f64::from(k);
@@ -279,10 +278,18 @@ pub const ALL: [Regime; 20] = [
         values: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
         few: &[0.0, 1.0, 2.0, 5.0, 8.0],
         spot: |base, which| {
-            let mut spot = base.under_way(CRUISE_M_PER_S);
+            let spot = base.under_way(CRUISE_M_PER_S);
             let spoil = |k: usize, valid_s: f64, said: &mut Vec<Said>| match which as usize {
                 1 if k % 2 == 1 => said.iter_mut().for_each(|s| s.valid_s -= 0.1),
-                2 if k % 3 == 2 => said.iter_mut().for_each(|s| s.valid_s -= 0.15),
+                // What held then comes late, and after younger ones.
+                2 if k % 3 == 2 => {
+                    for s in said.iter_mut() {
+                        s.valid_s -= 0.15;
+                        if let NavQuantity::LocalPosition { north_m, .. } = &mut s.quantity {
+                            *north_m -= 0.15 * CRUISE_M_PER_S;
+                        }
+                    }
+                }
                 3 if valid_s.abs() < 0.06 => said.clear(),
                 4 | 5 if valid_s >= 0.02 => {
                     for s in said.iter_mut() {
@@ -411,7 +418,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.model.cull_db = (floor_db != NO_FLOOR).then_some(floor_db);
             // A swath of flat ground, a few degrees of it inside the beam.
             let points: Vec<DVec3> = (0..48)
-                .map(|k| place(30.0 + 0.2 * f64::from(k % 12), 66.0 + f64::from(k), 12.0))
+                .map(|k| place(30.0 + 0.2 * f64::from(k % 12), 66.5 + f64::from(k), 12.0))
                 .collect();
             spot.scatterers = scatter(&points);
             spot.scatterers.law.fill(ScatterLaw::Lambert);
@@ -455,7 +462,7 @@ pub const ALL: [Regime; 20] = [
             // On the transmitter's own delay: a whole number of samples, and so much more.
             let rate_hz = spot.rate_hz();
             let delay_s = ((0.041 * rate_hz).round() + samples) / rate_hz;
-            let points = [DVec3::new(0.0, 0.5 * super::spot::C * delay_s, DOWN_M + 0.1)];
+            let points = [DVec3::new(0.0, 0.5 * super::spot::C * delay_s, DOWN_M)];
             spot.scatterers = scatter(&points);
             spot
         },

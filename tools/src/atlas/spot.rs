@@ -1,7 +1,7 @@
 //! One sonar in one motion over a handful of points, and how a regime bends it.
 
 use echotank::config;
-use echotank::config::spec::{NavMode, RigSpec, SonarSpec};
+use echotank::config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
 use echotank::flow::*;
 use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank::nav::NavHistory;
@@ -84,7 +84,7 @@ duration_ms = {duration_ms:.4}
 taper = 0.5
 [[sonar.transmit]]
 name = "tx"
-position_m = [0.0, 0.0, 0.1]
+position_m = [0.0, 0.0, 0.0]
 [[sonar.receive]]
 name = "rx"
 transmit = "tx"
@@ -130,8 +130,13 @@ tolerance = 1e-3
             "points.csv",
             "north_m,east_m,down_m,amplitude\n0,30,10,1\n",
         );
-        let rig =
+        let mut rig =
             config::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
+        // A sensor's: a track in a file may be as sparse as it likes.
+        rig.nav.sources[0].input = NavInputSpec::Log {
+            path: "sensor.log".into(),
+            plain_rate_hz: 10.0,
+        };
         Self { rig }
     }
 
@@ -293,7 +298,6 @@ impl Spot {
                     east_m: place_m.y,
                     down_m: place_m.z,
                 },
-                NavQuantity::Depth { depth_m: place_m.z },
                 NavQuantity::Heading {
                     heading_rad: heading_rad.rem_euclid(std::f64::consts::TAU),
                 },
