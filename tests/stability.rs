@@ -2,6 +2,8 @@
 
 #[path = "../tools/src/atlas/mod.rs"]
 mod atlas;
+#[path = "stability/charts.rs"]
+mod charts;
 #[path = "../tools/src/errors/images.rs"]
 mod images;
 mod plan;

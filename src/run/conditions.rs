@@ -93,8 +93,7 @@ pub fn sum_card(
         && let Some(step_hz) = spec.synthesis.frequency_step_hz
     {
         // An echo may have begun a pulse before the window.
-        let heard_s =
-            plan.sample_count as f64 / conditions.sample_rate_hz + plan.pulse.duration_s;
+        let heard_s = plan.sample_count as f64 / conditions.sample_rate_hz + plan.pulse.duration_s;
         if step_hz * heard_s > 1.0 {
             card.error = WRAPPED;
             card.why = format!(

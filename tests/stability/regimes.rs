@@ -25,7 +25,11 @@ fn columns(regime: &Regime) -> Vec<(f64, Column)> {
     let pool = pool(1).expect("threads");
     let mut bench = Bench::default();
     let values = regime.few.iter();
-    pool.install(|| values.map(|&v| (v, bench.column(&(regime.spot)(&base, v)))).collect())
+    pool.install(|| {
+        values
+            .map(|&v| (v, bench.column(&(regime.spot)(&base, v))))
+            .collect()
+    })
 }
 
 /// What holds everywhere. Hands on the columns for what holds here.
@@ -56,7 +60,10 @@ fn swept(name: &str) -> Vec<(f64, Column)> {
                 "{said}"
             );
             assert!(
-                !matches!(plan.outcome, Outcome::Refused(_) | Outcome::NoNumber | Outcome::Panic(_)),
+                !matches!(
+                    plan.outcome,
+                    Outcome::Refused(_) | Outcome::NoNumber | Outcome::Panic(_)
+                ),
                 "{said}"
             );
         }
@@ -140,7 +147,12 @@ fn range() {
     for (value, column) in swept("range") {
         // Nearer than a wavelength is counted.
         if let Outcome::Answer { counted, .. } = *best(&column) {
-            assert_eq!(counted > 0, value < 3.7e-3, "{value} m: {:?}", best(&column));
+            assert_eq!(
+                counted > 0,
+                value < 3.7e-3,
+                "{value} m: {:?}",
+                best(&column)
+            );
         }
     }
 }
@@ -165,7 +177,10 @@ fn navigation_faults() {
     // A jump of 500 m in a tenth of a second; a gap that is no gap; another clock.
     for refused in [5.0, 8.0] {
         let outcome = best(at(&columns, refused));
-        assert!(matches!(outcome, Outcome::Refused(_)), "{refused}: {outcome:?}");
+        assert!(
+            matches!(outcome, Outcome::Refused(_)),
+            "{refused}: {outcome:?}"
+        );
     }
     for answered in [0.0, 1.0, 2.0] {
         let outcome = best(at(&columns, answered));
@@ -176,7 +191,11 @@ fn navigation_faults() {
 #[test]
 fn far_from_origin() {
     for (away_m, column) in swept("far-from-origin") {
-        assert!(best(&column).is_within(1e-3), "{away_m} m: {:?}", best(&column));
+        assert!(
+            best(&column).is_within(1e-3),
+            "{away_m} m: {:?}",
+            best(&column)
+        );
     }
 }
 
@@ -191,7 +210,12 @@ fn frequency_step() {
             DopplerModel::None,
         ))
     };
-    assert!(hop(0.5) < 1e-3 && hop(2.0) > 0.5, "{} {}", hop(0.5), hop(2.0));
+    assert!(
+        hop(0.5) < 1e-3 && hop(2.0) > 0.5,
+        "{} {}",
+        hop(0.5),
+        hop(2.0)
+    );
 }
 
 #[test]

@@ -55,7 +55,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Panics are cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
     let pool = echotank::run::rig::pool(given.threads)?;
-    let size = if given.small { Size::SMALL } else { Size::PAPER };
+    let size = if given.small {
+        Size::SMALL
+    } else {
+        Size::PAPER
+    };
     let wanted = |name: &str| given.only.as_deref().is_none_or(|part| name.contains(part));
     let base = Base::new(size);
     let mut bench = Bench::default();
@@ -64,7 +68,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let began = Instant::now();
         let columns: Vec<Column> = pool.install(|| {
             let values = regime.values.iter();
-            values.map(|&v| bench.column(&(regime.spot)(&base, v))).collect()
+            values
+                .map(|&v| bench.column(&(regime.spot)(&base, v)))
+                .collect()
         });
         write(&given, regime.name, &map(regime, &columns).svg())?;
         summary(regime, &columns, began.elapsed().as_secs_f64());
@@ -127,7 +133,9 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
         let mut rings = Vec::new();
         for (d, &doppler) in DOPPLERS.iter().enumerate() {
             for (p, &path) in PathModel::ALL.iter().enumerate() {
-                let row = columns.iter().map(|c| mark(c.cell(sum, d, p), c.tolerance, blind));
+                let row = columns
+                    .iter()
+                    .map(|c| mark(c.cell(sum, d, p), c.tolerance, blind));
                 marks.push(row.collect());
                 for (column, c) in columns.iter().enumerate() {
                     let of_it = |plan: &atlas::measure::Planned| {
@@ -178,7 +186,8 @@ fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
                 let parts: Vec<&str> = plan.text.split(", ").collect();
                 // The engine's own tolerance is beside the point here.
                 let mut text = parts[..3.min(parts.len())].join(", ");
-                if let Some((name, _)) = text.rsplit_once(' ').filter(|_| text.contains("gridded")) {
+                if let Some((name, _)) = text.rsplit_once(' ').filter(|_| text.contains("gridded"))
+                {
                     text = name.to_owned();
                 }
                 match plan.out_of_reach {

@@ -31,7 +31,8 @@ pub fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
         None if Path::new(FILE).exists() => Path::new(FILE),
         None => return Ok(Vec::new()),
     };
-    let refuse = |why: String| Failure::Configuration(format!("--peers = {}: {why}", path.display()));
+    let refuse =
+        |why: String| Failure::Configuration(format!("--peers = {}: {why}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|why| refuse(why.to_string()))?;
     parse(&text).map_err(refuse)
 }
@@ -88,7 +89,10 @@ mod tests {
             )
         };
         let peers = parse(&point("4.0")).expect("a point");
-        assert_eq!((peers[0].name.as_str(), peers[0].milliseconds), ("any", 4.0));
+        assert_eq!(
+            (peers[0].name.as_str(), peers[0].milliseconds),
+            ("any", 4.0)
+        );
         let why = parse(&point("0")).expect_err("no time at all");
         assert!(why.contains("any") && why.contains("above 0"), "{why}");
         assert!(parse("{").is_err());

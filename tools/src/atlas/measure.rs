@@ -114,7 +114,12 @@ impl Column {
         for sum in SUMS {
             for doppler in DOPPLERS {
                 for path in PathModel::ALL {
-                    names.push(format!("{}, {}, {}", sum.name(), path.name(), doppler.name()));
+                    names.push(format!(
+                        "{}, {}, {}",
+                        sum.name(),
+                        path.name(),
+                        doppler.name()
+                    ));
                 }
             }
         }
@@ -295,7 +300,8 @@ impl Bench {
         let medium = &spot.rig().medium;
         let done = catch_unwind(AssertUnwindSafe(|| {
             if fresh {
-                let pipeline = SonarPipeline::new(&common, medium).map_err(|why| why.to_string())?;
+                let pipeline =
+                    SonarPipeline::new(&common, medium).map_err(|why| why.to_string())?;
                 self.made.insert(key, (about, pipeline));
             }
             let (_, pipeline) = self.made.get_mut(&key).expect("made above");

@@ -14,7 +14,10 @@ pub enum Mark {
     /// No number, or a panic.
     Shout,
     /// log10 of error over tolerance, and what is written on it.
-    Ratio { log10: f64, sign: Sign },
+    Ratio {
+        log10: f64,
+        sign: Sign,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,11 +66,23 @@ const ENDS: f64 = 4.0;
 /// Blues within, oranges and browns beyond: told apart with any colour vision, and in grey by their shade from pale in the middle
 /// (ColorBrewer's PuOr and Blues, Brewer 2003).
 fn colour(log10: f64) -> String {
-    const WITHIN: [[f64; 3]; 3] = [[222.0, 235.0, 247.0], [107.0, 174.0, 214.0], [8.0, 69.0, 148.0]];
-    const BEYOND: [[f64; 3]; 3] = [[254.0, 224.0, 182.0], [230.0, 133.0, 30.0], [110.0, 48.0, 4.0]];
+    const WITHIN: [[f64; 3]; 3] = [
+        [222.0, 235.0, 247.0],
+        [107.0, 174.0, 214.0],
+        [8.0, 69.0, 148.0],
+    ];
+    const BEYOND: [[f64; 3]; 3] = [
+        [254.0, 224.0, 182.0],
+        [230.0, 133.0, 30.0],
+        [110.0, 48.0, 4.0],
+    ];
     let stops = if log10 <= 0.0 { WITHIN } else { BEYOND };
     let along = 2.0 * (log10.abs() / ENDS).clamp(0.0, 1.0);
-    let (k, part) = if along >= 1.0 { (1, along - 1.0) } else { (0, along) };
+    let (k, part) = if along >= 1.0 {
+        (1, along - 1.0)
+    } else {
+        (0, along)
+    };
     let mixed: Vec<u8> = (0..3)
         .map(|c| (stops[k][c] + part * (stops[k + 1][c] - stops[k][c])).round() as u8)
         .collect();
@@ -97,7 +112,13 @@ fn square(svg: &mut Svg, (x, y): (f64, f64), (wide, high): (f64, f64), mark: &Ma
         }
         Mark::Shout => {
             svg.raw(&rect("#ff00c8", " stroke=\"black\" stroke-width=\"2\""));
-            svg.words((middle.0, middle.1 + 4.0), 9.0, Anchor::Middle, "black", "NaN");
+            svg.words(
+                (middle.0, middle.1 + 4.0),
+                9.0,
+                Anchor::Middle,
+                "black",
+                "NaN",
+            );
         }
         Mark::Ratio { log10, sign } => {
             svg.raw(&rect(&colour(*log10), ""));
@@ -137,7 +158,11 @@ impl Map {
         let columns = self.columns.len() as f64;
         let panels = self.panels.len() as f64;
         let cell = ((PANELS_WIDTH - panels * PANEL_GAP) / (panels * columns)).min(WIDEST * 2.0);
-        let cell = if self.panels.len() > 1 { cell.min(WIDEST) } else { cell };
+        let cell = if self.panels.len() > 1 {
+            cell.min(WIDEST)
+        } else {
+            cell
+        };
         let panel_width = cell * columns + PANEL_GAP;
         let longest = self.columns.iter().map(|c| c.chars().count()).max();
         let label = 5.2 * longest.unwrap_or(1) as f64;
@@ -146,7 +171,10 @@ impl Map {
         let width = (LEFT + panels * panel_width + 24.0).max(900.0);
         let plan_top = bottom + label + 44.0;
         let height = plan_top
-            + self.plan.as_ref().map_or(0.0, |_| 34.0 + 14.0 * words as f64)
+            + self
+                .plan
+                .as_ref()
+                .map_or(0.0, |_| 34.0 + 14.0 * words as f64)
             + 78.0;
         let mut svg = Svg::new(width, height);
         svg.raw(
@@ -172,7 +200,10 @@ impl Map {
                 }
             }
             for &(column, row) in &panel.rings {
-                let (x, y) = (left + (column as f64 + 0.5) * cell, self.row_top(row) + 0.5 * CELL);
+                let (x, y) = (
+                    left + (column as f64 + 0.5) * cell,
+                    self.row_top(row) + 0.5 * CELL,
+                );
                 svg.raw(&format!(
                     "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4.2\" fill=\"white\" stroke=\"{INK}\" stroke-width=\"1.7\"/>",
                     x - 0.4,
@@ -197,21 +228,44 @@ impl Map {
             }
         }
         let middle = LEFT + 0.5 * (panels * panel_width - PANEL_GAP);
-        svg.words((middle, bottom + label + 24.0), 12.0, Anchor::Middle, INK, &self.axis);
+        svg.words(
+            (middle, bottom + label + 24.0),
+            12.0,
+            Anchor::Middle,
+            INK,
+            &self.axis,
+        );
         let mut y = plan_top;
         if let Some((marks, words)) = &self.plan {
-            svg.words((LEFT - 8.0, y + 12.0), 11.5, Anchor::End, INK, "what the plan chose");
+            svg.words(
+                (LEFT - 8.0, y + 12.0),
+                11.5,
+                Anchor::End,
+                INK,
+                "what the plan chose",
+            );
             for (column, mark) in marks.iter().enumerate() {
                 let x = LEFT + column as f64 * cell;
                 square(&mut svg, (x, y), (cell, CELL), mark);
             }
             let beside = LEFT + cell * columns + PANEL_GAP;
             for (k, line) in words.iter().enumerate() {
-                svg.words((beside, y + 11.0 + 14.0 * k as f64), 10.5, Anchor::Start, INK, line);
+                svg.words(
+                    (beside, y + 11.0 + 14.0 * k as f64),
+                    10.5,
+                    Anchor::Start,
+                    INK,
+                    line,
+                );
             }
             y += 34.0 + 14.0 * words.len() as f64;
         }
-        legend(&mut svg, y + 10.0, self.plan.is_some(), !self.framed.is_empty());
+        legend(
+            &mut svg,
+            y + 10.0,
+            self.plan.is_some(),
+            !self.framed.is_empty(),
+        );
         svg.finish()
     }
 }
@@ -228,8 +282,20 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
             colour(log10)
         ));
     }
-    for (part, text) in [(0.0, "1e-4"), (0.25, "0.01"), (0.5, "1"), (0.75, "100"), (1.0, "1e4")] {
-        svg.words((left + wide * part, y + 25.0), 10.0, Anchor::Middle, INK, text);
+    for (part, text) in [
+        (0.0, "1e-4"),
+        (0.25, "0.01"),
+        (0.5, "1"),
+        (0.75, "100"),
+        (1.0, "1e4"),
+    ] {
+        svg.words(
+            (left + wide * part, y + 25.0),
+            10.0,
+            Anchor::Middle,
+            INK,
+            text,
+        );
     }
     svg.words(
         (left + 0.5 * wide, y + 41.0),
@@ -270,5 +336,11 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
     if framed {
         let _ = write!(rest, "; frame: the paper's Eq. 21 as printed");
     }
-    svg.words((left + wide + 36.0, y + 32.0), 10.5, Anchor::Start, INK, &rest);
+    svg.words(
+        (left + wide + 36.0, y + 32.0),
+        10.5,
+        Anchor::Start,
+        INK,
+        &rest,
+    );
 }

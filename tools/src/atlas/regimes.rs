@@ -67,8 +67,8 @@ pub const ALL: [Regime; 20] = [
         title: "Speed of the platform, from rest to a tenth of the speed of sound",
         axis: "m/s along the track",
         values: &[
-            0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.5, 2.572, 5.144, 9.5, 12.0, 30.0, 100.0,
-            149.0, 151.0,
+            0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.5, 2.572, 5.144, 9.5, 12.0, 30.0,
+            100.0, 149.0, 151.0,
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
@@ -99,7 +99,8 @@ pub const ALL: [Regime; 20] = [
         title: "Incidence on a flat Lambert bottom, from nadir to grazing and behind",
         axis: "degrees from the normal",
         values: &[
-            0.0, 1.0, 10.0, 30.0, 60.0, 80.0, 85.0, 88.0, 89.0, 89.9, 89.99, 89.9999, 90.0, 91.0, 120.0,
+            0.0, 1.0, 10.0, 30.0, 60.0, 80.0, 85.0, 88.0, 89.0, 89.9, 89.99, 89.9999, 90.0, 91.0,
+            120.0,
         ],
         few: &[0.0, 60.0, 89.9999, 90.0, 91.0],
         spot: |base, deg| {
@@ -124,7 +125,8 @@ pub const ALL: [Regime; 20] = [
         title: "Direction of the echo, from along the line of elements to broadside",
         axis: "degrees from the line, at 5 knots along it",
         values: &[
-            0.0, 0.01, 0.1, 1.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 90.0, 135.0, 180.0,
+            0.0, 0.01, 0.1, 1.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 90.0, 135.0,
+            180.0,
         ],
         few: &[0.0, 45.0, 90.0, 180.0],
         spot: |base, deg| {
@@ -313,9 +315,7 @@ pub const ALL: [Regime; 20] = [
         name: "far-from-origin",
         title: "How far from the world's origin all this happens: f32 would end at 100 m",
         axis: "m north and east of the origin",
-        values: &[
-            0.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8,
-        ],
+        values: &[0.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8],
         few: &[0.0, 1e6, 1e7],
         spot: |base, away_m| {
             let mut spot = base.under_way(CRUISE_M_PER_S);
@@ -387,7 +387,9 @@ pub const ALL: [Regime; 20] = [
         name: "tolerance",
         title: "The tolerance that is asked for, 5 knots: colour is error over that tolerance",
         axis: "tolerance",
-        values: &[1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9],
+        values: &[
+            1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9,
+        ],
         few: &[1e-1, 1e-4, 1e-9],
         spot: |base, tolerance| {
             let mut spot = base.under_way(CRUISE_M_PER_S);
@@ -403,7 +405,8 @@ pub const ALL: [Regime; 20] = [
         title: "Culling by the patterns, to nothing at all",
         axis: "dB of the two-way pattern below which scatterers are left out",
         values: &[
-            NO_FLOOR, -120.0, -100.0, -80.0, -60.0, -50.0, -40.0, -30.0, -20.0, -10.0, -6.0, -3.0, -1.0,
+            NO_FLOOR, -120.0, -100.0, -80.0, -60.0, -50.0, -40.0, -30.0, -20.0, -10.0, -6.0, -3.0,
+            -1.0,
         ],
         few: &[NO_FLOOR, -80.0, -3.0],
         spot: |base, floor_db| {
@@ -437,7 +440,9 @@ pub const ALL: [Regime; 20] = [
         spot: |base, count| {
             let mut spot = base.under_way(CRUISE_M_PER_S);
             let points: Vec<DVec3> = match count > 100.0 {
-                true => (100..count as usize).map(|_| place(33.0, 80.0, 12.0)).collect(),
+                true => (100..count as usize)
+                    .map(|_| place(33.0, 80.0, 12.0))
+                    .collect(),
                 false => (0..count as usize)
                     .map(|k| place(30.0 + 0.45 * k as f64, 60.0 + 3.0 * k as f64, 12.0))
                     .collect(),

@@ -88,11 +88,20 @@ fn curvature() -> Map {
         ("slope", patch(|n, e| 10.0 + 0.2 * n - 0.1 * e)),
         ("ridge", patch(|n, _| 10.0 + 0.3 * n.abs())),
         ("cylinder", patch(|n, _| 30.0 - (400.0 - n * n).sqrt())),
-        ("sphere", patch(|n, e| 30.0 - (400.0 - n * n - e * e).sqrt())),
+        (
+            "sphere",
+            patch(|n, e| 30.0 - (400.0 - n * n - e * e).sqrt()),
+        ),
         ("saddle", patch(|n, e| 10.0 + 0.02 * n * e)),
-        ("rough", patch(|n, e| 10.0 + 0.1 * (7.0 * n).sin() * (5.0 * e).cos())),
+        (
+            "rough",
+            patch(|n, e| 10.0 + 0.1 * (7.0 * n).sin() * (5.0 * e).cos()),
+        ),
         // The first row hides all that is behind it.
-        ("behind a wall", patch(|_, e| if e < -4.9 { -30.0 } else { 10.0 })),
+        (
+            "behind a wall",
+            patch(|_, e| if e < -4.9 { -30.0 } else { 10.0 }),
+        ),
         ("one point", few(1)),
         ("a line of three", few(3)),
         ("nothing", few(0)),
@@ -108,7 +117,8 @@ fn curvature() -> Map {
         .map(|(_, method)| grounds.iter().map(|(_, g)| level(g, *method)).collect())
         .collect();
     Map {
-        title: "Simplification to half the points, where curvature is zero or cannot be told".into(),
+        title: "Simplification to half the points, where curvature is zero or cannot be told"
+            .into(),
         about: format!(
             "error: how far the level of what is kept lies from that of all that is visible (unbiased: mean of 16 draws), over {LEVEL_DB} dB"
         ),
@@ -142,7 +152,11 @@ fn level(ground: &Ground, method: Option<Method>) -> Mark {
         let kept = left.kept.iter().zip(&left.area_share);
         let sum: f64 = kept.map(|(&i, share)| share * energy(i as usize)).sum();
         let all: f64 = (0..count).map(energy).sum();
-        return if all == 0.0 { Mark::Silence } else { ratio(db(sum, all), LEVEL_DB) };
+        return if all == 0.0 {
+            Mark::Silence
+        } else {
+            ratio(db(sum, all), LEVEL_DB)
+        };
     };
     let view = View {
         apex_m: DVec3::ZERO,
@@ -165,7 +179,10 @@ fn level(ground: &Ground, method: Option<Method>) -> Mark {
         if energies.energy.iter().any(|e| e.is_nan()) {
             return Mark::Shout;
         }
-        let visible: f64 = (0..count).filter(|&i| !energies.hidden[i]).map(energy).sum();
+        let visible: f64 = (0..count)
+            .filter(|&i| !energies.hidden[i])
+            .map(energy)
+            .sum();
         if visible == 0.0 {
             return Mark::Silence;
         }
@@ -179,7 +196,10 @@ fn level(ground: &Ground, method: Option<Method>) -> Mark {
             .sum();
         levels.push(kept / visible);
     }
-    ratio(db(levels.iter().sum::<f64>() / levels.len() as f64, 1.0), LEVEL_DB)
+    ratio(
+        db(levels.iter().sum::<f64>() / levels.len() as f64, 1.0),
+        LEVEL_DB,
+    )
 }
 
 fn places() -> Map {
@@ -199,7 +219,11 @@ fn places() -> Map {
             let (latitude, longitude) = plane.geodetic_rad(1000.0 * cos, 1000.0 * sin);
             let (north_m, east_m) = plane.local_m(latitude, longitude);
             let off_m = (north_m - 1000.0 * cos).hypot(east_m - 1000.0 * sin);
-            worst = if off_m.is_nan() { f64::NAN } else { worst.max(off_m) };
+            worst = if off_m.is_nan() {
+                f64::NAN
+            } else {
+                worst.max(off_m)
+            };
             if worst.is_nan() {
                 return worst;
             }
@@ -210,7 +234,8 @@ fn places() -> Map {
         .iter()
         .map(|(_, longitude)| {
             let row = latitudes_deg.iter();
-            row.map(|&latitude| ratio(off(latitude, *longitude), PLACE_M)).collect()
+            row.map(|&latitude| ratio(off(latitude, *longitude), PLACE_M))
+                .collect()
         })
         .collect();
     Map {

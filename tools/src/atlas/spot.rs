@@ -126,10 +126,7 @@ tolerance = 1e-3
             "track.csv",
             "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n",
         );
-        write(
-            "points.csv",
-            "north_m,east_m,down_m,amplitude\n0,30,10,1\n",
-        );
+        write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
         let mut rig =
             config::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
         // A sensor's: a track in a file may be as sparse as it likes.
@@ -322,8 +319,12 @@ impl Spot {
             }
         }
         let mut trajectory = Trajectory::default();
-        match history.motion(T0, self.plan().window_s(self.rate_hz()), NavMode::Settle, &mut trajectory)
-        {
+        match history.motion(
+            T0,
+            self.plan().window_s(self.rate_hz()),
+            NavMode::Settle,
+            &mut trajectory,
+        ) {
             Ok(_) => self.heard = Some(trajectory),
             Err(gap) => self.refused = Some(gap.to_string()),
         }
