@@ -38,14 +38,18 @@ pub struct Points<'a, T> {
     pub amplitude: &'a [Complex<T>],
 }
 
-/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on. Weights from `taps` on are 0.
+/// What of a point's amplitude goes to each tap, real parts first, then imaginary ones.
+pub type Shared<T> = [T; 2 * MAX_TAPS];
+
+/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on, and what of each point's amplitude
+/// goes there: 0 from `taps` on.
 #[derive(Clone, Copy, Debug)]
 pub struct Across<'a, T> {
     pub column: &'a [u32],
-    pub weight: &'a [[T; MAX_TAPS]],
+    pub value: &'a [Shared<T>],
     pub taps: usize,
-    /// Rows that a value of the first dimension has: column q is lane q % [`Real::MOMENTS`] of row q / [`Real::MOMENTS`].
-    pub rows: usize,
+    /// Lanes from one value of the first dimension to the next: column q of value v is lane `v * stride + q` of all, [`Real::MOMENTS`] to a row.
+    pub stride: usize,
 }
 
 /// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
@@ -77,8 +81,8 @@ pub trait Real: Planned + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds every point's values to a few of many grids: tap i of column q to lane q of value `cell + i`, whose rows begin at
-    /// `(cell + i) * across.rows`. May add zeros to lanes next to a point's. Panics where the rows end before that.
+    /// Adds every point's values across to a few of many grids: tap i of column q to lane q of value `cell + i`. May add zeros to the next
+    /// [`MAX_TAPS`] lanes. Panics where the rows end before that. The points' amplitudes are not looked at.
     fn spread(
         dialect: Dialect,
         points: Points<Self>,
@@ -220,7 +224,7 @@ fn check_weights<T: Real>(weights: &FlushWeights<T>) {
 fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, rows: usize) {
     let len = points.cell.len();
     assert_eq!(across.column.len(), len, "columns");
-    assert_eq!(across.weight.len(), len, "weights");
+    assert_eq!(across.value.len(), len, "values");
     assert!(
         (1..=MAX_TAPS).contains(&across.taps),
         "{} taps",
@@ -229,16 +233,16 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, r
     let greatest = |v: &[u32]| v.iter().fold(0, |a, &b| a.max(b)) as usize;
     let last_column = greatest(across.column) + across.taps;
     assert!(
-        last_column <= across.rows * T::MOMENTS,
-        "column {last_column} in {} rows",
-        across.rows
+        last_column <= across.stride,
+        "column {last_column} of {}",
+        across.stride
     );
     let last_cell = greatest(points.cell) + width;
-    // One value more: what reaches past the last column lies in the next value's rows.
+    // One value more: what reaches past the last column lies in the next one's lanes.
     assert!(
-        (last_cell + 1) * across.rows <= rows,
-        "value {last_cell}, {} rows each, in {rows}",
-        across.rows
+        (last_cell + 1) * across.stride + MAX_TAPS <= rows * T::MOMENTS,
+        "value {last_cell}, {} lanes each, in {rows} rows",
+        across.stride
     );
 }
 
@@ -384,16 +388,17 @@ fn spread_plain<T: Real, const N: usize>(
             along(&points.x[j..end], weights, &mut values);
         }
         let column = across.column[j] as usize;
-        let mut first = points.cell[j] as usize * across.rows;
+        let mut first = points.cell[j] as usize * across.stride;
         for value in &values[..weights.width] {
-            let c = points.amplitude[j] * value[j % STRIP];
-            for (t, &share) in across.weight[j][..across.taps].iter().enumerate() {
-                let lane = 2 * (column + t);
-                let row = &mut rows[first + lane / N].0[lane % N..][..2];
-                row[0] = row[0] + c.re * share;
-                row[1] = row[1] + c.im * share;
+            let value = value[j % STRIP];
+            let (re, im) = across.value[j].split_at(MAX_TAPS);
+            for (t, (&re, &im)) in re.iter().zip(im).take(across.taps).enumerate() {
+                let at = 2 * (first + column + t);
+                let row = &mut rows[at / N].0[at % N..][..2];
+                row[0] = row[0] + re * value;
+                row[1] = row[1] + im * value;
             }
-            first += across.rows;
+            first += across.stride;
         }
     }
 }
@@ -414,7 +419,7 @@ mod tests {
         Located<T>,
         [Complex<T>; BLOCK],
         [u32; BLOCK],
-        [[T; MAX_TAPS]; BLOCK],
+        [Shared<T>; BLOCK],
     );
 
     /// Points in all cells but the last of `cells`, in columns 0..4.
@@ -474,28 +479,40 @@ mod tests {
                 );
 
                 for taps in 1..=MAX_TAPS {
-                    let mut weight = block.3;
-                    weight.iter_mut().for_each(|w| w[taps..].fill(T::zero()));
-                    let across = Across {
-                        column: &block.2,
-                        weight: &weight,
-                        taps,
-                        rows: (3 + taps).div_ceil(T::MOMENTS),
-                    };
-                    let ones = Row([T::one(); N]);
-                    let mut want_rows = vec![ones; across.rows * (CELLS + width)];
-                    let mut rows = want_rows.clone();
-                    let points = points(&block, BLOCK);
-                    spread_plain(points, across, &weights, &mut want_rows);
-                    T::spread(dialect, points, across, &weights, &mut rows);
-                    let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
-                        rows.iter()
-                            .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
-                            .collect()
-                    };
-                    let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
-                    let error = worst(&grids, &want_grids);
-                    assert!(error < limit, "{dialect:?}, {width} x {taps}: {error:e}");
+                    let mut value = block.3;
+                    for value in &mut value {
+                        value[taps..MAX_TAPS].fill(T::zero());
+                        value[MAX_TAPS + taps..].fill(T::zero());
+                    }
+                    for stride in [8, T::MOMENTS, 17] {
+                        if 3 + taps > stride {
+                            continue;
+                        }
+                        let across = Across {
+                            column: &block.2,
+                            value: &value,
+                            taps,
+                            stride,
+                        };
+                        let ones = Row([T::one(); N]);
+                        let count = (stride * (CELLS + width) + MAX_TAPS).div_ceil(T::MOMENTS);
+                        let mut want_rows = vec![ones; count];
+                        let mut rows = want_rows.clone();
+                        let points = points(&block, BLOCK);
+                        spread_plain(points, across, &weights, &mut want_rows);
+                        T::spread(dialect, points, across, &weights, &mut rows);
+                        let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
+                            rows.iter()
+                                .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
+                                .collect()
+                        };
+                        let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
+                        let error = worst(&grids, &want_grids);
+                        assert!(
+                            error < limit,
+                            "{dialect:?}, {width} x {taps} of {stride}: {error:e}"
+                        );
+                    }
                 }
             }
         }

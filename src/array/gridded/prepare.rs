@@ -1,10 +1,10 @@
 //! From a chunk of arrivals to points on the grids: middle of the echo, carrier phase there, place among the Doppler columns.
 //!
-//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)). What
-//! [`Coupling`] takes out of the templates moves it on by tau, with the phase exp(j pi f_c d tau).
+//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)).
 //!
 //! With curvature q its middle comes where eta m + q m^2 = T/2, the phase is exp(j 2pi f_c (d m + q m^2 - u)), and d from there on that of
-//! the middle: sqrt(eta^2 + 2 q T) - 1.
+//! the middle: sqrt(eta^2 + 2 q T) - 1. Where weights carry the curvature ([`super::doppler`]), what they do too much at the ends of the pulse is a
+//! delay and a Doppler.
 
 use num_complex::Complex;
 
@@ -12,8 +12,8 @@ use crate::array::phasor::cis;
 use crate::flow::{ArrivalChunk, CHUNK};
 
 use super::dialect::{Dialect, Kind};
-use super::doppler::{Coupling, DopplerGrid, DopplerSpan, POWERS};
-use super::moments::{BLOCK, MAX_TAPS, Real};
+use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
+use super::moments::{BLOCK, MAX_TAPS, Real, Shared};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
@@ -26,14 +26,34 @@ pub struct Frame {
     /// Greatest |q| and |p|; 0 where curvature is left out.
     pub greatest_q: f64,
     pub greatest_p: f64,
-    pub coupling: Coupling,
+    /// Weights carry the curvature.
+    pub bent: bool,
+    /// Of the pulse; 0 without.
+    pub sweep_hz_per_s: f64,
 }
 
 /// Where echoes go among the columns of a grid of Dopplers.
 pub struct Columns<T> {
     pub grid: DopplerGrid,
-    /// The grid's weights as T.
-    pub weights: [[T; MAX_TAPS]; POWERS],
+    /// Whether weights carry a curvature.
+    bent: bool,
+    /// Across a cell, [`ENTRIES`] of them.
+    table: Vec<Entry<T>>,
+}
+
+/// Entries of a table of weights across a cell. Each is the middle of a Taylor series that ends after the square: 1e-7 is left, or with f64
+/// moments, from whose tolerances on the table is that much finer, 1e-11.
+const ENTRIES: [usize; 2] = [128, 2048];
+
+/// Weights about a place in a cell, and what a curvature makes of them, for each tap.
+#[derive(Clone, Copy)]
+struct Entry<T> {
+    /// The weights and their derivatives in x, the second one halved.
+    plain: [[T; MAX_TAPS]; 3],
+    /// To be multiplied with the curvature: imaginary part and its derivative, real part; with its square: real part.
+    imaginary: [[T; MAX_TAPS]; 2],
+    real: [T; MAX_TAPS],
+    real_2: [T; MAX_TAPS],
 }
 
 /// A chunk's points; `delay_s` is that of the middle.
@@ -42,12 +62,13 @@ pub struct Prepared<T> {
     pub amplitude: [Complex<T>; BLOCK],
     /// Of the middle.
     pub doppler: [f64; BLOCK],
-    /// p over the greatest.
+    /// p over the greatest; where weights carry it, p eta^4 over the greatest p.
     pub bend: [T; BLOCK],
     /// Greatest |bend|.
     pub most_bent: f64,
     pub column: [u32; BLOCK],
-    pub weight: [[T; MAX_TAPS]; BLOCK],
+    /// Weight times amplitude.
+    pub value: [Shared<T>; BLOCK],
 }
 
 impl<T: Real> Prepared<T> {
@@ -59,7 +80,7 @@ impl<T: Real> Prepared<T> {
             bend: [T::zero(); BLOCK],
             most_bent: 0.0,
             column: [0; BLOCK],
-            weight: [[T::zero(); MAX_TAPS]; BLOCK],
+            value: [[T::zero(); 2 * MAX_TAPS]; BLOCK],
         }
     }
 }
@@ -118,13 +139,13 @@ impl Frame {
         let DopplerSpan { least, greatest } = span;
         let mut outside = 0;
         let (mut cos, mut sin) = ([0.0; BLOCK], [0.0; BLOCK]);
-        let doppler = &mut points.doppler;
         // Of the middle's emission before its reception: d m + q m^2.
         let mut ahead_s = [0.0; BLOCK];
         let mut middle_s = [0.0; BLOCK];
+        let mut later_s = [0.0; BLOCK];
         points.most_bent = 0.0;
         if self.still {
-            doppler[..n].fill(0.0);
+            points.doppler[..n].fill(0.0);
             middle_s[..n].fill(self.half_pulse_s);
         } else if self.greatest_q == 0.0 {
             for j in 0..n {
@@ -132,41 +153,26 @@ impl Frame {
                 outside += u64::from(!((d >= least) & (d <= greatest)));
                 // In this order NaN becomes an end of the span too.
                 let d = d.max(least).min(greatest);
-                doppler[j] = d;
+                points.doppler[j] = d;
                 middle_s[j] = self.half_pulse_s / (1.0 + d);
                 ahead_s[j] = d * middle_s[j];
             }
         } else {
-            let per_greatest = 1.0 / self.greatest_p;
-            let mut most = 0.0f64;
-            for j in 0..n {
-                let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
-                outside +=
-                    u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
-                let d = d.max(least).min(greatest);
-                let q = q.max(-self.greatest_q).min(self.greatest_q);
-                let eta = 1.0 + d;
-                let of_middle = (eta * eta + 4.0 * self.half_pulse_s * q).sqrt();
-                let m = 2.0 * self.half_pulse_s / (eta + of_middle);
-                middle_s[j] = m;
-                ahead_s[j] = (d + q * m) * m;
-                // Its difference from d is a small one: no digits are lost.
-                doppler[j] = (d + 2.0 * q * m).max(least).min(greatest);
-                let bend = q / (of_middle * of_middle * of_middle) * per_greatest;
-                points.bend[j] = T::narrow(bend);
-                most = most.max(bend.abs());
-            }
-            points.most_bent = most;
+            let middles = Middles {
+                ahead_s: &mut ahead_s,
+                middle_s: &mut middle_s,
+                later_s: &mut later_s,
+            };
+            outside = match self.gentle() {
+                true => self.bend::<T, true>(chunk, span, points, middles),
+                false => self.bend::<T, false>(chunk, span, points, middles),
+            };
         }
         for j in 0..n {
-            let d = doppler[j];
-            let per_eta = 1.0 / (1.0 + d);
-            let shift_s = self.coupling.per_doppler_s * d * per_eta * per_eta;
             let turns = self.carrier_hz * chunk.delay_s[j];
             // Whole turns away first: the rest keeps its digits.
-            let turns = self.carrier_hz * (ahead_s[j] + 0.5 * d * shift_s)
-                - (turns - turns.round_ties_even());
-            points.delay_s[j] = chunk.delay_s[j] + (middle_s[j] + shift_s);
+            let turns = self.carrier_hz * ahead_s[j] - (turns - turns.round_ties_even());
+            points.delay_s[j] = chunk.delay_s[j] + (middle_s[j] + later_s[j]);
             (cos[j], sin[j]) = cis(turns);
         }
         for j in 0..n {
@@ -178,17 +184,121 @@ impl Frame {
         }
         outside
     }
+
+    /// Whether series will do for the roots of curved echoes: to 1e-13 of a middle.
+    fn gentle(&self) -> bool {
+        const MOST: f64 = 1e-3;
+        4.0 * self.half_pulse_s * self.greatest_q <= 0.8 * MOST
+    }
+
+    /// Middles, Dopplers there and curvatures; returns how many echoes lie outside the plan.
+    #[inline(always)]
+    fn bend<T: Real, const GENTLE: bool>(
+        &self,
+        chunk: &ArrivalChunk,
+        DopplerSpan { least, greatest }: DopplerSpan,
+        points: &mut Prepared<T>,
+        middles: Middles,
+    ) -> u64 {
+        let n = chunk.len.min(BLOCK);
+        let half_s = self.half_pulse_s;
+        let per_greatest = 1.0 / self.greatest_p;
+        let (later_s2, faster) = match self.bent {
+            true => (
+                half_s.powi(2),
+                half_s.powi(2) * self.sweep_hz_per_s / self.carrier_hz,
+            ),
+            false => (0.0, 0.0),
+        };
+        let (mut outside, mut most) = (0, 0.0f64);
+        for j in 0..n {
+            let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
+            outside += u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
+            // In this order NaN becomes an end of the span too.
+            let d = d.max(least).min(greatest);
+            let q = q.max(-self.greatest_q).min(self.greatest_q);
+            let eta = 1.0 + d;
+            // eta of the middle is the root of eta^2 (1 + z).
+            let (m, p, of_middle) = if GENTLE {
+                let per_eta = 1.0 / eta;
+                let z = 4.0 * half_s * q * per_eta * per_eta;
+                (
+                    half_s * per_eta * (1.0 - z * (0.25 - z * (0.125 - z * 0.078125))),
+                    q * per_eta * per_eta * per_eta * (1.0 - z * (1.5 - z * 1.875)),
+                    eta * (1.0 + z * (0.5 - z * 0.125)),
+                )
+            } else {
+                let of_middle = (eta * eta + 4.0 * half_s * q).sqrt();
+                (
+                    2.0 * half_s / (eta + of_middle),
+                    q / (of_middle * of_middle * of_middle),
+                    of_middle,
+                )
+            };
+            middles.middle_s[j] = m;
+            middles.ahead_s[j] = (d + q * m) * m;
+            middles.later_s[j] = later_s2 * p;
+            // Its difference from d is a small one: no digits are lost.
+            points.doppler[j] = (d + 2.0 * q * m + faster * p).max(least).min(greatest);
+            let bend = match self.bent {
+                true => q * of_middle * per_greatest,
+                false => p * per_greatest,
+            };
+            points.bend[j] = T::narrow(bend);
+            most = most.max(bend.abs());
+        }
+        points.most_bent = most;
+        outside
+    }
+}
+
+/// Of a chunk's echoes: emission of the middle before its reception, reception of the middle after the leading edge, and what is added to that.
+struct Middles<'a> {
+    ahead_s: &'a mut [f64; BLOCK],
+    middle_s: &'a mut [f64; BLOCK],
+    later_s: &'a mut [f64; BLOCK],
 }
 
 impl<T: Real> Columns<T> {
-    pub fn new(grid: DopplerGrid) -> Self {
+    /// With `bent` weights carry a curvature that turns the ends of pulses by the greatest angle given with it.
+    pub fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
+        let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
+        let (b, most_rad) = match &bent {
+            Some((bent, most_rad)) => (Some(bent), *most_rad),
+            None => (None, 0.0),
+        };
+        let none = [[0.0; MAX_TAPS]; POWERS];
+        let imaginary = b.map_or(none, |b| b.imaginary);
+        let imaginary_slope = derivative(&imaginary, 1);
+        let real = b.map_or(none, |b| b.real);
+        let real_2 = b.map_or(none, |b| b.real_2);
+        let (slope, bow) = (derivative(&grid.weights, 1), derivative(&grid.weights, 2));
+        let table = (0..entries)
+            .map(|e| {
+                let x = (2 * e + 1) as f64 / entries as f64 - 1.0;
+                let at = |powers: &Polynomials, factor: f64| -> [T; MAX_TAPS] {
+                    std::array::from_fn(|tap| T::narrow(factor * value_of(powers, tap, x)))
+                };
+                Entry {
+                    plain: [
+                        at(&grid.weights, 1.0),
+                        at(&slope, 1.0),
+                        at(&bow, 0.5),
+                    ],
+                    imaginary: [at(&imaginary, most_rad), at(&imaginary_slope, most_rad)],
+                    real: at(&real, most_rad),
+                    real_2: at(&real_2, most_rad * most_rad),
+                }
+            })
+            .collect();
         Self {
-            weights: grid.weights.map(|row| row.map(T::narrow)),
             grid,
+            bent: bent.is_some(),
+            table,
         }
     }
 
-    /// First columns, counted from `first_column`, and weights of the first `n` points.
+    /// First columns, counted from `first_column`, and values on them of the first `n` points.
     pub fn place(&self, dialect: Dialect, n: usize, first_column: usize, points: &mut Prepared<T>) {
         match dialect.kind() {
             // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
@@ -216,24 +326,50 @@ impl<T: Real> Columns<T> {
     #[inline(always)]
     fn place_plain(&self, n: usize, first_column: usize, points: &mut Prepared<T>) {
         let n = n.min(BLOCK);
-        let mut place = [T::zero(); BLOCK];
-        let placed = place.iter_mut().zip(&mut points.column);
-        for ((place, column), &doppler) in placed.zip(&points.doppler).take(n) {
-            let (cell, x) = self.grid.place(doppler);
-            *column = (cell - first_column) as u32;
-            *place = T::narrow(x);
+        let mut entry = [0u32; BLOCK];
+        let mut beyond = [T::zero(); BLOCK];
+        let entries = self.table.len() as f64;
+        for j in 0..n {
+            let (cell, x) = self.grid.place(points.doppler[j]);
+            points.column[j] = (cell - first_column) as u32;
+            let place = 0.5 * entries * (x + 1.0);
+            let at = (place as u32).min(self.table.len() as u32 - 1);
+            entry[j] = at;
+            beyond[j] = T::narrow((place - f64::from(at) - 0.5) * (2.0 / entries));
         }
-        let (highest, lower) = self.weights[..self.grid.powers]
-            .split_last()
-            .expect("a power at least");
-        for (weight, &x) in points.weight[..n].iter_mut().zip(&place) {
-            let mut sum = *highest;
-            for weights in lower.iter().rev() {
-                for (sum, weight) in sum.iter_mut().zip(weights) {
-                    *sum = *sum * x + *weight;
+        match self.bent {
+            true => self.share::<true>(n, &entry, &beyond, points),
+            false => self.share::<false>(n, &entry, &beyond, points),
+        }
+    }
+
+    /// The values of the points, whose weights lie `beyond` an entry of the table.
+    #[inline(always)]
+    fn share<const BENT: bool>(
+        &self,
+        n: usize,
+        entry: &[u32; BLOCK],
+        beyond: &[T; BLOCK],
+        points: &mut Prepared<T>,
+    ) {
+        for j in 0..n {
+            let weights = &self.table[entry[j] as usize];
+            let (x, c, bend) = (beyond[j], points.amplitude[j], points.bend[j]);
+            let value = &mut points.value[j];
+            let (re, im) = value.split_at_mut(MAX_TAPS);
+            for i in 0..MAX_TAPS {
+                let [plain, slope, bow] = [0, 1, 2].map(|k| weights.plain[k][i]);
+                let plain = plain + x * (slope + x * bow);
+                if BENT {
+                    let real = plain + bend * (weights.real[i] + bend * weights.real_2[i]);
+                    let imaginary = bend * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
+                    re[i] = c.re * real - c.im * imaginary;
+                    im[i] = c.re * imaginary + c.im * real;
+                } else {
+                    re[i] = c.re * plain;
+                    im[i] = c.im * plain;
                 }
             }
-            *weight = sum;
         }
     }
 }
