@@ -5,7 +5,10 @@ use std::arch::x86_64::*;
 use num_complex::{Complex32, Complex64};
 
 use super::kernel::MAX_WIDTH;
-use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
+use super::moments::{
+    Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, Shared, along,
+};
+use super::prepare::Sharing;
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
@@ -266,6 +269,43 @@ pub unsafe fn spread_64(
                     _mm256_storeu_pd(at, _mm256_fmadd_pd(*row, value, _mm256_loadu_pd(at)));
                 }
                 at = at.wrapping_add(step);
+            }
+        }
+    }
+}
+
+/// [`super::prepare::share_plain`], a point at a time: 256 bits hold a weight for every tap.
+///
+/// SAFETY: the processor must have the features; shapes as `Real::share` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &mut [Shared<f32>]) {
+    // SAFETY: all slices have a number for every value, every entry is in the table, and each of an entry's fields has eight numbers, as each half
+    // of a value.
+    unsafe {
+        for (j, value) in values.iter_mut().enumerate() {
+            let weights = points
+                .table
+                .get_unchecked(*points.entry.get_unchecked(j) as usize);
+            let of = |taps: &[f32; MAX_TAPS]| _mm256_loadu_ps(taps.as_ptr());
+            let x = _mm256_set1_ps(*points.beyond.get_unchecked(j));
+            let c = points.amplitude.get_unchecked(j);
+            let (re, im) = (_mm256_set1_ps(c.re), _mm256_set1_ps(c.im));
+            let [plain, slope, bow] = [0, 1, 2].map(|k| of(&weights.plain[k]));
+            let mut real = _mm256_fmadd_ps(_mm256_fmadd_ps(bow, x, slope), x, plain);
+            let out = value.as_mut_ptr();
+            if BENT {
+                let bend = _mm256_set1_ps(*points.bend.get_unchecked(j));
+                let more = _mm256_fmadd_ps(of(&weights.real_2), bend, of(&weights.real));
+                real = _mm256_fmadd_ps(more, bend, real);
+                let [plain, slope] = [0, 1].map(|k| of(&weights.imaginary[k]));
+                let imaginary = _mm256_mul_ps(_mm256_fmadd_ps(slope, x, plain), bend);
+                let across = _mm256_mul_ps(im, imaginary);
+                _mm256_storeu_ps(out, _mm256_fmsub_ps(re, real, across));
+                let across = _mm256_mul_ps(re, imaginary);
+                _mm256_storeu_ps(out.add(MAX_TAPS), _mm256_fmadd_ps(im, real, across));
+            } else {
+                _mm256_storeu_ps(out, _mm256_mul_ps(re, real));
+                _mm256_storeu_ps(out.add(MAX_TAPS), _mm256_mul_ps(im, real));
             }
         }
     }

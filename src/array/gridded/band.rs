@@ -22,6 +22,9 @@ pub const MOST_BANDS: usize = 8;
 /// Least samples of a window.
 const LEAST_WINDOW: f64 = 32.0;
 
+/// Windows that are weaker than the strongest by more than this are counted against it: a sharp pulse fills every band to that depth.
+const DEEPEST_DB: f64 = 60.0;
+
 /// Bands are tried in steps of this share of the sample rate.
 const STEP: f64 = 0.125;
 
@@ -168,7 +171,7 @@ impl Echoes {
             })
             .collect();
         let length = (window_s * dense_hz).ceil() as usize;
-        let noise = 10f64.powf(-spec.level_range_db / 10.0);
+        let noise = 10f64.powf(-spec.level_range_db.min(DEEPEST_DB) / 10.0);
         let windows = spectra
             .iter()
             .map(|spectrum| {

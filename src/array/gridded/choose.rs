@@ -8,8 +8,11 @@ use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
 
-/// Each of these errors may take this share of the tolerance: kernel over delay, band left out.
-pub const SHARE: f64 = 1.0 / 3.0;
+/// What the band leaves out may take this share of the tolerance in the worst window.
+pub const SHARE: f64 = 0.25;
+
+/// Root mean square error of the kernel over delay, as a share of the tolerance; a sweep's ends lie where the kernel does twice as ill.
+const KERNEL_SHARE: f64 = 0.2;
 
 /// The kernel over delay: the smallest grid on which `widest` reaches the share.
 pub fn delay_kernel<M: Real>(
@@ -23,12 +26,12 @@ pub fn delay_kernel<M: Real>(
         // A search for the best window makes a kernel no more than so much better.
         let hopeful = |width: &usize| {
             let rough = Kernel::rough(*width, oversampling, M::MOMENTS);
-            rough.error <= 3.0 * SHARE * tolerance
+            rough.error <= 3.0 * KERNEL_SHARE * tolerance
         };
         (MIN_WIDTH..=widest)
             .filter(hopeful)
             .map(|width| Kernel::new(width, oversampling, M::MOMENTS))
-            .find(|kernel| kernel.error <= SHARE * tolerance)
+            .find(|kernel| kernel.error <= KERNEL_SHARE * tolerance)
             .map(|kernel| (grid, kernel))
     })
 }
@@ -42,7 +45,7 @@ const NS_PER_TAP: f64 = 0.2;
 pub const NS_PER_GRID_VALUE: f64 = 3.0;
 
 /// Error that the grid of Dopplers may leave at any instant of the echo that it serves worst, as a share of the tolerance.
-const WORST_SHARE: f64 = 0.4;
+const WORST_SHARE: f64 = 0.35;
 
 /// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 17 degrees to either hand, from a platform at full speed.
 const TYPICAL_SPAN: f64 = 0.3;

@@ -14,6 +14,7 @@ use num_complex::{Complex, Complex32, Complex64};
 
 use super::dialect::{Dialect, Kind};
 use super::kernel::{Kernel, MAX_WIDTH};
+use super::prepare::{Sharing, share_plain};
 
 /// Points worked on together.
 pub const BLOCK: usize = 256;
@@ -92,6 +93,13 @@ pub trait Real: Planned + Default {
     );
 
     fn lane(row: &Self::Row, lane: usize) -> Complex<Self>;
+
+    /// The values of points across: their amplitudes times weights read from a table. Panics where entries are missing.
+    fn share<const BENT: bool>(
+        dialect: Dialect,
+        points: Sharing<Self>,
+        values: &mut [Shared<Self>],
+    );
 }
 
 /// The kernel's weights laid out for the loops: every weight twice (re, im), taps padded with zeros to a whole number of vectors.
@@ -144,7 +152,7 @@ impl<T: Real> Default for Located<T> {
 }
 
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
-const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+pub const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
 #[derive(Clone, Copy, Debug)]
@@ -247,7 +255,7 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, r
 }
 
 macro_rules! real {
-    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident) => {
+    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident, $share:ident) => {
         impl Real for $real {
             type Row = $row;
             const MOMENTS: usize = $moments;
@@ -315,11 +323,29 @@ macro_rules! real {
                     _ => spread_plain(points, across, weights, rows),
                 }
             }
+
+            fn share<const BENT: bool>(
+                dialect: Dialect,
+                points: Sharing<Self>,
+                values: &mut [Shared<Self>],
+            ) {
+                check_sharing(&points, values.len());
+                $share::<BENT>(dialect, points, values)
+            }
         }
     };
 }
 
-real!(f32, Row32, Complex32, 8, accumulate_32, flush_32, spread_32);
+real!(
+    f32,
+    Row32,
+    Complex32,
+    8,
+    accumulate_32,
+    flush_32,
+    spread_32,
+    share_32
+);
 real!(
     f64,
     Row64,
@@ -327,8 +353,41 @@ real!(
     12,
     accumulate_64,
     flush_64,
-    spread_64
+    spread_64,
+    share_64
 );
+
+fn share_32<const BENT: bool>(
+    dialect: Dialect,
+    points: Sharing<f32>,
+    values: &mut [Shared<f32>],
+) {
+    match dialect.kind() {
+        // SAFETY: a `Dialect` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 | Kind::Avx2 => unsafe { super::avx2::share_32::<BENT>(points, values) },
+        _ => share_plain::<f32, BENT>(points, values),
+    }
+}
+
+/// Seldom needed: plain for all.
+fn share_64<const BENT: bool>(_: Dialect, points: Sharing<f64>, values: &mut [Shared<f64>]) {
+    share_plain::<f64, BENT>(points, values);
+}
+
+/// What the vector loop relies on: a number of each for every value, and every entry in the table.
+fn check_sharing<T>(points: &Sharing<T>, len: usize) {
+    assert_eq!(points.entry.len(), len, "entries");
+    assert_eq!(points.beyond.len(), len, "places");
+    assert_eq!(points.amplitude.len(), len, "amplitudes");
+    assert_eq!(points.bend.len(), len, "curvatures");
+    let last = points.entry.iter().fold(0, |a, &b| a.max(b)) as usize;
+    assert!(
+        len == 0 || last < points.table.len(),
+        "entry {last} of {}",
+        points.table.len()
+    );
+}
 
 /// The portable twin of the vector loops.
 fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<T, N>]) {
@@ -527,6 +586,55 @@ mod tests {
     #[test]
     fn every_dialect_gives_the_portable_f64_to_1e_13() {
         every_dialect_agrees::<f64, 24>(1e-13);
+    }
+
+    #[test]
+    fn every_dialect_shares_points_like_the_portable_f32_to_1e_6() {
+        use crate::array::gridded::prepare::Entry;
+        let eight = |i: usize| std::array::from_fn(|t| chance(8 * i + t) as f32);
+        let table: Vec<Entry<f32>> = (0..16)
+            .map(|e| Entry {
+                plain: [0, 1, 2].map(|k| eight(7 * e + k)),
+                imaginary: [3, 4].map(|k| eight(7 * e + k)),
+                real: eight(7 * e + 5),
+                real_2: eight(7 * e + 6),
+            })
+            .collect();
+        let number = |i: usize| chance(i) as f32;
+        let entry: Vec<u32> = (0..BLOCK).map(|j| (chance(j).abs() * 15.9) as u32).collect();
+        let beyond: Vec<f32> = (0..BLOCK).map(|j| number(3 * j)).collect();
+        let bend: Vec<f32> = (0..BLOCK).map(|j| number(5 * j + 1)).collect();
+        let amplitude: Vec<Complex32> = (0..BLOCK)
+            .map(|j| Complex32::new(number(7 * j), number(11 * j)))
+            .collect();
+        let sharing = || Sharing {
+            table: &table,
+            entry: &entry,
+            beyond: &beyond,
+            amplitude: &amplitude,
+            bend: &bend,
+        };
+        let made = |run: &dyn Fn(&mut [Shared<f32>])| {
+            let mut values = vec![[0f32; 2 * MAX_TAPS]; BLOCK];
+            run(&mut values);
+            values.concat()
+        };
+        for dialect in Dialect::available() {
+            for (got, want) in [
+                (
+                    made(&|v| f32::share::<true>(dialect, sharing(), v)),
+                    made(&|v| share_plain::<f32, true>(sharing(), v)),
+                ),
+                (
+                    made(&|v| f32::share::<false>(dialect, sharing(), v)),
+                    made(&|v| share_plain::<f32, false>(sharing(), v)),
+                ),
+            ] {
+                let off = got.iter().zip(&want).map(|(g, w)| (g - w).abs());
+                let worst = off.fold(0.0, f32::max);
+                assert!(worst < 1e-6, "{dialect:?}: {worst:e}");
+            }
+        }
     }
 
     #[test]

@@ -595,7 +595,8 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             term.used = true;
             let columns = &planned.columns;
             if columns.grid.columns > 1 {
-                columns.place(plan.dialect, n, term.first_column, prepared);
+                let used = term.first_column..term.first_column + term.columns;
+                columns.place(plan.dialect, n, used, prepared);
             }
             let points = Points {
                 cell: &located.cell[..n],

@@ -6,6 +6,8 @@
 //! the middle: sqrt(eta^2 + 2 q T) - 1. Where weights carry the curvature ([`super::doppler`]), what they do too much at the ends of the pulse is a
 //! delay and a Doppler.
 
+use std::ops::Range;
+
 use num_complex::Complex;
 
 use crate::array::phasor::cis;
@@ -13,7 +15,7 @@ use crate::flow::{ArrivalChunk, CHUNK};
 
 use super::dialect::{Dialect, Kind};
 use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
-use super::moments::{BLOCK, MAX_TAPS, Real, Shared};
+use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
@@ -41,19 +43,29 @@ pub struct Columns<T> {
     table: Vec<Entry<T>>,
 }
 
-/// Entries of a table of weights across a cell. Each is the middle of a Taylor series that ends after the square: 1e-7 is left, or with f64
+/// Entries of a table of weights across a cell, powers of two. Each is the middle of a Taylor series that ends after the square: 1e-7 is left, or with f64
 /// moments, from whose tolerances on the table is that much finer, 1e-11.
 const ENTRIES: [usize; 2] = [128, 2048];
 
 /// Weights about a place in a cell, and what a curvature makes of them, for each tap.
 #[derive(Clone, Copy)]
-struct Entry<T> {
+#[repr(C)]
+pub struct Entry<T> {
     /// The weights and their derivatives in x, the second one halved.
-    plain: [[T; MAX_TAPS]; 3],
+    pub plain: [[T; MAX_TAPS]; 3],
     /// To be multiplied with the curvature: imaginary part and its derivative, real part; with its square: real part.
-    imaginary: [[T; MAX_TAPS]; 2],
-    real: [T; MAX_TAPS],
-    real_2: [T; MAX_TAPS],
+    pub imaginary: [[T; MAX_TAPS]; 2],
+    pub real: [T; MAX_TAPS],
+    pub real_2: [T; MAX_TAPS],
+}
+
+/// What the values of a chunk's points are made of: `beyond` the middle of an entry lies each point's place.
+pub struct Sharing<'a, T> {
+    pub table: &'a [Entry<T>],
+    pub entry: &'a [u32],
+    pub beyond: &'a [T],
+    pub amplitude: &'a [Complex<T>],
+    pub bend: &'a [T],
 }
 
 /// A chunk's points; `delay_s` is that of the middle.
@@ -298,77 +310,129 @@ impl<T: Real> Columns<T> {
         }
     }
 
-    /// First columns, counted from `first_column`, and values on them of the first `n` points.
-    pub fn place(&self, dialect: Dialect, n: usize, first_column: usize, points: &mut Prepared<T>) {
+    /// First columns, counted from the first of `columns`, and values on them of the first `n` points.
+    pub fn place(
+        &self,
+        dialect: Dialect,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+    ) {
+        let n = n.min(BLOCK);
+        let mut entry = [0u32; BLOCK];
+        let mut beyond = [T::zero(); BLOCK];
         match dialect.kind() {
             // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { self.place_avx512(n, first_column, points) },
+            Kind::Avx512 => unsafe {
+                self.enter_avx512(n, columns, points, &mut entry, &mut beyond);
+            },
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { self.place_avx2(n, first_column, points) },
-            _ => self.place_plain(n, first_column, points),
+            Kind::Avx2 => unsafe {
+                self.enter_avx2(n, columns, points, &mut entry, &mut beyond);
+            },
+            _ => self.enter(n, columns, points, &mut entry, &mut beyond),
+        }
+        let sharing = Sharing {
+            table: &self.table,
+            entry: &entry[..n],
+            beyond: &beyond[..n],
+            amplitude: &points.amplitude[..n],
+            bend: &points.bend[..n],
+        };
+        let value = &mut points.value[..n];
+        match self.bent {
+            true => T::share::<true>(dialect, sharing, value),
+            false => T::share::<false>(dialect, sharing, value),
         }
     }
 
-    /// The AVX-512 and AVX2 builds of [`Self::place_plain`]: the same arithmetic, so the same bits.
+    /// The AVX-512 and AVX2 builds of [`Self::enter`]: the same arithmetic, so the same bits.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-    fn place_avx512(&self, n: usize, first_column: usize, points: &mut Prepared<T>) {
-        self.place_plain(n, first_column, points)
+    fn enter_avx512(
+        &self,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
+    ) {
+        self.enter(n, columns, points, entry, beyond)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn place_avx2(&self, n: usize, first_column: usize, points: &mut Prepared<T>) {
-        self.place_plain(n, first_column, points)
-    }
-
-    #[inline(always)]
-    fn place_plain(&self, n: usize, first_column: usize, points: &mut Prepared<T>) {
-        let n = n.min(BLOCK);
-        let mut entry = [0u32; BLOCK];
-        let mut beyond = [T::zero(); BLOCK];
-        let entries = self.table.len() as f64;
-        for j in 0..n {
-            let (cell, x) = self.grid.place(points.doppler[j]);
-            points.column[j] = (cell - first_column) as u32;
-            let place = 0.5 * entries * (x + 1.0);
-            let at = (place as u32).min(self.table.len() as u32 - 1);
-            entry[j] = at;
-            beyond[j] = T::narrow((place - f64::from(at) - 0.5) * (2.0 / entries));
-        }
-        match self.bent {
-            true => self.share::<true>(n, &entry, &beyond, points),
-            false => self.share::<false>(n, &entry, &beyond, points),
-        }
-    }
-
-    /// The values of the points, whose weights lie `beyond` an entry of the table.
-    #[inline(always)]
-    fn share<const BENT: bool>(
+    fn enter_avx2(
         &self,
         n: usize,
-        entry: &[u32; BLOCK],
-        beyond: &[T; BLOCK],
+        columns: Range<usize>,
         points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
     ) {
+        self.enter(n, columns, points, entry, beyond)
+    }
+
+    /// First columns of the points, entries of the table and places beyond them.
+    #[inline(always)]
+    fn enter(
+        &self,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
+    ) {
+        let first = columns.start as u32;
+        let most = (columns.len() - self.grid.taps) as u32;
+        let last = (self.table.len() * self.grid.cells - 1) as f64;
+        let per_cell = self.table.len() as f64;
+        let (per_doppler, offset) = (
+            self.grid.per_doppler * per_cell,
+            self.grid.offset * per_cell,
+        );
+        let (shift, mask) = (self.table.len().trailing_zeros(), self.table.len() as u32 - 1);
         for j in 0..n {
-            let weights = &self.table[entry[j] as usize];
-            let (x, c, bend) = (beyond[j], points.amplitude[j], points.bend[j]);
-            let value = &mut points.value[j];
-            let (re, im) = value.split_at_mut(MAX_TAPS);
-            for i in 0..MAX_TAPS {
-                let [plain, slope, bow] = [0, 1, 2].map(|k| weights.plain[k][i]);
-                let plain = plain + x * (slope + x * bow);
-                if BENT {
-                    let real = plain + bend * (weights.real[i] + bend * weights.real_2[i]);
-                    let imaginary = bend * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
-                    re[i] = c.re * real - c.im * imaginary;
-                    im[i] = c.re * imaginary + c.im * real;
-                } else {
-                    re[i] = c.re * plain;
-                    im[i] = c.im * plain;
-                }
+            // Entries from the span's beginning; half of one earlier rounding truncates, and the sum's low bits are the number.
+            let position = (points.doppler[j] * per_doppler + offset - 0.5)
+                .max(-0.5)
+                .min(last + 0.499);
+            let rounded = position + ROUND;
+            let number = rounded.to_bits() as u32;
+            // A hair's rounding at the end of the ping's span must not lead to a column that it has not.
+            let column = (number >> shift).max(first) - first;
+            points.column[j] = column.min(most);
+            entry[j] = number & mask;
+            beyond[j] = T::narrow((position - (rounded - ROUND)) * (2.0 / per_cell));
+        }
+    }
+}
+
+/// The portable twin of the vector loops.
+pub fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [Shared<T>]) {
+    let Sharing {
+        table,
+        entry,
+        beyond,
+        amplitude,
+        bend,
+    } = points;
+    let all = values.iter_mut().zip(entry).zip(beyond).zip(amplitude).zip(bend);
+    for ((((value, &entry), &x), &c), &bend) in all {
+        let weights = &table[entry as usize];
+        let (re, im) = value.split_at_mut(MAX_TAPS);
+        for i in 0..MAX_TAPS {
+            let [plain, slope, bow] = [0, 1, 2].map(|k| weights.plain[k][i]);
+            let plain = plain + x * (slope + x * bow);
+            if BENT {
+                let real = plain + bend * (weights.real[i] + bend * weights.real_2[i]);
+                let imaginary = bend * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
+                re[i] = c.re * real - c.im * imaginary;
+                im[i] = c.re * imaginary + c.im * real;
+            } else {
+                re[i] = c.re * plain;
+                im[i] = c.im * plain;
             }
         }
     }
