@@ -3,10 +3,10 @@
 //! - `.s7k`: 7000 (sample rate, sound speed, pulse), 7007 (the lines), and 1003, 1012 and 1013 for place, pitch and heading, each taken at the
 //!   start of the pulse, linearly between its records. Where the arrays sit on the body is in no record of ours: places are the reference point's.
 //!
-//! Of several pulses in one ping the lines of one are read: 7000 and 7007 of its number in the multi-ping sequence, `more_lines` of an `.npz`.
-//!
 //! - `.npz`: `lines`, `line_side`, `line_position_m`, `position_m`, `attitude_deg`, `geodetic_deg`, `velocity_m_per_s` and the scalars. Stored
 //!   members only, little-endian, C order.
+//!
+//! Of several pulses in one ping the lines of one are read: 7000 and 7007 of its number in the multi-ping sequence, `more_lines` of an `.npz`.
 
 use std::collections::HashMap;
 use std::io::Read;
