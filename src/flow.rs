@@ -1341,6 +1341,23 @@ pub struct PingOutput {
     pub scene: SceneCounts,
     /// Where the plan of methods chose something.
     pub fidelity: Option<FidelityMark>,
+    pub strain: Strain,
+}
+
+/// What was done to a ping because computing did not keep up; nothing, mostly. It depends on the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Strain {
+    /// Made with this tolerance in place of the configured one.
+    pub tolerance: Option<f64>,
+    /// The pulse went out so much later than the beat had it, seconds.
+    pub put_off_s: f64,
+}
+
+impl Strain {
+    pub const NONE: Self = Self {
+        tolerance: None,
+        put_off_s: 0.0,
+    };
 }
 
 /// Which plan of methods made a ping, and what it promised.

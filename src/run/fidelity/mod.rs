@@ -24,7 +24,7 @@ use crate::flow::{
 };
 use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::ping::work::{Figure, Work};
-use crate::run::conditions::{conditions, segment_step_s};
+use crate::run::conditions::{conditions, segment_step_s, sum_card};
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::heard::{Shares, kept_shares};
@@ -535,6 +535,7 @@ impl<'a> Maker<'a> {
     }
 
     fn plain(&self, synthesis: Synthesis, motion: &Motion, culling: Culling) -> Candidate {
+        let spec = self.scene.spec;
         let all = (self.scene.count * self.conditions.elements) as f64;
         let pairs = culling.of.kept * all;
         let pulse = &self.conditions.pulse;
@@ -571,7 +572,7 @@ impl<'a> Maker<'a> {
             }
             _ => Work::NONE,
         };
-        let card = synthesis_card(synthesis, &self.conditions);
+        let card = sum_card(synthesis, spec, self.scene.plan, &self.conditions);
         let sum = self.sum(synthesis.name().to_owned(), card.error, work, card.why);
         let lit = culling.of.lit * all;
         self.candidate(synthesis, motion, culling, None, lit, sum)
