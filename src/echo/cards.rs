@@ -80,7 +80,7 @@ fn moving(conditions: &Conditions) -> Moving {
 /// The phase by which a path model misplaces an echo.
 pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
-    let h = conditions.segment_s;
+    let h = conditions.segment_s.min(window_s);
     let Moving {
         hop_m,
         acceleration: a,
@@ -88,10 +88,8 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
         spread,
         ..
     } = moving(conditions);
-    // Of a chord, at its middle, or as far as the window goes.
-    let until_s = window_s.min(0.5 * h);
-    let sag_m = 0.5 * a * until_s * (h - until_s);
-    let turned_m = turning * h.min(window_s);
+    // Of a chord, at its middle.
+    let sag_m = a * h * h / 8.0;
     let (off_m, ns, why) = match path {
         PathModel::StopAndHop => (
             hop_m,
@@ -99,9 +97,12 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
             format!("the platform moves {hop_m:.1e} m while sound is under way"),
         ),
         PathModel::Polyline => (
-            sag_m + turned_m,
+            sag_m + turning * h,
             2.0 * LEG_NS,
-            format!("{sag_m:.1e} m from chords, {turned_m:.1e} m from attitude held on each"),
+            format!(
+                "{sag_m:.1e} m from chords, {:.1e} m from attitude held on each",
+                turning * h
+            ),
         ),
         PathModel::KSegment => (
             sag_m,

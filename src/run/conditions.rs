@@ -13,13 +13,9 @@ const INSTANTS: usize = 64;
 const STILL_M_PER_S2: f64 = 1e-9;
 const STILL_M_PER_S: f64 = 1e-12;
 
-/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`. One alone reaches on as far
-/// as it is asked to.
+/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`.
 pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
-    match (window_s / segment_s).ceil() {
-        count if count > 1.0 => window_s / count,
-        _ => segment_s,
-    }
+    window_s / (window_s / segment_s).ceil().max(1.0)
 }
 
 /// The worst of every transmitter and of both ends of every line.

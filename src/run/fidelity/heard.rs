@@ -201,14 +201,10 @@ impl Ear {
             let back_range_m = back_m.length().max(f64::MIN_POSITIVE);
             let back = back_m / back_range_m;
             let u_s = per_c * (out_range_m + back_range_m);
-            // An echo that does not end in the window that it begins in sounds in the next one too.
-            let since = u_s / window_s;
-            let window = since as usize;
+            let window = (u_s / window_s) as usize;
             if window >= sums.len() {
                 continue;
             }
-            let length = plan.pulse.duration_s / window_s;
-            let parts = ((1.0 - since.fract()) / length).min(1.0);
             let towards = |d: &Directivity, m: &DMat3, ray: DVec3| {
                 let u = *m * ray;
                 d.towards(u.x, u.y, u.z)
@@ -249,29 +245,20 @@ impl Ear {
                         back,
                         back_range_m,
                     ));
-            let values = [
+            let sums = &mut sums[window];
+            sums.energy += energy;
+            sums.loudest = sums.loudest.max(energy / weight);
+            sums.echoes += weight;
+            sums.energy2 += energy * energy;
+            for (sum, value) in sums.squares.iter_mut().zip([
                 (here_m - self.at[0].position_m).dot(back),
                 0.5 * (closing_out + closing_back),
                 bend,
                 at.acceleration_m_per_s2.dot(back),
                 at.turning_m_per_s.dot(back),
                 v_back.dot(back) - v_back.dot(at.axis) * at.axis.dot(back),
-            ];
-            for (window, from, to) in [(window, 0.0, parts), (window + 1, parts, 1.0f64)] {
-                let Some(sums) = sums.get_mut(window).filter(|_| to > from) else {
-                    continue;
-                };
-                let part = energy * (to - from);
-                sums.energy += part;
-                sums.energy2 += part * part;
-                sums.loudest = sums.loudest.max(energy / weight);
-                sums.echoes += weight * (to - from);
-                // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more than its beginning.
-                let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
-                let shares = [part, grown(3), grown(5), part, part, part];
-                for ((sum, value), share) in sums.squares.iter_mut().zip(values).zip(shares) {
-                    *sum += share * value * value;
-                }
+            ]) {
+                *sum += energy * value * value;
             }
         }
     }

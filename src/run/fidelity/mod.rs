@@ -54,9 +54,6 @@ const ACROSS: f64 = 3.0;
 /// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater, and more in the worst of
 /// many windows. (They are made for their tolerance, and keep it.)
 const ENGINE_MARGIN: f64 = 3.0;
-/// Without the receiver filter an engine's band cuts the pulse's spectrum, and what it keeps of its tolerance then is this many times worse
-/// (4.0e-4 measured where 6.6e-5 was asked for).
-const UNFILTERED: f64 = 8.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -455,10 +452,7 @@ impl<'a> Maker<'a> {
         let arrivals = culling.of.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
         let spread = self.conditions.heard.map_or(1.0, |heard| heard.spread);
-        let kept = |error: f64| match self.conditions.filter {
-            ReceiverFilter::Fir => (ENGINE_MARGIN * spread * error).min(tolerance),
-            ReceiverFilter::None => UNFILTERED * tolerance,
-        };
+        let kept = |error: f64| (ENGINE_MARGIN * spread * error).min(tolerance);
         let (error, work, pairs, why) = match engine {
             Engine::One(engine) => {
                 let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {

@@ -21,8 +21,8 @@ const LEAST_WINDOW: usize = 32;
 const REPEATS: usize = 5;
 /// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
-/// A ruler that is off by more of the tolerance, by the reference, is too coarse: an error of the tolerance would be measured so much too high.
-const FINE_RULER: f64 = 0.1;
+/// A ruler that is off by more of the tolerance measures nothing.
+const FINE_RULER: f64 = 0.25;
 /// At most so many other choices.
 const OTHERS: usize = 12;
 
