@@ -44,7 +44,7 @@ pub fn log_of(text: &str) -> Result<Vec<Logged>, (usize, String)> {
 /// pings later.
 fn looks_like(kind: &str) -> (&'static [&'static str], &'static [&'static str], u32) {
     match kind {
-        "drop" | "link-down" => (&["lost"], &[], 0),
+        "drop" | "link-down" => (&["lost"], &["silent"], 0),
         "duplicate" => (&["duplicate"], &[], 0),
         "reorder" | "delay" | "jitter" => (&["late", "lost"], &[], 0),
         "corrupt" => (&["damaged", "different", "lost"], &[], 0),
