@@ -8,12 +8,18 @@ mod families;
 mod faults;
 #[path = "daemon/killed.rs"]
 mod killed;
+#[path = "daemon/load.rs"]
+mod load;
 #[path = "daemon/makers_client.rs"]
 mod makers_client;
 #[path = "daemon/modes.rs"]
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/overload.rs"]
+mod overload;
+#[path = "daemon/plans.rs"]
+mod plans;
 #[path = "daemon/scored.rs"]
 mod scored;
 #[path = "daemon/streaming.rs"]

@@ -1,6 +1,7 @@
 //! `echotank listen`: a small topside for people.
 
 mod verify;
+mod vita49;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -54,6 +55,23 @@ pub struct ListenArgs {
     /// sample came, and each frame after the instant its last sample was heard; needs nav.stamp = "host"
     #[arg(long, conflicts_with_all = ["records", "verify"])]
     pub elements: bool,
+    /// The address is where datagrams of VITA 49 come to (sonar.output.vita49.send_to), e.g. 127.0.0.1:4991: as --elements, of its packets
+    #[arg(long, conflicts_with_all = ["records", "verify", "elements"])]
+    pub vita49: bool,
+}
+
+/// A histogram in a line of percentiles and a line of how many were no later than so many milliseconds.
+fn print_spread(what: &str, spread: &Spread) {
+    let f = spread.figures();
+    let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
+    println!(
+        "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} of them)",
+        ms[0], ms[1], ms[2], ms[3], f.count
+    );
+    let bins = spread.bins();
+    let bins = bins.iter().filter(|(_, count)| *count > 0);
+    let bins = bins.map(|(end_us, count)| format!("{:.3} ms {count}", *end_us as f64 / 1e3));
+    println!("  no later than: {}", bins.collect::<Vec<_>>().join(", "));
 }
 
 /// Takes an element stream to the end.
@@ -98,17 +116,8 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
         tally.lost_frames,
         client.skipped_bytes()
     );
-    for (what, spread) in [
-        ("first sample after the pulse", first_sample),
-        ("frame after its last sample", frames),
-    ] {
-        let f = spread.figures();
-        let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
-        println!(
-            "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} of them)",
-            ms[0], ms[1], ms[2], ms[3], f.count
-        );
-    }
+    print_spread("first sample after the pulse", &first_sample);
+    print_spread("frame after its last sample", &frames);
     match tally.lost_frames {
         0 => Ok(()),
         lost => Err(Failure::Running(format!("{lost} frames lost"))),
@@ -118,6 +127,9 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
 pub fn main(args: &ListenArgs) -> Result<(), Failure> {
     if args.elements {
         return elements(args);
+    }
+    if args.vita49 {
+        return vita49::main(args);
     }
     let wanted = if args.records.is_empty() {
         EVERYTHING.to_vec()

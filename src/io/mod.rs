@@ -12,6 +12,7 @@ pub mod signals;
 pub mod sonar;
 mod stamp;
 pub mod trigger;
+pub mod words;
 
 /// A file of text, for those who may not open files themselves.
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {

@@ -63,8 +63,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
-        server.set_line(opening.line(Shape::PING));
-        server.set_sending(opening.sending.clone());
+        opening.lay(&server, Shape::PING);
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {
