@@ -1,8 +1,14 @@
 //! Kept tables of errors, made anew: pass or fail and two digits.
 
+#[path = "../tools/src/atlas/mod.rs"]
+mod atlas;
+#[path = "stability/charts.rs"]
+mod charts;
 #[path = "../tools/src/errors/images.rs"]
 mod images;
 mod plan;
+#[path = "stability/regimes.rs"]
+mod regimes;
 #[path = "../tools/src/rigs/mod.rs"]
 mod rigs;
 #[path = "../tools/src/errors/table.rs"]

@@ -1,5 +1,6 @@
 """The bench's points, and its transforms on request: what every peer script needs."""
 
+import json
 import os
 import subprocess
 
@@ -45,3 +46,26 @@ class Ours:
 
 def load():
     return f"load {os.getloadavg()[0]:.2f}"
+
+
+POINTS = "out/peers/points.json"
+
+
+def keep(name, scatterers, elements, milliseconds, error, threads=1):
+    """One program at one setting, for the pictures of `echotank chart`; takes the place of an older point of that name."""
+    points = []
+    if os.path.exists(POINTS):
+        with open(POINTS) as file:
+            points = [point for point in json.load(file) if point["name"] != name]
+    points.append({
+        "name": name,
+        "scatterers": int(scatterers),
+        "elements": int(elements),
+        "milliseconds": float(milliseconds),
+        "error": float(error),
+        "threads": threads,
+        "load": os.getloadavg()[0],
+    })
+    os.makedirs(os.path.dirname(POINTS), exist_ok=True)
+    with open(POINTS, "w") as file:
+        json.dump(points, file, indent=1)

@@ -12,7 +12,7 @@ import os
 import time
 import warnings
 
-from peers_bench import BINS, PERIOD_S, Ours, load
+from peers_bench import BINS, PERIOD_S, Ours, keep, load
 import numpy as np
 
 SOUND_SPEED_M_PER_S = 1500.0
@@ -81,6 +81,7 @@ def fast_simus(scene):
     error = np.linalg.norm(got[some] - want) / np.linalg.norm(want)
     name = f"FastSIMUS {importlib.metadata.version('fastsimus')}, NumPy"
     say(name, scene, len(frequency_hz), seconds, error, "against its formula")
+    keep(name, len(scene.strength), ELEMENTS, seconds * 1e3, error)
     return frequency_hz, some, want, plan.freq_idx_start
 
 
@@ -103,7 +104,9 @@ def pymust(scene, frequency_hz, some, want, first):
     # Its constant factors are its own, and so is the last bit of where its frequencies lie: the best one complex factor is taken out.
     factor = np.vdot(got, want) / np.vdot(got, got)
     error = np.linalg.norm(factor * got - want) / np.linalg.norm(want)
-    say(f"PyMUST {importlib.metadata.version('pymust')}", scene, len(frequency_hz), seconds, error, "against the same, a factor apart")
+    name = f"PyMUST {importlib.metadata.version('pymust')}"
+    say(name, scene, len(frequency_hz), seconds, error, "against the same, a factor apart")
+    keep(name, len(scene.strength), ELEMENTS, seconds * 1e3, error)
 
 
 def ours(scene, bench, directory):

@@ -2,6 +2,7 @@
 
 mod draw;
 mod page;
+mod peers;
 mod plot;
 mod table;
 
@@ -40,6 +41,9 @@ pub struct ChartArgs {
     /// Fewer methods, one ping, one repeat, no second chart
     #[arg(long)]
     pub quick: bool,
+    /// What `tools/peers` has measured of other software (default: out/peers/points.json, if it is there)
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
     /// No progress bar
     #[arg(long)]
     pub quiet: bool,
@@ -61,6 +65,7 @@ pub fn main(args: &ChartArgs) -> Result<(), Failure> {
                 ))
             })?,
     };
+    let peers = peers::read(args.peers.as_deref())?;
     fs::create_dir_all(&args.out)
         .map_err(|why| Failure::Configuration(format!("--out = {}: {why}", args.out.display())))?;
     let options = ChartOptions {
@@ -134,13 +139,13 @@ pub fn main(args: &ChartArgs) -> Result<(), Failure> {
         written.push(path);
         Ok(())
     };
-    let svg = plot::chart(&chart, &about);
+    let svg = plot::chart(&chart, &peers, &about);
     write("chart.svg", svg.as_bytes())?;
     write("chart.png", &draw::png(&svg).map_err(Failure::running)?)?;
-    write("chart.csv", table::csv(&chart).as_bytes())?;
+    write("chart.csv", table::csv(&chart, &peers).as_bytes())?;
     write(
         "chart.json",
-        table::json(&chart, &curves, &about).as_bytes(),
+        table::json(&chart, &curves, &peers, &about).as_bytes(),
     )?;
     let work_svg = (!curves.is_empty()).then(|| plot::work(&curves, &about));
     write(
@@ -152,6 +157,9 @@ pub fn main(args: &ChartArgs) -> Result<(), Failure> {
         write("work.png", &draw::png(svg).map_err(Failure::running)?)?;
     }
     print!("{}", table::text(&chart, &curves, &about));
+    for peer in &peers {
+        println!("   {}", peer.said(&chart).replace('\n', ": "));
+    }
     for path in written {
         println!("wrote {}", path.display());
     }

@@ -2,8 +2,9 @@
 
 use glam::DVec3;
 
+use crate::array::cards::synthesis_card;
 use crate::config::spec::SonarSpec;
-use crate::flow::{Conditions, PingPlan, Scatterers};
+use crate::flow::{Conditions, MethodCard, PingPlan, Scatterers, Synthesis};
 use crate::run::fidelity::heard::heard;
 
 /// Instants of a ping at which its motion is looked at: a window of 0.2 s every 3 ms, far below any platform's periods.
@@ -11,6 +12,11 @@ const INSTANTS: usize = 64;
 /// Rounding of finite differences, m/s^2 and m/s.
 const STILL_M_PER_S2: f64 = 1e-9;
 const STILL_M_PER_S: f64 = 1e-12;
+
+/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`.
+pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
+    window_s / (window_s / segment_s).ceil().max(1.0)
+}
 
 /// The worst of every transmitter and of both ends of every line.
 pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Conditions {
@@ -71,10 +77,38 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         acceleration_m_per_s2: above(acceleration, STILL_M_PER_S2),
         turning_m_per_s: above(turning, STILL_M_PER_S),
         range_m: (nearest_m.clamp(wavelength_m, farthest_m), farthest_m),
-        segment_s: plan.model.segment_s,
+        segment_s: segment_step_s(plan.window_s(rate_hz), plan.model.segment_s),
         scatterers: scatterers.len(),
         elements: spec.receive.iter().map(|array| array.elements).sum(),
         tolerance: spec.synthesis.tolerance,
         heard: heard(spec, plan, scatterers),
     }
 }
+
+/// The card of a sum, with what the sonar's own settings do to it: a frequency step of one's own that is too coarse for the record lays late
+/// echoes over early ones.
+pub fn sum_card(
+    synthesis: Synthesis,
+    spec: &SonarSpec,
+    plan: &PingPlan,
+    conditions: &Conditions,
+) -> MethodCard {
+    let mut card = synthesis_card(synthesis, conditions);
+    if synthesis == Synthesis::Spectral
+        && let Some(step_hz) = spec.synthesis.frequency_step_hz
+    {
+        // An echo may have begun a pulse before the window.
+        let heard_s = plan.sample_count as f64 / conditions.sample_rate_hz + plan.pulse.duration_s;
+        if step_hz * heard_s > 1.0 {
+            card.error = WRAPPED;
+            card.why = format!(
+                "steps of {step_hz:.2} Hz repeat every {:.4} s, and {heard_s:.4} s are heard: late echoes lie over early ones",
+                1.0 / step_hz
+            );
+        }
+    }
+    card
+}
+
+/// Of samples over which others of their kind are laid: as an echo turned upside down.
+const WRAPPED: f64 = 2.0;

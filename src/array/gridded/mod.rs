@@ -10,6 +10,7 @@ mod band;
 mod choose;
 pub mod dialect;
 pub mod doppler;
+pub mod foreseen;
 pub mod kernel;
 mod least_squares;
 pub mod moments;
@@ -20,4 +21,5 @@ pub mod transform;
 
 pub use dialect::Dialect;
 pub use doppler::DopplerSpan;
+pub use foreseen::Foreseen;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};

@@ -32,6 +32,7 @@ use super::choose::{
 };
 use super::dialect::{Dialect, Kind};
 use super::doppler::{DopplerSpan, Received, templates};
+use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, MAX_TAPS, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
@@ -99,7 +100,7 @@ pub enum GriddedError {
 /// The plan; shared by all threads.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
-    cost_ms: Box<dyn Fn(usize, f64) -> f64 + Send + Sync>,
+    foreseen: Box<dyn Fn(usize, f64, f64) -> Foreseen + Send + Sync>,
     card: MethodCard,
 }
 
@@ -159,7 +160,7 @@ impl Gridded1d {
         let card = MethodCard {
             name: "gridded-1d",
             error,
-            cost_ms: plan.cost_ms(spec.arrivals, 1.0),
+            cost_ms: plan.foreseen(spec.arrivals, 1.0, f64::INFINITY).ms(),
             why: format!(
                 "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
                 plan.bins, plan.grid, plan.flush.width, doppler.columns, doppler.taps
@@ -168,7 +169,9 @@ impl Gridded1d {
         let costing = plan.clone();
         Ok(Self {
             make: Box::new(move || Box::new(Work::<M, G>::new(plan.clone()))),
-            cost_ms: Box::new(move |arrivals, share| costing.cost_ms(arrivals, share)),
+            foreseen: Box::new(move |arrivals, share, bend| {
+                costing.foreseen(arrivals, share, bend)
+            }),
             card,
         })
     }
@@ -178,9 +181,9 @@ impl Gridded1d {
         &self.card
     }
 
-    /// Predicted milliseconds of one core per element with so many echoes, whose Dopplers take up this share of the span.
-    pub fn cost_ms(&self, arrivals: usize, share: f64) -> f64 {
-        (self.cost_ms)(arrivals, share)
+    /// Of one element with so many echoes, whose Dopplers take up this share of the span and whose curvatures reach this far.
+    pub fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
+        (self.foreseen)(arrivals, share, curvature_per_s)
     }
 
     pub fn work(&self) -> Gridded1dWork {
@@ -448,20 +451,26 @@ impl<M: Real, G: Real> Plan<M, G> {
         self.grid + MAX_WIDTH
     }
 
-    fn cost_ms(&self, arrivals: usize, share: f64) -> f64 {
-        let mut ns = arrivals as f64 * NS_PER_ARRIVAL;
-        for term in &self.terms {
+    fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
+        let mut ns = Foreseen {
+            echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
+            grids_ns: 0.0,
+        };
+        let bend = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
+        // f64 is twice as much of everything.
+        let words = (size_of::<G>() / size_of::<f32>()) as f64;
+        for term in self.terms.iter().filter(|term| term.least_bend <= bend) {
             let grid = &term.columns.grid;
             let columns = match grid.columns {
                 1 => 1,
                 all => grid.columns_of(share).min(all),
             };
             if columns > 1 {
-                ns += (arrivals * columns.div_ceil(M::MOMENTS)) as f64 * NS_PER_ROW;
+                ns.echoes_ns += (arrivals * columns.div_ceil(M::MOMENTS)) as f64 * NS_PER_ROW;
             }
-            ns += (columns * self.grid) as f64 * NS_PER_GRID_VALUE;
+            ns.grids_ns += (columns * self.grid) as f64 * NS_PER_GRID_VALUE * words;
         }
-        1e-6 * ns
+        ns
     }
 }
 

@@ -8,10 +8,11 @@ use crate::run::chart::work::{Curve, Work};
 use crate::run::chart::{Chart, Measured, Row};
 
 use super::draw::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
+use super::peers::Peer;
 use super::table::{About, subtitle};
 
 const WIDTH: f64 = 1200.0;
-const HEIGHT: f64 = 760.0;
+const HEIGHT: f64 = 768.0;
 const LABEL: f64 = 11.0;
 
 /// Colours that people with any colour vision tell apart (Okabe and Ito 2008).
@@ -158,7 +159,7 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
 const LEAST_ERROR: f64 = 1e-8;
 const LEAST_DB: f64 = 1e-4;
 
-pub fn chart(chart: &Chart, about: &About) -> String {
+pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
     let title = format!("{}: accuracy against speed", chart.sonar);
     svg.words((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
@@ -170,7 +171,8 @@ pub fn chart(chart: &Chart, about: &About) -> String {
         &subtitle(chart, about),
     );
     let times = || measured(chart).map(|(_, _, m)| m.times.median_ms);
-    let x = decades(times().chain([about.period_ms]), 1e-6);
+    let theirs = || peers.iter().map(|peer| peer.here_ms(chart));
+    let x = decades(times().chain([about.period_ms]).chain(theirs()), 1e-6);
     let elements = |m: &Measured| Some(m.errors.elements);
     let main = Axes {
         left: 70.0,
@@ -181,7 +183,8 @@ pub fn chart(chart: &Chart, about: &About) -> String {
         y: decades(
             measured(chart)
                 .map(|(_, _, m)| m.errors.elements)
-                .chain([chart.tolerance]),
+                .chain([chart.tolerance])
+                .chain(peers.iter().map(|peer| peer.error)),
             LEAST_ERROR,
         ),
     };
@@ -241,7 +244,9 @@ pub fn chart(chart: &Chart, about: &About) -> String {
     );
     front(&mut svg, &main, chart);
     points(&mut svg, &main, chart, elements, LEAST_ERROR, 5.5);
-    labels(&mut svg, &main, chart);
+    let mut taken = taken(&main, chart, peers);
+    labels(&mut svg, &main, chart, &mut taken);
+    draw_peers(&mut svg, &main, chart, peers, &mut taken);
     type Metric = fn(&Measured) -> Option<f64>;
     let small: [(&str, f64, Metric); 3] = [
         ("relative error of the lines", LEAST_ERROR, |m| {
@@ -271,8 +276,36 @@ pub fn chart(chart: &Chart, about: &About) -> String {
         );
         points(&mut svg, &axes, chart, metric, least, 3.5);
     }
-    legend(&mut svg, chart);
+    legend(&mut svg, chart, !peers.is_empty());
     svg.finish()
+}
+
+/// A rectangle: left, top, right, bottom.
+type Box4 = (f64, f64, f64, f64);
+
+/// What points and marks cover.
+fn taken(axes: &Axes, chart: &Chart, peers: &[Peer]) -> Vec<Box4> {
+    let ours = measured(chart).map(|(_, _, m)| (m.times.median_ms, m.errors.elements));
+    let theirs = peers.iter().map(|peer| (peer.here_ms(chart), peer.error));
+    let around = |(ms, error): (f64, f64)| {
+        let (x, y) = axes.at(ms, error.max(LEAST_ERROR));
+        (x - 5.0, y - 5.0, x + 5.0, y + 5.0)
+    };
+    ours.chain(theirs).map(around).collect()
+}
+
+/// Other people's software on its own points, as if it took this scene's pairs of scatterer and element as fast.
+fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: &mut Vec<Box4>) {
+    for peer in peers {
+        let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(LEAST_ERROR));
+        let tip = peer.said(chart);
+        svg.raw(&format!(
+            "<path d=\"M{x:.1} {:.1}l5.5 5.5l-5.5 5.5l-5.5 -5.5z\" fill=\"white\" stroke=\"{INK}\" stroke-width=\"1.3\" data-row=\"peer\" data-tip=\"{}\"/>",
+            y - 5.5,
+            escaped(&tip).replace('\n', "&#10;")
+        ));
+        label(svg, axes, (x, y), &peer.name, taken);
+    }
 }
 
 fn front(svg: &mut Svg, axes: &Axes, chart: &Chart) {
@@ -315,6 +348,13 @@ fn points(
                 radius + 4.0
             ));
         }
+        if row.planned_ms.is_some() {
+            let r = radius + 6.0;
+            svg.raw(&format!(
+                "<path d=\"M{x:.1} {:.1}l{r:.1} {r:.1}l-{r:.1} {r:.1}l-{r:.1} -{r:.1}z\" fill=\"none\" stroke=\"{INK}\" stroke-width=\"1.6\"/>",
+                y - r
+            ));
+        }
         let mut tip = String::new();
         let _ = write!(
             tip,
@@ -333,6 +373,9 @@ fn points(
             let _ = write!(tip, ", picture {image:.3} dB");
         }
         let _ = write!(tip, "\nlevel {:+.3} dB", m.errors.level_db);
+        if let Some(ms) = row.planned_ms {
+            let _ = write!(tip, "\nthe plan's choice: {ms:.2} ms of one core predicted");
+        }
         let opacity = if row.pareto { 1.0 } else { 0.55 };
         svg.raw(&format!(
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{}\" fill-opacity=\"{opacity}\" stroke=\"white\" stroke-width=\"0.8\" data-row=\"{k}\" data-tip=\"{}\"/>",
@@ -342,49 +385,50 @@ fn points(
     }
 }
 
-/// Names beside the front's points and the configured one, where there is room.
-fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart) {
-    let mut taken: Vec<(f64, f64, f64, f64)> = measured(chart)
-        .map(|(_, _, m)| {
-            let (x, y) = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
-            (x - 5.0, y - 5.0, x + 5.0, y + 5.0)
-        })
-        .collect();
-    for (_, row, m) in measured(chart).filter(|(_, row, _)| row.pareto || row.configured) {
-        let (x, y) = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
-        let text = match row.configured {
-            true => format!("{} (configured)", row.method),
-            false => row.method.to_string(),
+/// Names beside the front's points, the configured one and the plan's, where there is room.
+fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
+    let named = |row: &Row| row.pareto || row.configured || row.planned_ms.is_some();
+    for (_, row, m) in measured(chart).filter(|(_, row, _)| named(row)) {
+        let at = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
+        let text = match (row.configured, row.planned_ms.is_some()) {
+            (true, true) => format!("{} (the plan's, as configured)", row.method),
+            (true, false) => format!("{} (configured)", row.method),
+            (false, true) => format!("{} (the plan's)", row.method),
+            (false, false) => row.method.to_string(),
         };
-        let wide = width_of(&text, LABEL);
-        let places = [
-            (x + 10.0, y - 6.0),
-            (x + 10.0, y + 14.0),
-            (x - 10.0 - wide, y + 14.0),
-            (x - 10.0 - wide, y - 6.0),
-            (x + 10.0, y - 20.0),
-            (x + 10.0, y + 28.0),
-            (x - 10.0 - wide, y + 28.0),
-            (x - 0.5 * wide, y - 22.0),
-        ];
-        let free = places.into_iter().find(|&(left, base)| {
-            let this = (left, base - LABEL, left + wide, base + 3.0);
-            this.0 > axes.left
-                && this.2 < axes.left + axes.width
-                && this.1 > axes.top
-                && this.3 < axes.top + axes.height
-                && !taken
-                    .iter()
-                    .any(|t| this.0 < t.2 && t.0 < this.2 && this.1 < t.3 && t.1 < this.3)
-        });
-        if let Some((left, base)) = free {
-            svg.words((left, base), LABEL, Anchor::Start, INK, &text);
-            taken.push((left, base - LABEL, left + wide, base + 3.0));
-        }
+        label(svg, axes, at, &text, taken);
     }
 }
 
-fn legend(svg: &mut Svg, chart: &Chart) {
+fn label(svg: &mut Svg, axes: &Axes, (x, y): (f64, f64), text: &str, taken: &mut Vec<Box4>) {
+    let wide = width_of(text, LABEL);
+    let places = [
+        (x + 10.0, y - 6.0),
+        (x + 10.0, y + 14.0),
+        (x - 10.0 - wide, y + 14.0),
+        (x - 10.0 - wide, y - 6.0),
+        (x + 10.0, y - 20.0),
+        (x + 10.0, y + 28.0),
+        (x - 10.0 - wide, y + 28.0),
+        (x - 0.5 * wide, y - 22.0),
+    ];
+    let free = places.into_iter().find(|&(left, base)| {
+        let this = (left, base - LABEL, left + wide, base + 3.0);
+        this.0 > axes.left
+            && this.2 < axes.left + axes.width
+            && this.1 > axes.top
+            && this.3 < axes.top + axes.height
+            && !taken
+                .iter()
+                .any(|t| this.0 < t.2 && t.0 < this.2 && this.1 < t.3 && t.1 < this.3)
+    });
+    if let Some((left, base)) = free {
+        svg.words((left, base), LABEL, Anchor::Start, INK, text);
+        taken.push((left, base - LABEL, left + wide, base + 3.0));
+    }
+}
+
+fn legend(svg: &mut Svg, chart: &Chart, peers: bool) {
     let mut seen: Vec<Synthesis> = Vec::new();
     for (_, row, _) in measured(chart) {
         if !seen.contains(&row.method.synthesis) {
@@ -401,8 +445,12 @@ fn legend(svg: &mut Svg, chart: &Chart) {
         svg.words((x + 10.0, y), 12.0, Anchor::Start, INK, synthesis.name());
         x += 26.0 + width_of(synthesis.name(), 12.0);
     }
-    let rest = "ring: the configuration's own; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler, culling";
-    svg.words((70.0, y + 22.0), 11.0, Anchor::Start, GREY, rest);
+    let rest = "ring: the configuration's own; large diamond: the plan's choice; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler, culling";
+    svg.words((70.0, y + 20.0), 11.0, Anchor::Start, GREY, rest);
+    if peers {
+        let rest = "small white diamonds: other software on points of its own (tools/peers), a platform at rest and the sum alone, its time a pair of scatterer and element times the pairs here, over the threads";
+        svg.words((70.0, y + 35.0), 11.0, Anchor::Start, GREY, rest);
+    }
 }
 
 /// Of the methods in the second picture, which may share a synthesis.

@@ -7,6 +7,8 @@ use serde_json::json;
 use crate::run::chart::work::Curve;
 use crate::run::chart::{Chart, Row};
 
+use super::peers::Peer;
+
 /// What a chart was measured on.
 pub struct About {
     pub machine: String,
@@ -44,13 +46,15 @@ pub fn subtitle(chart: &Chart, about: &About) -> String {
     )
 }
 
-fn note(row: &Row) -> &'static str {
-    match (row.configured, row.pareto) {
-        (true, true) => "configured, front",
-        (true, false) => "configured",
-        (false, true) => "front",
-        (false, false) => "",
-    }
+/// What is special about a row, in words.
+pub fn note(row: &Row) -> String {
+    let words = [
+        (row.configured, "configured"),
+        (row.planned_ms.is_some(), "the plan's"),
+        (row.pareto, "front"),
+    ];
+    let words: Vec<&str> = words.iter().filter(|w| w.0).map(|w| w.1).collect();
+    words.join(", ")
 }
 
 pub fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
@@ -88,7 +92,7 @@ pub fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
                 m.errors.level_db,
                 row.method,
                 match note(row) {
-                    "" => String::new(),
+                    note if note.is_empty() => note,
                     note => format!("  <- {note}"),
                 },
             ),
@@ -143,21 +147,22 @@ fn refusals(chart: &Chart) -> Vec<(String, &str)> {
         .collect()
 }
 
-pub fn csv(chart: &Chart) -> String {
+pub fn csv(chart: &Chart, peers: &[Peer]) -> String {
     let mut out = String::from(
-        "synthesis,tolerance,path,segment_s,doppler,configured,front,median_ms,least_ms,greatest_ms,making_ms,predicted_error,element_error,worst_element_error,line_error,image_db,level_db,refused\n",
+        "synthesis,tolerance,path,segment_s,doppler,configured,planned,front,median_ms,least_ms,greatest_ms,making_ms,predicted_error,element_error,worst_element_error,line_error,image_db,level_db,refused\n",
     );
     for row in &chart.rows {
         let method = &row.method;
         let _ = write!(
             out,
-            "{},{},{},{},{},{},{},",
+            "{},{},{},{},{},{},{},{},",
             method.synthesis.name(),
             method.tolerance,
             method.path.name(),
             method.segment_s,
             method.doppler.name(),
             row.configured,
+            row.planned_ms.is_some(),
             row.pareto,
         );
         let option = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:e}"));
@@ -184,10 +189,19 @@ pub fn csv(chart: &Chart) -> String {
             ),
         };
     }
+    for peer in peers {
+        let _ = writeln!(
+            out,
+            "\"peer: {}\",,,,,false,false,false,{:.4},,,,,{:e},,,,,",
+            peer.name.replace('"', "'"),
+            peer.here_ms(chart),
+            peer.error
+        );
+    }
     out
 }
 
-pub fn json(chart: &Chart, curves: &[Curve], about: &About) -> String {
+pub fn json(chart: &Chart, curves: &[Curve], peers: &[Peer], about: &About) -> String {
     let rows: Vec<_> = chart.rows.iter().map(row).collect();
     let curves: Vec<_> = curves
         .iter()
@@ -197,6 +211,21 @@ pub fn json(chart: &Chart, curves: &[Curve], about: &About) -> String {
                 "work": curve.work.name(),
                 "points": curve.points,
                 "exponent": curve.exponent,
+            })
+        })
+        .collect();
+    let peers: Vec<_> = peers
+        .iter()
+        .map(|peer| {
+            json!({
+                "name": peer.name,
+                "scatterers": peer.scatterers,
+                "elements": peer.elements,
+                "threads": peer.threads,
+                "load": peer.load,
+                "milliseconds": peer.milliseconds,
+                "milliseconds_here": peer.here_ms(chart),
+                "error": peer.error,
             })
         })
         .collect();
@@ -214,6 +243,7 @@ pub fn json(chart: &Chart, curves: &[Curve], about: &About) -> String {
         "ruler": chart.ruler_error.map(|(error, samples)| json!({"error": error, "samples": samples})),
         "methods": rows,
         "work": curves,
+        "peers": peers,
     });
     format!("{value:#}\n")
 }
@@ -228,6 +258,7 @@ fn row(row: &Row) -> serde_json::Value {
         "segment_s": method.segment_s,
         "doppler": method.doppler.name(),
         "configured": row.configured,
+        "planned_ms": row.planned_ms,
         "front": row.pareto,
         "predicted_error": row.predicted_error,
     });

@@ -146,6 +146,17 @@ impl Method {
         }
     }
 
+    /// The same with its sum made for another tolerance.
+    pub(super) fn made_for(self, tolerance: f64) -> Self {
+        Self {
+            tolerance: match self.synthesis.keeps_tolerance() {
+                true => tolerance,
+                false => 0.0,
+            },
+            ..self
+        }
+    }
+
     /// The sonar under this choice; everything else stays.
     pub fn on(&self, sonar: &SonarSpec) -> SonarSpec {
         let mut spec = sonar.clone();

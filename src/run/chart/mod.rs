@@ -14,13 +14,14 @@ use std::time::Instant;
 
 use thiserror::Error;
 
-use crate::array::cards::synthesis_card;
-use crate::config::spec::{MediumSpec, RigSpec, SonarSpec};
+use crate::config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
 use crate::run::chart::methods::Method;
 use crate::run::chart::metrics::{Errors, errors};
-use crate::run::conditions::conditions;
+use crate::run::conditions::{conditions, sum_card};
+use crate::run::fidelity::costs::{Costs, CostsError};
+use crate::run::fidelity::{self, Swell, rank, sample, with_choice};
 use crate::run::pipeline::SonarPipeline;
 use crate::run::recorded::{RecordedError, RecordedRig};
 use crate::run::rig::pool;
@@ -32,6 +33,8 @@ pub enum ChartError {
     Recorded(#[from] RecordedError),
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    #[error("run.costs: {0}")]
+    Costs(#[from] CostsError),
     #[error("ping {ping} of sonar {sonar}: the recorded navigation has a gap there")]
     Gap { ping: u32, sonar: String },
     #[error("the recorded navigation ends before ping {0}")]
@@ -89,6 +92,8 @@ pub struct Row {
     pub pareto: bool,
     /// What the configuration itself asks for.
     pub configured: bool,
+    /// What the plan of methods chooses here, and what it predicts that to cost, milliseconds of one core.
+    pub planned_ms: Option<f64>,
 }
 
 pub struct Chart {
@@ -220,34 +225,48 @@ pub fn measure(
         let sonar = bare(&spec.sonars[options.sonar]);
         let medium = &spec.medium;
         let methods = methods::all(&sonar, options.quick);
-        progress("scene", methods.len() + 1);
+        progress("scene", methods.len() + 2);
         let (scenes, gather_ms) = scenes(spec, options)?;
-        progress("ruler", methods.len() + 1);
+        progress("ruler", methods.len() + 2);
         let (truth, ruler_error) = ruler(&sonar, medium, &scenes)?;
-        let configured = Method::of(&sonar);
+        let run = |under: &SonarSpec| -> Result<Measured, String> {
+            let (outputs, times, making_ms) = run_method(under, medium, &scenes, options.repeats)?;
+            Ok(Measured {
+                errors: errors(&outputs, &truth),
+                times,
+                making_ms,
+            })
+        };
+        // Where the plan is asked, it is what is configured.
+        let auto = sonar.synthesis.auto.any();
+        let configured = (!auto).then(|| Method::of(&sonar));
         let mut rows = Vec::new();
-        for method in methods {
+        for method in methods.into_iter().skip(usize::from(auto)) {
             progress(&method.to_string(), 0);
             let under = method.on(&sonar);
             let predicted_error = scenes
                 .iter()
                 .map(|scene| predicted(&under, &plan_under(scene, &under), &scene.scatterers))
                 .fold(0.0, f64::max);
-            let outcome = method.applies(&sonar).and_then(|()| {
-                let (outputs, times, making_ms) =
-                    run_method(&under, medium, &scenes, options.repeats)?;
-                Ok(Measured {
-                    errors: errors(&outputs, &truth),
-                    times,
-                    making_ms,
-                })
-            });
             rows.push(Row {
-                configured: method == configured,
+                configured: Some(method) == configured,
                 method,
                 predicted_error,
-                outcome,
+                outcome: method.applies(&sonar).and_then(|()| run(&under)),
                 pareto: false,
+                planned_ms: None,
+            });
+        }
+        progress("the plan's choice", 0);
+        let costs = Costs::of(spec.run.costs.as_deref())?;
+        if let Some(plan) = plan(&sonar, medium, &scenes[0], &costs) {
+            rows.push(Row {
+                configured: auto,
+                method: Method::of(&plan.spec).made_for(plan.spec.synthesis.made_for()),
+                predicted_error: plan.error,
+                outcome: run(&plan.spec),
+                pareto: false,
+                planned_ms: Some(plan.cost_ms),
             });
         }
         mark_pareto(&mut rows);
@@ -265,11 +284,51 @@ pub fn measure(
     })
 }
 
+/// The plan of methods for this sonar, and what it predicts.
+struct Planned {
+    spec: SonarSpec,
+    error: f64,
+    cost_ms: f64,
+}
+
+/// As the configuration asks for it; where that fixes its methods, as if it left everything to the plan.
+fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) -> Option<Planned> {
+    let mut spec = sonar.clone();
+    if !spec.synthesis.auto.any() {
+        spec.synthesis.auto = AutoModel {
+            path: true,
+            segment: true,
+            doppler: true,
+            synthesis: true,
+            cull: true,
+        };
+    }
+    let some = sample(&scene.scatterers);
+    let ranking = rank(
+        &fidelity::Scene {
+            spec: &spec,
+            medium,
+            plan: &scene.plan,
+            scatterers: &some,
+            count: scene.scatterers.len(),
+            costs,
+            swell: Swell::NONE,
+        },
+        &[],
+    )?;
+    let chosen = ranking.chosen();
+    Some(Planned {
+        spec: with_choice(sonar, &chosen.choice),
+        error: chosen.error(),
+        cost_ms: chosen.cost_ms(),
+    })
+}
+
 /// Path, Doppler and synthesis together; what culling leaves out has no card.
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
     let model = &spec.model;
-    let synthesis = synthesis_card(model.synthesis, &conditions).error;
+    let synthesis = sum_card(model.synthesis, spec, plan, &conditions).error;
     match model.synthesis {
         // On the trajectory itself, whatever path and Doppler say.
         Synthesis::Reference => synthesis,

@@ -1,0 +1,100 @@
+//! What `tools/peers` has measured of other people's software.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::run::chart::Chart;
+
+use super::super::Failure;
+
+/// Where `tools/peers` leaves its points, from the folder that it is run in.
+pub const FILE: &str = "out/peers/points.json";
+
+/// One program at one setting, on points of its own.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+pub struct Peer {
+    pub name: String,
+    pub scatterers: f64,
+    pub elements: f64,
+    pub milliseconds: f64,
+    /// Against the sum that it computes.
+    pub error: f64,
+    pub threads: f64,
+    pub load: f64,
+}
+
+/// None of them where nobody asked for a file and there is none.
+pub fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
+    let path = match asked {
+        Some(path) => path,
+        None if Path::new(FILE).exists() => Path::new(FILE),
+        None => return Ok(Vec::new()),
+    };
+    let refuse =
+        |why: String| Failure::Configuration(format!("--peers = {}: {why}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|why| refuse(why.to_string()))?;
+    parse(&text).map_err(refuse)
+}
+
+fn parse(text: &str) -> Result<Vec<Peer>, String> {
+    let peers: Vec<Peer> = serde_json::from_str(text).map_err(|why| why.to_string())?;
+    for peer in &peers {
+        let amounts = [
+            peer.scatterers,
+            peer.elements,
+            peer.milliseconds,
+            peer.error,
+            peer.threads,
+        ];
+        if !amounts.iter().all(|x| x.is_finite() && *x > 0.0) {
+            return Err(format!("{}: its figures must be above 0", peer.name));
+        }
+    }
+    Ok(peers)
+}
+
+impl Peer {
+    /// As if it took this scene's pairs of scatterer and element as fast as its own, evenly on all threads.
+    pub fn here_ms(&self, chart: &Chart) -> f64 {
+        let here = (chart.scatterers * chart.elements) as f64 / chart.threads as f64;
+        self.milliseconds * here * self.threads / (self.scatterers * self.elements)
+    }
+
+    /// In words.
+    pub fn said(&self, chart: &Chart) -> String {
+        format!(
+            "{}\n{:.2} ms for {} scatterers at {} elements on {} threads, load {:.1}: {:.1} ms here in proportion\nerror {:.1e} of the sum that it computes, nothing moving",
+            self.name,
+            self.milliseconds,
+            self.scatterers,
+            self.elements,
+            self.threads,
+            self.load,
+            self.here_ms(chart),
+            self.error
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_peers_left_is_read_and_nonsense_is_refused_by_name() {
+        let point = |ms: &str| {
+            format!(
+                r#"[{{"name": "any", "scatterers": 1000, "elements": 2, "milliseconds": {ms}, "error": 1e-3, "threads": 1, "load": 0.5}}]"#
+            )
+        };
+        let peers = parse(&point("4.0")).expect("a point");
+        assert_eq!(
+            (peers[0].name.as_str(), peers[0].milliseconds),
+            ("any", 4.0)
+        );
+        let why = parse(&point("0")).expect_err("no time at all");
+        assert!(why.contains("any") && why.contains("above 0"), "{why}");
+        assert!(parse("{").is_err());
+    }
+}

@@ -1,0 +1,260 @@
+//! Draws the map of failures; see `tools/atlas --help`.
+
+#[allow(dead_code, reason = "shared with tests/stability.rs")]
+#[path = "atlas/mod.rs"]
+mod atlas;
+#[allow(dead_code, reason = "the chart's own, of which maps use a part")]
+#[path = "../../src/cli/chart/draw.rs"]
+mod chart_draw;
+#[path = "atlas/page.rs"]
+mod page;
+#[path = "atlas/picture.rs"]
+mod picture;
+#[path = "atlas/small.rs"]
+mod small;
+
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Parser;
+use echotank::flow::PathModel;
+
+use atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
+use atlas::regimes::{ALL, Regime};
+use atlas::spot::{Base, Size};
+use picture::{Map, Mark, Panel, Sign};
+
+#[derive(Parser)]
+#[command(
+    about = "Every regime in which methods break, swept: pictures, a page of them, and a table of every cell"
+)]
+struct Arguments {
+    /// Only maps whose name contains this; the page is then left as it is
+    #[arg(long)]
+    only: Option<String>,
+    /// Folder of the pictures and their page
+    #[arg(long, default_value = "hil-configs/atlas")]
+    out: PathBuf,
+    /// Every cell as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// SVG beside PNG
+    #[arg(long)]
+    svg: bool,
+    /// A short pulse and two elements: a quick look
+    #[arg(long)]
+    small: bool,
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let given = Arguments::parse();
+    std::fs::create_dir_all(&given.out)?;
+    // Panics are cells of a map.
+    std::panic::set_hook(Box::new(|_| {}));
+    let pool = echotank::run::rig::pool(given.threads)?;
+    let size = if given.small {
+        Size::SMALL
+    } else {
+        Size::PAPER
+    };
+    let wanted = |name: &str| given.only.as_deref().is_none_or(|part| name.contains(part));
+    let base = Base::new(size);
+    let mut bench = Bench::default();
+    let mut csv = String::from("map,value,method,outcome,error,said,counted\n");
+    for regime in ALL.iter().filter(|r| wanted(r.name)) {
+        let began = Instant::now();
+        let columns: Vec<Column> = pool.install(|| {
+            let values = regime.values.iter();
+            values
+                .map(|&v| bench.column(&(regime.spot)(&base, v)))
+                .collect()
+        });
+        write(&given, regime.name, &map(regime, &columns).svg())?;
+        summary(regime, &columns, began.elapsed().as_secs_f64());
+        cells(regime, &columns, &mut csv);
+    }
+    for (name, map, says) in small::maps() {
+        if wanted(name) {
+            write(&given, name, &map.svg())?;
+            println!("{name}: {says}");
+        }
+    }
+    if given.only.is_none() {
+        std::fs::write(given.out.join("README.md"), page::page())?;
+    }
+    if let Some(file) = &given.csv {
+        std::fs::write(file, csv)?;
+    }
+    Ok(())
+}
+
+fn write(given: &Arguments, name: &str, svg: &str) -> Result<(), Box<dyn std::error::Error>> {
+    std::fs::write(given.out.join(format!("{name}.png")), chart_draw::png(svg)?)?;
+    if given.svg {
+        std::fs::write(given.out.join(format!("{name}.svg")), svg)?;
+    }
+    Ok(())
+}
+
+fn mark(outcome: &Outcome, tolerance: f64, blind: bool) -> Mark {
+    match outcome {
+        Outcome::NotTaken => Mark::Blank,
+        Outcome::Refused(_) => Mark::Refused,
+        Outcome::Silence => Mark::Silence,
+        Outcome::NoNumber | Outcome::Panic(_) => Mark::Shout,
+        Outcome::Answer { error, counted, .. } => Mark::Ratio {
+            log10: (error.max(1e-30) / tolerance).log10(),
+            sign: match outcome.is_silently_wrong(tolerance) && !blind {
+                true => Sign::Silent,
+                false if *counted > 0 && *error > tolerance => Sign::Counted,
+                false => Sign::None,
+            },
+        },
+    }
+}
+
+fn map(regime: &Regime, columns: &[Column]) -> Map {
+    let blind = regime.is_blind();
+    let mut rows = Vec::new();
+    for doppler in DOPPLERS {
+        for path in PathModel::ALL {
+            let name = match doppler {
+                echotank::flow::DopplerModel::None => "no Doppler",
+                doppler => doppler.name(),
+            };
+            rows.push(format!("{}, {name}", path.name()));
+        }
+    }
+    let panels = SUMS.iter().enumerate().map(|(sum, synthesis)| {
+        let mut marks = Vec::new();
+        let mut rings = Vec::new();
+        for (d, &doppler) in DOPPLERS.iter().enumerate() {
+            for (p, &path) in PathModel::ALL.iter().enumerate() {
+                let row = columns
+                    .iter()
+                    .map(|c| mark(c.cell(sum, d, p), c.tolerance, blind));
+                marks.push(row.collect());
+                for (column, c) in columns.iter().enumerate() {
+                    let of_it = |plan: &atlas::measure::Planned| {
+                        (plan.synthesis, plan.doppler, plan.path) == (*synthesis, doppler, path)
+                    };
+                    if c.plan.as_ref().is_some_and(of_it) {
+                        rings.push((column, d * PathModel::ALL.len() + p));
+                    }
+                }
+            }
+        }
+        Panel {
+            title: synthesis.name().to_owned(),
+            marks,
+            rings,
+        }
+    });
+    let planned = columns.iter().map(|c| match &c.plan {
+        Some(plan) => mark(&plan.outcome, c.tolerance, blind),
+        None => Mark::Refused,
+    });
+    let tolerance = match regime.name {
+        "tolerance" => "tolerance: the column's".to_owned(),
+        _ => format!("tolerance {:.0e}", columns[0].tolerance),
+    };
+    Map {
+        title: regime.title.to_owned(),
+        about: format!(
+            "400 kHz, 30 kHz, 5 ms, a line of 8 elements half a wavelength apart unless the column says otherwise; {tolerance}; error: the worst window of a pulse's length of any element, against the retarded-time sum"
+        ),
+        axis: regime.axis.to_owned(),
+        columns: regime.values.iter().map(|&v| regime.label(v)).collect(),
+        rows,
+        gaps: vec![3, 7, 11],
+        framed: vec![(3, 5, "the paper's Eq. 21".to_owned())],
+        panels: panels.collect(),
+        plan: Some((planned.collect(), choices(regime, columns))),
+    }
+}
+
+/// What the plan chose, one line for neighbours that got the same.
+fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
+    let mut runs: Vec<(String, usize, usize)> = Vec::new();
+    for (k, column) in columns.iter().enumerate() {
+        let text = match &column.plan {
+            None => "no ping".to_owned(),
+            Some(plan) => {
+                let parts: Vec<&str> = plan.text.split(", ").collect();
+                // The engine's own tolerance is beside the point here.
+                let mut text = parts[..3.min(parts.len())].join(", ");
+                if let Some((name, _)) = text.rsplit_once(' ').filter(|_| text.contains("gridded"))
+                {
+                    text = name.to_owned();
+                }
+                match plan.out_of_reach {
+                    true => format!("{text}: says that nothing keeps the tolerance"),
+                    false => text,
+                }
+            }
+        };
+        match runs.last_mut() {
+            Some((same, _, last)) if *same == text => *last = k,
+            _ => runs.push((text, k, k)),
+        }
+    }
+    let label = |k: usize| regime.label(regime.values[k]);
+    let line = |(text, first, last): (String, usize, usize)| match first == last {
+        true => format!("{}: {text}", label(first)),
+        false => format!("{} to {}: {text}", label(first), label(last)),
+    };
+    runs.into_iter().map(line).collect()
+}
+
+fn summary(regime: &Regime, columns: &[Column], seconds: f64) {
+    let blind = regime.is_blind();
+    println!("{} ({seconds:.1} s)", regime.name);
+    for (column, &value) in columns.iter().zip(regime.values) {
+        let label = regime.label(value);
+        for (name, outcome) in column.named() {
+            if outcome.is_silently_wrong(column.tolerance) && !blind {
+                println!("  SILENT at {label}: {name}: {outcome:?}");
+            }
+        }
+        if let Some(plan) = &column.plan {
+            let wrong = !plan.out_of_reach && !plan.outcome.is_within(column.tolerance) && !blind;
+            if wrong || matches!(plan.outcome, Outcome::NoNumber | Outcome::Panic(_)) {
+                println!("  PLAN at {label}: {}: {:?}", plan.text, plan.outcome);
+            }
+        }
+    }
+}
+
+fn cells(regime: &Regime, columns: &[Column], csv: &mut String) {
+    for (column, &value) in columns.iter().zip(regime.values) {
+        let plan = column
+            .plan
+            .as_ref()
+            .map(|plan| (format!("plan: {}", plan.text), &plan.outcome));
+        for (name, outcome) in column.named().chain(plan) {
+            let (kind, numbers) = match outcome {
+                Outcome::NotTaken => continue,
+                Outcome::Refused(why) => (format!("refused: {why}"), String::from(",,")),
+                Outcome::Silence => ("silence".into(), String::from(",,")),
+                Outcome::NoNumber => ("no number".into(), String::from(",,")),
+                Outcome::Panic(why) => (format!("panic: {why}"), String::from(",,")),
+                Outcome::Answer {
+                    error,
+                    said,
+                    counted,
+                    ..
+                } => ("answer".into(), format!("{error:.3e},{said:.3e},{counted}")),
+            };
+            let _ = writeln!(
+                csv,
+                "{},{},\"{name}\",\"{}\",{numbers}",
+                regime.name,
+                regime.label(value),
+                kind.replace('"', "'")
+            );
+        }
+    }
+}

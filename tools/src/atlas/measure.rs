@@ -1,0 +1,437 @@
+//! What every method makes of a spot, and what the plan of methods chooses there; held against the retarded-time sum.
+
+use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use echotank::config::spec::{AutoModel, SonarSpec};
+use echotank::echo::cards::{doppler_card, path_card};
+use echotank::flow::*;
+use echotank::run::chart::methods::Method;
+use echotank::run::conditions::{conditions, sum_card};
+use echotank::run::fidelity::costs::Costs;
+use echotank::run::fidelity::{Scene, Swell, rank, with_choice};
+use echotank::run::pipeline::SonarPipeline;
+
+use super::spot::Spot;
+
+/// Windows are a pulse long, and so many samples at least.
+const LEAST_WINDOW: usize = 32;
+
+/// Sums, in the order of the pictures' panels.
+pub const SUMS: [Synthesis; 6] = [
+    Synthesis::Direct,
+    Synthesis::Gridded1d,
+    Synthesis::Gridded2d,
+    Synthesis::Spectral,
+    Synthesis::Nearest,
+    Synthesis::Linear,
+];
+/// Rows of a panel: Doppler by Doppler, those first that every sum takes.
+pub const DOPPLERS: [DopplerModel; 4] = [
+    DopplerModel::None,
+    DopplerModel::PaperEq21,
+    DopplerModel::Stretch,
+    DopplerModel::StretchQuadratic,
+];
+
+/// What a method made of a spot.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// This sum knows no such Doppler.
+    NotTaken,
+    /// In words.
+    Refused(String),
+    /// Nothing is to be heard, and nothing is.
+    Silence,
+    Answer {
+        /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder.
+        error: f64,
+        /// What the cards say of it: at most so much.
+        said: f64,
+        /// They say that it keeps the tolerance (of an engine made for it: that its models leave it room).
+        claims: bool,
+        /// Echoes that the ping counts as beyond what its method is made for.
+        counted: u64,
+    },
+    /// A sample that is no number, or infinite.
+    NoNumber,
+    Panic(String),
+}
+
+impl Outcome {
+    /// Wrong by more than `tolerance`, promised to be right, and nothing said.
+    pub fn is_silently_wrong(&self, tolerance: f64) -> bool {
+        match *self {
+            Self::Answer {
+                error,
+                said,
+                claims,
+                counted,
+            } => claims && error > tolerance.max(said) && counted == 0,
+            Self::NoNumber | Self::Panic(_) => true,
+            _ => false,
+        }
+    }
+
+    pub fn is_within(&self, tolerance: f64) -> bool {
+        match *self {
+            Self::Answer { error, .. } => error <= tolerance,
+            Self::Silence => true,
+            _ => false,
+        }
+    }
+}
+
+/// What the plan chose and what came of it.
+#[derive(Clone, Debug)]
+pub struct Planned {
+    pub path: PathModel,
+    pub doppler: DopplerModel,
+    pub synthesis: Synthesis,
+    pub text: String,
+    /// It says itself that nothing keeps the tolerance.
+    pub out_of_reach: bool,
+    pub outcome: Outcome,
+}
+
+/// One column of a map.
+pub struct Column {
+    /// By sum, Doppler and path, in the order of [`SUMS`], [`DOPPLERS`] and [`PathModel::ALL`].
+    pub cells: Vec<Outcome>,
+    /// None where no ping is made, or where nothing at all can be planned.
+    pub plan: Option<Planned>,
+    pub tolerance: f64,
+}
+
+impl Column {
+    pub fn cell(&self, sum: usize, doppler: usize, path: usize) -> &Outcome {
+        &self.cells[(sum * DOPPLERS.len() + doppler) * PathModel::ALL.len() + path]
+    }
+
+    /// Every cell with its name.
+    pub fn named(&self) -> impl Iterator<Item = (String, &Outcome)> {
+        let mut names = Vec::new();
+        for sum in SUMS {
+            for doppler in DOPPLERS {
+                for path in PathModel::ALL {
+                    names.push(format!(
+                        "{}, {}, {}",
+                        sum.name(),
+                        path.name(),
+                        doppler.name()
+                    ));
+                }
+            }
+        }
+        names.into_iter().zip(&self.cells)
+    }
+}
+
+/// Pipelines, kept from spot to spot as long as the sonar stays the same.
+#[derive(Default)]
+pub struct Bench {
+    made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
+    costs: Option<Costs>,
+}
+
+impl Bench {
+    /// To be called inside one and the same pool.
+    pub fn column(&mut self, spot: &Spot) -> Column {
+        let tolerance = spot.spec.synthesis.tolerance;
+        let count = SUMS.len() * DOPPLERS.len() * PathModel::ALL.len();
+        if let Some(why) = &spot.refused {
+            return Column {
+                cells: vec![Outcome::Refused(why.clone()); count],
+                plan: None,
+                tolerance,
+            };
+        }
+        let mut truth_spec = spot.spec.clone();
+        truth_spec.model.synthesis = Synthesis::Reference;
+        truth_spec.model.cull_db = None;
+        let (plan, scatterers) = spot.truth();
+        let truth = match self.run(&truth_spec, spot, &plan, &scatterers) {
+            Ok((truth, _)) => truth,
+            Err(outcome) => {
+                return Column {
+                    cells: vec![outcome; count],
+                    plan: None,
+                    tolerance,
+                };
+            }
+        };
+        let (plan, scatterers) = spot.asked();
+        let mut cells = Vec::with_capacity(count);
+        let cards = Cards::of(spot, &plan, &scatterers);
+        for synthesis in SUMS {
+            for doppler in DOPPLERS {
+                for path in PathModel::ALL {
+                    cells.push(self.cell(
+                        (synthesis, doppler, path),
+                        spot,
+                        (&plan, &scatterers),
+                        &cards,
+                        &truth,
+                    ));
+                }
+            }
+        }
+        Column {
+            cells,
+            plan: self.planned(spot, (&plan, &scatterers), &truth),
+            tolerance,
+        }
+    }
+
+    fn cell(
+        &mut self,
+        (synthesis, doppler, path): (Synthesis, DopplerModel, PathModel),
+        spot: &Spot,
+        (plan, scatterers): (&PingPlan, &Scatterers),
+        cards: &Cards,
+        truth: &PingOutput,
+    ) -> Outcome {
+        if !synthesis.takes(doppler) {
+            return Outcome::NotTaken;
+        }
+        let mut spec = spot.spec.clone();
+        spec.model.synthesis = synthesis;
+        spec.model.doppler = doppler;
+        spec.model.path = path;
+        if let Err(why) = Method::of(&spec).applies(&spec) {
+            return Outcome::Refused(why);
+        }
+        let said = cards.said(spot, plan, (synthesis, doppler, path));
+        match self.run(&spec, spot, plan, scatterers) {
+            Err(outcome) => outcome,
+            Ok((got, counted)) => {
+                let claims = match synthesis.keeps_tolerance() {
+                    true => said <= 2.0 * spec.synthesis.tolerance,
+                    false => said <= spec.synthesis.tolerance,
+                };
+                held_against(&spec, &got, truth, (said, claims), counted)
+            }
+        }
+    }
+
+    fn planned(
+        &mut self,
+        spot: &Spot,
+        (plan, scatterers): (&PingPlan, &Scatterers),
+        truth: &PingOutput,
+    ) -> Option<Planned> {
+        let mut spec = spot.spec.clone();
+        spec.synthesis.auto = AutoModel {
+            path: true,
+            segment: true,
+            doppler: true,
+            synthesis: true,
+            cull: true,
+        };
+        let scene = Scene {
+            spec: &spec,
+            medium: &spot.rig().medium,
+            plan,
+            scatterers,
+            count: scatterers.len(),
+            costs: self.costs.get_or_insert_with(Costs::committed),
+            swell: Swell::NONE,
+        };
+        let ranking = catch_unwind(AssertUnwindSafe(|| rank(&scene, &[])));
+        let ranking = match ranking {
+            Ok(ranking) => ranking?,
+            Err(panic) => {
+                return Some(Planned {
+                    path: PathModel::StopAndHop,
+                    doppler: DopplerModel::None,
+                    synthesis: Synthesis::Direct,
+                    text: "the plan itself panicked".into(),
+                    out_of_reach: false,
+                    outcome: Outcome::Panic(words(panic)),
+                });
+            }
+        };
+        let chosen = ranking.chosen();
+        let fixed = with_choice(&spot.spec, &chosen.choice);
+        let mut under = plan.clone();
+        under.model = fixed.model;
+        let window_s = plan.window_s(spot.rate_hz());
+        echotank::ping::polyline(
+            &plan.trajectory,
+            window_s,
+            fixed.model.segment_s,
+            &mut under.segments,
+        );
+        let outcome = match self.run(&fixed, spot, &under, scatterers) {
+            Err(outcome) => outcome,
+            Ok((got, counted)) => {
+                let claims = ranking.is_within();
+                held_against(&fixed, &got, truth, (chosen.error(), claims), counted)
+            }
+        };
+        let model = chosen.choice.model;
+        Some(Planned {
+            path: model.path,
+            doppler: model.doppler,
+            synthesis: model.synthesis,
+            text: chosen.text(),
+            out_of_reach: !ranking.is_within(),
+            outcome,
+        })
+    }
+
+    /// The ping, and how many echoes it counts as beyond its method; or why there is none.
+    fn run(
+        &mut self,
+        spec: &SonarSpec,
+        spot: &Spot,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+    ) -> Result<(PingOutput, u64), Outcome> {
+        let mut plan = plan.clone();
+        plan.model = spec.model;
+        let key = (spec.model.synthesis.name(), spec.model.doppler.name());
+        // Path and floor go with the ping, all else with the pipeline.
+        let mut common = spec.clone();
+        common.model.path = PathModel::KSegment;
+        common.model.cull_db = None;
+        let about = format!("{common:?}");
+        let fresh = self.made.get(&key).is_none_or(|(made, _)| *made != about);
+        let medium = &spot.rig().medium;
+        let done = catch_unwind(AssertUnwindSafe(|| {
+            if fresh {
+                let pipeline =
+                    SonarPipeline::new(&common, medium).map_err(|why| why.to_string())?;
+                self.made.insert(key, (about, pipeline));
+            }
+            let (_, pipeline) = self.made.get_mut(&key).expect("made above");
+            let mut output = pipeline.blank_output();
+            pipeline.compute_ping(&plan, scatterers, &mut output);
+            Ok(output)
+        }));
+        match done {
+            Ok(Ok(output)) => {
+                let counts = output.counts;
+                Ok((
+                    output,
+                    counts.beyond_engine + counts.too_close + counts.no_root + counts.two_roots,
+                ))
+            }
+            Ok(Err(why)) => Err(Outcome::Refused(why)),
+            Err(panic) => {
+                self.made.remove(&key);
+                Err(Outcome::Panic(words(panic)))
+            }
+        }
+    }
+}
+
+fn words(panic: Box<dyn std::any::Any + Send>) -> String {
+    let text = panic.downcast_ref::<String>().cloned();
+    text.or_else(|| panic.downcast_ref::<&str>().map(|s| (*s).to_owned()))
+        .unwrap_or_else(|| "no words".into())
+}
+
+/// What the stages promise at a spot.
+struct Cards {
+    conditions: Conditions,
+    culling: f64,
+}
+
+impl Cards {
+    fn of(spot: &Spot, plan: &PingPlan, scatterers: &Scatterers) -> Self {
+        let conditions = conditions(&spot.spec, plan, scatterers);
+        // What a floor of the patterns leaves out, as the plan has it for a sonar whose methods are all fixed.
+        let culling = match spot.spec.model.cull_db {
+            None => 0.0,
+            Some(_) => {
+                let costs = Costs::committed();
+                let scene = Scene {
+                    spec: &spot.spec,
+                    medium: &spot.rig().medium,
+                    plan,
+                    scatterers,
+                    count: scatterers.len(),
+                    costs: &costs,
+                    swell: Swell::NONE,
+                };
+                rank(&scene, &[]).map_or(0.0, |ranking| {
+                    ranking
+                        .chosen()
+                        .part(echotank::ping::fidelity::Family::Culling)
+                        .error
+                })
+            }
+        };
+        Self {
+            conditions,
+            culling,
+        }
+    }
+
+    fn said(
+        &self,
+        spot: &Spot,
+        plan: &PingPlan,
+        (synthesis, doppler, path): (Synthesis, DopplerModel, PathModel),
+    ) -> f64 {
+        let mut conditions = self.conditions;
+        conditions.tolerance = spot.spec.synthesis.tolerance;
+        path_card(path, &conditions).error
+            + doppler_card(doppler, path, &conditions).error
+            + self.culling
+            + match synthesis.keeps_tolerance() {
+                // Made for the tolerance, and never beyond it by itself.
+                true => conditions.tolerance,
+                false => sum_card(synthesis, &spot.spec, plan, &conditions).error,
+            }
+    }
+}
+
+fn held_against(
+    spec: &SonarSpec,
+    got: &PingOutput,
+    truth: &PingOutput,
+    (said, claims): (f64, bool),
+    counted: u64,
+) -> Outcome {
+    let mut silent = true;
+    for frame in got.elements.iter().chain(&truth.elements) {
+        if !frame.iq.iter().all(|x| x.is_finite()) {
+            return Outcome::NoNumber;
+        }
+        silent &= frame.iq.iter().all(|x| x.norm_sqr() == 0.0);
+    }
+    if silent {
+        return Outcome::Silence;
+    }
+    Outcome::Answer {
+        error: worst_window(spec, got, truth),
+        said,
+        claims,
+        counted,
+    }
+}
+
+/// As certificates have it. Infinite where something is heard and nothing is there.
+fn worst_window(spec: &SonarSpec, got: &PingOutput, truth: &PingOutput) -> f64 {
+    let samples = (spec.pulse.duration_s * spec.receiver.sample_rate_hz).ceil() as usize;
+    let window = samples.max(LEAST_WINDOW);
+    let mut worst = 0.0f64;
+    for (got, want) in got.elements.iter().zip(&truth.elements) {
+        for element in 0..want.elements {
+            let (got, want) = (got.element(element), want.element(element));
+            let squares: f64 = want.iter().map(|x| x.norm_sqr()).sum();
+            let whole = squares / want.len().max(1) as f64;
+            for (got, want) in got.chunks(window).zip(want.chunks(window)) {
+                let off: f64 = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr()).sum();
+                let loud: f64 = want.iter().map(|x| x.norm_sqr()).sum();
+                let against = loud.max(whole * want.len() as f64);
+                if off > 0.0 {
+                    worst = worst.max((off / against).sqrt());
+                }
+            }
+        }
+    }
+    worst
+}

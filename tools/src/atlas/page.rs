@@ -1,0 +1,89 @@
+//! The pictures' page.
+
+use std::fmt::Write;
+
+use super::atlas::regimes::ALL;
+use super::small::{CURVATURE_SAYS, PLACES_SAYS};
+
+const HEAD: &str = "\
+# The map of failures
+
+Where the methods of this program break, and what they do there. Each picture sweeps one regime (left to right) over every way to sum echoes (six panels)
+with every path and Doppler model (rows): how far the samples are from the retarded-time sum on the continuous motion, in tolerances. Blue keeps the
+tolerance, orange does not; hatched is refused, in words. A ring is what the plan of methods chose for that column, the strip below what came of it. The frame is
+the paper's own formula, Eq. 21 of Meng et al. 2023 on the sum of Eq. 18, as printed.
+
+`tools/atlas` draws it all anew (minutes); `tests/stability.rs` holds the boundaries on a shorter pulse, a few columns of each: no number that is none, no panic, no wrong
+answer that its cards promised to be right, and no plan inside a failing region.
+
+";
+
+const OTHERS: [[&str; 4]; 6] = [
+    [
+        "curvature on planes",
+        "0/0 on planes, ridges, cylinders and single points (Eq. 28)",
+        "a floor of -30 dB under the curvature; what is no number as printed ranks last",
+        "`simplification_has_a_number_for_every_surface`; `scene::simplify`",
+    ],
+    [
+        "poles, antimeridian",
+        "not considered: places are metres",
+        "through earth-centred coordinates: good to a micrometre anywhere",
+        "`places_come_back_over_poles_and_antimeridian`",
+    ],
+    [
+        "ping period below the two-way time",
+        "not considered",
+        "the range wins: the rate is lowered to what it allows, and the records tell the rate that was kept",
+        "`a_range_too_long_for_the_rate_lowers_the_rate` (`ping`)",
+    ],
+    [
+        "all points in shadow",
+        "shadowed points tie with the best (Eq. 26's modulus)",
+        "hidden ones are not handed on: a silent ping, counted in `shadowed`",
+        "`scatterers`; `scene::occlusion`",
+    ],
+    [
+        "first bottom return",
+        "not considered",
+        "nadir is a direction like any other (`grazing`, 0 degrees)",
+        "`grazing`",
+    ],
+    [
+        "speed near that of sound",
+        "divides by c^2 - v^2",
+        "refused above 150 m/s: \"two positions imply 151 m/s\"",
+        "`speed`",
+    ],
+];
+
+pub fn page() -> String {
+    let mut text = HEAD.to_owned();
+    for regime in &ALL {
+        let _ = write!(
+            text,
+            "## {}\n\n![{}]({}.png)\n\n{}\n\n",
+            regime.title, regime.title, regime.name, regime.says
+        );
+    }
+    let _ = write!(
+        text,
+        "## Simplification where curvature is zero\n\n![Simplification](curvature.png)\n\n{CURVATURE_SAYS}\n\n## Poles and the antimeridian\n\n![Places](places.png)\n\n{PLACES_SAYS}\n\n"
+    );
+    text += "## All of them\n\n| regime | the paper's formula | ours | test |\n|---|---|---|---|\n";
+    for regime in &ALL {
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | `{}` |",
+            regime.name,
+            regime.paper,
+            regime.ours,
+            regime.name.replace('-', "_")
+        );
+    }
+    for [regime, paper, ours, test] in OTHERS {
+        let _ = writeln!(text, "| {regime} | {paper} | {ours} | {test} |");
+    }
+    text += "\nTests named alone are those of `tests/stability/regimes.rs`.\n";
+    text
+}

@@ -1,0 +1,478 @@
+//! What is swept, and what comes of it in words.
+
+use echotank::flow::*;
+use glam::DVec3;
+
+use super::spot::{Base, DOWN_M, Said, Spot, place, scatter};
+
+/// 5 knots.
+const CRUISE_M_PER_S: f64 = 2.572;
+
+/// One map.
+pub struct Regime {
+    /// Of its picture.
+    pub name: &'static str,
+    pub title: &'static str,
+    /// What the columns are, with the unit.
+    pub axis: &'static str,
+    pub values: &'static [f64],
+    /// Either side of the place where methods break: for the tests.
+    pub few: &'static [f64],
+    pub spot: fn(&Base, f64) -> Spot,
+    /// One sentence under the picture.
+    pub says: &'static str,
+    /// What the paper's own formula does there.
+    pub paper: &'static str,
+    pub ours: &'static str,
+}
+
+impl Regime {
+    /// What is wrong here no method can know: it believes what it is told of the motion.
+    pub fn is_blind(&self) -> bool {
+        self.name.starts_with("navigation")
+    }
+
+    /// A column's label.
+    pub fn label(&self, value: f64) -> String {
+        if self.name == "navigation-faults" {
+            return FAULTS[value as usize].to_owned();
+        }
+        match value {
+            v if v == NO_FLOOR => "none".into(),
+            v if v == 0.0 => "0".into(),
+            v if (1e-3..1e5).contains(&v.abs()) => format!("{v}"),
+            v => format!("{v:.0e}"),
+        }
+    }
+}
+
+/// Stands for a sonar that culls nothing.
+const NO_FLOOR: f64 = -999.0;
+
+const FAULTS: [&str; 9] = [
+    "as it is",
+    "stamps repeated",
+    "stamps backward",
+    "a sentence lost",
+    "jump of 5 cm",
+    "jump of 500 m",
+    "gap of 1 s",
+    "gap of 6 s",
+    "an hour ahead",
+];
+
+pub const ALL: [Regime; 20] = [
+    Regime {
+        name: "speed",
+        title: "Speed of the platform, from rest to a tenth of the speed of sound",
+        axis: "m/s along the track",
+        values: &[
+            0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.5, 2.572, 5.144, 9.5, 12.0, 30.0,
+            100.0, 149.0, 151.0,
+        ],
+        few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
+        spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
+        says: "Without its motion an echo is right below some micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance know 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
+        paper: "divides by the speed (Eq. 5), and Eq. 21 undoes what Eq. 5 did: off by the signal itself from 0.1 m/s on",
+        ours: "one expression for every speed, 0 included; above 10 m/s engines count every echo as beyond them and the plan takes `direct`; above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
+    },
+    Regime {
+        name: "range",
+        title: "Range of a scatterer, down to the transmitter itself",
+        axis: "m from the transmitter",
+        values: &[
+            0.0, 1e-9, 1e-6, 1e-4, 1e-3, 3.75e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0,
+        ],
+        few: &[0.0, 1e-6, 3e-3, 0.3, 30.0],
+        spot: |base, r_m| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.scatterers = scatter(&[DVec3::new(0.0, r_m, DOWN_M)]);
+            spot.scatterers.strength[0] = 1.0.into();
+            spot
+        },
+        says: "On the transmitter itself nothing divides by zero: nearer than a wavelength the amplitude is held at one wavelength and the echo is counted (`too_close`).",
+        paper: "1/r of both legs: infinite on the array",
+        ours: "held at one wavelength and counted; motion bends an echo more and more as it comes nearer, and the cards say so",
+    },
+    Regime {
+        name: "grazing",
+        title: "Incidence on a flat Lambert bottom, from nadir to grazing and behind",
+        axis: "degrees from the normal",
+        values: &[
+            0.0, 1.0, 10.0, 30.0, 60.0, 80.0, 85.0, 88.0, 89.0, 89.9, 89.99, 89.9999, 90.0, 91.0,
+            120.0,
+        ],
+        few: &[0.0, 60.0, 89.9999, 90.0, 91.0],
+        spot: |base, deg| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            let (sin, cos) = deg.to_radians().sin_cos();
+            let points: Vec<DVec3> = (0..5)
+                .map(|k| {
+                    let range_m = 30.0 + 2.0 * f64::from(k);
+                    DVec3::new(0.0, range_m * sin, DOWN_M + range_m * cos)
+                })
+                .collect();
+            spot.scatterers = scatter(&points);
+            spot.scatterers.law.fill(ScatterLaw::Lambert);
+            spot
+        },
+        says: "At and beyond grazing the ground is silent for every method alike, the truth included; at nadir nothing happens.",
+        paper: "Eq. 13's 20 log cos falls to minus infinity dB at 90 degrees and is no number behind",
+        ours: "the cosine is held at 0: silence, for one leg or both",
+    },
+    Regime {
+        name: "endfire",
+        title: "Direction of the echo, from along the line of elements to broadside",
+        axis: "degrees from the line, at 5 knots along it",
+        values: &[
+            0.0, 0.01, 0.1, 1.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 90.0, 135.0,
+            180.0,
+        ],
+        few: &[0.0, 45.0, 90.0, 180.0],
+        spot: |base, deg| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            let points: Vec<DVec3> = (0..4)
+                .map(|k| place(30.0 + 2.0 * f64::from(k), deg, 0.0))
+                .collect();
+            spot.scatterers = scatter(&points);
+            spot
+        },
+        says: "At endfire motion and Doppler are strongest; at broadside what is left of them is the bend of the path, which a stretch alone does not follow.",
+        paper: "worst ahead and astern; at 90 degrees it is as good as no motion",
+        ours: "`stretch-quadratic` keeps the tolerance in every direction",
+    },
+    Regime {
+        name: "elements",
+        title: "Spacing of the elements: grating lobes, and lines too long for a far field",
+        axis: "wavelengths from element to element",
+        values: &[
+            1e-3, 0.01, 0.1, 0.25, 0.5, 0.51, 0.75, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0,
+        ],
+        few: &[0.01, 0.5, 1.5, 100.0],
+        spot: |base, wavelengths| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.spec.receive[0].spacing_m = wavelengths * base.wavelength_m();
+            spot
+        },
+        says: "Samples know no grating lobes (those are the beams' affair): what is made element by element does not care; the line engine refuses a line that its tables do not reach along.",
+        paper: "a plane wave over the subarray: fails as L^2/(8 r) grows beyond a wavelength",
+        ours: "exact per element; `gridded-2d` takes stretches as short as it must, or refuses",
+    },
+    Regime {
+        name: "window-end",
+        title: "An echo at the end of the listening window",
+        axis: "pulse lengths from the echo's leading edge to the window's end",
+        values: &[
+            2.0, 1.5, 1.1, 1.01, 1.0, 0.99, 0.9, 0.5, 0.1, 0.01, 1e-3, 0.0, -0.01, -0.1, -0.5, -2.0,
+        ],
+        few: &[1.5, 1.0, 0.5, 1e-3, 0.0, -0.5],
+        spot: |base, pulses| {
+            let mut spot = base.spot();
+            let window_s = echotank::ping::window_s(&spot.spec.settings, super::spot::C);
+            let edge_s = window_s - pulses * spot.spec.pulse.duration_s;
+            let far_m = 0.5 * super::spot::C * edge_s;
+            spot.scatterers = scatter(&[place(30.0, 90.0, 0.0), place(far_m, 90.0, 0.0)]);
+            // The echo at the window's end is as loud as the other.
+            spot
+        },
+        says: "An echo that the window's end cuts is cut, and wraps round to nowhere: every method that keeps the tolerance elsewhere keeps it here.",
+        paper: "Eq. 18 on a grid of its own length wraps what is cut to the window's start",
+        ours: "`spectral` has room for a pulse and the filter's tails; grids of the engines end beyond the window",
+    },
+    Regime {
+        name: "window-start",
+        title: "An echo at the start of a window that opens late",
+        axis: "pulse lengths from the window's start to the echo's leading edge",
+        values: &[
+            -2.0, -1.1, -1.01, -1.0, -0.99, -0.9, -0.5, -0.1, -0.01, 0.0, 0.01, 0.1, 0.5, 1.0, 2.0,
+        ],
+        few: &[-1.5, -1.0, -0.5, 0.0, 1.0],
+        spot: |base, pulses| {
+            let mut spot = base.spot();
+            spot.first_sample_s = 0.03;
+            let edge_s = spot.first_sample_s + pulses * spot.spec.pulse.duration_s;
+            let near_m = 0.5 * super::spot::C * edge_s;
+            spot.scatterers = scatter(&[place(near_m, 90.0, 0.0), place(40.0, 90.0, 0.0)]);
+            spot
+        },
+        says: "Echoes under way when the window opens are heard from there on, by every method.",
+        paper: "the window begins with the pulse",
+        ours: "as at the end",
+    },
+    Regime {
+        name: "segments",
+        title: "Length of the polyline's segments, on a platform that rolls by 5 degrees in a swell",
+        axis: "ms; the window is 65 ms",
+        values: &[
+            0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 65.0, 100.0, 1000.0,
+        ],
+        few: &[0.5, 10.0, 1000.0],
+        spot: |base, ms| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 5.0);
+            spot.spec.receive[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.0);
+            spot.spec.model.segment_s = ms * 1e-3;
+            spot
+        },
+        says: "Attitude held on a segment moves an element on its arm in steps; chords of each element's own (`k-segment`) are good up to some tens of milliseconds; echoes past the last segment are carried on along it.",
+        paper: "stops at the end of its segment, and attitude steps there: \"the attitude change only occurs at the polyline intersection\"",
+        ours: "`polyline` as printed, its steps counted; `k-segment` and `continuous` beside it",
+    },
+    Regime {
+        name: "manoeuvre",
+        title: "Manoeuvres within a ping: roll of arrays on an arm of 3 m",
+        axis: "degrees of roll, 5 s period",
+        values: &[
+            0.0, 1e-4, 1e-3, 0.01, 0.1, 0.3, 1.0, 3.0, 5.0, 10.0, 20.0, 40.0, 80.0,
+        ],
+        few: &[0.0, 1e-3, 1.0, 20.0, 80.0],
+        spot: |base, deg| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.motion.roll_deg = deg;
+            spot.spec.receive[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.0);
+            spot.spec.transmit[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.1);
+            spot
+        },
+        says: "The harder the roll, the more of the path models drop out; what accelerates beyond the engines is counted.",
+        paper: "its polyline moves the array by steps of attitude",
+        ours: "`continuous` holds as far as the second order of the Doppler does, and its card says how far",
+    },
+    Regime {
+        name: "attitude",
+        title: "Pitch up to straight down and straight up, while the heading turns",
+        axis: "degrees of pitch",
+        values: &[
+            -90.0, -89.999, -85.0, -45.0, 0.0, 45.0, 80.0, 89.0, 89.9, 89.999, 90.0,
+        ],
+        few: &[-90.0, 0.0, 89.999, 90.0],
+        spot: |base, deg| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.motion.pitch_deg = deg;
+            spot.motion.heading_deg = 359.9;
+            spot.motion.yaw_deg_per_s = 2.0;
+            spot.through_navigation(0.02, |_, _, _| {})
+        },
+        says: "Attitude is a rotation from the first sample on: roll and heading that cannot be told apart at 90 degrees, and a heading that passes 360 during the ping, change nothing.",
+        paper: "Eq. 4 is no rotation matrix as printed (cos alpha where cos beta belongs)",
+        ours: "unit quaternions between samples, the short way round",
+    },
+    Regime {
+        name: "navigation-rate",
+        title: "Navigation's own rate, in a swell: samples against the motion as it truly was",
+        axis: "s between two samples",
+        values: &[
+            0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.9, 5.1, 6.0,
+        ],
+        few: &[0.02, 1.0, 6.0],
+        spot: |base, every_s| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 3.0);
+            spot.through_navigation(every_s, |_, _, _| {})
+        },
+        says: "What navigation does not say no method can know: above 20 samples a second or so the samples follow the true swell, below that they follow the curve through what was said. (Between a sensor's samples farther apart than 5 s there is no ping; a track in a file may be as sparse as its author likes.)",
+        paper: "vertices of the polyline are the navigation's own samples, straight between them",
+        ours: "a smooth curve through them, the same law for every method: a measured error of the input, not of a method",
+    },
+    Regime {
+        name: "navigation-faults",
+        title: "Navigation that repeats itself, goes backward, jumps, leaves gaps or runs ahead",
+        axis: "what is wrong with it",
+        values: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
+        few: &[0.0, 1.0, 2.0, 5.0, 8.0],
+        spot: |base, which| {
+            let spot = base.under_way(CRUISE_M_PER_S);
+            let spoil = |k: usize, valid_s: f64, said: &mut Vec<Said>| match which as usize {
+                1 if k % 2 == 1 => said.iter_mut().for_each(|s| s.valid_s -= 0.1),
+                // What held then comes late, and after younger ones.
+                2 if k % 3 == 2 => {
+                    for s in said.iter_mut() {
+                        s.valid_s -= 0.15;
+                        if let NavQuantity::LocalPosition { north_m, .. } = &mut s.quantity {
+                            *north_m -= 0.15 * CRUISE_M_PER_S;
+                        }
+                    }
+                }
+                3 if valid_s.abs() < 0.06 => said.clear(),
+                4 | 5 if valid_s >= 0.02 => {
+                    for s in said.iter_mut() {
+                        if let NavQuantity::LocalPosition { east_m, .. } = &mut s.quantity {
+                            *east_m += if which == 4.0 { 0.05 } else { 500.0 };
+                        }
+                    }
+                }
+                6 if (-0.5..0.5).contains(&valid_s) => said.clear(),
+                7 if (-3.0..3.0).contains(&valid_s) => said.clear(),
+                8 => said.iter_mut().for_each(|s| s.valid_s += 3600.0),
+                _ => {}
+            };
+            spot.through_navigation(0.1, spoil)
+        },
+        says: "Repeated stamps are dropped, backward ones put where they belong, gaps bridged by the curve; a jump that implies more than 150 m/s is refused, a smaller one believed; a clock an hour ahead gives no ping.",
+        paper: "not considered",
+        ours: "every one of these is counted by the navigation's history; refusals name the channel and the number",
+    },
+    Regime {
+        name: "far-from-origin",
+        title: "How far from the world's origin all this happens: f32 would end at 100 m",
+        axis: "m north and east of the origin",
+        values: &[0.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8],
+        few: &[0.0, 1e6, 1e7],
+        spot: |base, away_m| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.offset_m = DVec3::new(away_m, away_m, 0.0);
+            spot
+        },
+        says: "Places are f64 and every ping counts from its own transmitter: 10,000 km from the origin costs nothing that can be measured; in f32 the carrier's phase would be lost at 10 km (a place is good to 1 mm there, a wavelength is 3.75 mm).",
+        paper: "not said; its script's numbers are f64",
+        ours: "f64 places, phases reduced before anything is f32",
+    },
+    Regime {
+        name: "frequency-step",
+        title: "The frequency step of `spectral`, in parts of one over the record's length",
+        axis: "step times record",
+        values: &[
+            0.25, 0.5, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.25, 1.5, 2.0, 3.0, 4.0, 8.0,
+        ],
+        few: &[0.5, 2.0],
+        spot: |base, share| {
+            let mut spot = base.spot();
+            let settings = &spot.spec.settings;
+            let record_s = echotank::ping::window_s(settings, super::spot::C);
+            spot.spec.synthesis.frequency_step_hz = Some(share / record_s);
+            spot
+        },
+        says: "Above one over the record's length late echoes wrap round onto early ones (here, with echoes in the window's second half, from a step a little above 1 on): \"a narrow interval improves fidelity\" is this.",
+        paper: "Df is chosen by hand; too coarse a step is wrong by the signal itself and nothing says so",
+        ours: "a step of one's own is the only way to get there: by default it follows the record; `spectral` is then out of the plan's hands",
+    },
+    Regime {
+        name: "pulse-stretch",
+        title: "Doppler large against 1/T: the length of a wideband chirp at 10 knots",
+        axis: "ms of pulse",
+        values: &[0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0],
+        few: &[0.3, 5.0],
+        spot: |base, ms| {
+            let mut spot = base.under_way(5.144);
+            spot.spec.pulse.duration_s = ms * 1e-3;
+            spot.spec.settings.pulse_duration_s = ms * 1e-3;
+            spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
+            spot
+        },
+        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds until the path bends within the pulse; its second order holds to 20 ms.",
+        paper: "Eq. 21 shifts no frequency: it stretches the delays and leaves the pulse as it is",
+        ours: "every echo stretched about its own arrival; engines hold the stretch in Doppler columns made for the longest pulse",
+    },
+    Regime {
+        name: "sample-rate",
+        title: "Sample rate against what band and Doppler need",
+        axis: "sample rates over 1.25 (B + 2 f_d)",
+        values: &[
+            0.3, 0.5, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.25, 1.5, 2.0, 3.0,
+        ],
+        few: &[0.5, 0.9, 1.1],
+        spot: |base, share| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            let pulse = &spot.spec.pulse;
+            let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
+            let doppler_hz = 2.0 * 10.0 / super::spot::C * highest_hz;
+            let needed_hz = 1.25 * (pulse.bandwidth_hz + 2.0 * doppler_hz);
+            spot.spec.receiver.sample_rate_hz = share * needed_hz;
+            spot
+        },
+        says: "Where the receiver filter's pass band would not fit below the sampling there is no sonar: the configuration is refused with the least rate that would do.",
+        paper: "the band is sampled as it comes",
+        ours: "refused when the sonar is made, with the number of hertz that it needs",
+    },
+    Regime {
+        name: "tolerance",
+        title: "The tolerance that is asked for, 5 knots: colour is error over that tolerance",
+        axis: "tolerance",
+        values: &[
+            1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9,
+        ],
+        few: &[1e-1, 1e-4, 1e-9],
+        spot: |base, tolerance| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            spot.spec.synthesis.tolerance = tolerance;
+            spot
+        },
+        says: "Each method has its own end: engines refuse what they cannot be made for, the others' cards say what they are off by, and below all of them the plan says that nothing keeps it.",
+        paper: "has no tolerance",
+        ours: "a promise, or a refusal with the figure",
+    },
+    Regime {
+        name: "culling",
+        title: "Culling by the patterns, to nothing at all",
+        axis: "dB of the two-way pattern below which scatterers are left out",
+        values: &[
+            NO_FLOOR, -120.0, -100.0, -80.0, -60.0, -50.0, -40.0, -30.0, -20.0, -10.0, -6.0, -3.0,
+            -1.0,
+        ],
+        few: &[NO_FLOOR, -80.0, -3.0],
+        spot: |base, floor_db| {
+            let mut spot = base.spot();
+            let pattern = Pattern::Rectangle {
+                length_m: 0.1,
+                width_m: 0.0,
+                baffled: false,
+            };
+            spot.spec.transmit[0].pattern = pattern;
+            spot.spec.receive[0].element_pattern = pattern;
+            spot.spec.model.cull_db = (floor_db != NO_FLOOR).then_some(floor_db);
+            // A swath of flat ground, a few degrees of it inside the beam.
+            let points: Vec<DVec3> = (0..48)
+                .map(|k| place(30.0 + 0.2 * f64::from(k % 12), 66.5 + f64::from(k), 12.0))
+                .collect();
+            spot.scatterers = scatter(&points);
+            spot.scatterers.law.fill(ScatterLaw::Lambert);
+            spot
+        },
+        says: "A floor costs what it leaves out of flat ground, and the cards say how much; above the pattern's own peak everything is left out and the ping is silent.",
+        paper: "keeps all",
+        ours: "the left-out share of the energy is part of the promise; a plan may lower the floor, never raise it",
+    },
+    Regime {
+        name: "scatterers",
+        title: "Scenes of nothing, of one point, of points in one place",
+        axis: "scatterers (those above 100: that many less 100, all in one place)",
+        values: &[0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 101.0, 102.0, 110.0],
+        few: &[0.0, 1.0, 110.0],
+        spot: |base, count| {
+            let mut spot = base.under_way(CRUISE_M_PER_S);
+            let points: Vec<DVec3> = match count > 100.0 {
+                true => (100..count as usize)
+                    .map(|_| place(33.0, 80.0, 12.0))
+                    .collect(),
+                false => (0..count as usize)
+                    .map(|k| place(30.0 + 0.45 * k as f64, 60.0 + 3.0 * k as f64, 12.0))
+                    .collect(),
+            };
+            spot.scatterers = scatter(&points);
+            spot
+        },
+        says: "An empty scene (or one all in shadow, which reaches the methods as the same thing) is silent; a single point, and many in one place, are like any others.",
+        paper: "its curvature and incidence energies (Eqs. 27 and 28) divide by the greatest of all: 0/0 for a single point",
+        ours: "silence is silence, to the last bit",
+    },
+    Regime {
+        name: "grid-edge",
+        title: "An echo moved across the engines' grid in steps of a hundredth of a sample",
+        axis: "samples",
+        values: &[
+            0.0, 0.01, 0.05, 0.1, 0.2, 0.25, 0.3, 0.4, 0.49, 0.5, 0.51, 0.75, 0.9, 0.99, 1.0,
+        ],
+        few: &[0.0, 0.5, 0.99],
+        spot: |base, samples| {
+            let mut spot = base.spot();
+            // On the transmitter's own delay: a whole number of samples, and so much more.
+            let rate_hz = spot.rate_hz();
+            let delay_s = ((0.041 * rate_hz).round() + samples) / rate_hz;
+            let points = [DVec3::new(0.0, 0.5 * super::spot::C * delay_s, DOWN_M)];
+            spot.scatterers = scatter(&points);
+            spot
+        },
+        says: "The kernel of the engines is as good between the points of its grid as on them; samples that lie nearest are only right on a sample, linear interpolation is worst in between.",
+        paper: "Eq. 18 knows no grid of delays",
+        ours: "kernel width follows the tolerance",
+    },
+];

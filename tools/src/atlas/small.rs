@@ -1,0 +1,256 @@
+//! Maps of what is no method of summing: simplification where surfaces have no curvature, and places where longitudes end.
+
+use echotank::flow::{ScatterLaw, Scatterers};
+use echotank::geodesy::LocalTangentPlane;
+use echotank::scene::simplify::collapse::collapse;
+use echotank::scene::simplify::energy::{Energies, View};
+use echotank::scene::simplify::{Method, Selection, Settings, Weights};
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::picture::{Map, Mark, Panel, Sign};
+
+/// What a level may be off by, dB.
+const LEVEL_DB: f64 = 0.5;
+/// What a place may be off by after there and back, metres.
+const PLACE_M: f64 = 1e-3;
+
+/// Name, map and sentence.
+pub fn maps() -> Vec<(&'static str, Map, &'static str)> {
+    vec![
+        ("curvature", curvature(), CURVATURE_SAYS),
+        ("places", places(), PLACES_SAYS),
+    ]
+}
+
+pub const CURVATURE_SAYS: &str = "On planes, ridges and cylinders Gaussian curvature is zero, on a single point nothing can be fitted: energies as printed then hold no number (0/0), ours a floor; only `acoustic-unbiased` keeps the level.";
+pub const PLACES_SAYS: &str = "A kilometre from anywhere, over the antimeridian and over both poles, latitude and longitude come back to the micrometre.";
+
+fn ratio(value: f64, tolerance: f64) -> Mark {
+    match value.is_finite() {
+        true => Mark::Ratio {
+            log10: (value.abs().max(1e-30) / tolerance).log10(),
+            sign: Sign::None,
+        },
+        false => Mark::Shout,
+    }
+}
+
+/// A bottom of points with its triangles.
+struct Ground {
+    scatterers: Scatterers,
+    triangles: Vec<[u32; 3]>,
+}
+
+/// 21 by 21 points half a metre apart, 20 m to starboard.
+fn patch(down_m: impl Fn(f64, f64) -> f64) -> Ground {
+    const SIDE: u32 = 21;
+    let mut scatterers = Scatterers::default();
+    let mut triangles = Vec::new();
+    for r in 0..SIDE {
+        for c in 0..SIDE {
+            let (n, e) = (0.5 * f64::from(r) - 5.0, 0.5 * f64::from(c) - 5.0);
+            let at_m = DVec3::new(n, 20.0 + e, down_m(n, e));
+            push(&mut scatterers, at_m);
+            let at = r * SIDE + c;
+            if r + 1 < SIDE && c + 1 < SIDE {
+                triangles.push([at, at + 1, at + SIDE + 1]);
+                triangles.push([at, at + SIDE + 1, at + SIDE]);
+            }
+        }
+    }
+    Ground {
+        scatterers,
+        triangles,
+    }
+}
+
+fn few(count: u32) -> Ground {
+    let mut scatterers = Scatterers::default();
+    for k in 0..count {
+        push(&mut scatterers, DVec3::new(f64::from(k), 20.0, 10.0));
+    }
+    Ground {
+        scatterers,
+        triangles: Vec::new(),
+    }
+}
+
+fn push(scatterers: &mut Scatterers, at_m: DVec3) {
+    let turn = 2.4 * scatterers.len() as f64;
+    let strength = Complex64::from_polar(1.0, turn);
+    scatterers.push(at_m, [0.0, 0.0, -1.0], strength, ScatterLaw::Lambert);
+}
+
+fn curvature() -> Map {
+    let grounds: Vec<(&str, Ground)> = vec![
+        ("flat", patch(|_, _| 10.0)),
+        ("slope", patch(|n, e| 10.0 + 0.2 * n - 0.1 * e)),
+        ("ridge", patch(|n, _| 10.0 + 0.3 * n.abs())),
+        ("cylinder", patch(|n, _| 30.0 - (400.0 - n * n).sqrt())),
+        (
+            "sphere",
+            patch(|n, e| 30.0 - (400.0 - n * n - e * e).sqrt()),
+        ),
+        ("saddle", patch(|n, e| 10.0 + 0.02 * n * e)),
+        (
+            "rough",
+            patch(|n, e| 10.0 + 0.1 * (7.0 * n).sin() * (5.0 * e).cos()),
+        ),
+        // The first row hides all that is behind it.
+        (
+            "behind a wall",
+            patch(|_, e| if e < -4.9 { -30.0 } else { 10.0 }),
+        ),
+        ("one point", few(1)),
+        ("a line of three", few(3)),
+        ("nothing", few(0)),
+    ];
+    let methods: [(&str, Option<Method>); 4] = [
+        ("acoustic", Some(Method::Acoustic)),
+        ("as printed", Some(Method::Paper)),
+        ("acoustic-unbiased", Some(Method::Unbiased)),
+        ("conventional, inheriting area", None),
+    ];
+    let marks = methods
+        .iter()
+        .map(|(_, method)| grounds.iter().map(|(_, g)| level(g, *method)).collect())
+        .collect();
+    Map {
+        title: "Simplification to half the points, where curvature is zero or cannot be told"
+            .into(),
+        about: format!(
+            "error: how far the level of what is kept lies from that of all that is visible (unbiased: mean of 16 draws), over {LEVEL_DB} dB"
+        ),
+        axis: "shape of the bottom".into(),
+        columns: grounds.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        rows: methods.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        gaps: Vec::new(),
+        framed: Vec::new(),
+        panels: vec![Panel {
+            title: String::new(),
+            marks,
+            rings: Vec::new(),
+        }],
+        plan: None,
+    }
+}
+
+/// Energies that are no number are shouted.
+fn level(ground: &Ground, method: Option<Method>) -> Mark {
+    let Ground {
+        scatterers,
+        triangles,
+    } = ground;
+    let count = scatterers.len();
+    let keep = count.div_ceil(2);
+    let energy = |i: usize| scatterers.strength[i].norm_sqr();
+    let db = |kept: f64, all: f64| 10.0 * (kept / all).log10();
+    let Some(method) = method else {
+        let places: Vec<DVec3> = (0..count).map(|i| scatterers.position_m(i)).collect();
+        let left = collapse(&places, triangles, keep);
+        let kept = left.kept.iter().zip(&left.area_share);
+        let sum: f64 = kept.map(|(&i, share)| share * energy(i as usize)).sum();
+        let all: f64 = (0..count).map(energy).sum();
+        return if all == 0.0 {
+            Mark::Silence
+        } else {
+            ratio(db(sum, all), LEVEL_DB)
+        };
+    };
+    let view = View {
+        apex_m: DVec3::ZERO,
+        beams: Vec::new(),
+        slack_m: 0.0,
+        slack_rad: 0.0,
+        shadows: true,
+    };
+    let mut levels = Vec::new();
+    let draws = if method == Method::Unbiased { 16 } else { 1 };
+    for seed in 0..draws {
+        let settings = Settings {
+            method,
+            keep,
+            weights: Weights::default_of(method),
+            seed,
+        };
+        let mut energies = Energies::default();
+        energies.evaluate(scatterers, count, &view, &settings, None);
+        if energies.energy.iter().any(|e| e.is_nan()) {
+            return Mark::Shout;
+        }
+        let visible: f64 = (0..count)
+            .filter(|&i| !energies.hidden[i])
+            .map(energy)
+            .sum();
+        if visible == 0.0 {
+            return Mark::Silence;
+        }
+        let mut selection = Selection::default();
+        let rule = selection.rule(&energies, count, &settings);
+        selection.apply(rule, scatterers, &energies, count, seed);
+        let kept = selection.kept.iter().zip(&selection.gain);
+        let kept: f64 = kept
+            .filter(|(i, _)| !energies.hidden[**i as usize])
+            .map(|(&i, gain)| gain * gain * energy(i as usize))
+            .sum();
+        levels.push(kept / visible);
+    }
+    ratio(
+        db(levels.iter().sum::<f64>() / levels.len() as f64, 1.0),
+        LEVEL_DB,
+    )
+}
+
+fn places() -> Map {
+    let latitudes_deg = [
+        0.0, 30.0, 60.0, 80.0, 85.0, 89.0, 89.9, 89.99, 89.999, 90.0, -89.99, -90.0,
+    ];
+    let longitudes: [(&str, f64); 3] = [
+        ("at 18 E", 18.0),
+        ("at 179.9999 E", 179.9999),
+        ("at 180 W", -180.0),
+    ];
+    let off = |latitude_deg: f64, longitude_deg: f64| -> f64 {
+        let plane = LocalTangentPlane::new(latitude_deg.to_radians(), longitude_deg.to_radians());
+        let mut worst = 0.0f64;
+        for k in 0..16 {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
+            let (latitude, longitude) = plane.geodetic_rad(1000.0 * cos, 1000.0 * sin);
+            let (north_m, east_m) = plane.local_m(latitude, longitude);
+            let off_m = (north_m - 1000.0 * cos).hypot(east_m - 1000.0 * sin);
+            worst = if off_m.is_nan() {
+                f64::NAN
+            } else {
+                worst.max(off_m)
+            };
+            if worst.is_nan() {
+                return worst;
+            }
+        }
+        worst
+    };
+    let marks = longitudes
+        .iter()
+        .map(|(_, longitude)| {
+            let row = latitudes_deg.iter();
+            row.map(|&latitude| ratio(off(latitude, *longitude), PLACE_M))
+                .collect()
+        })
+        .collect();
+    Map {
+        title: "Places near the poles and over the antimeridian".into(),
+        about: "error: metres by which points 1 km away come back from latitude and longitude, over 1 mm".into(),
+        axis: "latitude of the origin, degrees".into(),
+        columns: latitudes_deg.iter().map(|l| format!("{l}")).collect(),
+        rows: longitudes.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        gaps: Vec::new(),
+        framed: Vec::new(),
+        panels: vec![Panel {
+            title: String::new(),
+            marks,
+            rings: Vec::new(),
+        }],
+        plan: None,
+    }
+}
