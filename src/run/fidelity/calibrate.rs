@@ -293,7 +293,7 @@ mod tests {
         let timed: Vec<Timed> = (0..40)
             .map(|k| {
                 let work = Work::of(far, 1e6 * (1.0 + (k % 3) as f64))
-                    .and(near, 1e7 * (k % 5) as f64)
+                    .and(near, 1e8 * (k % 5) as f64)
                     .and(Figure::Gridded1dEcho, 1e7 * (k % 7) as f64);
                 let parts = Figure::ALL.iter().map(|&f| 1e-6 * true_ns[f] * work[f]);
                 Timed {
