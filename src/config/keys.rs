@@ -967,7 +967,7 @@ static RUN: Table = Table {
             "stream_tiles",
             Kind::Bool,
             Default("false"),
-            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\", \"direct\", \"nearest\" or \"linear\", without certificates, further pulses and passband samples.",
+            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\" or \"direct\", without certificates, further pulses and passband samples.",
         ),
         key(
             "ahead_ms",

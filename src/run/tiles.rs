@@ -5,7 +5,7 @@
 //! together they cost less than three pings, and a machine that makes a ping in a quarter of its window is ahead of the samples from the first
 //! block on: the second tile, twice as long, is made while the first leaves, and so on.
 //!
-//! Only sums that go echo by echo can be cut short so (`reference`, `direct`, `nearest`, `linear`); where elements have faults in a ping, which may
+//! Only sums that go echo by echo can be cut short so (`reference`, `direct`); where elements have faults in a ping, which may
 //! look at all of it, that ping is one tile.
 
 use crate::emit::blocks::end_of_block;

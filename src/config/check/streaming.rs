@@ -37,15 +37,11 @@ pub fn refuse_what_has_no_tiles(run: &RawTable, sonars: &[&SonarSpec], problems:
     }
     for sonar in sonars {
         let model = &sonar.model;
-        let one_by_one = [
-            Synthesis::Reference,
-            Synthesis::Direct,
-            Synthesis::Nearest,
-            Synthesis::Linear,
-        ];
+        // The replicas of "nearest" and "linear" begin up to a sample before their echoes, which a tile does not know of.
+        let one_by_one = [Synthesis::Reference, Synthesis::Direct];
         let is_passband = |output: &OutputSpec| matches!(output, OutputSpec::Vita49(output) if output.passband_rate_hz.is_some());
         let why = if sonar.synthesis.auto.any() || !one_by_one.contains(&model.synthesis) {
-            "model.synthesis must be \"reference\", \"direct\", \"nearest\" or \"linear\", and nothing \"auto\": other sums need the whole ping"
+            "model.synthesis must be \"reference\" or \"direct\", and nothing \"auto\": other sums need the whole ping"
         } else if model.doppler == DopplerModel::StretchQuadratic {
             "model.doppler = \"stretch-quadratic\" fits its curves to the whole ping"
         } else if sonar.synthesis.certificate {
