@@ -164,11 +164,11 @@ mod tests {
             (sequence, false, &text[from..to])
         };
         for (what, segments) in [
-            ("whole", vec![(first, true, &b""[..]), at(0, 42)]),
-            ("pieces", vec![(first, true, b""), at(0, 5), at(5, 17), at(17, 42)]),
-            ("twice", vec![(first, true, b""), at(0, 20), at(0, 20), at(10, 42)]),
-            ("early", vec![(first, true, b""), at(0, 5), at(17, 42), at(5, 17)]),
-            ("no start", vec![at(0, 20), at(20, 42)]),
+            ("whole", vec![(first, true, &b""[..]), at(0, 41)]),
+            ("pieces", vec![(first, true, b""), at(0, 5), at(5, 17), at(17, 41)]),
+            ("twice", vec![(first, true, b""), at(0, 20), at(0, 20), at(10, 41)]),
+            ("early", vec![(first, true, b""), at(0, 5), at(17, 41), at(5, 17)]),
+            ("no start", vec![at(0, 20), at(20, 41)]),
         ] {
             let got = lines(&pcap(&segments), Some(Format::WbmsText));
             assert_eq!(got.len(), want.len(), "{what}: {got:?}");
