@@ -406,10 +406,8 @@ unsafe fn spread_32_any(
             let shares = across.value.as_ptr().add(j).cast::<f32>();
             let place = PLACED.get_unchecked(place).as_ptr();
             let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let row = _mm512_permutexvar_ps(
-                _mm512_loadu_si512(place.cast()),
-                _mm512_loadu_ps(shares),
-            );
+            let row =
+                _mm512_permutexvar_ps(_mm512_loadu_si512(place.cast()), _mm512_loadu_ps(shares));
             for value in values.get_unchecked(..weights.width) {
                 let value = _mm512_set1_ps(*value.get_unchecked(j % STRIP));
                 _mm512_storeu_ps(at, _mm512_fmadd_ps(row, value, _mm512_loadu_ps(at)));
@@ -484,9 +482,8 @@ pub unsafe fn apart_32(
         let from = rows.as_ptr().cast::<f64>().add(first);
         let out = columns.as_mut_ptr().cast::<f64>();
         for v in (0..values).step_by(8) {
-            let row: [__m512d; 8] = std::array::from_fn(|i| {
-                _mm512_loadu_pd(from.add((v + i) * stride))
-            });
+            let row: [__m512d; 8] =
+                std::array::from_fn(|i| _mm512_loadu_pd(from.add((v + i) * stride)));
             // Pairs of rows by even and odd columns; then fours, then eights.
             let pair: [__m512d; 8] = std::array::from_fn(|i| {
                 let (a, b) = (row[i / 2 * 2], row[i / 2 * 2 + 1]);

@@ -84,7 +84,8 @@ pub fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
 
 /// Cells of the grids that are tried.
 const TRIAL_CELLS: [usize; 28] = [
-    1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 200, 256,
+    1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128,
+    160, 200, 256,
 ];
 
 /// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.

@@ -164,12 +164,7 @@ impl DopplerGrid {
         Self::with_weights(span, cells, kernel.width, weights)
     }
 
-    fn with_weights(
-        span: DopplerSpan,
-        cells: usize,
-        taps: usize,
-        weights: Polynomials,
-    ) -> Self {
+    fn with_weights(span: DopplerSpan, cells: usize, taps: usize, weights: Polynomials) -> Self {
         let width = span.greatest - span.least;
         let per_doppler = if width > 0.0 {
             cells as f64 / width

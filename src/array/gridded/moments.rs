@@ -357,11 +357,7 @@ real!(
     share_64
 );
 
-fn share_32<const BENT: bool>(
-    dialect: Dialect,
-    points: Sharing<f32>,
-    values: &mut [Shared<f32>],
-) {
+fn share_32<const BENT: bool>(dialect: Dialect, points: Sharing<f32>, values: &mut [Shared<f32>]) {
     match dialect.kind() {
         // SAFETY: a `Dialect` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
         #[cfg(target_arch = "x86_64")]
@@ -601,7 +597,9 @@ mod tests {
             })
             .collect();
         let number = |i: usize| chance(i) as f32;
-        let entry: Vec<u32> = (0..BLOCK).map(|j| (chance(j).abs() * 15.9) as u32).collect();
+        let entry: Vec<u32> = (0..BLOCK)
+            .map(|j| (chance(j).abs() * 15.9) as u32)
+            .collect();
         let beyond: Vec<f32> = (0..BLOCK).map(|j| number(3 * j)).collect();
         let bend: Vec<f32> = (0..BLOCK).map(|j| number(5 * j + 1)).collect();
         let amplitude: Vec<Complex32> = (0..BLOCK)

@@ -294,8 +294,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             turned_rad: bend_rad,
             tolerance: spec.tolerance,
         })?;
-        let highest_hz = ((widest(spec.filter.is_some()) + 0.25) * rate_hz
-            + fastest * carrier_hz)
+        let highest_hz = ((widest(spec.filter.is_some()) + 0.25) * rate_hz + fastest * carrier_hz)
             / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
         let kept = band(spec, span, &spectrum)?;
@@ -982,9 +981,8 @@ mod tests {
             chunk.amplitude[0] = Complex64::ONE;
             let (got, _) = gridded(&spec, SIDESCAN, &[chunk]);
             let length = (pulse.duration_s * RATE_HZ) as usize;
-            let energy = |at: usize| -> f64 {
-                want[at..at + length].iter().map(|w| w.norm_sqr()).sum()
-            };
+            let energy =
+                |at: usize| -> f64 { want[at..at + length].iter().map(|w| w.norm_sqr()).sum() };
             let off = |at: usize| -> f64 {
                 let pairs = got[at..at + length].iter().zip(&want[at..at + length]);
                 pairs.map(|(g, w)| (g - w).norm_sqr()).sum()
@@ -995,7 +993,11 @@ mod tests {
                 .map(|at| (off(at) / energy(at).max(noise)).sqrt())
                 .fold(worst, f64::max);
         }
-        let why = Gridded1d::new(&spec).expect("within reach").card().why.clone();
+        let why = Gridded1d::new(&spec)
+            .expect("within reach")
+            .card()
+            .why
+            .clone();
         (worst, why)
     }
 
@@ -1046,7 +1048,11 @@ mod tests {
                 };
                 let want = laid(Dialect::PORTABLE);
                 for dialect in Dialect::available() {
-                    assert_eq!(laid(dialect), want, "{dialect:?}, {count} columns, {stride}");
+                    assert_eq!(
+                        laid(dialect),
+                        want,
+                        "{dialect:?}, {count} columns, {stride}"
+                    );
                 }
             }
         }

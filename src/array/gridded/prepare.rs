@@ -292,11 +292,7 @@ impl<T: Real> Columns<T> {
                     std::array::from_fn(|tap| T::narrow(factor * value_of(powers, tap, x)))
                 };
                 Entry {
-                    plain: [
-                        at(&grid.weights, 1.0),
-                        at(&slope, 1.0),
-                        at(&bow, 0.5),
-                    ],
+                    plain: [at(&grid.weights, 1.0), at(&slope, 1.0), at(&bow, 0.5)],
                     imaginary: [at(&imaginary, most_rad), at(&imaginary_slope, most_rad)],
                     real: at(&real, most_rad),
                     real_2: at(&real_2, most_rad * most_rad),
@@ -392,7 +388,10 @@ impl<T: Real> Columns<T> {
             self.grid.per_doppler * per_cell,
             self.grid.offset * per_cell,
         );
-        let (shift, mask) = (self.table.len().trailing_zeros(), self.table.len() as u32 - 1);
+        let (shift, mask) = (
+            self.table.len().trailing_zeros(),
+            self.table.len() as u32 - 1,
+        );
         for j in 0..n {
             // Entries from the span's beginning; half of one earlier rounding truncates, and the sum's low bits are the number.
             let position = (points.doppler[j] * per_doppler + offset - 0.5)
@@ -418,7 +417,12 @@ pub fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [
         amplitude,
         bend,
     } = points;
-    let all = values.iter_mut().zip(entry).zip(beyond).zip(amplitude).zip(bend);
+    let all = values
+        .iter_mut()
+        .zip(entry)
+        .zip(beyond)
+        .zip(amplitude)
+        .zip(bend);
     for ((((value, &entry), &x), &c), &bend) in all {
         let weights = &table[entry as usize];
         let (re, im) = value.split_at_mut(MAX_TAPS);
