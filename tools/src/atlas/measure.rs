@@ -128,13 +128,22 @@ impl Column {
 }
 
 /// Pipelines, kept from spot to spot as long as the sonar stays the same.
-#[derive(Default)]
 pub struct Bench {
+    /// Plans choose the sum too; making out what engines would do takes most of a column's time.
+    whole_plans: bool,
     made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
     costs: Option<Costs>,
 }
 
 impl Bench {
+    pub fn new(whole_plans: bool) -> Self {
+        Self {
+            whole_plans,
+            made: HashMap::new(),
+            costs: None,
+        }
+    }
+
     /// To be called inside one and the same pool.
     pub fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
@@ -225,8 +234,8 @@ impl Bench {
             path: true,
             segment: true,
             doppler: true,
-            synthesis: true,
-            cull: true,
+            synthesis: self.whole_plans,
+            cull: self.whole_plans,
         };
         let scene = Scene {
             spec: &spec,
@@ -291,10 +300,14 @@ impl Bench {
         let mut plan = plan.clone();
         plan.model = spec.model;
         let key = (spec.model.synthesis.name(), spec.model.doppler.name());
-        // Path and floor go with the ping, all else with the pipeline.
+        // Path, segments and floor go with the ping, all else with the pipeline.
         let mut common = spec.clone();
         common.model.path = PathModel::KSegment;
         common.model.cull_db = None;
+        common.model.segment_s = 0.01;
+        if spec.model.synthesis != Synthesis::Spectral {
+            common.synthesis.frequency_step_hz = None;
+        }
         let about = format!("{common:?}");
         let fresh = self.made.get(&key).is_none_or(|(made, _)| *made != about);
         let medium = &spot.rig().medium;
