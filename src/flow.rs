@@ -645,6 +645,10 @@ pub struct Heard {
     /// By how much the errors of echoes at random phases add up to more than their root mean square in the worst window of any element, and
     /// what else a sample of the echoes does not show.
     pub spread: f64,
+    /// Of the energy of a window, at most, what its loudest echo alone has.
+    pub loudest: f64,
+    /// Echoes of all elements.
+    pub echoes: f64,
 }
 
 impl Conditions {
@@ -1337,6 +1341,23 @@ pub struct PingOutput {
     pub scene: SceneCounts,
     /// Where the plan of methods chose something.
     pub fidelity: Option<FidelityMark>,
+    pub strain: Strain,
+}
+
+/// What was done to a ping because computing did not keep up; nothing, mostly. It depends on the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Strain {
+    /// Made with this tolerance in place of the configured one.
+    pub tolerance: Option<f64>,
+    /// The pulse went out so much later than the beat had it, seconds.
+    pub put_off_s: f64,
+}
+
+impl Strain {
+    pub const NONE: Self = Self {
+        tolerance: None,
+        put_off_s: 0.0,
+    };
 }
 
 /// Which plan of methods made a ping, and what it promised.

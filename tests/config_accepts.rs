@@ -75,11 +75,30 @@ fn the_least_configuration_takes_the_defaults_the_template_shows() {
 }
 
 #[test]
+fn overload_skips_unless_told_to_degrade_or_to_stretch() {
+    let rig = parse(&minimal());
+    assert_eq!(
+        (rig.run.overload, rig.run.rehearse_s),
+        (OverloadSpec::Skip, 0.0)
+    );
+    let with = |run: &str| parse(&(minimal() + "\n[run]\n" + run)).run;
+    let run = with("overload = \"stretch\"\nrehearse_ms = 60\n");
+    assert_eq!(
+        (run.overload, run.rehearse_s),
+        (OverloadSpec::Stretch, 0.06)
+    );
+    let gridded = "\n[sonar.model]\nsynthesis = \"gridded-1d\"\ntolerance = 2e-3\n";
+    let rig = parse(&(minimal() + gridded + "\n[run]\noverload = \"degrade\"\n"));
+    assert_eq!(rig.run.overload, OverloadSpec::Degrade);
+    assert_eq!(rig.sonars[0].looser_tolerances(), [0.02, 0.1]);
+}
+
+#[test]
 fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_told_otherwise() {
     let rig = parse(&minimal());
     assert_eq!(rig.run.delivery, DeliverySpec::PingEnd);
     assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.0, Some(0.8)));
-    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\npace = \"burst\"\n";
+    let run = "\n[run]\ndelivery = \"streaming\"\nstream_latency_ms = 2\nstream_tiles = true\npace = \"burst\"\n";
     let output =
         "\n[sonar.output.elements]\nsend_to = \"127.0.0.1:5, 127.0.0.1:6\"\nsample = \"f32\"\n";
     let text = minimal().replace(
@@ -93,6 +112,7 @@ fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_
         DeliverySpec::Streaming { block_s, latency_s }
     );
     assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.1, None));
+    assert!(rig.run.stream_tiles && !rig.run.pace_tcp);
     let OutputSpec::Elements(elements) = &rig.sonars[0].outputs[0] else {
         panic!("{:?}", rig.sonars[0].outputs);
     };

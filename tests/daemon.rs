@@ -8,12 +8,20 @@ mod families;
 mod faults;
 #[path = "daemon/killed.rs"]
 mod killed;
+#[path = "daemon/load.rs"]
+mod load;
 #[path = "daemon/makers_client.rs"]
 mod makers_client;
 #[path = "daemon/modes.rs"]
 mod modes;
 #[path = "daemon/nav_while_pinging.rs"]
 mod nav_while_pinging;
+#[path = "daemon/overload.rs"]
+mod overload;
+#[path = "daemon/plans.rs"]
+mod plans;
+#[path = "daemon/scored.rs"]
+mod scored;
 #[path = "daemon/streaming.rs"]
 mod streaming;
 #[path = "daemon/triggers.rs"]
@@ -81,6 +89,17 @@ impl Daemon {
                     .expect("an address");
             }
         }
+    }
+
+    /// The same, whatever was asked before.
+    fn address_of(&mut self, line: &str, before: &str) -> SocketAddr {
+        let address = |text: &str| {
+            let mut words = text.split_whitespace().skip_while(|word| *word != before);
+            words.nth(1).and_then(|word| word.parse().ok())
+        };
+        let mut said = self.printed.lines();
+        let found = said.find(|text| text.starts_with(line)).and_then(address);
+        found.unwrap_or_else(|| self.announced(line, before))
     }
 
     /// Tells it to stop and returns everything it printed.

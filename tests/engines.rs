@@ -241,6 +241,54 @@ fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
     }
 }
 
+/// What a ping begins with does not depend on what it ends with: tiles of a ping are its bits, whatever is made of the electronics too.
+#[test]
+fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
+    let scatterers = scene(300);
+    let electronics = "noise_db = 40.0\nadc_bits = 16\nfull_scale_v = 5.0";
+    for synthesis in ["reference", "direct", "nearest", "linear"] {
+        let dopplers: &[&str] = match synthesis {
+            "nearest" | "linear" => &["none"],
+            _ => &["none", "stretch"],
+        };
+        for (path, filter) in [
+            ("polyline", ""),
+            ("k-segment", FILTER),
+            ("continuous", FILTER),
+        ] {
+            for doppler in dopplers {
+                let model = format!(
+                    "path = \"{path}\"\ndoppler = \"{doppler}\"\nsegment_ms = 10.0\nsynthesis = \"{synthesis}\""
+                );
+                let rig = rig(&model, &format!("{filter}\n{electronics}"), 0.0);
+                let mut ping = plan(&rig, 1, |_| {});
+                if synthesis == "reference" {
+                    // It takes its time.
+                    ping.sample_count = 700;
+                }
+                let want = once(&rig, &ping, &scatterers);
+                let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+                let mut tile = pipeline.blank_output();
+                let total = ping.sample_count;
+                // One that no block of eight ends with, and most of the ping.
+                for (end, is_first) in [(50, true), (333, false), (total - 13, false)] {
+                    let elements = &mut tile.elements;
+                    pipeline.begin_ping(&mut ping, end, is_first, &scatterers, elements);
+                    assert_eq!(ping.sample_count, total);
+                    for (got, want) in tile.elements.iter().zip(&want.elements) {
+                        assert_eq!(got.samples, end);
+                        for e in 0..got.elements {
+                            let same = got.element(e) == &want.element(e)[..end];
+                            assert!(same, "{model}: element {e}, {end} samples");
+                        }
+                    }
+                }
+                assert!(tile.elements[0].iq.iter().any(|v| v.norm() > 0.0));
+            }
+        }
+    }
+}
+
 /// Without the receiver filter a soft pulse is within reach, and what is not is refused with numbers.
 #[test]
 fn without_the_filter_the_pulse_decides() {

@@ -2,6 +2,8 @@
 
 #[path = "nav_inputs/datagrams.rs"]
 mod datagrams;
+#[path = "nav_inputs/spoiled.rs"]
+mod spoiled;
 #[path = "nav_inputs/ways_out.rs"]
 mod ways_out;
 

@@ -136,6 +136,8 @@ enum State {
     Imagenex(Splitter<SwitchFraming>),
     /// With the front of the file until its header is whole, then the header.
     Xtf(Vec<u8>, Option<FileHeader>, Splitter<XtfFraming>),
+    /// A line that has no end yet.
+    WbmsText(Vec<u8>),
     /// Formats that are read as a whole.
     Whole(Format, Vec<u8>),
 }
@@ -149,7 +151,8 @@ impl Words {
             Format::Wbms => State::Wbms(Splitter::new(WbmsFraming)),
             Format::Imagenex872 => State::Imagenex(Splitter::new(SwitchFraming)),
             Format::Xtf => State::Xtf(Vec::new(), None, Splitter::new(XtfFraming::default())),
-            Format::S7k | Format::Vita49 | Format::WbmsText | Format::Sigmf | Format::Wav => {
+            Format::WbmsText => State::WbmsText(Vec::new()),
+            Format::S7k | Format::Vita49 | Format::Sigmf | Format::Wav => {
                 State::Whole(format, Vec::new())
             }
         };
@@ -170,6 +173,17 @@ impl Words {
             State::Wbms(stream) => feed(stream, bytes, wbms_packet, each),
             State::Imagenex(stream) => feed(stream, bytes, imagenex, each),
             State::Xtf(front, header, stream) => xtf(front, header, stream, bytes, each),
+            State::WbmsText(held) => {
+                held.extend_from_slice(bytes);
+                let ended = held.iter().rposition(|b| matches!(b, b'\r' | b'\n'));
+                if let Some(end) = ended {
+                    wbms_text(&held[..end], each);
+                    held.drain(..=end);
+                } else if held.len() > wbms::control::MAX_LINE_BYTES {
+                    wbms_text(held, each);
+                    held.clear();
+                }
+            }
             State::Whole(_, all) => all.extend_from_slice(bytes),
         }
     }
@@ -188,6 +202,10 @@ impl Words {
                 }
                 stream.finish();
             }
+            State::WbmsText(held) => {
+                wbms_text(held, each);
+                held.clear();
+            }
             State::Whole(format, bytes) => {
                 let (format, bytes) = (*format, std::mem::take(bytes));
                 return whole(format, &bytes, each);
@@ -197,21 +215,41 @@ impl Words {
     }
 }
 
-/// A line for each message of a datagram.
-pub fn datagram(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
-    match format {
-        Format::SevenK => match Reassembler::new(MAX_7K_RECORD_BYTES).push_datagram(bytes) {
-            Ok(Some(record)) => each(sevenk::describe(record.bytes()).to_string()),
-            Ok(None) => each(format!("part of a 7k record, {} B", bytes.len())),
-            Err(error) => each(format!("no 7k packet: {error}")),
-        },
-        Format::Vita49 => each(vita49_packet(bytes)),
-        other => {
-            let mut words = Words::new(other);
-            words.push(bytes, each);
-            words.finish(each);
+/// Puts datagrams into words; records of 7k that come in several are put together.
+pub struct Datagrams {
+    sevenk: Reassembler,
+}
+
+impl Default for Datagrams {
+    fn default() -> Self {
+        Self {
+            sevenk: Reassembler::new(MAX_7K_RECORD_BYTES),
         }
     }
+}
+
+impl Datagrams {
+    /// A line for each message of a datagram.
+    pub fn push(&mut self, format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
+        match format {
+            Format::SevenK => match self.sevenk.push_datagram(bytes) {
+                Ok(Some(record)) => each(sevenk::describe(record.bytes()).to_string()),
+                Ok(None) => each(format!("part of a 7k record, {} B", bytes.len())),
+                Err(error) => each(format!("no 7k packet: {error}")),
+            },
+            Format::Vita49 => each(vita49_packet(bytes)),
+            other => {
+                let mut words = Words::new(other);
+                words.push(bytes, each);
+                words.finish(each);
+            }
+        }
+    }
+}
+
+/// A line for each message of one datagram.
+pub fn datagram(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
+    Datagrams::default().push(format, bytes, each);
 }
 
 fn feed<F: Framing>(
@@ -259,18 +297,6 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
                 rest = &rest[taken.clamp(1, rest.len())..];
             }
         }
-        Format::WbmsText => {
-            let text = String::from_utf8_lossy(bytes);
-            for line in text.split(['\r', '\n']).map(str::trim) {
-                if line.is_empty() {
-                    continue;
-                }
-                each(match wbms::Command::parse(line) {
-                    Ok(command) => format!("WBMS {command:?}"),
-                    Err(error) => format!("WBMS text {line:?} ({error})"),
-                });
-            }
-        }
         Format::Sigmf => match Recording::parse(&String::from_utf8_lossy(bytes)) {
             Ok(recording) => sigmf(&recording, each),
             Err(error) => each(format!("no SigMF words: {error}")),
@@ -289,6 +315,27 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
         }),
         // The others are read as they come.
         _ => {}
+    }
+}
+
+fn wbms_text(bytes: &[u8], each: &mut dyn FnMut(String)) {
+    let text = String::from_utf8_lossy(bytes);
+    for line in text.split(['\r', '\n']).map(str::trim) {
+        // What is refused or greeted with is told behind the mark.
+        let (line, comment) = line.split_once('#').unwrap_or((line, ""));
+        let (line, comment) = (line.trim(), comment.trim());
+        if line.is_empty() && comment.is_empty() {
+            continue;
+        }
+        let comment = match comment {
+            "" => String::new(),
+            said => format!(": {said}"),
+        };
+        each(match wbms::Command::parse(line) {
+            _ if line.is_empty() => format!("WBMS{comment}"),
+            Ok(command) => format!("WBMS {command:?}{comment}"),
+            Err(error) => format!("WBMS text {line:?}{comment} ({error})"),
+        });
     }
 }
 

@@ -4,6 +4,7 @@
 mod cases;
 
 use cases::{Random, decoders};
+use echotank_protocols::words::{Format, Words};
 
 #[test]
 fn every_seed_is_read_as_what_it_is() {
@@ -24,5 +25,83 @@ fn twenty_thousand_spoiled_messages_a_decoder_end_without_a_panic() {
             lines += decoder.decode(&decoder.spoiled(&seeds, &mut random));
         }
         assert!(lines > 10_000, "{}: only {lines} lines", decoder.name);
+    }
+}
+
+/// What words say of bytes that they do not understand.
+const COMPLAINTS: [&str; 9] = [
+    "no message",
+    "no record",
+    "no packet",
+    "not read",
+    "that are no",
+    "no Imagenex",
+    "no SigMF",
+    "no WAV",
+    "no XTF",
+];
+
+fn in_words(format: Format, bytes: &[u8]) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut words = Words::new(format);
+    words.push(bytes, &mut |line| lines.push(line));
+    words.finish(&mut |line| lines.push(line));
+    lines
+}
+
+#[test]
+fn golden_files_are_told_by_their_front_and_every_message_of_them_is_put_into_words() {
+    let s7k = include_bytes!("data/proto_7k_with_7038.s7k");
+    let jsf = include_bytes!("data/proto_iq.jsf");
+    let xtf = include_bytes!("data/proto.xtf");
+    let cases: [(&[u8], Format, usize, &[&str]); 3] = [
+        (
+            s7k,
+            Format::S7k,
+            58,
+            &[
+                "sonar settings: ping 1 of sonar 1234, 400000.0 Hz, fs 34483.0 Hz",
+                "side scan: ping 1 of sonar 1234, 300 samples of 2 B per side",
+                "beamformed: ping 5 of sonar 1234, 32 beams x 200 samples",
+            ],
+        ),
+        (
+            jsf,
+            Format::Jsf,
+            70,
+            &[
+                "JSF 80 subsystem 21 channel 1 4240 B: sonar data: ping 1, 1000 samples of 20000 ns, Analytic, weighting 23",
+                "AnalyticUnfiltered",
+            ],
+        ),
+        (
+            xtf,
+            Format::Xtf,
+            6,
+            &["sonar_name: \"emulator\"", "ping_number: 5", "channel 1 of 800 samples"],
+        ),
+    ];
+    for (bytes, format, messages, said) in cases {
+        assert_eq!(Format::of_bytes(bytes), Some(format));
+        let lines = in_words(format, bytes);
+        assert_eq!(lines.len(), messages, "{format}");
+        for line in &lines {
+            assert!(!COMPLAINTS.iter().any(|c| line.contains(c)), "{format}: {line}");
+        }
+        for said in said {
+            assert!(lines.iter().any(|line| line.contains(said)), "{format}: no `{said}`");
+        }
+    }
+}
+
+#[test]
+fn right_messages_of_every_decoder_are_put_into_words_without_a_complaint() {
+    for decoder in decoders() {
+        for (n, seed) in decoder.seeds().iter().enumerate() {
+            decoder.each_line(seed, &mut |line| {
+                let complaint = COMPLAINTS.iter().find(|c| line.contains(**c));
+                assert_eq!(complaint, None, "{} seed {n}: {line}", decoder.name);
+            });
+        }
     }
 }

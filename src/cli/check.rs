@@ -89,16 +89,16 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A ping that streams is computed before its pulse: what its engine is foreseen to take on all cores together, at the least, must lie between.
-/// An engine that foresees nothing is taken at its word.
+/// A ping that streams is computed whole before its first block leaves: what its engine is foreseen to take on all cores together, at the least,
+/// must lie between, from when its pulse is known. An engine that foresees nothing is taken at its word.
 fn refuse_what_cannot_stream(
     run: &RunSpec,
     sonar: &SonarSpec,
     cards: &[MethodCard],
 ) -> Result<(), String> {
-    if run.delivery == DeliverySpec::PingEnd {
+    let DeliverySpec::Streaming { block_s, latency_s } = run.delivery else {
         return Ok(());
-    }
+    };
     let each = match sonar.model.synthesis {
         Synthesis::Gridded2d => 1,
         _ => sonar.receive.iter().map(|array| array.elements).sum(),
@@ -108,16 +108,23 @@ fn refuse_what_cannot_stream(
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         threads => threads,
     };
-    let (least_ms, ahead_ms) = (cost_ms / cores as f64, run.ahead_s * 1e3);
+    let least_ms = cost_ms / cores as f64;
     let period_ms = 1e3 / sonar.settings.max_ping_rate_hz;
     if least_ms > period_ms {
         return Err(format!(
             "run.delivery = \"streaming\": a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
         ));
     }
-    if least_ms > ahead_ms {
+    let (ahead_ms, latency_ms) = (run.ahead_s * 1e3, latency_s * 1e3);
+    let first_ms = (block_s + latency_s) * 1e3;
+    if sonar.trigger.from.is_wired() && least_ms > first_ms {
         return Err(format!(
-            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores; must be longer (where pulses are not known beforehand, run.stream_latency_ms would have to be)"
+            "run.stream_latency_ms = {latency_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores, and nobody knows of a trigger before it comes: must be longer"
+        ));
+    }
+    if least_ms > ahead_ms + first_ms {
+        return Err(format!(
+            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores; must be longer, or run.stream_latency_ms"
         ));
     }
     Ok(())

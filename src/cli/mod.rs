@@ -13,6 +13,7 @@ pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod scene;
+pub mod score;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -48,8 +49,10 @@ enum Command {
     Ctl(ctl::CtlArgs),
     /// Whether this machine lets the daemon be punctual and lose nothing
     Doctor(doctor::DoctorArgs),
-    /// A small topside for people: connect to a 7k server, subscribe, print records
+    /// A small topside for people: connect to a 7k server, subscribe, print records; or account for what any family sends
     Listen(listen::ListenArgs),
+    /// A device's report laid beside the log of injected faults: found, missed, invented
+    Score(score::ScoreArgs),
     /// Mend records that were cut off; `run` does so by itself with those in its folder
     Recover(recover::RecoverArgs),
     /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
@@ -84,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Ctl(args) => ctl::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::Listen(args) => listen::main(&args),
+        Command::Score(args) => score::main(&args),
         Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),

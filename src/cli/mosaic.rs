@@ -23,6 +23,17 @@ pub struct MosaicArgs {
     /// GeoTIFF to write (dB, 32-bit floats, UTM on WGS84); a PNG of the same name comes beside it
     #[arg(long, value_name = "FILE.tif")]
     pub out: PathBuf,
+    /// Of several pulses in one ping, which: 1 is the sonar's own, 2 that of the first [[sonar.more_pulse]]
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub pulse: u16,
+    /// The beams look so far ahead of broadside; negative is astern. (No recording says where a pulse's transmitter looks.)
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub squint: f64,
     /// Side of a pixel
     #[arg(long, value_name = "METRES", default_value_t = 0.25)]
     pub pixel: f64,
@@ -103,6 +114,10 @@ fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
             format!("--nadir {}: must be from 0 to below 89", args.nadir),
         ),
         (
+            args.squint.abs() < 90.0,
+            format!("--squint {}: must be between -90 and 90", args.squint),
+        ),
+        (
             args.layback.is_finite(),
             format!("--layback {}: must be a number", args.layback),
         ),
@@ -124,7 +139,7 @@ fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
 
 pub fn main(args: &MosaicArgs) -> Result<(), Failure> {
     refuse(args)?;
-    let pings = lines::read(&args.recording).map_err(Failure::running)?;
+    let pings = lines::read(&args.recording, args.pulse).map_err(Failure::running)?;
     let altitudes = match args.altitude {
         Some(altitude_m) => vec![altitude_m; pings.len()],
         None => first_returns(&pings).ok_or_else(|| {
@@ -156,7 +171,9 @@ pub fn main(args: &MosaicArgs) -> Result<(), Failure> {
     };
     let mut builder = MosaicBuilder::new(spec);
     for (k, (ping, altitude_m)) in pings.iter().zip(&altitudes).enumerate() {
-        builder.push(&place(&pings, k, *altitude_m), ping.axis, &ping.lines);
+        let mut place = place(&pings, k, *altitude_m);
+        place.drift += args.squint.to_radians().sin();
+        builder.push(&place, ping.axis, &ping.lines);
     }
     let mosaic = builder
         .finish()

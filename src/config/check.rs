@@ -8,6 +8,7 @@ mod devices;
 mod families;
 mod faults;
 mod nav;
+mod overload;
 mod picture;
 mod samples;
 mod scene;
@@ -237,6 +238,10 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.table("run")) {
         streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
     }
+    if let Some(t) = table.table("run") {
+        overload::refuse_what_has_nothing_to_give(t, &heads, problems);
+        streaming::refuse_what_has_no_tiles(t, &heads, problems);
+    }
     let rig = scene::Rig {
         sonars: &heads,
         sound_speed_m_per_s: medium.as_ref().map(|m| m.sound_speed_m_per_s),
@@ -378,7 +383,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let spread = table.text("pace").map(|pace| pace == "spread");
     only_with(
         table,
-        &["pace_share"],
+        &["pace_share", "pace_tcp"],
         spread,
         "pace = \"spread\"",
         problems,
@@ -389,7 +394,15 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
             true => Some(table.number("pace_share")?),
             false => None,
         },
+        pace_tcp: table.bool("pace_tcp")?,
         delivery: delivery?,
+        stream_tiles: table.bool("stream_tiles")?,
+        overload: match table.text("overload")? {
+            "degrade" => OverloadSpec::Degrade,
+            "stretch" => OverloadSpec::Stretch,
+            _ => OverloadSpec::Skip,
+        },
+        rehearse_s: table.scaled("rehearse_ms", -3)?,
         ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),

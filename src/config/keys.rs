@@ -934,10 +934,22 @@ static RUN: Table = Table {
             "Pings that may wait for their delivery.",
         ),
         key(
+            "overload",
+            Kind::Choice(&["skip", "degrade", "stretch"], &[]),
+            Default("\"skip\""),
+            "What becomes of a ping that had to wait for others and cannot be ready in time: it is left out; or made with a tolerance ten times looser, and ten times again, back when there is room; or pulses come later, no faster than pings can be made. Counted, and told in truth.jsonl; then, and only then, the samples depend on the machine. With clock = \"fast\" and \"lockstep\" nothing is late.",
+        ),
+        key(
+            "rehearse_ms",
+            Kind::Number(from(0.0, 600_000.0)),
+            Default("0.0"),
+            "Every ping takes at least so long to compute, and half of it at each looser tolerance: to see what an overload does. Without effect with clock = \"fast\" and \"lockstep\".",
+        ),
+        key(
             "delivery",
             Kind::Choice(&["ping-end", "streaming"], &[]),
             Default("\"ping-end\""),
-            "\"streaming\": element samples (vita49, elements) leave as they would be heard, block by block, each stream_latency_ms after its end; the ping is computed before its pulse, so nav.mode must be \"predict\". All else leaves at the end of the ping. The samples are the same.",
+            "\"streaming\": element samples (vita49, elements) leave as they would be heard, block by block, each stream_latency_ms after its end; the ping is computed before that, whole: ahead_ms before its pulse, or, where somebody else triggers it, after, and stream_latency_ms must have room for it; so nav.mode must be \"predict\". All else leaves at the end of the ping. The samples are the same.",
         ),
         key(
             "stream_block_ms",
@@ -950,6 +962,12 @@ static RUN: Table = Table {
             Kind::Number(from(0.0, 600_000.0)),
             Default("0.5"),
             "Constant. Only with delivery = \"streaming\".",
+        ),
+        key(
+            "stream_tiles",
+            Kind::Bool,
+            Default("false"),
+            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\", \"direct\", \"nearest\" or \"linear\", without certificates, further pulses and passband samples.",
         ),
         key(
             "ahead_ms",
@@ -973,13 +991,19 @@ static RUN: Table = Table {
             "pace",
             Kind::Choice(&["spread", "burst"], &[]),
             Default("\"spread\""),
-            "A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock size loses most of. TCP paces itself. With clock = \"fast\" and \"lockstep\" always all at once.",
+            "A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock size loses most of. TCP loses nothing: see pace_tcp. With clock = \"fast\" and \"lockstep\" always all at once.",
         ),
         key(
             "pace_share",
             Kind::Number(from(0.01, 0.95)),
             Default("0.8"),
             "The part. Only with pace = \"spread\".",
+        ),
+        key(
+            "pace_tcp",
+            Kind::Bool,
+            Default("false"),
+            "Records of 7k, JSF, WBMS and the Ping protocol are spread over TCP too, by the kernel (Linux); otherwise as fast as a client takes them. Only with pace = \"spread\".",
         ),
         key(
             "priority",
@@ -991,7 +1015,7 @@ static RUN: Table = Table {
             "fault_directory",
             Kind::Folder,
             Optional("\"out\""),
-            "Where faults-TIME.jsonl goes; left out: record.directory, and without that nowhere.",
+            "Where faults-TIME.jsonl and overload-TIME.jsonl go; left out: record.directory (with overload = \"skip\" the first alone), and without that nowhere.",
         ),
         key(
             "costs",
@@ -1099,7 +1123,7 @@ static PULSE: Table = Table {
 };
 
 static MORE_PULSE: Table = Table {
-    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture; not in 7k records). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
+    doc: "A pulse in the water together with the sonar's own, of the same kind, duration and taper; write the table again for another. Its echoes are in the same element samples; a matched filter of its own makes side-scan lines of them (more_lines in .npz, rows of their own in the picture, records 7000 and 7007 of their own, channels of XTF, subsystems of JSF). Two pulses a ping, the second half a period later, see the bottom at twice the density. With synthesis \"direct\", \"gridded-1d\" or \"reference\".",
     keys: &[
         key(
             "sweep",

@@ -6,12 +6,13 @@ mod devices;
 mod families;
 mod faults;
 mod fidelity;
+mod overload;
 mod samples;
 mod trigger;
 
 pub use faults::{
-    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavFault,
-    TransportFault,
+    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavByteFault,
+    NavFault, TransportFault,
 };
 
 use std::net::SocketAddr;
@@ -25,6 +26,7 @@ use crate::flow::{
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use fidelity::AutoModel;
+pub use overload::OverloadSpec;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
@@ -805,7 +807,14 @@ pub struct RunSpec {
     pub fault_directory: Option<PathBuf>,
     /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.
     pub spread_share: Option<f64>,
+    /// So over TCP too.
+    pub pace_tcp: bool,
     pub delivery: DeliverySpec,
+    /// Pings that stream are made tile by tile, and leave meanwhile.
+    pub stream_tiles: bool,
+    pub overload: OverloadSpec,
+    /// A ping takes at least so long, and half of it at each looser tolerance, seconds: an overload rehearsed.
+    pub rehearse_s: f64,
     /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
     pub ahead_s: f64,
     /// What methods cost on this machine; none is the table that comes with the program.
@@ -816,6 +825,14 @@ impl RunSpec {
     /// [`RunSpec::ahead_s`] in whole nanoseconds, so that everybody means the same instant.
     pub fn ahead_ns(&self) -> i64 {
         (self.ahead_s * 1e9).round() as i64
+    }
+
+    /// The last instant after a pulse at which its samples are of use: the first block's where they stream, else the ping's delivery. Seconds.
+    pub fn ready_after_s(&self, window_s: f64) -> f64 {
+        match self.delivery {
+            DeliverySpec::PingEnd => window_s + self.latency_s,
+            DeliverySpec::Streaming { block_s, latency_s } => block_s + latency_s,
+        }
     }
 }
 

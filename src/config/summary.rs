@@ -85,8 +85,12 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         &format!("{threads}, delivery {latency_ms} ms after each listening window"),
     )?;
     if let DeliverySpec::Streaming { block_s, latency_s } = rig.run.delivery {
+        let tiles = match rig.run.stream_tiles {
+            true => ", tile by tile",
+            false => "",
+        };
         let text = format!(
-            "element samples stream in blocks of {} ms, each {} ms after its end: the first {} ms after the pulse; pings are computed {} ms ahead",
+            "element samples stream in blocks of {} ms, each {} ms after its end: the first {} ms after the pulse; pings are computed {} ms ahead{tiles}",
             block_s * 1e3,
             latency_s * 1e3,
             (block_s + latency_s) * 1e3,

@@ -4,7 +4,9 @@
 
 use std::f64::consts::TAU;
 
-use crate::flow::{Conditions, DopplerModel, MethodCard, MethodRefused, PathModel};
+use crate::flow::{
+    Conditions, DopplerModel, MethodCard, MethodRefused, PathModel, ReceiverFilter,
+};
 
 /// f64 delays of 0.3 s at 400 kHz and what follows from them.
 const F64_FLOOR: f64 = 1e-9;
@@ -14,6 +16,29 @@ const LEG_NS: f64 = 8.0;
 const TRAJECTORY_NS: f64 = 600.0;
 /// Of the second-order expansion.
 const QUADRATIC_NS: f64 = 60.0;
+
+/// Crossings expected in a whole ping below which none is: one ping in so many has one.
+const RARE: f64 = 0.02;
+
+/// Where the sum is sampled at its points a sharp pulse begins and ends between two samples: an echo that is late by `shift_s` has an edge cross
+/// a sample now and then, and that sample has the whole echo or nothing of it. The loudest echo of a window, once, and on the mean the energy
+/// of all that cross.
+fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
+    let pulse = &conditions.pulse;
+    if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
+        return 0.0;
+    }
+    let echo_samples = (pulse.duration_s * conditions.sample_rate_hz).max(1.0);
+    let (loudest, echoes, spread) = match conditions.heard {
+        Some(heard) => (heard.loudest, heard.echoes, heard.spread),
+        None => (1.0, (conditions.scatterers * conditions.elements) as f64, 1.0),
+    };
+    let crossed = (2.0 * shift_s * conditions.sample_rate_hz).min(echo_samples);
+    if crossed * echoes < RARE {
+        return 0.0;
+    }
+    (loudest / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
+}
 
 fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
     conditions.scatterers as f64 * conditions.elements as f64 * ns * 1e-6
@@ -90,10 +115,11 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
             "on the trajectory itself".to_owned(),
         ),
     };
+    let phase_rad = conditions.wavenumber_per_m() * off_m * spread;
+    let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
     MethodCard {
         name: path.name(),
-        error: Conditions::error_of_phase(conditions.wavenumber_per_m() * off_m * spread)
-            .max(F64_FLOOR),
+        error: Conditions::error_of_phase(phase_rad + edges).max(F64_FLOOR),
         cost_ms: cost_ms(conditions, ns),
         why,
     }
@@ -163,9 +189,11 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
             ),
         ),
     };
+    // At the end of the pulse phases are at their greatest, and the edge is off by as much of a carrier's period.
+    let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
     MethodCard {
         name: doppler.name(),
-        error: Conditions::error_of_phase(phase_rad * spread).max(F64_FLOOR),
+        error: Conditions::error_of_phase(phase_rad * spread + edges).max(F64_FLOOR),
         cost_ms: cost_ms(conditions, ns),
         why,
     }
@@ -190,4 +218,76 @@ pub fn doppler_within(
 /// Phase of a closing speed off by `speed_m_per_s` at either end, rms over the pulse.
 fn first_of(k: f64, speed_m_per_s: f64, duration_s: f64) -> f64 {
     k * 2.0 * speed_m_per_s * duration_s / 3f64.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::{Pulse, PulseKind};
+
+    /// 500 samples of a sharp pulse.
+    fn sharp() -> Conditions {
+        Conditions {
+            pulse: Pulse {
+                kind: PulseKind::Cw,
+                center_frequency_hz: 100e3,
+                bandwidth_hz: 0.0,
+                duration_s: 5e-3,
+                taper: 0.0,
+            },
+            sound_speed_m_per_s: 1500.0,
+            sample_rate_hz: 100e3,
+            filter: ReceiverFilter::None,
+            speed_m_per_s: 1.0,
+            acceleration_m_per_s2: 0.0,
+            turning_m_per_s: 0.0,
+            range_m: (10.0, 50.0),
+            segment_s: 0.01,
+            scatterers: 1000,
+            elements: 10,
+            tolerance: 1e-3,
+            heard: None,
+        }
+    }
+
+    /// Echoes of unit amplitude at even places between two samples, each late by so many samples: what the samples gain and lose.
+    #[test]
+    fn sharp_edges_that_cross_samples_cost_what_counting_them_says() {
+        let conditions = sharp();
+        let (n, echoes) = (500.0f64, 100_000);
+        for late in [0.003, 0.1, 0.4] {
+            let (mut differ, mut all) = (0.0, 0.0);
+            for k in 0..echoes {
+                let at = (f64::from(k) * 0.618_033_988_75).fract();
+                let heard = |from: f64, i: f64| (from..=from + n).contains(&i);
+                for i in (0..3).chain(498..504).map(f64::from) {
+                    differ += f64::from(u8::from(heard(at, i) != heard(at + late, i)));
+                }
+                all += n;
+            }
+            let counted = (differ / all).sqrt();
+            let alone = (1.0 / n).sqrt();
+            let got = edge_error(&conditions, late / conditions.sample_rate_hz) - alone;
+            println!("late by {late}: {got:.3e}, counted {counted:.3e}");
+            assert!((got / counted - 1.0).abs() < 0.02, "{got} {counted}");
+        }
+    }
+
+    /// A thousand echoes at ten elements, of which hardly one in a million crosses; a taper; a filter.
+    #[test]
+    fn edges_count_only_where_there_are_edges_and_they_cross_samples() {
+        let at = |conditions: &Conditions, late: f64| {
+            edge_error(conditions, late / conditions.sample_rate_hz)
+        };
+        assert_eq!(at(&sharp(), 0.9 * RARE / 2e4), 0.0);
+        let one = (1.0f64 / 500.0).sqrt();
+        assert!(at(&sharp(), 1.1 * RARE / 2e4) >= one);
+        let mut tapered = sharp();
+        tapered.pulse.taper = 0.1;
+        let filtered = Conditions {
+            filter: ReceiverFilter::Fir,
+            ..sharp()
+        };
+        assert_eq!((at(&tapered, 0.3), at(&filtered, 0.3)), (0.0, 0.0));
+    }
 }

@@ -90,6 +90,13 @@ impl Illuminated {
     pub fn is_empty(&self) -> bool {
         self.range_m.is_empty()
     }
+
+    /// Only so much of what it was lit for will be synthesised.
+    pub fn hear(&mut self, window: Window) {
+        if self.window.is_some() {
+            self.window = Some(window);
+        }
+    }
 }
 
 /// Scratch of one thread of [`arrivals`].

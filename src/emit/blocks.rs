@@ -2,6 +2,11 @@
 
 use std::ops::Range;
 
+/// How many moments have been heard when so many blocks have.
+pub fn end_of_block(blocks: u32, moments_per_s: f64, block_s: f64) -> usize {
+    (f64::from(blocks) * block_s * moments_per_s).ceil() as usize
+}
+
 /// The moments of each block, and its end, seconds after moment 0. Where no length is given all are one block without an end.
 pub fn blocks(
     moments: usize,
@@ -13,9 +18,8 @@ pub fn blocks(
     let ends = (1..).map(move |k| match block_s {
         None => (moments, None),
         Some(block_s) => {
-            let end_s = f64::from(k) * block_s;
-            let end = (end_s * moments_per_s).ceil() as usize;
-            (end.min(moments), Some(end_s))
+            let end = end_of_block(k, moments_per_s, block_s);
+            (end.min(moments), Some(f64::from(k) * block_s))
         }
     });
     ends.map_while(move |(end, end_s)| {

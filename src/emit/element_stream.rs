@@ -1,6 +1,7 @@
 //! Frames of element samples (`echotank_protocols::elements`), and the session of a client that gets them.
 
 use std::net::SocketAddr;
+use std::ops::Range;
 
 use echotank_protocols::elements::{FrameHead, HEADER_BYTES, SampleType};
 
@@ -54,8 +55,19 @@ impl ElementStreamEmitter {
 
     /// Fills `into` with the frames of one ping; returns how many values were held at full scale.
     pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, into: &mut Packets) -> u64 {
+        self.emit_rows(plan, output, 0..plan.sample_count, into)
+    }
+
+    /// The same of some of its moments, from the start of a block to the end of one; `output` has those up to there at least.
+    pub fn emit_rows(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        rows: Range<usize>,
+        into: &mut Packets,
+    ) -> u64 {
         into.clear();
-        let (elements, moments) = (elements_of(output, &self.arrays).count(), plan.sample_count);
+        let (elements, moments) = (elements_of(output, &self.arrays).count(), rows.end);
         if elements == 0 {
             return 0;
         }
@@ -78,9 +90,10 @@ impl ElementStreamEmitter {
         };
         let moment_bytes = elements * self.sample_type.bytes();
         let fit = ((self.max_frame_bytes - HEADER_BYTES) / moment_bytes).max(1);
-        for (rows, end_s) in blocks(moments, self.moments_per_s, self.block_s) {
-            for first in rows.clone().step_by(fit) {
-                let count = fit.min(rows.end - first);
+        let all = blocks(moments, self.moments_per_s, self.block_s);
+        for (block, end_s) in all.filter(|(block, _)| block.start >= rows.start) {
+            for first in block.clone().step_by(fit) {
+                let count = fit.min(block.end - first);
                 self.emit_frame(plan, elements, first, count);
                 into.push(&self.frame);
             }

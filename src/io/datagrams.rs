@@ -91,6 +91,8 @@ pub struct DatagramSender {
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
     faulty: Mutex<Option<Box<dyn FaultyLine>>>,
+    /// Whose clients get the packets.
+    server: Option<Arc<SonarServer>>,
 }
 
 impl DatagramSender {
@@ -129,11 +131,13 @@ impl DatagramSender {
         sending: Sending,
     ) -> std::io::Result<Self> {
         let far = Far::Clients {
-            server,
+            server: Arc::clone(&server),
             pool: DatagramPool::new(0, MOST_KEPT_BUFFERS),
         };
         let far = (far, DatagramCounts::default());
-        Self::start(far, f64::INFINITY, queue, clock, sending)
+        let mut sender = Self::start(far, f64::INFINITY, queue, clock, sending)?;
+        sender.server = Some(server);
+        Ok(sender)
     }
 
     fn start(
@@ -172,6 +176,7 @@ impl DatagramSender {
             counts,
             thread: Some(thread),
             faulty: Mutex::default(),
+            server: None,
         })
     }
 
@@ -193,6 +198,9 @@ impl DatagramSender {
     pub fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = &mut *faulty {
+            if let Some(server) = &self.server {
+                server.connect(line.connection());
+            }
             line.packets(&mut ping);
         }
         drop(faulty);

@@ -12,8 +12,14 @@ pub mod signals;
 pub mod sonar;
 mod stamp;
 pub mod trigger;
+pub mod words;
 
 /// A file of text, for those who may not open files themselves.
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {
     std::fs::read_to_string(path)
+}
+
+/// The same, written; what has the name is replaced.
+pub fn write_text(path: &std::path::Path, text: &str) -> std::io::Result<()> {
+    std::fs::write(path, text)
 }

@@ -85,4 +85,37 @@ mod tests {
         Notify::to(None).alive();
         Notify::to(Some("/no/such/socket")).alive();
     }
+
+    /// Where there is no `systemd-analyze`, only what the unit must say is looked at.
+    #[test]
+    fn systemd_finds_nothing_wrong_with_the_unit() {
+        let unit = include_str!("../../hil-configs/echotank.service");
+        for line in [
+            "Type=notify",
+            "WatchdogSec=30",
+            "LimitRTPRIO=50",
+            "LimitMEMLOCK=infinity",
+            "DynamicUser=yes",
+        ] {
+            assert!(unit.lines().any(|l| l == line), "{line}");
+        }
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("echotank.service");
+        // The binary of the unit is on no machine that builds it.
+        let lint = |unit: &str| {
+            let unit = unit.replace("ExecStart=/usr/bin/echotank", "ExecStart=/bin/true");
+            std::fs::write(&path, unit).expect("written");
+            let mut systemd = std::process::Command::new("systemd-analyze");
+            let done = systemd.arg("verify").arg(&path).output().ok()?;
+            let said = String::from_utf8_lossy(&done.stderr);
+            // It looks at the machine's other units too.
+            let ours = said.lines().filter(|l| l.contains("echotank.service"));
+            Some(ours.map(str::to_owned).collect::<Vec<_>>())
+        };
+        if let Some(found) = lint(unit) {
+            assert_eq!(found, Vec::<String>::new());
+            let wrong = lint(&unit.replace("WatchdogSec", "WatchDogSec")).expect("as before");
+            assert_eq!(wrong.len(), 1, "{wrong:?}");
+        }
+    }
 }

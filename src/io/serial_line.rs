@@ -4,8 +4,8 @@
 //! that fails (unplugged) is opened again.
 
 use std::io::{ErrorKind, Read};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -13,6 +13,7 @@ use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
 
 use crate::emit::session::{Outgoing, Session};
 use crate::flow::Datagram;
+use crate::io::line::Line;
 use crate::io::sonar::RigTime;
 
 /// Records that may wait for the line.
@@ -39,6 +40,7 @@ pub struct SerialLine {
     counts: Arc<LineCounts>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    faulty: Mutex<Option<Box<dyn Line>>>,
 }
 
 impl SerialLine {
@@ -74,6 +76,7 @@ impl SerialLine {
             counts,
             stop,
             thread: Some(thread),
+            faulty: Mutex::default(),
         })
     }
 
@@ -81,8 +84,18 @@ impl SerialLine {
         &self.counts
     }
 
+    /// All records pass `line` from now on; answers do not.
+    pub fn set_line(&self, line: Box<dyn Line>) {
+        *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+    }
+
     /// Never waits for the line.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
+        let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
+        let records = match &mut *faulty {
+            Some(line) => line.records(records),
+            None => records,
+        };
         for record in records {
             if self.records.try_send(Arc::clone(record)).is_err() {
                 self.counts.records_dropped.fetch_add(1, Ordering::Relaxed);

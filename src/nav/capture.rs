@@ -1,4 +1,5 @@
-//! UDP datagrams in packet captures. Comes in: a whole pcap or pcapng file. Goes out: each packet's arrival, and its datagram's payload.
+//! UDP datagrams in packet captures. Comes in: a whole pcap or pcapng file. Goes out: each packet's arrival, and its datagram's payload or its
+//! TCP segment.
 //!
 //! Ethernet (with VLAN tags), Linux cooked, loopback and raw IP; IPv4 and IPv6. Not put together: fragments, TCP. A file cut in the middle of a packet ends
 //! before it. Sources: tcpdump's `pcap-savefile(5)`, IETF draft-tuexen-opsawg-pcapng.
@@ -19,6 +20,21 @@ pub struct Packet<'a> {
     pub arrival: UtcNs,
     pub port: u16,
     pub payload: Option<&'a [u8]>,
+    pub segment: Option<Segment<'a>>,
+}
+
+/// A piece of a TCP connection, one way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Segment<'a> {
+    /// From and to, as they lie in the IP header.
+    pub addresses: &'a [u8],
+    pub from_port: u16,
+    pub to_port: u16,
+    /// Number of the payload's first byte.
+    pub sequence: u32,
+    /// The connection begins: its first byte has the number behind `sequence`.
+    pub is_start: bool,
+    pub payload: &'a [u8],
 }
 
 #[derive(Clone, Copy)]
@@ -193,11 +209,13 @@ fn ticks_per_s(order: Order, mut options: &[u8]) -> u64 {
 
 fn packet(data: &[u8], interface: Interface, ticks: u64) -> Packet<'_> {
     let ns = u128::from(ticks) * 1_000_000_000 / u128::from(interface.ticks_per_s.max(1));
-    let datagram = ip_packet(data, interface.link).and_then(udp);
+    let ip = ip_packet(data, interface.link);
+    let datagram = ip.and_then(udp);
     Packet {
         arrival: UtcNs(i64::try_from(ns).unwrap_or(i64::MAX)),
         port: datagram.map_or(0, |(port, _)| port),
         payload: datagram.map(|(_, payload)| payload),
+        segment: ip.and_then(tcp),
     }
 }
 
@@ -220,8 +238,35 @@ fn ip_packet(data: &[u8], link: u32) -> Option<&[u8]> {
     }
 }
 
+const UDP: u8 = 17;
+const TCP: u8 = 6;
+
 /// Destination port and payload of a whole UDP datagram.
 fn udp(ip: &[u8]) -> Option<(u16, &[u8])> {
+    let datagram = inside(ip, UDP)?;
+    let len = usize::from(Order::Big.u16(datagram, 4)?);
+    Some((Order::Big.u16(datagram, 2)?, datagram.get(8..len)?))
+}
+
+fn tcp(ip: &[u8]) -> Option<Segment<'_>> {
+    const SYN: u8 = 2;
+    let segment = inside(ip, TCP)?;
+    let header = usize::from(segment.get(12)? >> 4) * 4;
+    Some(Segment {
+        addresses: match ip[0] >> 4 {
+            4 => ip.get(12..20)?,
+            _ => ip.get(8..40)?,
+        },
+        from_port: Order::Big.u16(segment, 0)?,
+        to_port: Order::Big.u16(segment, 2)?,
+        sequence: Order::Big.u32(segment, 4)?,
+        is_start: segment.get(13)? & SYN != 0,
+        payload: segment.get(header..)?,
+    })
+}
+
+/// What an IP packet that is no fragment carries of a protocol, without the padding of short Ethernet frames.
+fn inside(ip: &[u8], wanted: u8) -> Option<&[u8]> {
     let (protocol, header, total) = match ip.first()? >> 4 {
         4 => {
             let fragment = Order::Big.u16(ip, 6)? & 0x3FFF;
@@ -234,13 +279,7 @@ fn udp(ip: &[u8]) -> Option<(u16, &[u8])> {
         6 => (*ip.get(6)?, 40, 40 + usize::from(Order::Big.u16(ip, 4)?)),
         _ => return None,
     };
-    if protocol != 17 {
-        return None;
-    }
-    // Without the padding of short Ethernet frames.
-    let datagram = ip.get(header..total)?;
-    let len = usize::from(Order::Big.u16(datagram, 4)?);
-    Some((Order::Big.u16(datagram, 2)?, datagram.get(8..len)?))
+    (protocol == wanted).then(|| ip.get(header..total))?
 }
 
 #[cfg(test)]

@@ -1,9 +1,13 @@
-//! Where navigation may go wrong: every sample passes here on its way from its source to the history.
+//! Where navigation may go wrong: every sample passes here on its way from its source to the history, and what live sources say before that.
 
 use crate::flow::NavSample;
 use crate::time::UtcNs;
 
 pub trait Spoil: Send {
+    /// Bytes that a live source has said, before they are decoded.
+    fn bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
+        let _ = (source, arrival, bytes);
+    }
     /// What becomes of a sample: another, itself, or none now.
     fn sample(&mut self, sample: NavSample) -> Option<NavSample>;
     /// One that was held back and has arrived by `until`; to be asked until there is none.

@@ -8,6 +8,7 @@
 //! phase would add as squares, and the bound is then up to twice too high with four parts alike.
 
 use crate::flow::ModelChoice;
+use crate::ping::work::Work;
 
 /// What is chosen in one place of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,13 +31,6 @@ impl Family {
         }
     }
 }
-
-/// Kinds of work that the table of costs has a figure for.
-pub const FIGURES: usize = 15;
-
-/// Amounts of work of one ping, in the order of the table of costs (`run::fidelity::costs`).
-pub type Work = [f64; FIGURES];
-pub const NO_WORK: Work = [0.0; FIGURES];
 
 /// One member of a family under the ping's conditions.
 #[derive(Clone, Debug, PartialEq)]
@@ -262,7 +256,7 @@ mod tests {
                 _ => 0.0,
             },
             cost_ms: 0.25 * cost_ms,
-            work: NO_WORK,
+            work: Work::NONE,
             why: "so it is".into(),
         };
         Candidate {

@@ -9,6 +9,7 @@ pub mod beats;
 pub mod trigger;
 
 pub mod fidelity;
+pub mod work;
 
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::flow::{NavState, PingPlan, Pulse, Segment, SonarSettings};

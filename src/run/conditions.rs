@@ -13,6 +13,11 @@ const INSTANTS: usize = 64;
 const STILL_M_PER_S2: f64 = 1e-9;
 const STILL_M_PER_S: f64 = 1e-12;
 
+/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`.
+pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
+    window_s / (window_s / segment_s).ceil().max(1.0)
+}
+
 /// The worst of every transmitter and of both ends of every line.
 pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Conditions {
     let rate_hz = spec.receiver.sample_rate_hz;
@@ -72,7 +77,7 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         acceleration_m_per_s2: above(acceleration, STILL_M_PER_S2),
         turning_m_per_s: above(turning, STILL_M_PER_S),
         range_m: (nearest_m.clamp(wavelength_m, farthest_m), farthest_m),
-        segment_s: plan.model.segment_s,
+        segment_s: segment_step_s(plan.window_s(rate_hz), plan.model.segment_s),
         scatterers: scatterers.len(),
         elements: spec.receive.iter().map(|array| array.elements).sum(),
         tolerance: spec.synthesis.tolerance,

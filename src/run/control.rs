@@ -20,6 +20,7 @@ use crate::run::faults::Faults;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
+use crate::run::overload::StrainLog;
 use crate::run::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
 use crate::run::settings::SettingsStore;
 use crate::run::triggers::TriggerCounts;
@@ -63,6 +64,7 @@ pub struct RunControl {
     sonars: Vec<SonarControl>,
     faults: Arc<Faults>,
     rig_time: RigTime,
+    strains: StrainLog,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
     nav_sources: Mutex<Vec<(State, SourceCounters)>>,
@@ -96,6 +98,7 @@ impl RunControl {
             sonars,
             faults,
             rig_time,
+            strains: StrainLog::default(),
             nav_lines: Mutex::default(),
             nav_sources: Mutex::default(),
             page,
@@ -106,6 +109,11 @@ impl RunControl {
             machine,
             beat_ns: AtomicI64::new(0),
         }
+    }
+
+    /// Pings that were not as they should have been, for the log.
+    pub fn strains(&self) -> &StrainLog {
+        &self.strains
     }
 
     pub fn sonars(&self) -> &[SonarControl] {
@@ -333,6 +341,7 @@ impl RunControl {
             "settings": settings_json(&settings),
             "settings_version": version,
             "changes": { "applied": counts.applied, "refused": counts.refused },
+            "overload": self.page.spec.run.overload.name(),
             "counters": counters,
             "fidelity": sonar.counters.fidelity_json(),
             "microseconds": histograms,
@@ -443,6 +452,7 @@ impl ControlPort for RunControl {
                 "injected": self.faults.injected(),
                 "unlogged": self.faults.unwritten(),
             },
+            "overload_unlogged": self.strains.unwritten(),
             "nav": self.nav_lines(),
             "page": self.page.feed.counts(),
         })
@@ -464,7 +474,9 @@ impl ControlPort for RunControl {
             return text;
         };
         for (k, (name, doc, _)) in first.all_counters().enumerate() {
-            let kind = match name.starts_with("worst_") || name == "nav_age_ms" || name == "plan" {
+            let kind = match name.starts_with("worst_")
+                || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us")
+            {
                 true => "gauge",
                 false => "counter",
             };
@@ -475,6 +487,18 @@ impl ControlPort for RunControl {
             for sonar in &self.sonars {
                 if let Some((_, _, value)) = sonar.all_counters().nth(k) {
                     let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
+                }
+            }
+        }
+        for (k, (name, doc, _)) in first.counters.errors().into_iter().enumerate() {
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} gauge"
+            );
+            for sonar in &self.sonars {
+                if let Some(value) = sonar.counters.errors()[k].2 {
+                    let who = &sonar.name;
+                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{who}\"}} {value:e}");
                 }
             }
         }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::flow::{Certificate, EchoCounts, FidelityMark, NavState, SceneCounts};
+use crate::flow::{Certificate, EchoCounts, FidelityMark, NavState, SceneCounts, Strain};
 use crate::run::fidelity::live::PlanCounts;
 
 /// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
@@ -16,6 +16,14 @@ pub struct PingCounters {
     pub skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
     pub skipped_queue: AtomicU64,
+    /// Made with a looser tolerance because computing did not keep up, and how many steps looser the newest ping is.
+    pub degraded: AtomicU64,
+    pub looser: AtomicU64,
+    /// Began to stream, and could not go on in time: the rest of their samples did not leave by the streams.
+    pub torn: AtomicU64,
+    /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
+    pub stretched: AtomicU64,
+    pub stretched_us: AtomicU64,
     /// A recorder ended with an error, as of a full disk; pings go on.
     pub recordings_stopped: AtomicU64,
     /// A fault had the pulse missed.
@@ -24,6 +32,8 @@ pub struct PingCounters {
     pub deadline_misses: AtomicU64,
     /// Worst lateness of a delivery, microseconds.
     pub worst_late_us: AtomicU64,
+    /// Lateness of the newest delivery, microseconds: deadlines are absolute, so it is how far pings have drifted since the first.
+    pub drift_us: AtomicU64,
     /// Age of the newest position or attitude sample behind the last ping, milliseconds; interpolated pings have 0.
     pub nav_age_ms: AtomicU64,
     /// Sum and worst of the time `compute_ping` took, microseconds.
@@ -87,6 +97,14 @@ impl PingCounters {
         add(&self.seabed_used, counts.scatterers);
     }
 
+    /// What was done to a ping because computing did not keep up; `rung`: how many steps looser than configured it is.
+    pub fn strain(&self, rung: usize, strain: &Strain) {
+        add(&self.degraded, u64::from(rung > 0));
+        self.looser.store(rung as u64, Ordering::Relaxed);
+        add(&self.stretched, u64::from(strain.put_off_s > 0.0));
+        add(&self.stretched_us, (strain.put_off_s * 1e6) as u64);
+    }
+
     /// What a ping's certificate says, if it has one.
     pub fn certificate(&self, certificate: Option<&Certificate>) {
         let Some(c) = certificate else {
@@ -144,6 +162,24 @@ impl PingCounters {
                 ", plan {}: {error:.1e} of {tolerance:.1e} predicted",
                 read(&self.plan)
             );
+        }
+        match (read(&self.degraded), read(&self.looser)) {
+            (0, _) => {}
+            (n, 0) => text += &format!(", OVERLOAD: {n} made looser, none now"),
+            (n, now) => text += &format!(", OVERLOAD: {n} made looser, now by {now} steps"),
+        }
+        match read(&self.torn) {
+            0 => {}
+            n => text += &format!(", OVERLOAD: {n} torn while they streamed"),
+        }
+        match read(&self.stretched) {
+            0 => {}
+            n => {
+                text += &format!(
+                    ", OVERLOAD: {n} pulses put off, {:.1} s in all",
+                    read(&self.stretched_us) as f64 / 1e6
+                )
+            }
         }
         match (read(&self.plans_given_up), read(&self.plans_failed)) {
             (0, 0) => {}
@@ -231,6 +267,31 @@ impl PingCounters {
                 &self.skipped_queue,
             ),
             (
+                "pings_degraded",
+                "Pings made with a looser tolerance because computing did not keep up",
+                &self.degraded,
+            ),
+            (
+                "looser_now",
+                "Steps by which the newest ping's tolerance is looser than the configured one",
+                &self.looser,
+            ),
+            (
+                "pings_torn",
+                "Pings whose first samples streamed, and whose others were not ready in time to",
+                &self.torn,
+            ),
+            (
+                "pings_stretched",
+                "Pings whose pulse went out later because computing did not keep up",
+                &self.stretched,
+            ),
+            (
+                "stretched_us",
+                "By how much later, in all",
+                &self.stretched_us,
+            ),
+            (
                 "recordings_stopped",
                 "Recorders that ended with an error",
                 &self.recordings_stopped,
@@ -246,6 +307,11 @@ impl PingCounters {
                 &self.deadline_misses,
             ),
             ("worst_late_us", "Latest delivery", &self.worst_late_us),
+            (
+                "drift_us",
+                "From the newest ping's instant until its delivery began: what has added up since the first",
+                &self.drift_us,
+            ),
             (
                 "nav_age_ms",
                 "Age of the newest navigation behind the last ping",
@@ -296,6 +362,38 @@ impl PingCounters {
         ]
         .into_iter()
         .map(|(name, doc, counter)| (name, doc, read(counter)))
+    }
+
+    /// As [`Self::all`], of what is no count: what the newest ping's plan and certificate say. None where there is none.
+    pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
+        let of = |bits: &AtomicU64| f64::from_bits(read(bits));
+        let planned = read(&self.plan) > 0;
+        let certified = read(&self.certified) > 0;
+        let [predicted, tolerance] = [0, 1].map(|k| planned.then(|| of(&self.plan_promise[k])));
+        let measured = certified.then(|| of(&self.certificate[0]));
+        let margin = tolerance.zip(measured);
+        [
+            (
+                "plan_predicted_error",
+                "Error of element samples that the newest ping's plan of methods promises not to exceed, relative",
+                predicted,
+            ),
+            (
+                "plan_tolerance",
+                "Error that the newest ping's plan of methods is allowed",
+                tolerance,
+            ),
+            (
+                "certificate_error",
+                "Measured error of the newest certificate",
+                measured,
+            ),
+            (
+                "plan_margin",
+                "Tolerance over measured error",
+                margin.map(|(tolerance, error)| tolerance / error.max(f64::MIN_POSITIVE)),
+            ),
+        ]
     }
 
     pub fn skipped(&self) -> u64 {

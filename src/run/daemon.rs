@@ -19,20 +19,23 @@ mod triggers;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
-use self::beat::{Beat, Company};
+use self::beat::{Beat, Company, Ordered};
 use self::triggers::{Triggers, at_first};
 use chrono::DateTime;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use serde::Serialize;
 use thiserror::Error;
 
 use crate::config::spec::{
-    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, RigSpec, StampSpec,
+    ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, OverloadSpec, RigSpec, StampSpec,
 };
+use crate::flow::Strain;
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
@@ -50,13 +53,14 @@ use crate::ping::PingOrder;
 use crate::run::control::{RunControl, SonarControl};
 use crate::run::counters::{PingCounters, add, worst};
 use crate::run::faults::nav::NavSpoiler;
-use crate::run::faults::{Faults, Injection};
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
+use crate::run::overload::{Backlog, Ladder, Strained};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool};
 use crate::run::settings::SettingsStore;
+use crate::run::tiles::tile_ends;
 use crate::run::triggers::TriggerCounts;
 use crate::run::waiting;
 use crate::time::{
@@ -70,6 +74,8 @@ const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
 /// How often the navigation's counters and states are written down for whoever prints.
 const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
+/// Tiles of a sonar's pings that may be on their way at a time.
+const TILE_SLOTS: usize = 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
 const MOST_ORDERS: usize = 1000;
 
@@ -106,6 +112,10 @@ struct Delivery {
     slot: Box<PingSlot>,
     /// None where time is the pipeline's own: at once.
     due: Option<Due>,
+    /// Its samples that stream; those before have left already.
+    samples: Range<usize>,
+    /// There is more of the ping to come: when these samples have left the slot goes back.
+    is_tile: bool,
 }
 
 /// When what a ping makes is due.
@@ -117,6 +127,26 @@ struct Due {
     ready_by: MonoNs,
     /// All that leaves at the end of the ping.
     deadline: MonoNs,
+}
+
+/// What of a ping has left before it was whole.
+#[derive(Clone, Copy, Default)]
+struct Streamed {
+    /// The first of them that have not.
+    samples: usize,
+    /// When the first tile was made.
+    first_ready: Option<MonoNs>,
+}
+
+/// How a ping is made where time is the machine's.
+#[derive(Clone, Copy)]
+struct Paced {
+    due: Due,
+    /// How loose it is.
+    rung: usize,
+    put_off_s: f64,
+    /// Not before then, rehearsed.
+    least: MonoNs,
 }
 
 /// What a delivery thread works with besides its outputs.
@@ -137,11 +167,20 @@ struct Lane {
     /// A slot whose ping was skipped.
     spare: Option<Box<PingSlot>>,
     to_delivery: Sender<Delivery>,
+    /// For tiles of pings that stream.
+    tiles: Receiver<Box<PingSlot>>,
+    spare_tile: Option<Box<PingSlot>>,
 }
 
 impl Lane {
     fn slot(&mut self) -> Option<Box<PingSlot>> {
         self.spare.take().or_else(|| self.free.try_recv().ok())
+    }
+
+    fn tile(&mut self) -> Option<Box<PingSlot>> {
+        self.spare_tile
+            .take()
+            .or_else(|| self.tiles.try_recv().ok())
     }
 }
 
@@ -159,14 +198,22 @@ fn open_lane(
     let (outputs, streams) = outputs.split();
     let (mut to_delivery, deliveries) = bounded::<Delivery>(slots);
     let mut threads = Vec::new();
+    let tile_slots = match rig.spec.run.stream_tiles && !streams.is_empty() {
+        true => TILE_SLOTS,
+        false => 0,
+    };
+    let (to_tiles, tiles) = bounded::<Box<PingSlot>>(tile_slots);
+    for _ in 0..tile_slots {
+        let _ = to_tiles.try_send(Box::new(rig.slot(sonar)));
+    }
     if !streams.is_empty() {
         // Ahead of the delivery thread, which waits for the end of the ping before.
-        let (to_streams, pings) = bounded::<Delivery>(slots);
+        let (to_streams, pings) = bounded::<Delivery>(slots + tile_slots);
         let on = std::mem::replace(&mut to_delivery, to_streams);
         let way = way.clone();
         let thread = thread::Builder::new()
             .name(format!("streams {sonar}"))
-            .spawn(move || stream(streams, &pings, &on, &way))
+            .spawn(move || stream(streams, &pings, (&on, &to_tiles), &way))
             .map_err(DaemonError::Thread)?;
         threads.push(thread);
     }
@@ -184,6 +231,8 @@ fn open_lane(
         free,
         spare: None,
         to_delivery,
+        tiles,
+        spare_tile: None,
     };
     Ok((lane, threads))
 }
@@ -193,6 +242,8 @@ fn open_lane(
 struct Waiting {
     sonar: usize,
     order: PingOrder,
+    /// How much later its pulse is than the beat had it.
+    put_off_s: f64,
     window_s: f64,
     due: Due,
 }
@@ -230,7 +281,13 @@ impl Daemon {
         };
         remarks.push(punctuality(spec.run.priority));
         let pool = pool(threads)?;
-        let rig = pool.install(|| Rig::open(spec))?;
+        let rig = pool.install(|| {
+            let mut rig = Rig::open(spec)?;
+            if spec.run.overload == OverloadSpec::Degrade && !spec.run.clock.is_own() {
+                rig.make_looser()?;
+            }
+            Ok::<_, RigError>(rig)
+        })?;
         let mut inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(RigError::Nav)?;
         let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
         inputs.spoil_with(Box::new(spoiler));
@@ -389,7 +446,12 @@ impl Daemon {
         let notify = Notify::from_environment();
         notify.ready();
         let faults = rig.faults.clone();
-        let mut fault_log = FaultLogFile::new(&rig.spec);
+        let said = rig.spec.run.fault_directory.clone();
+        let beside = rig.spec.record.as_ref().map(|r| r.directory.clone());
+        let mut fault_log = EventLog::new("faults", said.clone().or(beside.clone()));
+        // A ping that is skipped misses its number in the records themselves.
+        let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
+        let mut strain_log = EventLog::new("overload", said.or(beside));
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -407,7 +469,13 @@ impl Daemon {
             lanes.push(lane);
             deliveries.extend(threads);
         }
+        let backlog = Arc::new(Backlog::new(settings.len()));
+        let ladders = rig.sonars.iter().map(|unit| Ladder::new(unit.rungs()));
         let pacer = Pacer {
+            ladders: ladders.collect(),
+            backlog,
+            has_rested: true,
+            first_ready: None,
             first: None,
             triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
@@ -442,7 +510,8 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults, control.sonars());
+            fault_log.write(&faults.take_injections(), control.sonars());
+            strain_log.write(&control.strains().take(), control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -460,35 +529,36 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults, control.sonars());
+        fault_log.write(&faults.take_injections(), control.sonars());
+        strain_log.write(&control.strains().take(), control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         pinged.and(closed.map_err(DaemonError::Output))
     }
 }
 
-/// The log of injected faults; begun with the first of them.
-struct FaultLogFile {
+/// A log of what befell single pings, JSON lines; begun with the first of them.
+struct EventLog {
+    stem: &'static str,
     directory: Option<PathBuf>,
     log: Option<FaultLog>,
 }
 
-impl FaultLogFile {
-    fn new(spec: &RigSpec) -> Self {
-        let beside = spec.record.as_ref().map(|record| record.directory.clone());
+impl EventLog {
+    fn new(stem: &'static str, directory: Option<PathBuf>) -> Self {
         Self {
-            directory: spec.run.fault_directory.clone().or(beside),
+            stem,
+            directory,
             log: None,
         }
     }
 
-    /// Writes what was injected since the last time. An error is told once, ends the log, and counts as a recording that stopped.
-    fn write(&mut self, faults: &Faults, sonars: &[SonarControl]) {
-        let injections = faults.take_injections();
-        if injections.is_empty() || self.directory.is_none() {
+    /// Writes what happened since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    fn write<T: Serialize>(&mut self, events: &[T], sonars: &[SonarControl]) {
+        if events.is_empty() || self.directory.is_none() {
             return;
         }
-        if let Err(error) = self.append(&injections) {
+        if let Err(error) = self.append(events) {
             eprintln!("echotank: {error}");
             if let Some(first) = sonars.first() {
                 add(&first.counters.recordings_stopped, 1);
@@ -497,7 +567,7 @@ impl FaultLogFile {
         }
     }
 
-    fn append(&mut self, injections: &[Injection]) -> Result<(), DaemonError> {
+    fn append<T: Serialize>(&mut self, events: &[T]) -> Result<(), DaemonError> {
         let Some(directory) = &self.directory else {
             return Ok(());
         };
@@ -506,11 +576,11 @@ impl FaultLogFile {
             none => {
                 make_folder(directory)?;
                 let now = DateTime::from_timestamp_nanos(SystemClock::new().host_utc().0);
-                let name = format!("faults-{}.jsonl", now.format("%Y%m%dT%H%M%S"));
+                let name = format!("{}-{}.jsonl", self.stem, now.format("%Y%m%dT%H%M%S"));
                 none.insert(FaultLog::create(&directory.join(name))?)
             }
         };
-        Ok(log.write(injections)?)
+        Ok(log.write(events)?)
     }
 }
 
@@ -574,6 +644,14 @@ fn wire_time(
 /// Turns the passing of time into orders, and orders into pings.
 struct Pacer {
     rig: Rig,
+    /// What pings cost and how loose they are, one per sonar.
+    ladders: Vec<Ladder>,
+    /// What the beat is told of that.
+    backlog: Arc<Backlog>,
+    /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
+    has_rested: bool,
+    /// Of a ping that was made tile by tile: when the first was.
+    first_ready: Option<MonoNs>,
     inputs: NavInputs,
     nav_out: NavOutputs,
     settings: Vec<Arc<SettingsStore>>,
@@ -643,6 +721,7 @@ impl Pacer {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
                         self.waiting.pop_front();
+                        self.backlog.done(front.sonar);
                         continue;
                     }
                     Step::Wait(until) => until,
@@ -651,6 +730,7 @@ impl Pacer {
                 None => now.plus_ns(50 * POLL_NS),
             };
             let wait_until = wait_until.min(self.nav_out.next_publish());
+            self.has_rested = true;
             self.clock.doze_until(wait_until, &coming.bell);
         }
         Ok(())
@@ -713,6 +793,7 @@ impl Pacer {
             control: self.control.clone(),
             faults: self.rig.faults.clone(),
             clock: self.clock.clone(),
+            backlog: self.backlog.clone(),
         };
         let triggers = self.triggers.take()?;
         let spec = &self.rig.spec;
@@ -788,39 +869,40 @@ impl Pacer {
         for (sonar, settings) in self.settings.iter().enumerate() {
             if settings.version() != self.foreseen[sonar] {
                 let (settings, version) = settings.snapshot();
-                self.rig.sonars[sonar].pipeline.expect(&settings);
+                self.rig.sonars[sonar].expect(&settings);
                 self.foreseen[sonar] = version;
             }
         }
     }
 
     /// Puts down every ping whose instant has come.
-    fn take_orders(&mut self, orders: &Receiver<(usize, PingOrder)>, timeline: &Timeline) {
-        let latency_s = self.rig.spec.run.latency_s;
+    fn take_orders(&mut self, orders: &Receiver<Ordered>, timeline: &Timeline) {
         let ended = match self.inputs.finished() {
             true => self.inputs.recorded_end(),
             false => None,
         };
-        for (sonar, order) in orders.try_iter() {
+        for ordered in orders.try_iter() {
+            let Ordered {
+                sonar,
+                order,
+                put_off_s,
+            } = ordered;
             // A log that has ended makes no more pings; the beat may have gone on a little.
             if ended.is_some_and(|end| order.transmit_utc >= end) {
+                self.backlog.done(sonar);
                 continue;
             }
             if self.waiting.len() >= MOST_ORDERS {
+                self.backlog.done(sonar);
                 add(&self.counters(sonar).skipped_queue, 1);
                 continue;
             }
             let window_s = self.rig.window_s(sonar, &order);
-            let pulse = timeline.mono(order.transmit_utc);
-            let deadline = timeline.mono(order.transmit_utc.plus_s(window_s + latency_s));
-            let ready_by = match self.rig.spec.run.delivery {
-                DeliverySpec::PingEnd => deadline,
-                DeliverySpec::Streaming { block_s, latency_s } => pulse.plus_s(block_s + latency_s),
-            };
+            let run = &self.rig.spec.run;
             let due = Due {
-                pulse,
-                ready_by,
-                deadline,
+                pulse: timeline.mono(order.transmit_utc),
+                ready_by: timeline.mono(order.transmit_utc.plus_s(run.ready_after_s(window_s))),
+                deadline: timeline.mono(order.transmit_utc.plus_s(window_s + run.latency_s)),
             };
             let place = self
                 .waiting
@@ -830,6 +912,7 @@ impl Pacer {
                 Waiting {
                     sonar,
                     order,
+                    put_off_s,
                     window_s,
                     due,
                 },
@@ -843,6 +926,7 @@ impl Pacer {
             order,
             window_s,
             due,
+            put_off_s,
         } = *front;
         let deadline = due.ready_by;
         let mode = self.rig.spec.nav.mode;
@@ -858,14 +942,12 @@ impl Pacer {
             }
         };
         if now >= deadline {
-            add(
-                if covered {
-                    &self.counters(sonar).skipped_late
-                } else {
-                    &self.counters(sonar).skipped_nav
-                },
-                1,
-            );
+            if covered {
+                add(&self.counters(sonar).skipped_late, 1);
+                self.strained("skipped", sonar, &order);
+            } else {
+                add(&self.counters(sonar).skipped_nav, 1);
+            }
             return Step::Done;
         }
         if !covered {
@@ -874,8 +956,83 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        self.compute(sonar, &order, Some(due), slot, timeline);
+        let waited = !self.has_rested;
+        let Some(rung) = self.ladders[sonar].choose(deadline.0 - now.0, waited) else {
+            add(&self.counters(sonar).skipped_late, 1);
+            self.strained("skipped", sonar, &order);
+            self.lanes[sonar].spare = Some(slot);
+            return Step::Done;
+        };
+        self.has_rested = false;
+        self.backlog.begun(now.0);
+        let rehearsed_s = self.rig.spec.run.rehearse_s * 0.5_f64.powi(rung as i32);
+        let paced = Paced {
+            due,
+            rung,
+            put_off_s,
+            least: now.plus_s(rehearsed_s),
+        };
+        self.compute(sonar, &order, Some(paced), slot, timeline);
+        let whole = self.clock.mono();
+        let ready = self.first_ready.take().unwrap_or(whole);
+        let ladder = &mut self.ladders[sonar];
+        ladder.note(ready.0 - now.0, ready <= deadline);
+        self.backlog.costs(sonar, ladder.now_ns());
         Step::Done
+    }
+
+    /// When the block that begins with a sample leaves.
+    fn block_due(&self, sonar: usize, due: Due, sample: usize) -> MonoNs {
+        let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
+        due.ready_by.plus_s(sample as f64 / rate_hz)
+    }
+
+    /// Makes the tiles of a ping that is prepared and lets them leave, as long as they are in time and there is room.
+    fn send_tiles(&mut self, sonar: usize, slot: &mut PingSlot, due: Due) -> Streamed {
+        let mut streamed = Streamed::default();
+        let DeliverySpec::Streaming { block_s, .. } = self.rig.spec.run.delivery else {
+            return streamed;
+        };
+        let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
+        for end in tile_ends(slot.plan.sample_count, rate_hz, block_s) {
+            let Some(mut tile) = self.lanes[sonar].tile() else {
+                return streamed;
+            };
+            let is_first = streamed.samples == 0;
+            let made = self.rig.begin(sonar, slot, (end, is_first), &mut tile);
+            let now = self.clock.mono();
+            if !made || now > self.block_due(sonar, due, streamed.samples) {
+                self.lanes[sonar].spare_tile = Some(tile);
+                return streamed;
+            }
+            streamed.first_ready.get_or_insert(now);
+            let delivery = Delivery {
+                slot: tile,
+                due: Some(due),
+                samples: streamed.samples..end,
+                is_tile: true,
+            };
+            // The queue has room for every slot there is.
+            let _ = self.lanes[sonar].to_delivery.try_send(delivery);
+            streamed.samples = end;
+        }
+        streamed
+    }
+
+    fn strained(&self, what: &'static str, sonar: usize, order: &PingOrder) {
+        self.strained_as(what, sonar, order, Strain::NONE);
+    }
+
+    fn strained_as(&self, what: &'static str, sonar: usize, order: &PingOrder, strain: Strain) {
+        let put_off = Some(strain.put_off_s).filter(|put_off_s| *put_off_s > 0.0);
+        self.control.strains().note(Strained {
+            what,
+            sonar: self.control.sonars()[sonar].name.clone(),
+            ping_number: order.ping_number,
+            utc_ns: order.transmit_utc.0,
+            tolerance: strain.tolerance,
+            put_off_ms: put_off.map(|put_off_s| put_off_s * 1e3),
+        });
     }
 
     fn counters(&self, sonar: usize) -> &PingCounters {
@@ -887,15 +1044,34 @@ impl Pacer {
         &mut self,
         sonar: usize,
         order: &PingOrder,
-        due: Option<Due>,
+        paced: Option<Paced>,
         mut slot: Box<PingSlot>,
         timeline: &Timeline,
     ) -> bool {
+        let due = paced.map(|paced| paced.due);
+        let rung = paced.map_or(0, |paced| paced.rung);
         let began = self.machine.mono();
         let mode = self.rig.spec.nav.mode;
         let host_now = self.clock.host_utc();
         let host_utc = host_now.plus_ns(timeline.mono(order.transmit_utc).0 - self.clock.mono().0);
-        let made = self.rig.make(sonar, order, mode, host_utc, &mut slot);
+        let mut streamed = Streamed::default();
+        let made = match due.filter(|_| self.rig.spec.run.stream_tiles) {
+            Some(due) => {
+                let prepared = self.rig.prepare(sonar, order, mode, host_utc, &mut slot);
+                prepared.map(|()| {
+                    streamed = self.send_tiles(sonar, &mut slot, due);
+                    self.first_ready = streamed.first_ready;
+                    self.rig.finish(sonar, &mut slot);
+                    slot.output.strain = Strain::NONE;
+                })
+            }
+            None => self
+                .rig
+                .make_on(rung, sonar, order, mode, host_utc, &mut slot),
+        };
+        if let Some(paced) = paced {
+            self.clock.sleep_until(paced.least);
+        }
         let SonarControl {
             counters,
             histograms,
@@ -906,12 +1082,37 @@ impl Pacer {
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
+        if let Some(put_off_s) = paced.map(|paced| paced.put_off_s).filter(|s| *s > 0.0) {
+            slot.output.strain.put_off_s = put_off_s;
+            // The rate actually kept.
+            slot.plan.ping_rate_hz = 1.0 / (1.0 / slot.plan.ping_rate_hz + put_off_s);
+        }
         let is_stream = self.rig.spec.run.delivery != DeliverySpec::PingEnd;
-        if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+        let total = slot.plan.sample_count;
+        let mut samples = streamed.samples..total;
+        if let Some(due) = due.filter(|_| streamed.samples > 0) {
+            // What has begun to leave goes on in time or not at all.
+            if self.clock.mono() > self.block_due(sonar, due, streamed.samples) {
+                samples = total..total;
+                add(&counters.torn, 1);
+                self.strained("torn", sonar, order);
+            }
+        } else if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
             // Its first samples cannot leave in time: none do, or the latency would not be constant.
             add(&counters.skipped_late, 1);
+            self.strained("skipped", sonar, order);
             self.lanes[sonar].spare = Some(slot);
             return false;
+        }
+        let strain = slot.output.strain;
+        if strain.tolerance.is_some() {
+            self.strained_as("degraded", sonar, order, strain);
+        }
+        if strain.put_off_s > 0.0 {
+            self.strained_as("stretched", sonar, order, strain);
+        }
+        if due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+            self.strained_as("late", sonar, order, strain);
         }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
@@ -919,19 +1120,24 @@ impl Pacer {
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
         counters.certificate(output.certificate.as_ref());
+        counters.strain(rung, &output.strain);
         if let Some(planner) = &self.rig.sonars[sonar].planner {
             counters.plan(output.fidelity.as_ref(), &planner.counts);
         }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
-            let now = self.clock.mono();
+            let now = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
             histograms.margin_us(due.ready_by.0 - now.0);
             histograms.nav_to_samples_us(now.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
-        if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar]
-            .to_delivery
-            .try_send(Delivery { slot, due })
+        if let Err(TrySendError::Disconnected(_)) =
+            self.lanes[sonar].to_delivery.try_send(Delivery {
+                slot,
+                due,
+                samples,
+                is_tile: false,
+            })
         {
             self.stop.store(true, Ordering::Release);
         }
@@ -939,11 +1145,11 @@ impl Pacer {
     }
 }
 
-/// Lets the samples of each ping leave as they would be heard, and hands it on at once.
+/// Lets the samples of each ping leave as they would be heard, and hands it on at once; a tile goes back.
 fn stream(
     mut outputs: Outputs,
     pings: &Receiver<Delivery>,
-    on: &Sender<Delivery>,
+    (on, back): (&Sender<Delivery>, &Sender<Box<PingSlot>>),
     way: &Way,
 ) -> Result<(), OutputError> {
     if way.priority > 0 {
@@ -951,7 +1157,13 @@ fn stream(
         let _ = priority::first_in_first_out(way.priority);
     }
     for ping in pings {
-        outputs.stream(&ping.slot, ping.due.map(|due| due.pulse));
+        let pulse = ping.due.map(|due| due.pulse);
+        outputs.stream(&ping.slot, ping.samples.clone(), pulse);
+        if ping.is_tile {
+            // Its place in the channel is free: it came from there.
+            let _ = back.try_send(ping.slot);
+            continue;
+        }
         // It holds as many as there are slots. Nobody there: the daemon ends.
         if on.send(ping).is_err() {
             break;
@@ -972,7 +1184,7 @@ fn deliver(
         let _ = priority::first_in_first_out(way.priority);
     }
     let mut first_error = None;
-    for Delivery { slot, due } in deliveries {
+    for Delivery { slot, due, .. } in deliveries {
         let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
         // Its place in the channel is free: it came from there.
@@ -982,6 +1194,7 @@ fn deliver(
             let late_us = (way.clock.mono().0 - deadline.0).max(0) as u64 / 1000;
             way.histograms.start_error_us(late_us);
             worst(&way.counters.worst_late_us, late_us);
+            way.counters.drift_us.store(late_us, Ordering::Relaxed);
             if late_us > DEADLINE_TOLERANCE_US {
                 add(&way.counters.deadline_misses, 1);
             }

@@ -6,6 +6,7 @@
 
 pub mod line;
 pub mod nav;
+mod nav_bytes;
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -17,8 +18,8 @@ use serde::Serialize;
 
 use crate::array::faults::ActiveFault;
 use crate::config::spec::{
-    ConnectionFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavSourceSpec, SonarSpec,
-    TransportFault,
+    ConnectionFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavInputSpec, NavSourceSpec,
+    SonarSpec, TransportFault,
 };
 use crate::io::line::Connection;
 use crate::io::nav::output::ClockFaults;
@@ -31,6 +32,8 @@ const MOST_FAULTS: usize = 256;
 const MOST_WAITING: usize = 65_536;
 /// Keeps these draws apart from all others.
 const TAG: [u8; 8] = *b"faultrun";
+/// And how late a record comes.
+const JITTER_TAG: [u8; 8] = *b"faultjit";
 
 /// One injected fault. A line of `faults-*.jsonl`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -48,15 +51,35 @@ pub struct Injection {
     pub source: Option<Arc<str>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<&'static str>,
+    /// Of the line: the family.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<&'static str>,
     /// Of the line: which record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
+    #[serde(flatten)]
+    pub place: Place,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element: Option<usize>,
     /// How far it has grown, 0 to 1.
     pub strength: f64,
+}
+
+/// Where a packet says that it belongs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Place {
+    /// Of an element stream.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_number: Option<u32>,
+    /// Of VITA 49, and whether it is a context, and the time that it says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stream: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub context: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub packet_utc_ns: Option<i64>,
 }
 
 fn as_text<S: serde::Serializer>(
@@ -126,6 +149,8 @@ pub struct Faults {
     heads: Vec<Head>,
     /// Names of the navigation sources.
     sources: Vec<Arc<str>>,
+    /// Of those: their bytes come while the rig runs.
+    live_sources: Vec<bool>,
     /// Number of the last ping that was ordered.
     last_ping: AtomicU32,
     /// Rig time of the first ping: what `at_s` counts from.
@@ -149,6 +174,7 @@ impl Faults {
         Self {
             heads: heads.collect(),
             sources: sources.iter().map(|s| s.name.as_str().into()).collect(),
+            live_sources: sources.iter().map(|s| is_live(&s.input)).collect(),
             last_ping: AtomicU32::new(0),
             first: OnceLock::new(),
             standing: Mutex::default(),
@@ -184,6 +210,14 @@ impl Faults {
                 }
             },
         };
+        if let FaultKind::NavBytes(_) = spec.kind {
+            let live = self.live_sources.iter().enumerate();
+            let mut meant = live.filter(|(k, _)| source.is_none_or(|source| source == *k));
+            if !meant.any(|(_, live)| *live) {
+                let rule = "is a recording, decoded before the first ping: only what live sources say has bytes to strike";
+                return refused("source", rule.to_owned());
+            }
+        }
         if let FaultKind::Element { array, element, .. } = spec.kind {
             let heads = self.heads.iter().enumerate();
             let mut meant = heads.filter(|(k, _)| sonar.is_none_or(|sonar| sonar == *k));
@@ -358,7 +392,9 @@ impl Faults {
             utc_ns: moment.utc.0,
             source: None,
             quantity: None,
+            line: None,
             record_type: None,
+            place: Place::default(),
             array: None,
             element: None,
             strength,
@@ -425,10 +461,11 @@ impl Faults {
     }
 
     /// What becomes of the connections to the clients at this ping.
-    fn connection(&self, ping: PingMark) -> Connection {
+    fn connection(&self, ping: PingMark, line: &'static str) -> Connection {
         let mut connection = Connection::Up;
         let of_connection = |kind: &FaultKind| matches!(kind, FaultKind::Connection(_));
-        self.struck(ping, 0, of_connection, |spec, _, _| {
+        self.struck(ping, 0, of_connection, |spec, _, injection| {
+            injection.line = Some(line);
             connection = match spec.kind {
                 FaultKind::Connection(ConnectionFault::Reset) => Connection::Reset,
                 _ => Connection::Mute,
@@ -450,11 +487,37 @@ impl Faults {
     }
 
     /// What becomes of one record on the line.
-    fn record(&self, ping: PingMark, record_type: u32, mut strike: impl FnMut(TransportFault)) {
+    fn record(
+        &self,
+        ping: PingMark,
+        record_type: u32,
+        line: &'static str,
+        place: impl Fn() -> Place,
+        mut strike: impl FnMut(TransportFault, f64),
+    ) {
         let of_line = |kind: &FaultKind| matches!(kind, FaultKind::Transport(_));
-        self.struck(ping, record_type, of_line, |spec, _, _| {
+        self.struck(ping, record_type, of_line, |spec, _, injection| {
+            injection.line = Some(line);
+            injection.place = place();
             if let FaultKind::Transport(fault) = spec.kind {
-                strike(fault);
+                // Another draw than whether it strikes.
+                let part = || {
+                    unit(
+                        spec.seed,
+                        injection.fault,
+                        ping.number,
+                        record_type,
+                        JITTER_TAG,
+                    )
+                };
+                strike(
+                    fault,
+                    if matches!(fault, TransportFault::Jitter { .. }) {
+                        part()
+                    } else {
+                        0.0
+                    },
+                );
             }
         });
     }
@@ -507,6 +570,10 @@ impl Moment {
     }
 }
 
+fn is_live(input: &NavInputSpec) -> bool {
+    !matches!(input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
+}
+
 /// Whether a fault strikes a ping: it, or one of the pings before within a burst, drew less than the probability.
 fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
     let spec = &standing.spec;
@@ -518,14 +585,24 @@ fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
         .any(|back| chance(standing, ping_number - back, record_type) < spec.probability)
 }
 
-/// 0 up to, not including, 1.
 fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
+    unit(
+        standing.spec.seed,
+        standing.id,
+        ping_number,
+        record_type,
+        TAG,
+    )
+}
+
+/// 0 up to, not including, 1.
+fn unit(seed: u64, fault: u32, number: u32, place: u32, tag: [u8; 8]) -> f64 {
     let mut key = [0; 32];
-    key[..8].copy_from_slice(&standing.spec.seed.to_le_bytes());
-    key[8..12].copy_from_slice(&standing.id.to_le_bytes());
-    key[12..16].copy_from_slice(&ping_number.to_le_bytes());
-    key[16..20].copy_from_slice(&record_type.to_le_bytes());
-    key[24..].copy_from_slice(&TAG);
+    key[..8].copy_from_slice(&seed.to_le_bytes());
+    key[8..12].copy_from_slice(&fault.to_le_bytes());
+    key[12..16].copy_from_slice(&number.to_le_bytes());
+    key[16..20].copy_from_slice(&place.to_le_bytes());
+    key[24..].copy_from_slice(&tag);
     let draw = ChaCha8Rng::from_seed(key).next_u64() >> 11;
     draw as f64 / (1u64 << 53) as f64
 }
@@ -542,6 +619,7 @@ mod tests {
                 has_converter: false,
             }],
             sources: vec!["gnss".into(), "mru".into()],
+            live_sources: vec![true, false],
             ..Faults::new(&[], &[])
         }
     }
@@ -630,6 +708,7 @@ mod tests {
                 "element",
             ),
             (r#"{"kind": "adc-bit-stuck-low", "value": 3}"#, "kind"),
+            (r#"{"kind": "nav-cut", "source": "mru"}"#, "source"),
         ] {
             let refused = faults.add(&request(json)).expect_err(json);
             assert_eq!(refused.key, key, "{json}: {refused}");

@@ -44,7 +44,8 @@ impl Spread {
         histogram.saturating_record(us);
     }
 
-    fn bins(&self) -> Vec<(u64, u64)> {
+    /// Where bins end, microseconds, and what is in them.
+    pub fn bins(&self) -> Vec<(u64, u64)> {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let bins = histogram.iter_log(FIRST_BIN_US, BIN_GROWTH);
         let bins = bins.map(|bin| (bin.value_iterated_to(), bin.count_since_last_iteration()));

@@ -25,7 +25,7 @@ const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
 pub const SIDEWAYS_M_PER_S: f64 = 0.5;
 
 /// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
-const NOMINAL_SCATTERERS: usize = 300_000;
+pub const NOMINAL_SCATTERERS: usize = 300_000;
 
 /// What the engine's bound on its series may be, in tolerances: eight of them that each leave less than half of it, all at their peaks at
 /// once. A ping above that was beyond what the engine is made for.

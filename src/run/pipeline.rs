@@ -30,7 +30,8 @@ use crate::echo::span::doppler_span;
 use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
 use crate::flow::{
     BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, ModelChoice,
-    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Synthesis,
+    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Strain,
+    Synthesis,
 };
 use crate::image::bottom::BottomDetector;
 use crate::ping;
@@ -260,6 +261,7 @@ impl SonarPipeline {
             scene: SceneCounts::default(),
             certificate: None,
             fidelity: None,
+            strain: Strain::NONE,
         }
     }
 
@@ -345,6 +347,33 @@ impl SonarPipeline {
                 .detector
                 .detect(halves, plan.first_sample_s, least_s, soundings);
         }
+    }
+
+    /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing
+    /// of this ping has been made before.
+    pub fn begin_ping(
+        &mut self,
+        plan: &mut PingPlan,
+        end: usize,
+        is_first: bool,
+        scatterers: &Scatterers,
+        elements: &mut [ElementFrame],
+    ) {
+        // Counted with the whole ping.
+        let mut counts = EchoCounts::default();
+        if is_first {
+            // All that the ping hears, so that what is cut short goes through the same batches.
+            self.light(plan, scatterers, &mut counts);
+        }
+        let samples = std::mem::replace(&mut plan.sample_count, end);
+        let (first_s, rate_hz, len) = self.grid(plan);
+        for lit in &mut self.lit {
+            lit.hear(Window::of_samples(first_s, rate_hz, len));
+        }
+        for (index, frame) in elements.iter_mut().enumerate() {
+            self.synthesise(plan, scatterers, index, frame, &mut counts);
+        }
+        plan.sample_count = samples;
     }
 
     /// The transmit leg, once per transmit array. The reference walks the scatterers itself.

@@ -228,7 +228,7 @@ impl Recorders {
             };
             jsf.last_utc = plan.stamp_utc;
             jsf.emitter
-                .emit_ping(plan, output, |_| true, &mut jsf.messages);
+                .emit_ping(plan, output, |_, _| true, &mut jsf.messages);
             for message in jsf.messages.drain(..) {
                 recorder.write(&message.bytes)?;
             }

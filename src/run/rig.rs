@@ -8,7 +8,9 @@ use crate::config::spec::{
     AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec,
 };
 use crate::echo::absorption::absorption_db_per_m;
-use crate::flow::{PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain};
+use crate::flow::{
+    PingOutput, PingPlan, Scatterers, SonarSettings, Strain, Target, TimeVaryingGain,
+};
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
@@ -56,6 +58,38 @@ pub struct SonarUnit {
     pub faults: Arc<Faults>,
     /// Chooses what the configuration leaves to the plan of methods.
     pub planner: Option<Planner>,
+    /// Under `run.overload = "degrade"`: what takes the place of pipeline and planner, the next looser first.
+    looser: Vec<Rung>,
+}
+
+/// A looser tolerance to fall back on.
+struct Rung {
+    tolerance: f64,
+    pipeline: SonarPipeline,
+    planner: Option<Planner>,
+}
+
+impl SonarUnit {
+    /// Tolerances it can keep: its own, and looser ones.
+    pub fn rungs(&self) -> usize {
+        1 + self.looser.len()
+    }
+
+    /// Puts the pipeline of a rung in place, or back; the tolerance, where it is a looser one.
+    fn swap(&mut self, rung: usize) -> Option<f64> {
+        let looser = self.looser.get_mut(rung.checked_sub(1)?)?;
+        std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
+        std::mem::swap(&mut self.planner, &mut looser.planner);
+        Some(looser.tolerance)
+    }
+
+    /// Pings with these settings are about to come.
+    pub fn expect(&mut self, settings: &SonarSettings) {
+        self.pipeline.expect(settings);
+        for rung in &mut self.looser {
+            rung.pipeline.expect(settings);
+        }
+    }
 }
 
 /// The parts that every ping passes through.
@@ -65,6 +99,7 @@ pub struct Rig {
     pub scene: Scene,
     pub sonars: Vec<SonarUnit>,
     pub faults: Arc<Faults>,
+    costs: Arc<Costs>,
     placed: bool,
     /// For threads beside the pings.
     pub world: Placed,
@@ -110,6 +145,7 @@ impl Rig {
                 }),
                 pipeline,
                 planner: Planner::new(&sonar, &spec.medium, costs.clone()),
+                looser: Vec::new(),
                 spec: sonar,
                 absorption_db_per_m,
                 faults: faults.clone(),
@@ -121,11 +157,34 @@ impl Rig {
             scene: Scene::open(&spec.scene)?,
             sonars,
             faults,
+            costs,
             placed: false,
             world: Placed::default(),
             scatterers: Scatterers::default(),
             simplify_counts: StageCounts::default(),
         })
+    }
+
+    /// Makes what takes over when pings are too much. To be called inside the pool that will run it.
+    pub fn make_looser(&mut self) -> Result<(), RigError> {
+        for unit in &mut self.sonars {
+            for tolerance in unit.spec.looser_tolerances() {
+                let mut spec = unit.spec.clone();
+                spec.synthesis.tolerance = tolerance;
+                let medium = &self.spec.medium;
+                let pipeline = SonarPipeline::new(&spec, medium).map_err(|why| {
+                    let name = spec.name.clone();
+                    RigError::Sonar { name, why }
+                })?;
+                let planner = Planner::new(&spec, medium, self.costs.clone());
+                unit.looser.push(Rung {
+                    tolerance,
+                    pipeline,
+                    planner,
+                });
+            }
+        }
+        Ok(())
     }
 
     pub fn medium(&self) -> &MediumSpec {
@@ -229,6 +288,32 @@ impl Rig {
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
         self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.finish(sonar, slot);
+        Ok(())
+    }
+
+    /// The first samples of a ping that is prepared, up to `end`, in `tile`; false where the ping can only be made as a whole.
+    pub fn begin(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        (end, is_first): (usize, bool),
+        tile: &mut PingSlot,
+    ) -> bool {
+        let unit = &mut self.sonars[sonar];
+        if !unit.pipeline.faults_mut().is_empty() {
+            return false;
+        }
+        let elements = &mut tile.output.elements;
+        let plan = &mut slot.plan;
+        unit.pipeline
+            .begin_ping(plan, end, is_first, &self.scatterers, elements);
+        tile.plan.clone_from(&slot.plan);
+        true
+    }
+
+    /// Makes a ping that is prepared.
+    pub fn finish(&mut self, sonar: usize, slot: &mut PingSlot) {
         let unit = &mut self.sonars[sonar];
         let PingSlot { plan, output } = slot;
         unit.pipeline.compute_ping(plan, &self.scatterers, output);
@@ -236,7 +321,26 @@ impl Rig {
             output.fidelity = planner.mark();
             planner.after(plan, &self.scatterers, output.certificate.as_ref());
         }
-        Ok(())
+    }
+
+    /// As [`Self::make`], with the tolerance of a rung: 0 is the configured one.
+    pub fn make_on(
+        &mut self,
+        rung: usize,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        let tolerance = self.sonars[sonar].swap(rung);
+        let made = self.make(sonar, order, mode, host_utc, slot);
+        self.sonars[sonar].swap(rung);
+        slot.output.strain = Strain {
+            tolerance,
+            put_off_s: 0.0,
+        };
+        made
     }
 
     /// The plan of methods for the first pings, on `order`, where it is left to the plan and the navigation is there. Before any ping is made.
@@ -253,6 +357,11 @@ impl Rig {
             let unit = &mut self.sonars[sonar];
             if let Some(planner) = &mut unit.planner {
                 planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
+            }
+            for rung in &mut unit.looser {
+                if let Some(planner) = &mut rung.planner {
+                    planner.begin(&slot.plan, &self.scatterers, &mut rung.pipeline);
+                }
             }
         }
     }

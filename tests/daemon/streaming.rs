@@ -170,3 +170,97 @@ fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_li
         "{of_stream} {of_whole}"
     );
 }
+
+/// Pulses of somebody else's are known when they come: the latency has room for the whole ping to be made.
+#[test]
+fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_recorded_at_their_end() {
+    triggered(&[]);
+}
+
+#[test]
+fn so_do_those_that_are_made_tile_by_tile_while_they_leave() {
+    triggered(&["run.stream_tiles=true"]);
+    triggered(&["run.stream_tiles=true", "sonar.receiver.rx_filter=fir"]);
+}
+
+fn triggered(more: &[&str]) {
+    const LATENCY_S: f64 = 0.3;
+    let folder = tempfile::tempdir().expect("folder");
+    let record = format!("record.directory={:?}", folder.path());
+    let latency = format!("run.stream_latency_ms={}", LATENCY_S * 1e3);
+    let mut arguments = vec!["hil-configs/points.toml"];
+    for set in [
+        record.as_str(),
+        latency.as_str(),
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "sonar.output.elements={listen=\"127.0.0.1:0\", arrays=[\"port\"]}",
+        "sonar.output.sigmf.arrays=[\"port\"]",
+        "sonar.trigger.source=udp",
+        "sonar.trigger.listen=127.0.0.1:0",
+        "sonar.ping.range_m=50",
+        "sonar.model.synthesis=direct",
+        "nav.mode=predict",
+        "nav.on_lost=hold",
+        "nav.stamp=host",
+        "nav.loop=true",
+        "run.delivery=streaming",
+        "run.ahead_ms=0",
+    ]
+    .iter()
+    .chain(more)
+    {
+        arguments.extend(["--set", set]);
+    }
+    let mut daemon = Daemon::start(&arguments);
+    let address = daemon.announced("elements", "tcp");
+    let door = daemon.announced("trigger points", "udp");
+    let mut client = ElementClient::connect(address).expect("listening");
+    let trigger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+    let mut streamed = Vec::new();
+    let (mut pings, mut least_s, mut part) = (0, f64::MAX, (0, Vec::new()));
+    let until = Instant::now() + PATIENCE;
+    let mut next = Instant::now();
+    while pings < 3 {
+        assert!(Instant::now() < until, "{pings} pings");
+        if Instant::now() >= next {
+            trigger.send_to(b"ping!", door).expect("sent");
+            next = Instant::now() + Duration::from_millis(600);
+        }
+        let open = client.read(Duration::from_millis(5), |frame, now| {
+            let head = &frame.head;
+            if head.first_moment == 0 {
+                part = (0, Vec::new());
+            }
+            let end_s = f64::from(head.first_moment + frame.moments) / head.moments_per_s;
+            let since_s = (now.0 - head.pulse_utc_ns) as f64 / 1e9;
+            least_s = least_s.min(since_s - end_s);
+            if part.0 == head.first_moment {
+                part.0 += frame.moments;
+                part.1.extend_from_slice(frame.samples);
+            }
+            if part.0 == head.ping_moments {
+                pings += 1;
+                streamed.push(std::mem::take(&mut part.1));
+            }
+        });
+        assert!(open.expect("connected"), "the daemon goes on");
+    }
+    // The files have each ping at its end.
+    std::thread::sleep(Duration::from_millis(500));
+    daemon.terminate();
+    let files = std::fs::read_dir(folder.path()).expect("folder");
+    let paths = files.map(|e| e.expect("entry").path());
+    let data = paths
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|e| e == "sigmf-data"));
+    let recorded = std::fs::read(data.expect("a recording")).expect("readable");
+    for (number, samples) in streamed.iter().enumerate() {
+        assert!(samples.iter().any(|&b| b != 0));
+        let same = recorded
+            .chunks_exact(samples.len())
+            .any(|ping| ping == samples.as_slice());
+        assert!(same, "ping {number} is not in the recording");
+    }
+    // No frame before its block was heard and the latency over; host time may be read a little apart.
+    assert!(least_s > LATENCY_S - 1e-3, "{least_s} s");
+}

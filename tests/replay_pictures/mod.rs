@@ -415,6 +415,74 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     );
 }
 
+/// Both files tell the lines of each of two pulses in one ping, and where the sonar was when it left; the command lays either.
+#[test]
+fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
+    use echotank::io::record::lines::read;
+    const DELAY_S: f64 = 0.02;
+    const PINGS: usize = 12;
+    let rig = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/multipulse.toml");
+    let arguments = [
+        "--formats",
+        "s7k,npz",
+        "--pings",
+        "1..12",
+        "--set",
+        "scene.seabed.density_per_m2=0.05",
+        "--set",
+        "sonar.ping.range_m=45",
+        "--set",
+        "sonar.more_pulse.0.delay_ms=20",
+    ];
+    let out = replay_file(&arguments, &rig);
+    let files = ["sidescan.s7k", "pings.npz"].map(|name| out.path().join(name));
+    let of = |pulse: u16| files.each_ref().map(|f| read(f, pulse).expect("lines"));
+    let (first, second) = (of(1), of(2));
+    // As the angle between two lines: 1 where they are one but for the scale.
+    let alike = |a: &[f32], b: &[f32]| {
+        let product = |a: &[f32], b: &[f32]| {
+            let pairs = a.iter().zip(b);
+            pairs.map(|(x, y)| f64::from(*x) * f64::from(*y)).sum::<f64>()
+        };
+        product(a, b) / (product(a, a) * product(b, b)).sqrt()
+    };
+    for pulse in [&first, &second] {
+        let [wire, archive] = pulse;
+        assert_eq!((wire.len(), archive.len()), (PINGS, PINGS));
+        for (a, b) in wire.iter().zip(archive) {
+            assert_eq!((a.ping_number, a.lines.len()), (b.ping_number, 1));
+            let same = alike(&a.lines[0].amplitude, &b.lines[0].amplitude);
+            assert!(same > 0.9999, "ping {}: {same}", a.ping_number);
+            // 7KTIME has f32 seconds, 4 us.
+            assert!((a.utc_ns - b.utc_ns).abs() < 10_000, "{}", a.utc_ns - b.utc_ns);
+        }
+    }
+    for (own, other) in first[1].iter().zip(&second[1]) {
+        let late_s = (other.utc_ns - own.utc_ns) as f64 * 1e-9;
+        assert!((late_s - DELAY_S).abs() < 1e-9, "{late_s}");
+        let ahead_m = (other.arms_m[1] - own.arms_m[1]).length();
+        let want_m = DELAY_S * 10.0 * 1852.0 / 3600.0;
+        assert!((ahead_m - want_m).abs() < 1e-3, "{ahead_m}, want {want_m}");
+        let same = alike(&own.lines[0].amplitude, &other.lines[0].amplitude);
+        assert!(same < 0.999, "two pulses, not one: {same}");
+    }
+    for file in &files {
+        let tiff = file.with_extension("tif");
+        let altitude = Path::new("--altitude=20");
+        let (good, text) = mosaic(&[
+            file,
+            Path::new("--out"),
+            &tiff,
+            altitude,
+            Path::new("--pulse=2"),
+            Path::new("--squint=-0.25"),
+        ]);
+        assert!(good && tiff.exists(), "{text}");
+        let (good, text) = mosaic(&[file, Path::new("--out"), &tiff, Path::new("--pulse=3")]);
+        assert!(!good && text.contains("pulse") && text.contains('3'), "{text}");
+    }
+}
+
 fn mosaic(arguments: &[&Path]) -> (bool, String) {
     let done = std::process::Command::new(env!("CARGO_BIN_EXE_echotank"))
         .arg("mosaic")

@@ -98,6 +98,9 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         bench.say("set_snippet_rate 0\r\n"),
         "set_snippet_rate 0\r\n"
     );
+    assert_eq!(bench.say("set_gain 12.5\r\n"), "set_gain 12.5\r\n");
+    assert_eq!(bench.settings.settings().gain_db, 12.5);
+    assert_eq!(bench.say("set_tp_rate 5\r\n"), "set_tp_rate 5\r\n");
     // What is only kept.
     for command in [
         "set_mode 2",
@@ -109,6 +112,13 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         "set_resolution 1 2",
         "set_autogate_preset 3",
         "sound_velocity 1480.5",
+        "set_vga 50",
+        "set_tx_direction -5",
+        "set_tx_opening_angle 10",
+        "set_tx_beam_number 4",
+        "set_mf_decimation 2",
+        "set_time_source 7",
+        "set_ntp_server 192.168.1.91",
     ] {
         assert_eq!(
             bench.say(&format!("{command}\r\n")),
@@ -178,6 +188,8 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
             "set_tx 100 0.5 13 500000 # refused: ",
         ),
         ("set_trigger_mode 6", "set_trigger_mode 0 # refused: "),
+        ("set_gain 101", "set_gain 20 # refused: set_gain takes 0 to 100"),
+        ("set_ntp_server a b", "set_ntp_server # refused: set_ntp_server takes one"),
         ("set_rage 1 2", "set_rage # refused: unknown command"),
         ("\u{1b}[A", "[A # refused: unknown command"),
     ] {
@@ -197,7 +209,7 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
         );
     }
     let counts = bench.client.counts();
-    assert_eq!((counts.commands, counts.nacks), (11, 11));
+    assert_eq!((counts.commands, counts.nacks), (13, 13));
 }
 
 #[test]
@@ -375,4 +387,23 @@ fn snippets_lie_around_their_detections() {
         2,
         "none at a rate of 0"
     );
+    bench.say("set_tp_rate 0\r\n");
+    assert_eq!(packets(&bench, &plan, &output).len(), 1, "bathymetry alone");
+}
+
+#[test]
+fn the_water_column_comes_at_the_rate_it_was_told() {
+    let mut bench = bench();
+    bench.say("set_tp_rate 2\r\n");
+    let (mut plan, output) = ping();
+    let mut emitter = WbmsEmitter::new(Arc::clone(&bench.device), 1);
+    let mut columns = 0;
+    for k in 0..10 {
+        plan.transmit_utc = NOW.plus_s(0.1 * f64::from(k));
+        let mut into = Vec::new();
+        emitter.emit_ping(&plan, &output, ALL, &mut into);
+        let is_column = |d: &&Arc<Datagram>| d.record_type == packet_type::WATER_COLUMN;
+        columns += into.iter().filter(is_column).count();
+    }
+    assert_eq!(columns, 2, "of ten pings in a second, at 2 a second");
 }

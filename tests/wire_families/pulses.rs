@@ -1,9 +1,16 @@
 //! Two pulses in the water together: what the families that can say so say of the second.
 
-use echotank::config::spec::{MorePulseSpec, SonarSpec};
+use std::sync::Arc;
+
+use echotank::config::spec::{JsfChannels, JsfFormat, JsfSpec, MorePulseSpec, SonarSpec};
+use echotank::emit::jsf::session::{JsfCommands, is_active};
+use echotank::emit::jsf::{JsfEmitter, JsfSheet};
+use echotank::emit::session::{Protocol, Transport};
 use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::{PingOutput, Pulse, PulseKind, PulseLines};
+use echotank::flow::{Datagram, PingOutput, Pulse, PulseKind, PulseLines};
 use echotank::io::sonar::verify::Verifier;
+use echotank_protocols::jsf::control::{error_code, system_type};
+use echotank_protocols::jsf::{SonarData80, Value, command_type, message_type};
 use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::{SideScan7007, SonarSettings7000};
 use echotank_protocols::xtf::{FileHeader, Ping};
@@ -140,4 +147,99 @@ fn each_pulse_has_channels_of_its_own_in_xtf() {
         let got = of[k].1 / of[0].1;
         assert!((got - ratio).abs() < 1e-3, "channel {k}: {got}");
     }
+}
+
+fn jsf_of_two(channels: JsfChannels, format: JsfFormat) -> Vec<Arc<Datagram>> {
+    let (sonar, output) = two_pulses();
+    let sheet = Arc::new(JsfSheet {
+        output: JsfSpec {
+            silent_subsystems: Vec::new(),
+            ..jsf_spec(channels, format)
+        },
+        sonar,
+    });
+    let mut emitter = JsfEmitter::new(sheet, Box::new(|_, _| {}));
+    let mut messages = Vec::new();
+    let wanted = |subsystem, channel| (subsystem, channel) != (21, 0);
+    emitter.emit_ping(&plan(9, SAMPLES), &output, wanted, &mut messages);
+    messages.retain(|m| m.record_type & 0xFFFF == u32::from(message_type::SONAR_DATA));
+    messages
+}
+
+#[test]
+fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
+    let messages = jsf_of_two(JsfChannels::Sides, JsfFormat::Envelope);
+    let said: Vec<_> = messages
+        .iter()
+        .map(|m| {
+            let message = jsf_message(m);
+            let data = SonarData80::parse(message.body).expect("80");
+            let place = (message.header.subsystem, message.header.channel);
+            let h = data.header;
+            (place, h.ping_number, h.frequencies_hz(), h.utc_ns(), data.values().next())
+        })
+        .collect();
+    // Somebody has switched port off in the second.
+    let places: Vec<_> = said.iter().map(|s| s.0).collect();
+    assert_eq!(places, [(20, 0), (20, 1), (21, 1)]);
+    assert!(said.iter().all(|s| s.1 == 9), "one ping");
+    let half = 0.5 * plan(9, SAMPLES).pulse.bandwidth_hz;
+    assert_eq!(said[0].2, (100_000.0 - half, 100_000.0 + half), "up");
+    assert_eq!(said[2].2, (103_000.0 + half, 103_000.0 - half), "down");
+    let late_s = (said[2].3 - said[0].3) as f64 * 1e-9;
+    assert!((late_s - DELAY_S).abs() < 1e-3, "{late_s}, to a millisecond");
+    // Levels as they were made: 0.8 and 0.6 of the first, 0.2 of the second's starboard.
+    let level = |k: usize| said[k].4.expect("samples");
+    for (k, ratio) in [(1, 0.75), (2, 0.25)] {
+        let got = level(k) / level(0);
+        assert!((got - ratio).abs() < 1e-3, "message {k}: {got}");
+    }
+    // Samples before the filter, and elements, hold all pulses at once.
+    for (channels, format, count) in [
+        (JsfChannels::Sides, JsfFormat::Unfiltered, 2),
+        (JsfChannels::Staves, JsfFormat::Envelope, 5),
+    ] {
+        let messages = jsf_of_two(channels, format);
+        let all_own = messages.iter().all(|m| m.record_type >> 16 & 0xFF == 20);
+        assert!(all_own && messages.len() == count, "{}", messages.len());
+    }
+}
+
+#[test]
+fn commands_for_the_second_pulses_subsystem_are_for_the_sonar_and_its_data_are_its_own() {
+    let (sonar, _) = two_pulses();
+    let sheet = Arc::new(JsfSheet {
+        output: JsfSpec {
+            silent_subsystems: vec![22],
+            ..jsf_spec(JsfChannels::Sides, JsfFormat::Envelope)
+        },
+        sonar,
+    });
+    let store = store();
+    let protocol = JsfCommands {
+        sheet,
+        settings: store.clone(),
+    };
+    let peer = "127.0.0.1:4711".parse().expect("an address");
+    let mut client = JsfClient {
+        store: store.clone(),
+        session: protocol.connect(Transport::Tcp, peer),
+        now: TRANSMIT_UTC,
+    };
+    let mut tell = |kind, subsystem, channel, number| {
+        let value = Value::Number(number);
+        client.command(&control(command_type::SET, kind, subsystem, channel, value))
+    };
+    assert!(tell(message_type::PING_RANGE, 21, 0, 42_000).is_empty());
+    assert_eq!(store.snapshot().0.range_m, 42.0, "both are in one ping");
+    assert!(tell(message_type::DATA_ACTIVE, 21, 1, 0).is_empty());
+    assert!(tell(message_type::PING_RANGE, 22, 0, 30_000).is_empty());
+    assert_eq!(store.snapshot().0.range_m, 42.0, "22 has no pulse");
+    let refused = tell(message_type::PING_RANGE, 23, 0, 30_000);
+    assert_eq!(refused[0].value, Value::Error(error_code::UNKNOWN_SUBSYSTEM));
+    let active = |subsystem, channel| is_active(store.as_ref(), subsystem, channel);
+    assert!(active(20, 1) && active(21, 0) && !active(21, 1));
+    let kind = client.get(message_type::SYSTEM_TYPE, 0);
+    assert_eq!(kind, Value::Number(system_type::DUAL_FREQUENCY_SIDE_SCAN));
+    assert_eq!(client.get(message_type::PING_RANGE, 0), Value::Number(42_000));
 }

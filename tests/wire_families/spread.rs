@@ -1,6 +1,8 @@
-//! What a UDP receiver with a socket buffer of stock size keeps of 41 MB/s, sent at once and spread inside the ping.
+//! What a UDP receiver with a socket buffer of stock size keeps of 41 MB/s, sent at once and spread inside the ping; and how long a ping lasts
+//! over TCP.
 
-use std::net::UdpSocket;
+use std::io::{Read, Write};
+use std::net::{TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -88,4 +90,41 @@ fn a_slow_udp_receiver_loses_most_of_a_burst_and_keeps_what_is_spread_over_most_
     assert!(3 * lost > sent, "{lost} of {sent}: no burst");
     // On a machine that leaves the receiver standing for milliseconds some are lost all the same.
     assert!(4 * lost_of_spread < lost, "{lost_of_spread} against {lost}");
+}
+
+/// Seconds from the first of a ping's bytes over TCP to the last, spread over `over_s`.
+fn lasts_over_tcp_s(over_s: f64) -> f64 {
+    let (server, mut emitter) = start(|_| {});
+    server.set_paces_tcp(true);
+    let mut socket = TcpStream::connect(server.local_addr()).expect("loopback");
+    socket.set_read_timeout(Some(PATIENCE)).expect("set");
+    let subscribe = Command::Subscribe {
+        record_type_ids: vec![7038],
+    };
+    socket.write_all(&command(subscribe, 1)).expect("sent");
+    let mut buffer = vec![0; 65_536];
+    let answer = socket.read(&mut buffer).expect("an answer");
+    assert!(answer > 0);
+    let wanted = RecordSet::from(server.wanted());
+    let mut records = Vec::new();
+    emitter.emit_ping(&plan(1, SAMPLES), &frames(), wanted, &mut records);
+    let mut left: usize = records.iter().map(|r| r.bytes.len()).sum();
+    assert!(left > 1_000_000, "{left} bytes");
+    server.deliver_over(&records, over_s);
+    let mut began = None;
+    while left > 0 {
+        let len = socket.read(&mut buffer).expect("more");
+        began.get_or_insert_with(Instant::now);
+        left = left.saturating_sub(len);
+    }
+    began.map_or(0.0, |began| began.elapsed().as_secs_f64())
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn over_tcp_too_a_ping_lasts_as_long_as_it_is_spread() {
+    let (spread_s, at_once_s) = (lasts_over_tcp_s(0.2), lasts_over_tcp_s(0.0));
+    println!("over TCP {spread_s:.3} s spread over 0.2 s, {at_once_s:.3} s at once");
+    // The kernel lets a little go ahead; faster it never is.
+    assert!(spread_s > 0.14, "{spread_s} s");
 }

@@ -3,11 +3,13 @@
 #[path = "rigs/mod.rs"]
 mod rigs;
 
-use std::fmt::Write;
+use std::fmt::Write as _;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
+use serde::{Deserialize, Serialize};
 
 use echotank::config;
 use echotank::run::fidelity::costs::Costs;
@@ -39,6 +41,12 @@ struct Arguments {
     /// What methods cost here.
     #[arg(long)]
     costs: Option<PathBuf>,
+    /// Append what is measured here, a line of JSON for each row.
+    #[arg(long)]
+    rows: Option<PathBuf>,
+    /// Measure nothing: report on rows measured before.
+    #[arg(long)]
+    from: Vec<PathBuf>,
     /// Say everything of every rig, on standard error.
     #[arg(long)]
     why: bool,
@@ -47,6 +55,7 @@ struct Arguments {
     keep: bool,
 }
 
+#[derive(Serialize, Deserialize)]
 struct Row {
     name: String,
     about: String,
@@ -59,36 +68,47 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let load_before = load();
     let mut rows = Vec::new();
     let mut failed = Vec::new();
+    for path in &given.from {
+        for line in fs::read_to_string(path)?.lines() {
+            rows.push(serde_json::from_str::<Row>(line)?);
+        }
+    }
+    let random = if given.from.is_empty() { given.random } else { 0 };
     let pool = pool(1)?;
     let folder = std::env::temp_dir().join(format!("echotank-rigs-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
+    let mut keep = |name: String, about: String, measured: Result<Vec<Measured>, String>| {
+        match measured {
+            Ok(measured) => {
+                for of in measured {
+                    let (name, about) = (name.clone(), about.clone());
+                    let row = Row { name, about, of };
+                    if let Some(path) = &given.rows {
+                        let mut file = fs::File::options().append(true).create(true).open(path)?;
+                        writeln!(file, "{}", serde_json::to_string(&row)?)?;
+                    }
+                    rows.push(row);
+                }
+            }
+            Err(why) => failed.push(format!("{name}: {why}: {about}")),
+        }
+        Ok::<(), std::io::Error>(())
+    };
     for path in &given.configs {
         let name = path
             .file_stem()
             .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        match configuration(path) {
-            Ok(spec) => match pool.install(|| measure(&spec, &costs, true)) {
-                Ok(measured) => rows.extend(measured.into_iter().map(|of| Row {
-                    name: name.clone(),
-                    about: String::new(),
-                    of,
-                })),
-                Err(why) => failed.push(format!("{name}: {why}")),
-            },
-            Err(why) => failed.push(format!("{name}: {why}")),
-        }
+        let measured = configuration(path)
+            .and_then(|spec| Ok(pool.install(|| measure(&spec, &costs, true))?))
+            .map_err(|why| why.to_string());
+        keep(name.clone(), String::new(), measured)?;
         eprintln!("{name}");
     }
-    for seed in given.seed..given.seed + given.random {
+    for seed in given.seed..given.seed + random {
         let (spec, about) = case::random(seed, &folder, false);
-        match pool.install(|| measure(&spec, &costs, true)) {
-            Ok(measured) => rows.extend(measured.into_iter().map(|of| Row {
-                name: format!("rig {seed}"),
-                about: about.clone(),
-                of,
-            })),
-            Err(why) => failed.push(format!("rig {seed}: {why}: {about}")),
-        }
+        let measured = pool.install(|| measure(&spec, &costs, true));
+        let measured = measured.map_err(|why| why.to_string());
+        keep(format!("rig {seed}"), about, measured)?;
         eprint!("\r{seed} ");
     }
     if given.why {

@@ -6,13 +6,14 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
+use echotank::io::words::of_capture;
 use echotank::nav::capture;
-use echotank_protocols::words::{Format, Words, datagram};
+use echotank_protocols::words::{Datagrams, Format, Words};
 
 #[derive(Parser)]
 #[command(about = "Any of our protocols in words, a line a message")]
 struct Args {
-    /// A file; a capture (pcap, pcapng) of UDP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, groups (multicast) too; `-` for the standard input
+    /// A file; a capture (pcap, pcapng) of UDP and TCP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, groups (multicast) too; `-` for the standard input
     source: String,
     /// What it is: sevenk, s7k, jsf, vita49, ping, wbms, wbms-text, xtf, imagenex872, sigmf, wav (default: told by its first bytes or its port)
     #[arg(long, value_parser = format_of)]
@@ -86,26 +87,10 @@ fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
     };
     let bytes = bytes.map_err(|error| error.to_string())?;
     if capture::is_capture(&bytes) {
-        for packet in capture::packets(&bytes) {
-            let Some(payload) = packet.payload else {
-                continue;
-            };
-            let told = args.format.or(Format::of_port(packet.port));
-            match told.or(Format::of_bytes(payload)) {
-                Some(format) => datagram(format, payload, &mut |line| {
-                    printer.print(&format!("{} to {}: {line}", packet.arrival.0, packet.port));
-                }),
-                None => printer.print(&format!(
-                    "{} to {}: {} B of no format that we know",
-                    packet.arrival.0,
-                    packet.port,
-                    payload.len()
-                )),
-            }
-            if printer.is_done() {
-                break;
-            }
-        }
+        of_capture(&bytes, args.format, &mut |line| {
+            printer.print(&line);
+            !printer.is_done()
+        });
         return Ok(());
     }
     let format = args.format.or(Format::of_bytes(&bytes)).ok_or(UNKNOWN)?;
@@ -198,6 +183,7 @@ fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> 
     };
     socket.set_read_timeout(Some(LOOK)).map_err(say)?;
     let mut buffer = vec![0; 1 << 16];
+    let mut datagrams = Datagrams::default();
     let end = end(args);
     while !printer.is_done() && end.is_none_or(|end| Instant::now() < end) {
         let len = match socket.recv(&mut buffer) {
@@ -207,7 +193,9 @@ fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> 
         };
         let told = args.format.or(Format::of_port(address.port()));
         match told.or(Format::of_bytes(&buffer[..len])) {
-            Some(format) => datagram(format, &buffer[..len], &mut |line| printer.print(&line)),
+            Some(format) => {
+                datagrams.push(format, &buffer[..len], &mut |line| printer.print(&line));
+            }
             None => printer.print(&format!("{len} B of no format that we know")),
         }
     }

@@ -123,6 +123,39 @@ pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
     Ok(echo.expect("the answer has the echo's length"))
 }
 
+/// Answers as they come over a connection: all of one length.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AnswerFraming;
+
+impl Framing for AnswerFraming {
+    fn max_message_bytes(&self) -> usize {
+        ANSWER_BYTES
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        let wrong = Look::Wrong(WireError::Mark {
+            what: "Imagenex answer",
+            expected: ANSWER_MARK[0].into(),
+            got: bytes[0].into(),
+        });
+        if bytes
+            .iter()
+            .zip(ANSWER_MARK)
+            .any(|(&byte, mark)| byte != mark)
+        {
+            return wrong;
+        }
+        match bytes.get(ANSWER_BYTES - 1) {
+            None => Look::More,
+            Some(&ANSWER_END) => Look::Whole(ANSWER_BYTES),
+            Some(_) => wrong,
+        }
+    }
+}
+
+/// Answers from a connection.
+pub type AnswerStream = Splitter<AnswerFraming>;
+
 /// Commands as they come over a connection.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SwitchFraming;

@@ -85,10 +85,12 @@ pub struct Trailer {
     /// A sample saturated.
     pub over_range: Option<bool>,
     pub sample_loss: Option<bool>,
+    /// The lower of the two that users define: the samples are less exact than they should be.
+    pub degraded: Option<bool>,
 }
 
 /// Enable bits of the trailer's indicators, each 12 above its indicator.
-const TRAILER_ENABLES: [u32; 4] = [31, 30, 25, 24];
+const TRAILER_ENABLES: [u32; 5] = [31, 30, 25, 24, 20];
 
 impl Trailer {
     fn to_word(self) -> u32 {
@@ -97,6 +99,7 @@ impl Trailer {
             self.valid_data,
             self.over_range,
             self.sample_loss,
+            self.degraded,
         ];
         TRAILER_ENABLES
             .iter()
@@ -108,13 +111,20 @@ impl Trailer {
     }
 
     fn from_word(word: u32) -> Self {
-        let [calibrated_time, valid_data, over_range, sample_loss] = TRAILER_ENABLES
+        let [
+            calibrated_time,
+            valid_data,
+            over_range,
+            sample_loss,
+            degraded,
+        ] = TRAILER_ENABLES
             .map(|bit| (word >> bit & 1 == 1).then_some(word >> (bit - 12) & 1 == 1));
         Self {
             calibrated_time,
             valid_data,
             over_range,
             sample_loss,
+            degraded,
         }
     }
 }

@@ -1,4 +1,5 @@
-//! The text commands. Source: TN-180197 and TN-180196 (commands and their limits).
+//! The text commands. Source: TN-180197 and TN-180196 (commands and their limits), revision 11 of it for those of gain, rates, the transmitter's
+//! sector, time and logs.
 //!
 //! A line is a command and its arguments, ended by CR LF; a client in wide use leaves the end out, so that the end of a TCP segment ends a
 //! command too. A command alone asks. The answer repeats the command with its values, and may have a comment behind `#`.
@@ -44,6 +45,20 @@ pub enum Command {
     /// -1 as fast as it goes, up to 60.
     RateHz(f64),
     SnippetRateHz(f64),
+    WaterColumnRateHz(f64),
+    GainDb(f64),
+    /// dB in 100 m
+    VgaDb(f64),
+    TxDirectionDeg(f64),
+    TxOpeningAngleDeg(f64),
+    /// 1 to 64
+    TxBeams(u8),
+    /// 1 to 16
+    MfDecimation(u8),
+    /// 0 to 8
+    TimeSource(u8),
+    /// An address.
+    NtpServer(String),
     /// 0 to 5; 4 and 5 are external.
     TriggerMode(u8),
     /// `None` by the probe.
@@ -103,7 +118,7 @@ pub fn answer(command: &str, values: &[f64], comment: &str) -> String {
 }
 
 /// The commands that set something, and what may be queried.
-const COMMANDS: [&str; 22] = [
+const COMMANDS: [&str; 33] = [
     "set_mode",
     "set_sidescan_mode",
     "set_flip",
@@ -115,9 +130,18 @@ const COMMANDS: [&str; 22] = [
     "set_opening_angle",
     "set_resolution",
     "set_tx",
+    "set_gain",
+    "set_vga",
     "set_rate",
+    "set_tp_rate",
     "set_snippet_rate",
     "set_trigger_mode",
+    "set_tx_direction",
+    "set_tx_opening_angle",
+    "set_tx_beam_number",
+    "set_mf_decimation",
+    "set_time_source",
+    "set_ntp_server",
     "sound_velocity",
     "set_autogate_preset",
     "set_power",
@@ -126,6 +150,8 @@ const COMMANDS: [&str; 22] = [
     "revision",
     "serial",
     "partno",
+    "bit_log",
+    "ntp_log",
 ];
 
 impl Command {
@@ -146,6 +172,16 @@ impl Command {
             "set_default" => return Ok(Self::Default),
             "exit" => return Ok(Self::Exit),
             _ if texts.is_empty() => return Ok(Self::Query(command.to_owned())),
+            "set_ntp_server" => {
+                return match texts[..] {
+                    [server] => Ok(Self::NtpServer(server.to_owned())),
+                    _ => Err(CommandError::Arguments {
+                        command,
+                        expected: "one",
+                        got: texts.len(),
+                    }),
+                };
+            }
             _ => {}
         }
         let values = texts
@@ -200,6 +236,14 @@ impl Command {
             },
             "set_rate" => Self::RateHz(one(-1.0, 60.0)?),
             "set_snippet_rate" => Self::SnippetRateHz(one(-1.0, 60.0)?),
+            "set_tp_rate" => Self::WaterColumnRateHz(one(-1.0, 60.0)?),
+            "set_gain" => Self::GainDb(one(0.0, 100.0)?),
+            "set_vga" => Self::VgaDb(one(0.0, 100.0)?),
+            "set_tx_direction" => Self::TxDirectionDeg(one(-90.0, 90.0)?),
+            "set_tx_opening_angle" => Self::TxOpeningAngleDeg(one(0.0, 90.0)?),
+            "set_tx_beam_number" => Self::TxBeams(one(1.0, 64.0)? as u8),
+            "set_mf_decimation" => Self::MfDecimation(one(1.0, 16.0)? as u8),
+            "set_time_source" => Self::TimeSource(one(0.0, 8.0)? as u8),
             "set_trigger_mode" => Self::TriggerMode(one(0.0, 5.0)? as u8),
             "sound_velocity" => {
                 let value = one(-1.0, 3000.0)?;

@@ -69,21 +69,25 @@ impl Decoder {
     /// Reads everything that is in `bytes` and returns how many messages and gaps there were.
     pub fn decode(&self, bytes: &[u8]) -> u64 {
         let mut lines = 0;
-        let mut each = |line: String| {
+        self.each_line(bytes, &mut |line| {
             assert!(!line.is_empty());
             lines += 1;
-        };
+        });
+        lines
+    }
+
+    /// Everything that is in `bytes`, in words.
+    pub fn each_line(&self, bytes: &[u8], each: &mut dyn FnMut(String)) {
         if self.is_datagram {
-            datagram(self.format, bytes, &mut each);
+            datagram(self.format, bytes, each);
         } else {
             let mut words = Words::new(self.format);
             // In two pieces, as connections have it.
             let (front, back) = bytes.split_at(bytes.len() / 3);
-            words.push(front, &mut each);
-            words.push(back, &mut each);
-            words.finish(&mut each);
+            words.push(front, each);
+            words.push(back, each);
+            words.finish(each);
         }
-        lines
     }
 
     /// Right messages, short ones.
@@ -99,7 +103,8 @@ impl Decoder {
                 .iter()
                 .map(|line| line.as_bytes().to_vec())
                 .collect(),
-            Format::Xtf => vec![XTF[..XTF.len().min(4000)].to_vec()],
+            // The header and one ping.
+            Format::Xtf => vec![XTF[..1024 + 3584].to_vec()],
             Format::Imagenex872 => imagenex_messages(),
             Format::Sigmf => vec![sigmf_words()],
             Format::Wav => wav_headers(),
@@ -421,7 +426,7 @@ fn wbms_packets() -> Vec<Vec<u8>> {
     packets
 }
 
-const WBMS_LINES: [&str; 8] = [
+const WBMS_LINES: [&str; 10] = [
     "set_range 0 50\r\n",
     "set_tx 400 80 15 500\r\nset_rate -1\r\n",
     "set_rate\r\n",
@@ -430,6 +435,8 @@ const WBMS_LINES: [&str; 8] = [
     "set_resolution 1 1\r\nexit\r\n",
     "set_mode 1\nset_sidescan_mode 9\r\n",
     "set_gate_tilt -12.5e0\r\n",
+    "set_ntp_server 10.0.0.1\r\nset_gain 30\r\n",
+    "set_range 0 45 # refused: range_m = 800: must be from 5 to 60\r\n",
 ];
 
 fn imagenex_messages() -> Vec<Vec<u8>> {

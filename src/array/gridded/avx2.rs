@@ -5,7 +5,10 @@ use std::arch::x86_64::*;
 use num_complex::{Complex32, Complex64};
 
 use super::kernel::MAX_WIDTH;
-use super::moments::{Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, along};
+use super::moments::{
+    Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, Shared, along,
+};
+use super::prepare::Sharing;
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
@@ -191,27 +194,6 @@ pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [C
     }
 }
 
-/// Lane indices that put a point's eight weights, each twice, on the row's sixteen numbers: `[column]`. Lanes without a weight take the
-/// last one, which is 0 for all points that do not begin at column 0.
-const PLACED: [[i32; 16]; MAX_TAPS] = {
-    let mut all = [[0; 16]; MAX_TAPS];
-    let mut column = 0;
-    while column < MAX_TAPS {
-        let mut lane = 0;
-        while lane < 16 {
-            let tap = lane / 2;
-            all[column][lane] = if tap < column {
-                7
-            } else {
-                (tap - column) as i32
-            };
-            lane += 1;
-        }
-        column += 1;
-    }
-    all
-};
-
 /// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
 #[target_feature(enable = "avx2,fma")]
 pub unsafe fn spread_32(
@@ -220,36 +202,26 @@ pub unsafe fn spread_32(
     weights: &FlushWeights<f32>,
     rows: &mut [Row32],
 ) {
-    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's weights are moved to their lanes and whole rows
-    // added to, cell + i < rows. More: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the next value's rows.
-    // All slices have a value per point, at most BLOCK. With one row column + taps <= 8, so that `column` has its entry in `PLACED`.
+    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
+    // next value's rows. All slices have a value per point, at most BLOCK.
     unsafe {
         let mut values = [[0f32; STRIP]; MAX_WIDTH];
         let table = rows.as_mut_ptr().cast::<f32>();
-        let step = 16 * across.rows;
-        let alone = across.rows == 1;
+        let step = 2 * across.stride;
         for j in 0..points.cell.len() {
             if j % STRIP == 0 {
                 let end = points.x.len().min(j + STRIP);
                 along(points.x.get_unchecked(j..end), weights, &mut values);
             }
-            let column = *across.column.get_unchecked(j) as usize;
-            let (lane, place) = if alone { (0, column) } else { (2 * column, 0) };
-            let c = points
-                .amplitude
-                .as_ptr()
-                .add(j)
-                .cast::<f64>()
-                .read_unaligned();
-            let shares = across.weight.as_ptr().add(j).cast::<f32>();
-            let place = PLACED.get_unchecked(place).as_ptr();
+            let lane = 2 * *across.column.get_unchecked(j) as usize;
+            let shares = across.value.as_ptr().add(j).cast::<f32>();
             let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let shares = _mm256_loadu_ps(shares);
-            let c = _mm256_castpd_ps(_mm256_set1_pd(c));
-            let row = [0, 1].map(|h| {
-                let place = _mm256_loadu_si256(place.add(8 * h).cast());
-                _mm256_mul_ps(_mm256_permutevar8x32_ps(shares, place), c)
-            });
+            let (re, im) = (_mm256_loadu_ps(shares), _mm256_loadu_ps(shares.add(8)));
+            let (low, high) = (_mm256_unpacklo_ps(re, im), _mm256_unpackhi_ps(re, im));
+            let row = [
+                _mm256_permute2f128_ps::<0x20>(low, high),
+                _mm256_permute2f128_ps::<0x31>(low, high),
+            ];
             for value in values.get_unchecked(..weights.width) {
                 let value = _mm256_set1_ps(*value.get_unchecked(j % STRIP));
                 for (h, row) in row.iter().enumerate() {
@@ -275,20 +247,19 @@ pub unsafe fn spread_64(
     unsafe {
         let mut values = [[0f64; STRIP]; MAX_WIDTH];
         let table = rows.as_mut_ptr().cast::<f64>();
-        let step = 24 * across.rows;
+        let step = 2 * across.stride;
         for j in 0..points.cell.len() {
             if j % STRIP == 0 {
                 let end = points.x.len().min(j + STRIP);
                 along(points.x.get_unchecked(j..end), weights, &mut values);
             }
             let lane = 2 * *across.column.get_unchecked(j) as usize;
-            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
-            let shares = across.weight.as_ptr().add(j).cast::<f64>();
+            let shares = across.value.as_ptr().add(j).cast::<f64>();
             let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let c = _mm256_set_m128d(c, c);
             let row: [_; MAX_TAPS / 2] = std::array::from_fn(|h| {
-                let pair = _mm256_castpd128_pd256(_mm_loadu_pd(shares.add(2 * h)));
-                _mm256_mul_pd(_mm256_permute4x64_pd::<0b01_01_00_00>(pair), c)
+                let at = shares.add(2 * h);
+                let (re, im) = (_mm_loadu_pd(at), _mm_loadu_pd(at.add(MAX_TAPS)));
+                _mm256_set_m128d(_mm_unpackhi_pd(re, im), _mm_unpacklo_pd(re, im))
             });
             let row = &row[..across.taps.div_ceil(2)];
             for value in values.get_unchecked(..weights.width) {
@@ -298,6 +269,43 @@ pub unsafe fn spread_64(
                     _mm256_storeu_pd(at, _mm256_fmadd_pd(*row, value, _mm256_loadu_pd(at)));
                 }
                 at = at.wrapping_add(step);
+            }
+        }
+    }
+}
+
+/// [`super::prepare::share_plain`], a point at a time: 256 bits hold a weight for every tap.
+///
+/// SAFETY: the processor must have the features; shapes as `Real::share` checks them.
+#[target_feature(enable = "avx2,fma")]
+pub unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &mut [Shared<f32>]) {
+    // SAFETY: all slices have a number for every value, every entry is in the table, and each of an entry's fields has eight numbers, as each half
+    // of a value.
+    unsafe {
+        for (j, value) in values.iter_mut().enumerate() {
+            let weights = points
+                .table
+                .get_unchecked(*points.entry.get_unchecked(j) as usize);
+            let of = |taps: &[f32; MAX_TAPS]| _mm256_loadu_ps(taps.as_ptr());
+            let x = _mm256_set1_ps(*points.beyond.get_unchecked(j));
+            let c = points.amplitude.get_unchecked(j);
+            let (re, im) = (_mm256_set1_ps(c.re), _mm256_set1_ps(c.im));
+            let [plain, slope, bow] = [0, 1, 2].map(|k| of(&weights.plain[k]));
+            let mut real = _mm256_fmadd_ps(_mm256_fmadd_ps(bow, x, slope), x, plain);
+            let out = value.as_mut_ptr();
+            if BENT {
+                let bend = _mm256_set1_ps(*points.bend.get_unchecked(j));
+                let more = _mm256_fmadd_ps(of(&weights.real_2), bend, of(&weights.real));
+                real = _mm256_fmadd_ps(more, bend, real);
+                let [plain, slope] = [0, 1].map(|k| of(&weights.imaginary[k]));
+                let imaginary = _mm256_mul_ps(_mm256_fmadd_ps(slope, x, plain), bend);
+                let across = _mm256_mul_ps(im, imaginary);
+                _mm256_storeu_ps(out, _mm256_fmsub_ps(re, real, across));
+                let across = _mm256_mul_ps(re, imaginary);
+                _mm256_storeu_ps(out.add(MAX_TAPS), _mm256_fmadd_ps(im, real, across));
+            } else {
+                _mm256_storeu_ps(out, _mm256_mul_ps(re, real));
+                _mm256_storeu_ps(out.add(MAX_TAPS), _mm256_mul_ps(im, real));
             }
         }
     }

@@ -289,20 +289,20 @@ unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
     }
 }
 
-/// Lane indices that put a point's eight weights, each twice, on the row's sixteen numbers: `[column]`. Lanes without a weight take the
-/// last one, which is 0 for all points that do not begin at column 0.
+/// Lane indices that put a point's eight values, real parts before imaginary ones, on the row's sixteen numbers: `[column]`. Lanes without a
+/// value take the last ones, which are 0 for all points that do not begin at column 0.
 const PLACED: [[i32; 16]; MAX_TAPS] = {
     let mut all = [[0; 16]; MAX_TAPS];
     let mut column = 0;
     while column < MAX_TAPS {
         let mut lane = 0;
         while lane < 16 {
-            let tap = lane / 2;
-            all[column][lane] = if tap < column {
+            let tap = if lane / 2 < column {
                 7
             } else {
-                (tap - column) as i32
+                lane / 2 - column
             };
+            all[column][lane] = (tap + MAX_TAPS * (lane % 2)) as i32;
             lane += 1;
         }
         column += 1;
@@ -320,12 +320,12 @@ pub unsafe fn spread_32(
 ) {
     // SAFETY: the caller vouches for features and shapes; in the first five one row belongs to a value, as `spread_32_of` wants it.
     unsafe {
-        match (across.rows, weights.width) {
-            (1, 4) => spread_32_of::<4>(points, across, weights, rows),
-            (1, 5) => spread_32_of::<5>(points, across, weights, rows),
-            (1, 6) => spread_32_of::<6>(points, across, weights, rows),
-            (1, 7) => spread_32_of::<7>(points, across, weights, rows),
-            (1, 8) => spread_32_of::<8>(points, across, weights, rows),
+        match (across.stride, weights.width) {
+            (8, 4) => spread_32_of::<4>(points, across, weights, rows),
+            (8, 5) => spread_32_of::<5>(points, across, weights, rows),
+            (8, 6) => spread_32_of::<6>(points, across, weights, rows),
+            (8, 7) => spread_32_of::<7>(points, across, weights, rows),
+            (8, 8) => spread_32_of::<8>(points, across, weights, rows),
             _ => spread_32_any(points, across, weights, rows),
         }
     }
@@ -360,16 +360,12 @@ unsafe fn spread_32_of<const W: usize>(
                 }
             }
             for j in first..end {
-                let c = points.amplitude.as_ptr().add(j).cast::<f64>();
-                let shares = across.weight.as_ptr().add(j).cast::<f32>();
+                let shares = across.value.as_ptr().add(j).cast::<f32>();
                 let column = *across.column.get_unchecked(j) as usize;
                 let place = PLACED.get_unchecked(column).as_ptr();
-                let row = _mm512_mul_ps(
-                    _mm512_permutexvar_ps(
-                        _mm512_loadu_si512(place.cast()),
-                        _mm512_castps256_ps512(_mm256_loadu_ps(shares)),
-                    ),
-                    _mm512_castpd_ps(_mm512_set1_pd(c.read_unaligned())),
+                let row = _mm512_permutexvar_ps(
+                    _mm512_loadu_si512(place.cast()),
+                    _mm512_loadu_ps(shares),
                 );
                 let at = table.add(*points.cell.get_unchecked(j) as usize);
                 for (i, values) in values.iter().enumerate() {
@@ -382,7 +378,7 @@ unsafe fn spread_32_of<const W: usize>(
     }
 }
 
-/// Any width, any number of rows to a value.
+/// Any width, any stride.
 ///
 /// SAFETY: as for [`spread_32`].
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
@@ -392,14 +388,14 @@ unsafe fn spread_32_any(
     weights: &FlushWeights<f32>,
     rows: &mut [Row32],
 ) {
-    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's weights are moved to their lanes and whole rows
+    // SAFETY: the caller vouches for features and shapes. One row to a value: the point's values are moved to their lanes and whole rows
     // added to, cell + i < rows. More: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the next value's rows.
     // All slices have a value per point, at most BLOCK. With one row column + taps <= 8, so that `column` has its entry in `PLACED`.
     unsafe {
         let mut values = [[0f32; STRIP]; MAX_WIDTH];
         let table = rows.as_mut_ptr().cast::<f32>();
-        let step = 16 * across.rows;
-        let alone = across.rows == 1;
+        let step = 2 * across.stride;
+        let alone = across.stride == 8;
         for j in 0..points.cell.len() {
             if j % STRIP == 0 {
                 let end = points.x.len().min(j + STRIP);
@@ -407,19 +403,12 @@ unsafe fn spread_32_any(
             }
             let column = *across.column.get_unchecked(j) as usize;
             let (lane, place) = if alone { (0, column) } else { (2 * column, 0) };
-            let c = points
-                .amplitude
-                .as_ptr()
-                .add(j)
-                .cast::<f64>()
-                .read_unaligned();
-            let shares = across.weight.as_ptr().add(j).cast::<f32>();
+            let shares = across.value.as_ptr().add(j).cast::<f32>();
             let place = PLACED.get_unchecked(place).as_ptr();
             let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let shares = _mm512_castps256_ps512(_mm256_loadu_ps(shares));
-            let row = _mm512_mul_ps(
-                _mm512_permutexvar_ps(_mm512_loadu_si512(place.cast()), shares),
-                _mm512_castpd_ps(_mm512_set1_pd(c)),
+            let row = _mm512_permutexvar_ps(
+                _mm512_loadu_si512(place.cast()),
+                _mm512_loadu_ps(shares),
             );
             for value in values.get_unchecked(..weights.width) {
                 let value = _mm512_set1_ps(*value.get_unchecked(j % STRIP));
@@ -443,21 +432,20 @@ pub unsafe fn spread_64(
     unsafe {
         let mut values = [[0f64; STRIP]; MAX_WIDTH];
         let table = rows.as_mut_ptr().cast::<f64>();
-        let step = 24 * across.rows;
+        let step = 2 * across.stride;
         for j in 0..points.cell.len() {
             if j % STRIP == 0 {
                 let end = points.x.len().min(j + STRIP);
                 along(points.x.get_unchecked(j..end), weights, &mut values);
             }
             let lane = 2 * *across.column.get_unchecked(j) as usize;
-            let c = _mm_loadu_pd(points.amplitude.as_ptr().add(j).cast());
-            let shares = across.weight.as_ptr().add(j).cast::<f64>();
+            let shares = across.value.as_ptr().add(j).cast::<f64>();
             let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let shares = _mm512_loadu_pd(shares);
-            let c = _mm512_broadcast_f64x2(c);
-            let low = _mm512_setr_epi64(0, 0, 1, 1, 2, 2, 3, 3);
-            let high = _mm512_setr_epi64(4, 4, 5, 5, 6, 6, 7, 7);
-            let row = [low, high].map(|i| _mm512_mul_pd(_mm512_permutexvar_pd(i, shares), c));
+            let (re, im) = (_mm512_loadu_pd(shares), _mm512_loadu_pd(shares.add(8)));
+            // From 8 on: the imaginary parts.
+            let low = _mm512_setr_epi64(0, 8, 1, 9, 2, 10, 3, 11);
+            let high = _mm512_setr_epi64(4, 12, 5, 13, 6, 14, 7, 15);
+            let row = [low, high].map(|i| _mm512_permutex2var_pd(re, i, im));
             let row = &row[..across.taps.div_ceil(4)];
             for value in values.get_unchecked(..weights.width) {
                 let value = _mm512_set1_pd(*value.get_unchecked(j % STRIP));
@@ -469,4 +457,67 @@ pub unsafe fn spread_64(
             }
         }
     }
+}
+
+/// Up to eight columns of complex values that lie side by side in rows, one after another: value v of column q from lane `first + v * stride + q`
+/// of all to `columns[q * grid + v]`, for all whole eights of values; how many values that were is returned.
+///
+/// SAFETY: the processor must have the features. Panics where rows or columns end too early.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+pub unsafe fn apart_32(
+    rows: &[Row32],
+    first: usize,
+    stride: usize,
+    grid: usize,
+    columns: &mut [Complex32],
+) -> usize {
+    let count = columns.len() / grid;
+    let values = grid / 8 * 8;
+    assert!(count <= 8 && values > 0, "{count} columns of {grid}");
+    assert!(
+        first + (values - 1) * stride + 8 <= 8 * rows.len(),
+        "{} rows",
+        rows.len()
+    );
+    // SAFETY: the last lanes read are the eight from `first` on of value `values - 1`; of every column eight values from v on exist, v + 8 <= grid.
+    unsafe {
+        let from = rows.as_ptr().cast::<f64>().add(first);
+        let out = columns.as_mut_ptr().cast::<f64>();
+        for v in (0..values).step_by(8) {
+            let row: [__m512d; 8] = std::array::from_fn(|i| {
+                _mm512_loadu_pd(from.add((v + i) * stride))
+            });
+            // Pairs of rows by even and odd columns; then fours, then eights.
+            let pair: [__m512d; 8] = std::array::from_fn(|i| {
+                let (a, b) = (row[i / 2 * 2], row[i / 2 * 2 + 1]);
+                match i % 2 {
+                    0 => _mm512_unpacklo_pd(a, b),
+                    _ => _mm512_unpackhi_pd(a, b),
+                }
+            });
+            for odd in 0..2 {
+                let [a, b, c, d] = [0, 2, 4, 6].map(|i| pair[i + odd]);
+                let (ab, cd) = (
+                    _mm512_shuffle_f64x2::<0x88>(a, b),
+                    _mm512_shuffle_f64x2::<0x88>(c, d),
+                );
+                let (ab_2, cd_2) = (
+                    _mm512_shuffle_f64x2::<0xdd>(a, b),
+                    _mm512_shuffle_f64x2::<0xdd>(c, d),
+                );
+                let found = [
+                    (odd, _mm512_shuffle_f64x2::<0x88>(ab, cd)),
+                    (4 + odd, _mm512_shuffle_f64x2::<0xdd>(ab, cd)),
+                    (2 + odd, _mm512_shuffle_f64x2::<0x88>(ab_2, cd_2)),
+                    (6 + odd, _mm512_shuffle_f64x2::<0xdd>(ab_2, cd_2)),
+                ];
+                for (column, value) in found {
+                    if column < count {
+                        _mm512_storeu_pd(out.add(column * grid + v), value);
+                    }
+                }
+            }
+        }
+    }
+    values
 }

@@ -9,25 +9,27 @@
 //! makes sum_j weight_j(d) G_j(f) meet S_d(f) best in the least-squares sense. Nothing is expanded in d: the second order is in it, and edges
 //! move. The columns lie at fixed Dopplers, so a platform that changes its speed uses other columns, not other templates.
 //!
-//! How many columns that takes is how fast S_d turns with d. Of a sweep at K Hz/s the part near f left at w = f/K, so that
-//!
-//! S_d(f) = exp(-j 2pi (f - f_c d/2) tau) R_d(f),  tau = -f_c d/((1 + d)^2 K)
-//!
-//! leaves in R_d little more than the sweep's own width about that line and its two ends ([`Coupling`]; range-Doppler coupling: Skolnik,
-//! Introduction to Radar Systems, "ambiguity of the linear FM pulse"). Shift and phase go with the echo, exactly; the grid carries R_d. A
-//! pulse of 30 kHz and 5 ms with a tenth of taper needs 7 columns in place of 17 to 1e-3.
+//! The fit of every column is one real combination of pulses of the family, the same at every frequency: so a column sounds no longer than
+//! they do, and what the fit leaves of an echo, seen at any instant w of its pulse, is that instant's own sound times how ill the weights do
+//! on a wave of w's rate of turning ([`Trial`]). Windows that hold nothing but the end of an echo are as good as any. (A sweep's shift could go into the
+//! echo's place, range-Doppler coupling, and a third of the columns be spared; but then the ends of pulses are where they are not, and
+//! what the fit leaves lies about them.)
 //!
 //! An echo whose stretch changes (d at its middle, q the change: emission time d s + q s^2 about it) sounds, with p = q/eta^3 and
 //! alpha = 2pi (f + f_c), as the integral of a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2).
-//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so the series in p ends soon. Its k-th term is an echo of its own, of
-//! amplitude (p/p_max)^k, with a grid and templates that need be no finer than the term is large ([`Received::order`]).
+//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so the series in p ends soon. Two ways to add its terms:
+//!
+//! By the weights ([`DopplerGrid::bent`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2 of it, so the columns that give S_d give
+//! j alpha p w^2 S_d too, with -j p eta^4/alpha times the second derivative of the weights. What f is in alpha is not known to a weight, but about where a
+//! sweep of K Hz/s has it: K w, of which one w is one more derivative. At the ends of a pulse that is not so: there all frequencies sound, and
+//! 2 pi p (T/2)^2 (f - K w) is too much; that is a delay by p (T/2)^2 and a Doppler of K p (T/2)^2/f_c, which the echo is given.
+//!
+//! By columns of their own, where a tolerance wants more than that: the k-th term is an echo of its own, of amplitude (p/p_max)^k, with a grid
+//! and templates that need be no finer than the term is large ([`Received::order`]).
 //!
 //! In: spectra, span of d, tolerance. Out: weights of an echo, templates per column and bin, the error of the fit as measured.
 
 use num_complex::Complex64;
-
-use crate::array::phasor::cis;
-use crate::flow::Pulse;
 
 use super::dialect::{Dialect, Kind};
 use super::kernel::Kernel;
@@ -49,39 +51,11 @@ pub struct DopplerSpan {
     pub greatest: f64,
 }
 
-/// Where a sweep's Doppler shift goes: into the echo's place.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Coupling {
-    /// tau/d at small d: -f_c/K, or 0 where it is left in the template.
-    pub per_doppler_s: f64,
-}
-
-impl Coupling {
-    pub const NONE: Self = Self { per_doppler_s: 0.0 };
-
-    /// That of a sweep; a pulse without one has none.
-    pub fn of(pulse: &Pulse) -> Option<Self> {
-        let sweep_hz_per_s = pulse.sweep_hz_per_s();
-        (sweep_hz_per_s != 0.0).then(|| Self {
-            per_doppler_s: -pulse.center_frequency_hz / sweep_hz_per_s,
-        })
-    }
-
-    /// tau, seconds.
-    #[inline(always)]
-    pub fn shift_s(&self, doppler: f64) -> f64 {
-        let per_eta = 1.0 / (1.0 + doppler);
-        self.per_doppler_s * doppler * per_eta * per_eta
-    }
-}
-
-/// The received spectrum R_d(f) of one echo, seen from its middle and [`Coupling::shift_s`]; or the term of `order` in what its curvature
-/// adds, for the greatest p.
+/// The received spectrum S_d(f) of one echo, seen from its middle; or the term of `order` in what its curvature adds, for the greatest p.
 #[derive(Clone, Copy)]
 pub struct Received<'a> {
     pub spectrum: &'a PulseSpectrum,
     pub carrier_hz: f64,
-    pub coupling: Coupling,
     pub duration_s: f64,
     pub order: usize,
     /// p, per second.
@@ -97,16 +71,10 @@ impl Received<'_> {
     pub fn at(&self, f_hz: f64, d: f64) -> Complex64 {
         let doppler_hz = self.carrier_hz * d;
         let g_hz = (f_hz - doppler_hz) / (1.0 + d);
-        let sound = match self.order {
+        match self.order {
             0 => self.spectrum.at(g_hz) / (1.0 + d),
             _ => self.term(f_hz, g_hz, 1.0 + d),
-        };
-        if self.coupling == Coupling::NONE {
-            return sound;
         }
-        let turns = (f_hz - 0.5 * doppler_hz) * self.coupling.shift_s(d);
-        let (cos, sin) = cis(turns);
-        sound * Complex64::new(cos, sin)
     }
 
     #[inline(always)]
@@ -130,6 +98,39 @@ impl Received<'_> {
     }
 }
 
+/// `[k][i]`: of power x^k for tap i.
+pub type Polynomials = [[f64; MAX_TAPS]; POWERS];
+
+pub fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
+    polynomials
+        .iter()
+        .rev()
+        .fold(0.0, |sum, powers| sum * x + powers[tap])
+}
+
+/// The derivative of `order` in x.
+pub fn derivative(polynomials: &Polynomials, order: usize) -> Polynomials {
+    let mut out = [[0.0; MAX_TAPS]; POWERS];
+    for k in order..POWERS {
+        let falling: f64 = (k + 1 - order..=k).map(|i| i as f64).product();
+        for (out, power) in out[k - order].iter_mut().zip(&polynomials[k]) {
+            *out = falling * power;
+        }
+    }
+    out
+}
+
+fn times(factor: f64, polynomials: Polynomials) -> Polynomials {
+    polynomials.map(|row| row.map(|power| factor * power))
+}
+
+/// See [`DopplerGrid::bent`].
+pub struct Bent {
+    pub imaginary: Polynomials,
+    pub real: Polynomials,
+    pub real_2: Polynomials,
+}
+
 /// The grid of Dopplers and the weights on it.
 #[derive(Clone, Debug)]
 pub struct DopplerGrid {
@@ -140,10 +141,8 @@ pub struct DopplerGrid {
     pub offset: f64,
     pub cells: usize,
     span: DopplerSpan,
-    /// `[k][i]`: of power x^k for tap i; unused taps are 0. A single column has the weight 1.
-    pub weights: [[f64; MAX_TAPS]; POWERS],
-    /// Of x that the weights have.
-    pub powers: usize,
+    /// Unused taps are 0. A single column has the weight 1.
+    pub weights: Polynomials,
 }
 
 impl DopplerGrid {
@@ -151,7 +150,7 @@ impl DopplerGrid {
     pub fn common(span: DopplerSpan) -> Self {
         let mut weights = [[0.0; MAX_TAPS]; POWERS];
         weights[0][0] = 1.0;
-        Self::with_weights(span, 1, 1, weights, 1)
+        Self::with_weights(span, 1, 1, weights)
     }
 
     /// `kernel`: its width is the number of taps, its moments the powers of x in their weights, [`POWERS`] at most.
@@ -162,15 +161,14 @@ impl DopplerGrid {
                 *weight = kernel.weight(k, i);
             }
         }
-        Self::with_weights(span, cells, kernel.width, weights, kernel.moments)
+        Self::with_weights(span, cells, kernel.width, weights)
     }
 
     fn with_weights(
         span: DopplerSpan,
         cells: usize,
         taps: usize,
-        weights: [[f64; MAX_TAPS]; POWERS],
-        powers: usize,
+        weights: Polynomials,
     ) -> Self {
         let width = span.greatest - span.least;
         let per_doppler = if width > 0.0 {
@@ -187,8 +185,15 @@ impl DopplerGrid {
             cells,
             span,
             weights,
-            powers,
         }
+    }
+
+    /// The same weights on a part of the grid, or a grid that goes on.
+    fn with_cells(&self, cells: usize) -> Self {
+        let mut other = self.clone();
+        other.cells = cells;
+        other.columns = cells + self.taps - 1;
+        other
     }
 
     /// Columns that echoes go to whose Dopplers take up this share of the span.
@@ -205,25 +210,42 @@ impl DopplerGrid {
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
-    /// Tap `i`'s weight at place `x` of a cell.
-    pub fn weight(&self, i: usize, x: f64) -> f64 {
-        (0..POWERS)
-            .rev()
-            .fold(0.0, |sum, k| sum * x + self.weights[k][i])
-    }
-
     /// The columns' weights at Dopplers that lie at `shares` of the span.
     fn weights_at(&self, shares: &[f64]) -> Matrix {
+        self.matrix(shares, &self.weights)
+    }
+
+    /// The same of weights whose powers are `polynomials`.
+    fn matrix(&self, shares: &[f64], polynomials: &Polynomials) -> Matrix {
         Matrix::from_fn(shares.len(), self.columns, |s, column| {
             let position = shares[s] * self.cells as f64;
             let cell = position as usize;
             match column.checked_sub(cell) {
                 Some(tap) if tap < self.taps => {
-                    self.weight(tap, 2.0 * (position - cell as f64) - 1.0)
+                    value_of(polynomials, tap, 2.0 * (position - cell as f64) - 1.0)
                 }
                 _ => 0.0,
             }
         })
+    }
+
+    /// Weights for echoes that are bent by exp(j b (2w/T)^2): those of S_d plus
+    /// b `real` + b^2 `real_2` + j b `imaginary`, in powers of x. `theta`: by what a pulse's end turns over half a cell; `sweep`: half the
+    /// swept band over the carrier, with its sign.
+    pub fn bent(&self, theta: f64, sweep: f64) -> Bent {
+        Bent {
+            imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
+            real: times(sweep * theta.powi(-3), derivative(&self.weights, 3)),
+            real_2: times(-0.5 * theta.powi(-4), derivative(&self.weights, 4)),
+        }
+    }
+
+    /// By what the end of a pulse turns over half a cell, about.
+    pub fn theta(&self, carrier_hz: f64, duration_s: f64) -> f64 {
+        match self.per_doppler > 0.0 {
+            true => 0.5 * std::f64::consts::PI * carrier_hz * duration_s / self.per_doppler,
+            false => 0.0,
+        }
     }
 
     /// How many Dopplers a fit of such a pulse needs.
@@ -248,149 +270,129 @@ fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// What a fit is tried on: R_d(f) H(f) at some frequencies and Dopplers.
+/// What a grid is tried on: waves over the span of Dopplers that turn as fast as instants of the pulse do, from its middle to its end.
+#[derive(Clone, Copy, Debug)]
 pub struct Trial {
-    count: usize,
-    /// `[frequency][doppler]`
-    wanted: Vec<Vec<Complex64>>,
-    /// Mean over the Dopplers of the sum over frequencies of |R_d H|^2.
-    pub power: f64,
+    /// Turns of the pulse's end, from its middle, over the whole span.
+    pub turns: f64,
+    /// Greatest phase of the curvature at the pulse's ends, if the weights are to carry it, and half the swept band over the carrier.
+    pub bend_rad: f64,
+    pub sweep: f64,
 }
 
-impl Trial {
-    /// For grids of `most_cells` at most.
-    pub fn new(
-        received: Received,
-        span: DopplerSpan,
-        most_cells: usize,
-        frequency_hz: &[f64],
-        gain: &[f64],
-    ) -> Self {
-        let count = SAMPLES_PER_CELL * most_cells;
-        let dopplers = dopplers(span, &even_shares(count));
-        let wanted: Vec<Vec<Complex64>> = frequency_hz
-            .iter()
-            .zip(gain)
-            .map(|(&f_hz, gain)| {
-                dopplers
-                    .iter()
-                    .map(|&d| received.at(f_hz, d) * gain)
-                    .collect()
-            })
-            .collect();
-        let power = wanted
-            .iter()
-            .flatten()
-            .map(Complex64::norm_sqr)
-            .sum::<f64>()
-            / count as f64;
-        Self {
-            count,
-            wanted,
-            power,
-        }
-    }
+/// Instants of the pulse that are looked at, over half its length: the fit is worst at the end.
+const INSTANTS: [f64; 8] = [0.0, 0.3, 0.55, 0.75, 0.85, 0.92, 0.97, 1.0];
 
-    /// Error of the echo that `grid` serves worst, over the root of `power`.
-    pub fn worst(&self, grid: &DopplerGrid, power: f64) -> f64 {
-        // As many of the Dopplers as this grid needs.
-        let least = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
-        let step = (self.count / least).max(1);
-        let used: Vec<usize> = (step / 2..self.count).step_by(step).collect();
-        let shares: Vec<f64> = used
-            .iter()
-            .map(|&s| (s as f64 + 0.5) / self.count as f64)
-            .collect();
+/// A finer grid is as good as its first cells.
+const MOST_TRIAL_CELLS: usize = 20;
+
+impl Trial {
+    /// Greatest error at any instant of the echo that `grid` serves worst, over what sounds at that instant.
+    pub fn worst(&self, grid: &DopplerGrid) -> f64 {
+        if grid.cells > MOST_TRIAL_CELLS {
+            let fewer = Self {
+                turns: self.turns * MOST_TRIAL_CELLS as f64 / grid.cells as f64,
+                ..*self
+            };
+            return fewer.worst(&grid.with_cells(MOST_TRIAL_CELLS));
+        }
+        // As many Dopplers as the fit has.
+        let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
+        let shares = even_shares(count);
         let weights = grid.weights_at(&shares);
         let fit = weights.pseudo_inverse();
-        let mut off = vec![0.0; used.len()];
-        let mut columns = vec![Complex64::ZERO; grid.columns];
-        let mut wanted = vec![Complex64::ZERO; used.len()];
-        for all in &self.wanted {
-            for (want, &s) in wanted.iter_mut().zip(&used) {
-                *want = all[s];
-            }
-            for (column, value) in columns.iter_mut().enumerate() {
-                let pairs = fit.row(column).iter().zip(&wanted);
-                *value = pairs.fold(Complex64::ZERO, |sum, (p, s)| sum + s * p);
-            }
-            for (s, (off, want)) in off.iter_mut().zip(&wanted).enumerate() {
-                let cell = (shares[s] * grid.cells as f64) as usize;
-                let got: Complex64 = (cell..cell + grid.taps)
-                    .map(|column| columns[column] * weights.at(s, column))
-                    .sum();
-                *off += (got - want).norm_sqr();
+        let theta = std::f64::consts::PI * self.turns / grid.cells as f64;
+        let bent = (self.bend_rad > 0.0 && theta > 0.0).then(|| grid.bent(theta, self.sweep));
+        let parts: Vec<(Matrix, f64)> = match &bent {
+            None => Vec::new(),
+            Some(bent) => vec![
+                (grid.matrix(&shares, &bent.imaginary), self.bend_rad),
+                (grid.matrix(&shares, &bent.real), self.bend_rad),
+                (grid.matrix(&shares, &bent.real_2), self.bend_rad.powi(2)),
+            ],
+        };
+        let mut worst: f64 = 0.0;
+        for u in INSTANTS {
+            let wave = |share: &f64| {
+                Complex64::cis(std::f64::consts::TAU * self.turns * u * (share - 0.5))
+            };
+            let wanted: Vec<Complex64> = shares.iter().map(wave).collect();
+            let columns: Vec<Complex64> = (0..grid.columns)
+                .map(|column| {
+                    let pairs = fit.row(column).iter().zip(&wanted);
+                    pairs.fold(Complex64::ZERO, |sum, (p, s)| sum + s * p)
+                })
+                .collect();
+            for (s, want) in wanted.iter().enumerate() {
+                let cell = ((shares[s] * grid.cells as f64) as usize).min(grid.cells - 1);
+                let through = |weights: &Matrix| -> Complex64 {
+                    (cell..cell + grid.taps)
+                        .map(|column| columns[column] * weights.at(s, column))
+                        .sum()
+                };
+                let mut off = (through(&weights) - want).norm();
+                // What each should be of the wave: (2w/T)^2, sweep (2w/T)^3 and -(2w/T)^4/2.
+                let should = [
+                    Complex64::new(u.powi(2), 0.0),
+                    Complex64::new(0.0, self.sweep * u.powi(3)) * -1.0,
+                    Complex64::new(-0.5 * u.powi(4), 0.0),
+                ];
+                for ((weights, size), should) in parts.iter().zip(should) {
+                    off += size * (through(weights) - want * should).norm();
+                }
+                worst = worst.max(off);
             }
         }
-        (off.iter().copied().fold(0.0, f64::max) / power).sqrt()
+        worst
     }
 }
 
 /// Bins whose templates are worked out together.
 const BINS: usize = 64;
 
-/// Of a block of bins, how many apart those lie on which the fit's error is measured.
-const MEASURED: usize = 8;
-
-/// What each column sounds like: `templates[column * bins + bin]`.
-pub struct Templates {
-    pub values: Vec<Complex64>,
-    /// Mean over the Dopplers of what the fit leaves, and of what was to be fitted: sums of squares over every eighth bin.
-    pub off: f64,
-    pub power: f64,
-}
-
 /// A fit to be made for many bins.
 struct Fitting<'a> {
     grid: &'a DopplerGrid,
     received: Received<'a>,
-    shares: Vec<f64>,
     dopplers: Vec<f64>,
-    weights: Matrix,
     fit: Matrix,
 }
 
 /// Numbers of the bins of a block.
 type Lane = [f64; BINS];
 
-impl Templates {
-    /// `frequency_hz` and `gain` give each bin's place and H there.
-    pub fn new(grid: &DopplerGrid, received: Received, frequency_hz: &[f64], gain: &[f64]) -> Self {
-        let bins = frequency_hz.len();
-        let count = grid.sample_count(received.carrier_hz, received.duration_s);
-        let shares = even_shares(count);
-        let weights = grid.weights_at(&shares);
-        let fitting = Fitting {
-            dopplers: dopplers(grid.span, &shares),
-            fit: weights.pseudo_inverse(),
-            grid,
-            received,
-            shares,
-            weights,
-        };
-        let mut templates = Self {
-            values: vec![Complex64::ZERO; grid.columns * bins],
-            off: 0.0,
-            power: 0.0,
-        };
-        let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
-        for first in (0..bins).step_by(BINS) {
-            let end = bins.min(first + BINS);
-            if gain[first..end].iter().all(|&g| g == 0.0) {
-                continue;
-            }
-            fitting.block(
-                (first, bins),
-                &frequency_hz[first..end],
-                &gain[first..end],
-                &mut wanted,
-                &mut templates,
-            );
+/// What each column sounds like: `[column * bins + bin]`. `frequency_hz` and `gain` give each bin's place and H there.
+pub fn templates(
+    grid: &DopplerGrid,
+    received: Received,
+    frequency_hz: &[f64],
+    gain: &[f64],
+) -> Vec<Complex64> {
+    let bins = frequency_hz.len();
+    let count = grid.sample_count(received.carrier_hz, received.duration_s);
+    let shares = even_shares(count);
+    let fitting = Fitting {
+        dopplers: dopplers(grid.span, &shares),
+        fit: grid.weights_at(&shares).pseudo_inverse(),
+        grid,
+        received,
+    };
+    let mut values = vec![Complex64::ZERO; grid.columns * bins];
+    let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
+    for first in (0..bins).step_by(BINS) {
+        let end = bins.min(first + BINS);
+        if gain[first..end].iter().all(|&g| g == 0.0) {
+            continue;
         }
-        templates.off /= count as f64;
-        templates.power /= count as f64;
-        templates
+        fitting.block(
+            (first, bins),
+            &frequency_hz[first..end],
+            &gain[first..end],
+            &mut wanted,
+            &mut values,
+        );
     }
+    values
 }
 
 impl Fitting<'_> {
@@ -401,7 +403,7 @@ impl Fitting<'_> {
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
-        out: &mut Templates,
+        out: &mut [Complex64],
     ) {
         match Dialect::best().kind() {
             // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
@@ -422,7 +424,7 @@ impl Fitting<'_> {
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
-        out: &mut Templates,
+        out: &mut [Complex64],
     ) {
         self.block_plain(at, frequency_hz, gain, wanted, out);
     }
@@ -435,7 +437,7 @@ impl Fitting<'_> {
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
-        out: &mut Templates,
+        out: &mut [Complex64],
     ) {
         self.block_plain(at, frequency_hz, gain, wanted, out);
     }
@@ -447,7 +449,7 @@ impl Fitting<'_> {
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
-        out: &mut Templates,
+        out: &mut [Complex64],
     ) {
         let (first, bins) = at;
         for (want, &d) in wanted.iter_mut().zip(&self.dopplers) {
@@ -464,20 +466,9 @@ impl Fitting<'_> {
                     im[b] += p * want.1[b];
                 }
             }
-            let values = &mut out.values[column * bins + first..][..frequency_hz.len()];
+            let values = &mut out[column * bins + first..][..frequency_hz.len()];
             for (value, (re, im)) in values.iter_mut().zip(re.iter().zip(&im)) {
                 *value = Complex64::new(*re, *im);
-            }
-        }
-        for b in (0..frequency_hz.len()).step_by(MEASURED) {
-            for (s, want) in wanted.iter().enumerate() {
-                let want = Complex64::new(want.0[b], want.1[b]);
-                let cell = (self.shares[s] * self.grid.cells as f64) as usize;
-                let got = (cell..cell + self.grid.taps).fold(Complex64::ZERO, |sum, column| {
-                    sum + out.values[column * bins + first + b] * self.weights.at(s, column)
-                });
-                out.off += (got - want).norm_sqr();
-                out.power += want.norm_sqr();
             }
         }
     }

@@ -1,14 +1,16 @@
 //! Fast synthesis on a grid: a nonuniform Fourier transform per element.
 //!
 //! Read [`kernel`] (the idea), [`moments`] (the loops), [`transform`] (both joined), then [`one_dimensional`], the engine itself, with
-//! [`doppler`] and [`pulse_spectrum`] beside it; `choose` turns a tolerance into sizes.
+//! [`doppler`] and [`pulse_spectrum`] beside it; `choose` and `band` turn a tolerance into sizes.
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod band;
 mod choose;
 pub mod dialect;
 pub mod doppler;
+pub mod foreseen;
 pub mod kernel;
 mod least_squares;
 pub mod moments;
@@ -19,4 +21,5 @@ pub mod transform;
 
 pub use dialect::Dialect;
 pub use doppler::DopplerSpan;
+pub use foreseen::Foreseen;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};

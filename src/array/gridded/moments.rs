@@ -14,6 +14,7 @@ use num_complex::{Complex, Complex32, Complex64};
 
 use super::dialect::{Dialect, Kind};
 use super::kernel::{Kernel, MAX_WIDTH};
+use super::prepare::{Sharing, share_plain};
 
 /// Points worked on together.
 pub const BLOCK: usize = 256;
@@ -38,14 +39,18 @@ pub struct Points<'a, T> {
     pub amplitude: &'a [Complex<T>],
 }
 
-/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on. Weights from `taps` on are 0.
+/// What of a point's amplitude goes to each tap, real parts first, then imaginary ones.
+pub type Shared<T> = [T; 2 * MAX_TAPS];
+
+/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on, and what of each point's amplitude
+/// goes there: 0 from `taps` on.
 #[derive(Clone, Copy, Debug)]
 pub struct Across<'a, T> {
     pub column: &'a [u32],
-    pub weight: &'a [[T; MAX_TAPS]],
+    pub value: &'a [Shared<T>],
     pub taps: usize,
-    /// Rows that a value of the first dimension has: column q is lane q % [`Real::MOMENTS`] of row q / [`Real::MOMENTS`].
-    pub rows: usize,
+    /// Lanes from one value of the first dimension to the next: column q of value v is lane `v * stride + q` of all, [`Real::MOMENTS`] to a row.
+    pub stride: usize,
 }
 
 /// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
@@ -77,8 +82,8 @@ pub trait Real: Planned + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds every point's values to a few of many grids: tap i of column q to lane q of value `cell + i`, whose rows begin at
-    /// `(cell + i) * across.rows`. May add zeros to lanes next to a point's. Panics where the rows end before that.
+    /// Adds every point's values across to a few of many grids: tap i of column q to lane q of value `cell + i`. May add zeros to the next
+    /// [`MAX_TAPS`] lanes. Panics where the rows end before that. The points' amplitudes are not looked at.
     fn spread(
         dialect: Dialect,
         points: Points<Self>,
@@ -88,6 +93,13 @@ pub trait Real: Planned + Default {
     );
 
     fn lane(row: &Self::Row, lane: usize) -> Complex<Self>;
+
+    /// The values of points across: their amplitudes times weights read from a table. Panics where entries are missing.
+    fn share<const BENT: bool>(
+        dialect: Dialect,
+        points: Sharing<Self>,
+        values: &mut [Shared<Self>],
+    );
 }
 
 /// The kernel's weights laid out for the loops: every weight twice (re, im), taps padded with zeros to a whole number of vectors.
@@ -140,7 +152,7 @@ impl<T: Real> Default for Located<T> {
 }
 
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
-const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+pub const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
 #[derive(Clone, Copy, Debug)]
@@ -220,7 +232,7 @@ fn check_weights<T: Real>(weights: &FlushWeights<T>) {
 fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, rows: usize) {
     let len = points.cell.len();
     assert_eq!(across.column.len(), len, "columns");
-    assert_eq!(across.weight.len(), len, "weights");
+    assert_eq!(across.value.len(), len, "values");
     assert!(
         (1..=MAX_TAPS).contains(&across.taps),
         "{} taps",
@@ -229,21 +241,21 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, r
     let greatest = |v: &[u32]| v.iter().fold(0, |a, &b| a.max(b)) as usize;
     let last_column = greatest(across.column) + across.taps;
     assert!(
-        last_column <= across.rows * T::MOMENTS,
-        "column {last_column} in {} rows",
-        across.rows
+        last_column <= across.stride,
+        "column {last_column} of {}",
+        across.stride
     );
     let last_cell = greatest(points.cell) + width;
-    // One value more: what reaches past the last column lies in the next value's rows.
+    // One value more: what reaches past the last column lies in the next one's lanes.
     assert!(
-        (last_cell + 1) * across.rows <= rows,
-        "value {last_cell}, {} rows each, in {rows}",
-        across.rows
+        (last_cell + 1) * across.stride + MAX_TAPS <= rows * T::MOMENTS,
+        "value {last_cell}, {} lanes each, in {rows} rows",
+        across.stride
     );
 }
 
 macro_rules! real {
-    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident) => {
+    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident, $share:ident) => {
         impl Real for $real {
             type Row = $row;
             const MOMENTS: usize = $moments;
@@ -311,11 +323,29 @@ macro_rules! real {
                     _ => spread_plain(points, across, weights, rows),
                 }
             }
+
+            fn share<const BENT: bool>(
+                dialect: Dialect,
+                points: Sharing<Self>,
+                values: &mut [Shared<Self>],
+            ) {
+                check_sharing(&points, values.len());
+                $share::<BENT>(dialect, points, values)
+            }
         }
     };
 }
 
-real!(f32, Row32, Complex32, 8, accumulate_32, flush_32, spread_32);
+real!(
+    f32,
+    Row32,
+    Complex32,
+    8,
+    accumulate_32,
+    flush_32,
+    spread_32,
+    share_32
+);
 real!(
     f64,
     Row64,
@@ -323,8 +353,41 @@ real!(
     12,
     accumulate_64,
     flush_64,
-    spread_64
+    spread_64,
+    share_64
 );
+
+fn share_32<const BENT: bool>(
+    dialect: Dialect,
+    points: Sharing<f32>,
+    values: &mut [Shared<f32>],
+) {
+    match dialect.kind() {
+        // SAFETY: a `Dialect` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 | Kind::Avx2 => unsafe { super::avx2::share_32::<BENT>(points, values) },
+        _ => share_plain::<f32, BENT>(points, values),
+    }
+}
+
+/// Seldom needed: plain for all.
+fn share_64<const BENT: bool>(_: Dialect, points: Sharing<f64>, values: &mut [Shared<f64>]) {
+    share_plain::<f64, BENT>(points, values);
+}
+
+/// What the vector loop relies on: a number of each for every value, and every entry in the table.
+fn check_sharing<T>(points: &Sharing<T>, len: usize) {
+    assert_eq!(points.entry.len(), len, "entries");
+    assert_eq!(points.beyond.len(), len, "places");
+    assert_eq!(points.amplitude.len(), len, "amplitudes");
+    assert_eq!(points.bend.len(), len, "curvatures");
+    let last = points.entry.iter().fold(0, |a, &b| a.max(b)) as usize;
+    assert!(
+        len == 0 || last < points.table.len(),
+        "entry {last} of {}",
+        points.table.len()
+    );
+}
 
 /// The portable twin of the vector loops.
 fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<T, N>]) {
@@ -384,16 +447,17 @@ fn spread_plain<T: Real, const N: usize>(
             along(&points.x[j..end], weights, &mut values);
         }
         let column = across.column[j] as usize;
-        let mut first = points.cell[j] as usize * across.rows;
+        let mut first = points.cell[j] as usize * across.stride;
         for value in &values[..weights.width] {
-            let c = points.amplitude[j] * value[j % STRIP];
-            for (t, &share) in across.weight[j][..across.taps].iter().enumerate() {
-                let lane = 2 * (column + t);
-                let row = &mut rows[first + lane / N].0[lane % N..][..2];
-                row[0] = row[0] + c.re * share;
-                row[1] = row[1] + c.im * share;
+            let value = value[j % STRIP];
+            let (re, im) = across.value[j].split_at(MAX_TAPS);
+            for (t, (&re, &im)) in re.iter().zip(im).take(across.taps).enumerate() {
+                let at = 2 * (first + column + t);
+                let row = &mut rows[at / N].0[at % N..][..2];
+                row[0] = row[0] + re * value;
+                row[1] = row[1] + im * value;
             }
-            first += across.rows;
+            first += across.stride;
         }
     }
 }
@@ -414,7 +478,7 @@ mod tests {
         Located<T>,
         [Complex<T>; BLOCK],
         [u32; BLOCK],
-        [[T; MAX_TAPS]; BLOCK],
+        [Shared<T>; BLOCK],
     );
 
     /// Points in all cells but the last of `cells`, in columns 0..4.
@@ -474,28 +538,40 @@ mod tests {
                 );
 
                 for taps in 1..=MAX_TAPS {
-                    let mut weight = block.3;
-                    weight.iter_mut().for_each(|w| w[taps..].fill(T::zero()));
-                    let across = Across {
-                        column: &block.2,
-                        weight: &weight,
-                        taps,
-                        rows: (3 + taps).div_ceil(T::MOMENTS),
-                    };
-                    let ones = Row([T::one(); N]);
-                    let mut want_rows = vec![ones; across.rows * (CELLS + width)];
-                    let mut rows = want_rows.clone();
-                    let points = points(&block, BLOCK);
-                    spread_plain(points, across, &weights, &mut want_rows);
-                    T::spread(dialect, points, across, &weights, &mut rows);
-                    let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
-                        rows.iter()
-                            .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
-                            .collect()
-                    };
-                    let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
-                    let error = worst(&grids, &want_grids);
-                    assert!(error < limit, "{dialect:?}, {width} x {taps}: {error:e}");
+                    let mut value = block.3;
+                    for value in &mut value {
+                        value[taps..MAX_TAPS].fill(T::zero());
+                        value[MAX_TAPS + taps..].fill(T::zero());
+                    }
+                    for stride in [8, T::MOMENTS, 17] {
+                        if 3 + taps > stride {
+                            continue;
+                        }
+                        let across = Across {
+                            column: &block.2,
+                            value: &value,
+                            taps,
+                            stride,
+                        };
+                        let ones = Row([T::one(); N]);
+                        let count = (stride * (CELLS + width) + MAX_TAPS).div_ceil(T::MOMENTS);
+                        let mut want_rows = vec![ones; count];
+                        let mut rows = want_rows.clone();
+                        let points = points(&block, BLOCK);
+                        spread_plain(points, across, &weights, &mut want_rows);
+                        T::spread(dialect, points, across, &weights, &mut rows);
+                        let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
+                            rows.iter()
+                                .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
+                                .collect()
+                        };
+                        let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
+                        let error = worst(&grids, &want_grids);
+                        assert!(
+                            error < limit,
+                            "{dialect:?}, {width} x {taps} of {stride}: {error:e}"
+                        );
+                    }
                 }
             }
         }
@@ -510,6 +586,55 @@ mod tests {
     #[test]
     fn every_dialect_gives_the_portable_f64_to_1e_13() {
         every_dialect_agrees::<f64, 24>(1e-13);
+    }
+
+    #[test]
+    fn every_dialect_shares_points_like_the_portable_f32_to_1e_6() {
+        use crate::array::gridded::prepare::Entry;
+        let eight = |i: usize| std::array::from_fn(|t| chance(8 * i + t) as f32);
+        let table: Vec<Entry<f32>> = (0..16)
+            .map(|e| Entry {
+                plain: [0, 1, 2].map(|k| eight(7 * e + k)),
+                imaginary: [3, 4].map(|k| eight(7 * e + k)),
+                real: eight(7 * e + 5),
+                real_2: eight(7 * e + 6),
+            })
+            .collect();
+        let number = |i: usize| chance(i) as f32;
+        let entry: Vec<u32> = (0..BLOCK).map(|j| (chance(j).abs() * 15.9) as u32).collect();
+        let beyond: Vec<f32> = (0..BLOCK).map(|j| number(3 * j)).collect();
+        let bend: Vec<f32> = (0..BLOCK).map(|j| number(5 * j + 1)).collect();
+        let amplitude: Vec<Complex32> = (0..BLOCK)
+            .map(|j| Complex32::new(number(7 * j), number(11 * j)))
+            .collect();
+        let sharing = || Sharing {
+            table: &table,
+            entry: &entry,
+            beyond: &beyond,
+            amplitude: &amplitude,
+            bend: &bend,
+        };
+        let made = |run: &dyn Fn(&mut [Shared<f32>])| {
+            let mut values = vec![[0f32; 2 * MAX_TAPS]; BLOCK];
+            run(&mut values);
+            values.concat()
+        };
+        for dialect in Dialect::available() {
+            for (got, want) in [
+                (
+                    made(&|v| f32::share::<true>(dialect, sharing(), v)),
+                    made(&|v| share_plain::<f32, true>(sharing(), v)),
+                ),
+                (
+                    made(&|v| f32::share::<false>(dialect, sharing(), v)),
+                    made(&|v| share_plain::<f32, false>(sharing(), v)),
+                ),
+            ] {
+                let off = got.iter().zip(&want).map(|(g, w)| (g - w).abs());
+                let worst = off.fold(0.0, f32::max);
+                assert!(worst < 1e-6, "{dialect:?}: {worst:e}");
+            }
+        }
     }
 
     #[test]

@@ -15,9 +15,9 @@ use super::dialect::Dialect;
 use super::kernel::Kernel;
 use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
 
-/// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 9 2^a or 15 2^a.
+/// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 5 2^a, 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
-    [1, 3, 9, 15]
+    [1, 3, 5, 9, 15]
         .into_iter()
         .map(|odd: usize| odd * least.div_ceil(odd).next_power_of_two())
         .min()

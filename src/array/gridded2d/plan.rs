@@ -7,6 +7,7 @@
 use std::f64::consts::{PI, TAU};
 
 use crate::array::filter::Decimator;
+use crate::array::gridded::Foreseen;
 use crate::array::gridded::dialect::Dialect;
 use crate::array::gridded::kernel::Kernel;
 use crate::flow::{
@@ -96,6 +97,8 @@ pub struct Choice {
     pub fineness: Fineness,
     pub precision: Precision,
     pub card: MethodCard,
+    /// What the card's cost is made of.
+    pub cost: Foreseen,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -260,19 +263,21 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             })
             .find(|(_, _, error)| *error <= kernel_share * tolerance)
     });
-    let cost_ns = |time: (usize, f64, f64), slope: (usize, f64, f64)| {
+    let cost = |time: (usize, f64, f64), slope: (usize, f64, f64)| {
         let of_columns = COLUMN_SHARE + (1.0 - COLUMN_SHARE) * 0.5 * time.1;
-        echoes * (ECHO_NS + (time.0 * slope.0) as f64 * VALUE_NS)
-            + element_slabs * (RETURN_NS + COLUMNS_NS * 0.5 * slope.1 * of_columns)
+        Foreseen {
+            echoes_ns: echoes * (ECHO_NS + (time.0 * slope.0) as f64 * VALUE_NS),
+            grids_ns: element_slabs * (RETURN_NS + COLUMNS_NS * 0.5 * slope.1 * of_columns),
+        }
     };
-    let (cost_ns, time, slope) = kernels
+    let (cost, time, slope) = kernels
         .into_iter()
         .flatten()
         .flat_map(|time| {
             let slopes = kernels.into_iter().flatten();
-            slopes.map(move |slope| (cost_ns(time, slope), time, slope))
+            slopes.map(move |slope| (cost(time, slope), time, slope))
         })
-        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .min_by(|a, b| a.0.ms().total_cmp(&b.0.ms()))
         .ok_or(Refusal::TooFine { tolerance })?;
     let kernel_error = time.2.max(slope.2);
     let series = if tolerance < 1e-4 { 0.5 } else { 1.0 } * SERIES_SHARE * tolerance;
@@ -324,7 +329,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         card: MethodCard {
             name: "gridded-2d",
             error,
-            cost_ms: 1e-6 * cost_ns,
+            cost_ms: cost.ms(),
             why: format!(
                 "stretches of {stretch} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}), series to {series:.1e}, beyond them {:.1e}",
                 time.0,
@@ -334,5 +339,6 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
                 beyond_series(stretch)
             ),
         },
+        cost,
     })
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use crate::beam::sidescan::far_field_error;
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
 use crate::config::spec::{RigSpec, SonarSpec};
@@ -92,7 +93,7 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
             }
         )?;
     }
-    writeln!(out, "  {:<10} {}", "output", output(told.sonar))?;
+    writeln!(out, "  {:<10} {}", "output", output(told))?;
     let asked = match ranking.goal.image_cells {
         None => format!("tolerance {:.1e}", ranking.goal.tolerance),
         Some(cells) => format!(
@@ -175,13 +176,37 @@ fn displaced(ranking: &Ranking, candidate: &Candidate) -> String {
     }
 }
 
-/// Who reads what is made.
-fn output(sonar: &SonarSpec) -> String {
-    let lines = sonar.beams.lines.len();
+/// Who reads what is made, and what would come of making less.
+fn output(told: &Told) -> String {
+    let sonar = told.sonar;
+    let lines = &sonar.beams.lines;
     let fans = usize::from(sonar.beams.fan.is_some());
-    format!(
-        "elements, {lines} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them"
-    )
+    let mut text = format!(
+        "elements, {} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them",
+        lines.len()
+    );
+    let arrays = lines.iter().map(|line| &sonar.receive[line.array]);
+    let longest_m = arrays
+        .filter(|array| array.elements > 1)
+        .map(|array| array.elements as f64 * array.spacing_m)
+        .fold(0.0, f64::max);
+    if longest_m > 0.0 {
+        let plan = &told.first.plan;
+        let from_m = plan.trajectory.pose_at(0.0).position_m;
+        let scatterers = &told.first.scatterers;
+        let nearest_m = (0..scatterers.len())
+            .map(|i| from_m.distance(scatterers.position_m(i)))
+            .fold(f64::INFINITY, f64::min);
+        let highest_hz = plan.pulse.center_frequency_hz + 0.5 * plan.pulse.bandwidth_hz;
+        let wavenumber_per_m = std::f64::consts::TAU * highest_hz / plan.sound_speed_m_per_s;
+        let error = far_field_error(longest_m, wavenumber_per_m, nearest_m);
+        let enough_m = far_field_error(longest_m, wavenumber_per_m, 1e6) * 1e6 / sonar.synthesis.tolerance;
+        let _ = write!(
+            text,
+            "; one element in place of a line's {longest_m:.2} m would be off by {error:.1e} at {nearest_m:.0} m, and within the tolerance from {enough_m:.0} m on"
+        );
+    }
+    text
 }
 
 /// The same for programs.
@@ -258,9 +283,20 @@ pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
         .map_err(Failure::running)?;
     std::fs::write(file, costs.text())
         .map_err(|why| Failure::Configuration(format!("{}: {why}", file.display())))?;
+    let near = |(_, predicted_ms, took_ms): &&(String, f64, f64)| {
+        (1.0 / 1.5..=1.5).contains(&(predicted_ms / took_ms))
+    };
+    let within = methods.iter().filter(near).count();
     println!(
-        "{methods} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square)\nwrote {}",
-        file.display()
+        "{} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square), {within} of them within 1.5",
+        methods.len()
     );
+    let mut worst: Vec<_> = methods.iter().collect();
+    let off = |(_, predicted_ms, took_ms): &(String, f64, f64)| (predicted_ms / took_ms).ln().abs();
+    worst.sort_by(|a, b| off(b).total_cmp(&off(a)));
+    for (name, predicted_ms, took_ms) in worst.iter().take(12) {
+        println!("  {took_ms:>8.2} ms, {predicted_ms:>8.2} predicted: {name}");
+    }
+    println!("wrote {}", file.display());
     Ok(())
 }

@@ -16,6 +16,8 @@ pub struct Sonar<'a> {
     /// Of the longest ping.
     pub samples: Option<f64>,
     pub has_lines: bool,
+    /// In the water together with the first.
+    pub more_pulses: usize,
 }
 
 fn listen<'t>(
@@ -86,10 +88,27 @@ pub fn jsf<'t>(
         true => vec![u8::try_from(table.integer("silent_subsystem")?).ok()?],
         false => Vec::new(),
     };
+    let subsystem = u8::try_from(table.integer("subsystem")?).ok()?;
+    if staves == Some(false) && table.text("format") == Some("envelope") {
+        let last = usize::from(subsystem) + sonar.more_pulses;
+        if last > usize::from(u8::MAX) {
+            problems.refuse(
+                table.entry("subsystem"),
+                format!("each pulse is a subsystem, and the last would be {last}; JSF counts to 255"),
+            );
+        }
+        let its = usize::from(subsystem)..=last;
+        if silent.iter().any(|&silent| its.contains(&silent.into())) {
+            problems.refuse(
+                table.entry("silent_subsystem"),
+                format!("is one of the sonar's own, {subsystem} to {last}: each pulse is one"),
+            );
+        }
+    }
     Some(JsfSpec {
         listen: commands?,
         listen_data: data?,
-        subsystem: u8::try_from(table.integer("subsystem")?).ok()?,
+        subsystem,
         silent_subsystems: silent,
         channels: match staves? {
             true => JsfChannels::Staves,

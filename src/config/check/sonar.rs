@@ -138,6 +138,7 @@ pub fn sonar<'t>(
         largest: &largest,
         has_lines,
         pulse: pulse.as_ref(),
+        more_pulses: more_pulses.len(),
         beams: beams.as_ref(),
     };
     let outputs = table
@@ -744,8 +745,8 @@ fn model(
 /// What is left to the plan of methods.
 const AUTO: &str = "auto";
 
-/// Of a path that is left to the plan, until it is made, seconds.
-const START_SEGMENT_S: f64 = 0.01;
+/// Of a path that is left to the plan, until it is made, seconds: short enough for any motion there is.
+const START_SEGMENT_S: f64 = 0.001;
 
 fn auto_model(table: &RawTable) -> AutoModel {
     let is_auto = |key: &str| table.text(key) == Some(AUTO);
@@ -999,6 +1000,7 @@ struct Heard<'a, 'b> {
     largest: &'a LargestPing,
     has_lines: bool,
     pulse: Option<&'a Pulse>,
+    more_pulses: usize,
     beams: Option<&'a BeamsSpec>,
 }
 
@@ -1013,6 +1015,7 @@ fn outputs<'t>(
         largest,
         has_lines,
         pulse,
+        more_pulses,
         beams,
     } = heard;
     let mut outputs = Vec::new();
@@ -1026,6 +1029,7 @@ fn outputs<'t>(
         arrays,
         samples: largest.samples(),
         has_lines,
+        more_pulses,
     };
     if table.given("jsf") {
         let spec = table

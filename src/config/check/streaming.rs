@@ -3,13 +3,14 @@
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::only_with;
+use crate::flow::{DopplerModel, Synthesis};
 
 /// With streaming, unless it is given, seconds.
 const AHEAD_S: f64 = 0.1;
 
 pub fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpec> {
     let streaming = table.text("delivery").map(|text| text == "streaming");
-    let keys = &["stream_block_ms", "stream_latency_ms"];
+    let keys = &["stream_block_ms", "stream_latency_ms", "stream_tiles"];
     let condition = "delivery = \"streaming\"";
     only_with(table, keys, streaming, condition, problems);
     Some(match streaming? {
@@ -26,6 +27,40 @@ pub fn ahead_s(table: &RawTable) -> Option<f64> {
         (true, _) => table.scaled("ahead_ms", -3),
         (false, "streaming") => Some(AHEAD_S),
         (false, _) => Some(0.0),
+    }
+}
+
+/// Tiles are pings cut short, and not every way to make a ping can be.
+pub fn refuse_what_has_no_tiles(run: &RawTable, sonars: &[&SonarSpec], problems: &mut Problems) {
+    if run.bool("stream_tiles") != Some(true) {
+        return;
+    }
+    for sonar in sonars {
+        let model = &sonar.model;
+        let one_by_one = [
+            Synthesis::Reference,
+            Synthesis::Direct,
+            Synthesis::Nearest,
+            Synthesis::Linear,
+        ];
+        let is_passband = |output: &OutputSpec| matches!(output, OutputSpec::Vita49(output) if output.passband_rate_hz.is_some());
+        let why = if sonar.synthesis.auto.any() || !one_by_one.contains(&model.synthesis) {
+            "model.synthesis must be \"reference\", \"direct\", \"nearest\" or \"linear\", and nothing \"auto\": other sums need the whole ping"
+        } else if model.doppler == DopplerModel::StretchQuadratic {
+            "model.doppler = \"stretch-quadratic\" fits its curves to the whole ping"
+        } else if sonar.synthesis.certificate {
+            "model.certificate needs the whole ping"
+        } else if !sonar.more_pulses.is_empty() {
+            "further pulses are made with the whole ping"
+        } else if sonar.outputs.iter().any(is_passband) {
+            "output.vita49 makes passband samples of the whole ping"
+        } else {
+            continue;
+        };
+        problems.refuse(
+            run.entry("stream_tiles"),
+            format!("sonar {}: {why}", sonar.name),
+        );
     }
 }
 

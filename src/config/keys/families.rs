@@ -36,7 +36,7 @@ pub static JSF: Table = Table {
             "subsystem",
             Kind::Integer(0, 255),
             Default("20"),
-            "20, 21, 22 side-scan of low, high, very high frequency; 40, 41, 42 bathymetric.",
+            "20, 21, 22 side-scan of low, high, very high frequency; 40, 41, 42 bathymetric. With channels = \"sides\" and format = \"envelope\" the lines of each [[sonar.more_pulse]] are the next one's.",
         ),
         key(
             "silent_subsystem",

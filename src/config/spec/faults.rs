@@ -79,6 +79,8 @@ pub enum FaultKind {
         fault: NavFault,
         quantity: Option<NavChannel>,
     },
+    /// Of the bytes that live navigation sources say.
+    NavBytes(NavByteFault),
     /// A pulse that is due is not sent; its number is used up.
     TriggerMissed,
     /// The sonar is triggered again so much later, and tells it.
@@ -167,6 +169,10 @@ pub enum TransportFault {
     Delay {
         s: f64,
     },
+    /// Held back as by `Delay`, each record for a time of its own up to this.
+    Jitter {
+        s: f64,
+    },
     /// Every record of the ping is lost.
     LinkDown,
 }
@@ -202,6 +208,18 @@ pub enum NavFault {
     /// Off for so long, on for so long, and so on.
     Intermittent {
         s: f64,
+    },
+}
+
+/// What is wrong with a sentence on its way in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NavByteFault {
+    Checksum,
+    /// A line ends in its first field, and the rest is another.
+    Cut,
+    /// So many bytes that are no text before it.
+    Noise {
+        bytes: usize,
     },
 }
 
@@ -242,6 +260,7 @@ impl FaultRequest {
         ("corrupt-mended", "", 0.0, 0.0),
         ("truncate", "", 0.0, 0.0),
         ("delay", "ms", 0.001, 600_000.0),
+        ("jitter", "ms", 0.001, 600_000.0),
         ("link-down", "", 0.0, 0.0),
         ("reset", "", 0.0, 0.0),
         ("half-open", "", 0.0, 0.0),
@@ -252,6 +271,9 @@ impl FaultRequest {
         ("nav-slow", "samples for one", 2.0, 1e6),
         ("nav-delayed", "ms", 1.0, 600_000.0),
         ("nav-intermittent", "ms", 1.0, 600_000.0),
+        ("nav-checksum", "", 0.0, 0.0),
+        ("nav-cut", "", 0.0, 0.0),
+        ("nav-noise", "bytes", 1.0, 1000.0),
         ("trigger-missed", "", 0.0, 0.0),
         ("trigger-double", "ms", 0.001, 60_000.0),
         ("pps-loss", "", 0.0, 0.0),
@@ -272,7 +294,7 @@ impl FaultRequest {
             (_, Some(value)) if (min..=max).contains(&value) => value,
             _ => return refused("value", format!("must be from {min} to {max} {unit}")),
         };
-        if matches!(unit, "bit" | "samples" | "samples for one") && value.fract() != 0.0 {
+        if matches!(unit, "bit" | "samples" | "samples for one" | "bytes") && value.fract() != 0.0 {
             return refused("value", "must be a whole number");
         }
         let of_nav = name.starts_with("nav-");
@@ -280,6 +302,9 @@ impl FaultRequest {
             if given.is_some() && !of_nav {
                 return refused(key, format!("{name} is no fault of navigation"));
             }
+        }
+        if matches!(name, "nav-checksum" | "nav-cut" | "nav-noise") && self.quantity.is_some() {
+            return refused("quantity", format!("{name} strikes whole sentences"));
         }
         if of_nav && self.sonar.is_some() {
             return refused("sonar", "navigation is every sonar's");
@@ -384,6 +409,11 @@ impl FaultRequest {
             }),
             "nav-delayed" => nav(NavFault::Delayed { s: value * 1e-3 }),
             "nav-intermittent" => nav(NavFault::Intermittent { s: value * 1e-3 }),
+            "nav-checksum" => FaultKind::NavBytes(NavByteFault::Checksum),
+            "nav-cut" => FaultKind::NavBytes(NavByteFault::Cut),
+            "nav-noise" => FaultKind::NavBytes(NavByteFault::Noise {
+                bytes: value as usize,
+            }),
             "trigger-missed" => FaultKind::TriggerMissed,
             "trigger-double" => FaultKind::TriggerDouble { s: value * 1e-3 },
             "pps-loss" => FaultKind::PulseLost,
@@ -396,6 +426,7 @@ impl FaultRequest {
             "corrupt-mended" => FaultKind::Transport(TransportFault::Corrupt { mended: true }),
             "truncate" => FaultKind::Transport(TransportFault::Truncate),
             "delay" => FaultKind::Transport(TransportFault::Delay { s: value * 1e-3 }),
+            "jitter" => FaultKind::Transport(TransportFault::Jitter { s: value * 1e-3 }),
             _ => FaultKind::Transport(TransportFault::LinkDown),
         })
     }
@@ -483,6 +514,8 @@ mod tests {
             (r#"{"kind": "nav-off", "quantity": "mood"}"#, "quantity"),
             (r#"{"kind": "nav-wrong", "value": 3}"#, "quantity"),
             (r#"{"kind": "nav-slow", "value": 2.5}"#, "value"),
+            (r#"{"kind": "nav-noise", "value": 2.5}"#, "value"),
+            (r#"{"kind": "nav-cut", "quantity": "heading"}"#, "quantity"),
         ] {
             assert_eq!(ask(json), key, "{json}");
         }

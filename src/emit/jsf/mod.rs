@@ -5,8 +5,9 @@
 //! - [`session`]: commands in, answers out
 //!
 //! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: nothing saturates, and
-//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Not modelled: pulse files, the
-//! sonar's own clock, a coupling of subsystems.
+//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Of several pulses in one ping each
+//! is a subsystem, counted on from the sonar's own, as the frequencies of the maker's are. Not modelled: pulse files, the sonar's own clock, a
+//! coupling of subsystems.
 
 pub mod session;
 
@@ -26,7 +27,7 @@ use echotank_protocols::jsf::{
 };
 
 use crate::config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
-use crate::flow::{Datagram, NavState, PingOutput, PingPlan, PulseKind, Side};
+use crate::flow::{Datagram, Line, NavState, PingOutput, PingPlan, Pulse, PulseKind, Side};
 use crate::time::UtcNs;
 
 /// Thousandths of a pound per square inch in a metre of sea water: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
@@ -70,8 +71,21 @@ impl JsfSheet {
         }
     }
 
+    /// Those of which data come: the sonar's own and, where channels are the lines that pulses have of their own, one for each further pulse.
+    pub fn subsystems(&self) -> impl Iterator<Item = u8> {
+        let own = self.output.subsystem;
+        let further = match (self.output.channels, self.output.format) {
+            (JsfChannels::Sides, JsfFormat::Envelope) => self.sonar.more_pulses.len(),
+            _ => 0,
+        };
+        (0..=further).map(move |pulse| own.wrapping_add(pulse as u8))
+    }
+
     pub fn system_type(&self) -> i32 {
         match self.output.channels {
+            JsfChannels::Sides if self.subsystems().nth(1).is_some() => {
+                system_type::DUAL_FREQUENCY_SIDE_SCAN
+            }
             JsfChannels::Sides => system_type::SINGLE_FREQUENCY_SIDE_SCAN,
             JsfChannels::Staves => system_type::BATHYMETRIC_SINGLE_PULSE,
         }
@@ -89,7 +103,7 @@ impl JsfSheet {
             system_type: self.system_type(),
             low_rate_io: 0,
             software_version: 0,
-            subsystems: 1 + self.output.silent_subsystems.len() as i32,
+            subsystems: (self.subsystems().count() + self.output.silent_subsystems.len()) as i32,
             serial_ports: 0,
             serial_number: (self.sonar.serial & 0x7FFF_FFFF) as i32,
         }
@@ -141,30 +155,42 @@ impl JsfEmitter {
         &self.sheet
     }
 
-    /// Appends the messages of one ping: those of the sensors, then 80 of every channel that `active` says is wanted. Returns the samples
-    /// that were no numbers.
+    /// Appends the messages of one ping: those of the sensors, then 80 of every channel of a subsystem that `active` says is wanted. Returns the
+    /// samples that were no numbers.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
         output: &PingOutput,
-        active: impl Fn(u8) -> bool,
+        active: impl Fn(u8, u8) -> bool,
         into: &mut Vec<Arc<Datagram>>,
     ) -> u64 {
         sensors(plan, output, into);
         let sheet = Arc::clone(&self.sheet);
-        let header = header(&sheet, plan, output);
+        let own = sheet.output.subsystem;
+        let header = header(&sheet, plan, &plan.pulse, 0.0, output);
         let mut not_finite = 0;
         let mut channel: usize = 0;
         match sheet.output.channels {
             JsfChannels::Sides => {
                 for line in &sheet.sonar.beams.lines {
-                    let number = match line.side {
-                        Side::Port => 0,
-                        Side::Starboard => 1,
-                    };
-                    if active(number) {
+                    let number = channel_of(line.side);
+                    if active(own, number) {
                         not_finite +=
                             self.side(plan, output, line.side, line.array, number, header, into);
+                    }
+                }
+                let pulses = sheet.sonar.more_pulses.iter().zip(&output.more_lines);
+                for (subsystem, (more, made)) in sheet.subsystems().skip(1).zip(pulses) {
+                    let pulse = Pulse {
+                        duration_s: plan.pulse.duration_s,
+                        ..more.pulse
+                    };
+                    let header = self::header(&sheet, plan, &pulse, made.delay_s, output);
+                    for line in &made.lines {
+                        let channel = channel_of(line.side);
+                        if active(subsystem, channel) {
+                            not_finite += self.line(line, (subsystem, channel), header, into);
+                        }
                     }
                 }
             }
@@ -177,7 +203,7 @@ impl JsfEmitter {
                         // The configuration keeps them to 256.
                         let number = channel as u8;
                         channel += 1;
-                        if active(number) {
+                        if active(own, number) {
                             self.row.clear();
                             self.row.extend_from_slice(frame.element(e));
                             not_finite += self.row_message(plan, number, header, into);
@@ -204,14 +230,8 @@ impl JsfEmitter {
             let Some(line) = output.lines.iter().find(|line| line.side == side) else {
                 return 0;
             };
-            self.floats.clear();
-            self.floats.extend_from_slice(&line.amplitude);
-            // A line begins with the pulse.
-            let header = SonarDataHeader {
-                starting_depth_samples: 0,
-                ..header
-            };
-            return self.message(number, header, DataFormat::Envelope, into);
+            let subsystem = self.sheet.output.subsystem;
+            return self.line(line, (subsystem, number), header, into);
         }
         // The whole face is one hydrophone: the mean of its elements.
         let Some(frame) = output.elements.iter().find(|frame| frame.array == array) else {
@@ -226,6 +246,24 @@ impl JsfEmitter {
             }
         }
         self.row_message(plan, number, header, into)
+    }
+
+    /// A side's envelope.
+    fn line(
+        &mut self,
+        line: &Line,
+        to: (u8, u8),
+        header: SonarDataHeader,
+        into: &mut Vec<Arc<Datagram>>,
+    ) -> u64 {
+        self.floats.clear();
+        self.floats.extend_from_slice(&line.amplitude);
+        // A line begins with the pulse.
+        let header = SonarDataHeader {
+            starting_depth_samples: 0,
+            ..header
+        };
+        self.message(to, header, DataFormat::Envelope, into)
     }
 
     /// `self.row` as the format asks.
@@ -251,13 +289,14 @@ impl JsfEmitter {
             self.floats
                 .extend(self.row.iter().flat_map(|v| [v.re as f32, v.im as f32]));
         }
-        self.message(number, header, format, into)
+        let subsystem = self.sheet.output.subsystem;
+        self.message((subsystem, number), header, format, into)
     }
 
-    /// `self.floats` as one message 80.
+    /// `self.floats` as one message 80 of a subsystem's channel.
     fn message(
         &mut self,
-        channel: u8,
+        (subsystem, channel): (u8, u8),
         mut header: SonarDataHeader,
         format: DataFormat,
         into: &mut Vec<Arc<Datagram>>,
@@ -268,7 +307,6 @@ impl JsfEmitter {
         header.weighting = scaled.weighting;
         header.adc_largest = scaled.largest;
         header.set_samples(self.shorts.len() / format.shorts_per_sample());
-        let subsystem = self.sheet.output.subsystem;
         push(into, message_type::SONAR_DATA, subsystem, channel, |buf| {
             emit_80(buf, subsystem, channel, &header, &self.shorts);
         });
@@ -300,7 +338,21 @@ pub fn altitude_m(output: &PingOutput, sound_speed_m_per_s: f64) -> Option<f64> 
         .min_by(f64::total_cmp)
 }
 
-fn header(sheet: &JsfSheet, plan: &PingPlan, output: &PingOutput) -> SonarDataHeader {
+fn channel_of(side: Side) -> u8 {
+    match side {
+        Side::Port => 0,
+        Side::Starboard => 1,
+    }
+}
+
+/// Of a pulse that leaves `late_s` after the sonar's own.
+fn header(
+    sheet: &JsfSheet,
+    plan: &PingPlan,
+    pulse: &Pulse,
+    late_s: f64,
+    output: &PingOutput,
+) -> SonarDataHeader {
     let rate_hz = sheet.sonar.receiver.sample_rate_hz;
     let nav = &plan.nav;
     let mut h = SonarDataHeader {
@@ -321,16 +373,16 @@ fn header(sheet: &JsfSheet, plan: &PingPlan, output: &PingOutput) -> SonarDataHe
         software_version: SOFTWARE_VERSION,
         ..SonarDataHeader::default()
     };
-    h.set_utc_ns(plan.stamp_utc.0);
-    let half = 0.5 * plan.pulse.bandwidth_hz;
-    let center = plan.pulse.center_frequency_hz;
-    let (start, end) = match plan.pulse.kind {
+    h.set_utc_ns(plan.stamp_utc.plus_s(late_s).0);
+    let half = 0.5 * pulse.bandwidth_hz;
+    let center = pulse.center_frequency_hz;
+    let (start, end) = match pulse.kind {
         PulseKind::LfmUp => (center - half, center + half),
         PulseKind::LfmDown => (center + half, center - half),
         PulseKind::Cw => (center, center),
     };
     h.set_frequencies_hz(start, end);
-    h.set_sweep_length_s(plan.pulse.duration_s);
+    h.set_sweep_length_s(pulse.duration_s);
     h.set_position_rad(nav.latitude_rad, nav.longitude_rad);
     h.set_heading_rad(nav.heading_rad);
     h.set_pitch_roll_rad(nav.pitch_rad, nav.roll_rad);

@@ -7,6 +7,7 @@
 //! - 121 is the amplitude of the transmitter over its largest, times 1000: 20 log10 of it goes on the source level's upper limit. 140 is the
 //!   receiver's gain as a factor, times 1000.
 //! - Subsystems that the sonar answers for without having them (`silent_subsystems`) keep and report all they are told, and change nothing.
+//! - The subsystems of further pulses in the same ping have the sonar's settings: what is set for one is set for all, but 83, which is a channel's.
 //! - 25 stops the pings, as a client in wide use sends it when it leaves; the daemon goes on.
 //! - 22 cannot be set: the time is the navigation's.
 
@@ -241,7 +242,8 @@ impl Client {
                 | message_type::SYSTEM_TYPE
                 | message_type::OPERATIONAL
         );
-        if for_the_whole || control.subsystem == output.subsystem {
+        let has_data = self.sheet.subsystems().any(|its| its == control.subsystem);
+        if for_the_whole || has_data {
             if kind == message_type::DATA_ACTIVE
                 && usize::from(control.channel) >= self.sheet.channels().max(2)
             {

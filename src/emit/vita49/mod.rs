@@ -3,6 +3,8 @@
 //! The time of a packet is that of its first sample, in UTC and picoseconds, counted from the stamp of the ping. Frequencies are those at the
 //! transducer; for passband samples the intermediate frequency says that they are where they were. Full scale in dBm is across 50 ohm.
 
+use std::ops::Range;
+
 use echotank_protocols::vita49::{Context, SignalStream, Trailer, VrtTime};
 
 use super::blocks::blocks;
@@ -92,16 +94,29 @@ impl Vita49Emitter {
         lost: bool,
         into: &mut Packets,
     ) -> EmitCounts {
+        self.emit_rows(plan, output, 0..plan.sample_count, lost, into)
+    }
+
+    /// The same of some of its moments, from the start of a block to the end of one; `output` has those up to there at least. Passband samples want
+    /// all of them.
+    pub fn emit_rows(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        rows: Range<usize>,
+        lost: bool,
+        into: &mut Packets,
+    ) -> EmitCounts {
         into.clear();
         let elements = elements_of(output, &self.arrays).count();
-        if elements == 0 || plan.sample_count == 0 {
+        if elements == 0 || rows.is_empty() {
             return EmitCounts::default();
         }
         let saturated = match &mut self.passband {
             None => interleave_iq(
                 output,
                 &self.arrays,
-                plan.sample_count,
+                rows.end,
                 self.full_scale_v,
                 &mut self.iq,
             ),
@@ -121,14 +136,29 @@ impl Vita49Emitter {
         };
         let start = VrtTime::from_utc_ns(plan.stamp_utc.0)
             .plus_ps((plan.first_sample_s.max(0.0) * 1e12).round() as u128);
-        self.emit_contexts(plan, start, into);
+        if rows.start == 0 {
+            self.emit_contexts(plan, start, into);
+        }
         let trailer = Trailer {
             calibrated_time: Some(true),
             valid_data: Some(true),
             over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
             sample_loss: Some(lost),
+            // Not stated where nothing is wrong: the bits are those of a machine that keeps up.
+            degraded: output.strain.tolerance.map(|_| true),
         };
-        self.emit_samples(plan.first_sample_s, start, elements, trailer, into);
+        self.emit_samples(
+            plan.first_sample_s,
+            start,
+            (elements, rows.start),
+            trailer,
+            into,
+        );
+        let saturated = match rows.end == plan.sample_count {
+            true => saturated,
+            // Counted with the whole ping.
+            false => 0,
+        };
         let counts = EmitCounts {
             records: into.len() as u64,
             bytes: into.len_bytes() as u64,
@@ -161,12 +191,12 @@ impl Vita49Emitter {
         }
     }
 
-    /// Packet by packet, all streams of a time together.
+    /// Packet by packet, all streams of a time together, from a moment on.
     fn emit_samples(
         &mut self,
         first_sample_s: f64,
         start: VrtTime,
-        elements: usize,
+        (elements, from): (usize, usize),
         trailer: Trailer,
         into: &mut Packets,
     ) {
@@ -179,7 +209,8 @@ impl Vita49Emitter {
         } / elements;
         let per_packet = self.streams[0].moments_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
-        for (block, end_s) in blocks(moments, rate_hz, self.block_s) {
+        let all = blocks(moments, rate_hz, self.block_s);
+        for (block, end_s) in all.filter(|(block, _)| block.start >= from) {
             for first in block.clone().step_by(per_packet) {
                 let rows = first..(first + per_packet).min(block.end);
                 // From the ping's start every time, so that rounding does not add up.

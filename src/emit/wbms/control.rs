@@ -2,8 +2,8 @@
 //!
 //! A line is a command; what has no end is taken as a command when it is a whole one, or when nothing more comes: a client in wide use sends no
 //! ends of lines. Every answer repeats the command with the values now in force; what was refused says why behind `#`. The rate, the range's
-//! far end, the pulse's amplitude (0 to 15, evenly over the limits of the source level) and length, power and trigger change the sonar; the
-//! others are kept and change nothing.
+//! far end, the gain, the pulse's amplitude (0 to 15, evenly over the limits of the source level) and length, power and trigger change the sonar,
+//! the rates of snippets and water column how often these come; the others are kept and change nothing.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -198,6 +198,7 @@ impl Client {
             Command::RangeM { stop, .. } => vec![SettingChange::RangeM(stop)],
             Command::RateHz(-1.0) => vec![SettingChange::MaxPingRateHz(limits.ping_rate_hz.1)],
             Command::RateHz(hz) => vec![SettingChange::MaxPingRateHz(hz)],
+            Command::GainDb(db) => vec![SettingChange::GainDb(db)],
             Command::Tx {
                 amplitude,
                 length_us,
@@ -231,6 +232,7 @@ impl Client {
             Command::RangeM { start, .. } => told.start_m = start,
             Command::SidescanMode(mode) => told.sidescan_mode = mode,
             Command::SnippetRateHz(hz) => told.snippet_rate_hz = hz,
+            Command::WaterColumnRateHz(hz) => told.water_column_rate_hz = hz,
             Command::Default => *told = Told::of(&self.device.sonar),
             _ => {}
         }
@@ -240,15 +242,25 @@ impl Client {
 
     /// Keeps what the model has no use for.
     fn keep(&self, word: &str, command: &Command, asked: Asked) -> Result<(), String> {
+        if let (Command::NtpServer(server), Some(key)) = (command, key_of(word)) {
+            let kept = self.settings.keep(key, KeptValue::Text(server.clone()), asked);
+            return kept.map_err(|refused| refused.to_string());
+        }
         let numbers = match *command {
             Command::Mode(value)
             | Command::GateMode(value)
             | Command::AutogatePreset(value)
+            | Command::TxBeams(value)
+            | Command::MfDecimation(value)
+            | Command::TimeSource(value)
             | Command::TriggerMode(value) => vec![f64::from(value)],
             Command::Flip(value) => vec![f64::from(u8::from(value))],
             Command::GateTiltDeg(value)
             | Command::DirectionDeg(value)
-            | Command::OpeningAngleDeg(value) => vec![value],
+            | Command::OpeningAngleDeg(value)
+            | Command::VgaDb(value)
+            | Command::TxDirectionDeg(value)
+            | Command::TxOpeningAngleDeg(value) => vec![value],
             Command::Resolution {
                 vertical,
                 horizontal,
@@ -290,6 +302,8 @@ impl Client {
             "set_power" => vec![f64::from(u8::from(settings.pinging))],
             "set_sidescan_mode" => vec![f64::from(told.sidescan_mode)],
             "set_snippet_rate" => vec![told.snippet_rate_hz],
+            "set_tp_rate" => vec![told.water_column_rate_hz],
+            "set_gain" => vec![settings.gain_db],
             "set_trigger_mode" => vec![match (self.settings.trigger(), self.kept(word)) {
                 (TriggerSource::External, Some(kept)) => kept.first().copied().unwrap_or(4.0),
                 (TriggerSource::External, None) => 4.0,
@@ -309,7 +323,10 @@ impl Client {
                 .kept(word)
                 .filter(|kept| kept.first().is_some_and(|&c| c > 0.0))
                 .unwrap_or_else(|| vec![self.device.sound_speed_m_per_s]),
-            "set_mode" => self.kept(word).unwrap_or_else(|| vec![1.0]),
+            "set_mode" | "set_tx_beam_number" | "set_mf_decimation" => {
+                self.kept(word).unwrap_or_else(|| vec![1.0])
+            }
+            "set_ntp_server" => Vec::new(),
             "set_resolution" => self.kept(word).unwrap_or_else(|| vec![0.0, 0.0]),
             _ if key_of(word).is_some() => self.kept(word).unwrap_or_else(|| vec![0.0]),
             _ => Vec::new(),
@@ -318,9 +335,13 @@ impl Client {
             ("revision", "") => concat!("echotank ", env!("CARGO_PKG_VERSION")),
             ("partno", "") => "simulator",
             ("temperature", "") => "not modelled",
+            ("bit_log" | "ntp_log", "") => "empty",
             (_, comment) => comment,
         };
-        answer(word, &values, comment)
+        match key_of(word).and_then(|key| self.settings.kept(key)) {
+            Some(KeptValue::Text(text)) => answer(&format!("{word} {text}"), &values, comment),
+            _ => answer(word, &values, comment),
+        }
     }
 
     fn kept(&self, word: &str) -> Option<Vec<f64>> {
@@ -332,7 +353,7 @@ impl Client {
 }
 
 /// Commands whose values are only kept, wholly or in part.
-const KEPT: [&str; 11] = [
+const KEPT: [&str; 18] = [
     "set_mode",
     "set_flip",
     "set_gate_mode",
@@ -344,6 +365,13 @@ const KEPT: [&str; 11] = [
     "set_trigger_mode",
     "sound_velocity",
     "set_autogate_preset",
+    "set_vga",
+    "set_tx_direction",
+    "set_tx_opening_angle",
+    "set_tx_beam_number",
+    "set_mf_decimation",
+    "set_time_source",
+    "set_ntp_server",
 ];
 
 fn key_of(word: &str) -> Option<KeptKey> {

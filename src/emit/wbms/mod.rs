@@ -42,6 +42,7 @@ pub struct Told {
     pub sidescan_mode: u8,
     /// -1 with every ping, 0 none.
     pub snippet_rate_hz: f64,
+    pub water_column_rate_hz: f64,
 }
 
 impl Device {
@@ -71,6 +72,7 @@ impl Told {
             start_m: 0.0,
             sidescan_mode: u8::from(!sonar.beams.lines.is_empty()),
             snippet_rate_hz: -1.0,
+            water_column_rate_hz: -1.0,
         }
     }
 }
@@ -94,6 +96,7 @@ pub struct WbmsEmitter {
     starts: Vec<u16>,
     centres: Vec<u16>,
     last_snippets: Option<UtcNs>,
+    last_water_column: Option<UtcNs>,
     saturated: u64,
 }
 
@@ -113,6 +116,7 @@ impl WbmsEmitter {
             starts: Vec::new(),
             centres: Vec::new(),
             last_snippets: None,
+            last_water_column: None,
             saturated: 0,
         }
     }
@@ -135,7 +139,9 @@ impl WbmsEmitter {
         if wanted.bathymetry && self.device.sonar.beams.fan.is_some() {
             into.push(self.bathymetry(plan, &output.soundings, &told));
         }
-        if let (true, Some(fan)) = (wanted.water_column, output.beams.first()) {
+        if let (true, Some(fan)) = (wanted.water_column, output.beams.first())
+            && is_time(plan, told.water_column_rate_hz, &mut self.last_water_column)
+        {
             into.push(self.water_column(plan, fan));
         }
         if !wanted.side_scan {
@@ -144,7 +150,7 @@ impl WbmsEmitter {
         if told.sidescan_mode != 0 && !output.lines.is_empty() {
             into.push(self.side_scan(plan, &output.lines));
         } else if let Some(fan) = output.beams.first()
-            && self.is_time_for_snippets(plan, &told)
+            && is_time(plan, told.snippet_rate_hz, &mut self.last_snippets)
             && !output.soundings.is_empty()
         {
             into.push(self.snippets(plan, fan, &output.soundings));
@@ -302,20 +308,6 @@ impl WbmsEmitter {
         })
     }
 
-    fn is_time_for_snippets(&mut self, plan: &PingPlan, told: &Told) -> bool {
-        let is_time = match (told.snippet_rate_hz, self.last_snippets) {
-            (0.0, _) => false,
-            (rate_hz, Some(last)) if rate_hz > 0.0 => {
-                plan.transmit_utc.seconds_since(last) * rate_hz >= 1.0
-            }
-            _ => true,
-        };
-        if is_time {
-            self.last_snippets = Some(plan.transmit_utc);
-        }
-        is_time
-    }
-
     /// Type 4: the same number of samples around every detection.
     fn snippets(
         &mut self,
@@ -361,6 +353,19 @@ impl WbmsEmitter {
             emit_backscatter(buf, &head, samples, tail);
         })
     }
+}
+
+/// Whether a ping's packet goes out at a rate: -1 with every ping, 0 never.
+fn is_time(plan: &PingPlan, rate_hz: f64, last: &mut Option<UtcNs>) -> bool {
+    let is_time = match *last {
+        _ if rate_hz == 0.0 => false,
+        Some(last) if rate_hz > 0.0 => plan.transmit_utc.seconds_since(last) * rate_hz >= 1.0,
+        _ => true,
+    };
+    if is_time {
+        *last = Some(plan.transmit_utc);
+    }
+    is_time
 }
 
 /// Of the ping, seconds since 1970.

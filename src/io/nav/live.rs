@@ -237,13 +237,16 @@ impl Live {
         let Some(timeline) = self.timeline else {
             return;
         };
-        while let Some(chunk) = self
+        while let Some(mut chunk) = self
             .kept
             .pop_front()
             .or_else(|| self.chunks.try_recv().ok())
         {
             let source = &mut self.sources[chunk.source];
             let samples = &mut self.samples;
+            if let Some(spoiler) = &mut feed.spoiler {
+                spoiler.bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
+            }
             let pace = (source.stream, source.byte_ns);
             decode(&mut source.decoder, &chunk, pace, timeline, samples);
             for sample in samples.drain(..) {

@@ -1,10 +1,12 @@
-//! How fast datagrams leave: a token bucket for each stream ([`bucket`]), several datagrams in one call of the kernel ([`batch`]).
+//! How fast datagrams leave: a token bucket for each stream ([`bucket`]), several datagrams in one call of the kernel ([`batch`]); and the pace of
+//! TCP connections ([`stream`]).
 //!
 //! A receiver's socket takes 208 kB on a stock Linux; a ping may be megabytes. Spread over a part of the time to the next ping it is never
 //! much more than a few groups ahead of whoever reads.
 
 pub mod batch;
 pub mod bucket;
+pub mod stream;
 
 use std::sync::Arc;
 

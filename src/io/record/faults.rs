@@ -4,7 +4,11 @@
 //! |---|---|
 //! | `fault`, `kind` | its number in this run and its kind |
 //! | `sonar`, `ping_number`, `utc_ns` | the ping it struck, and the start of its pulse in rig time |
-//! | `record_type` | of faults of the line: the record |
+//! | `line` | of faults of the line: the family, `7k`, `jsf`, `wbms`, `ping`, `ping-serial`, `imagenex872`, `vita49` or `elements` |
+//! | `record_type` | and the record: its number; of JSF type + 65536 subsystem + 2^24 channel; of packets which one of its ping, from 1 |
+//! | `frame_number` | of an element stream |
+//! | `stream`, `context`, `packet_utc_ns` | of VITA 49: the stream, whether it is a context packet, the time it says |
+//! | `source`, `quantity` | of faults of navigation |
 //! | `array`, `element` | of faults of elements: where; absent: all |
 //! | `strength` | how far it had grown, 0 to 1 |
 

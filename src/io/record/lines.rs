@@ -2,8 +2,11 @@
 //!
 //! - `.s7k`: 7000 (sample rate, sound speed, pulse), 7007 (the lines), and 1003, 1012 and 1013 for place, pitch and heading, each taken at the
 //!   start of the pulse, linearly between its records. Where the arrays sit on the body is in no record of ours: places are the reference point's.
+//!
 //! - `.npz`: `lines`, `line_side`, `line_position_m`, `position_m`, `attitude_deg`, `geodetic_deg`, `velocity_m_per_s` and the scalars. Stored
 //!   members only, little-endian, C order.
+//!
+//! Of several pulses in one ping the lines of one are read: 7000 and 7007 of its number in the multi-ping sequence, `more_lines` of an `.npz`.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -49,15 +52,15 @@ pub enum LinesError {
     Unfit { path: PathBuf, why: String },
 }
 
-/// Every ping that has lines and a place, in the order of the file.
-pub fn read(path: &Path) -> Result<Vec<RecordedPing>, LinesError> {
+/// Every ping that has lines of `pulse` (1 is the sonar's own) and a place, in the order of the file.
+pub fn read(path: &Path, pulse: u16) -> Result<Vec<RecordedPing>, LinesError> {
     let bytes = std::fs::read(path).map_err(|source| LinesError::Unreadable {
         path: path.to_owned(),
         source,
     })?;
     let pings = match bytes.starts_with(b"PK") {
-        true => of_npz(bytes),
-        false => of_s7k(&bytes),
+        true => of_npz(bytes, pulse),
+        false => of_s7k(&bytes, pulse),
     };
     pings.map_err(|why| LinesError::Unfit {
         path: path.to_owned(),
@@ -101,7 +104,12 @@ impl<const N: usize> Track<N> {
     }
 }
 
-fn of_s7k(bytes: &[u8]) -> Result<Vec<RecordedPing>, String> {
+/// Where a ping has one pulse, its records say 0.
+fn is_of(pulse: u16, multi_ping_sequence: u16) -> bool {
+    multi_ping_sequence.max(1) == pulse
+}
+
+fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
     let mut settings: HashMap<u32, SonarSettings7000> = HashMap::new();
     let mut places = Track::<2>::default();
     let mut pitches = Track::<1>::default();
@@ -132,16 +140,15 @@ fn of_s7k(bytes: &[u8]) -> Result<Vec<RecordedPing>, String> {
         match id {
             7000 => {
                 if let Ok(found) = SonarSettings7000::parse(body)
-                    && found.multi_ping_sequence <= 1
+                    && is_of(pulse, found.multi_ping_sequence)
                 {
                     settings.insert(found.ping_number, found);
                 }
             }
-            // Of several pulses the sonar's own: where the others look, no record says.
             7007 => {
                 let line = SideScan7007::parse(body).ok();
-                let own = line.filter(|line| line.rth.multi_ping_sequence <= 1);
-                lines.extend(own.map(|line| (utc_ns, line)));
+                let its = line.filter(|line| is_of(pulse, line.rth.multi_ping_sequence));
+                lines.extend(its.map(|line| (utc_ns, line)));
             }
             1003 => {
                 if let Ok(p) = Position1003::parse(body)
@@ -174,7 +181,7 @@ fn of_s7k(bytes: &[u8]) -> Result<Vec<RecordedPing>, String> {
     }
     if lines.is_empty() {
         return Err(format!(
-            "{records} records and no side-scan line (7007) among them; {faults} faults"
+            "{records} records and no side-scan line (7007) of pulse {pulse} among them; {faults} faults"
         ));
     }
     places.sort();
@@ -249,7 +256,7 @@ struct Array {
     numbers: Vec<f64>,
 }
 
-fn of_npz(bytes: Vec<u8>) -> Result<Vec<RecordedPing>, String> {
+fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
     let mut zip = zip::ZipArchive::new(std::io::Cursor::new(bytes))
         .map_err(|e| format!("is no whole .npz: {e}"))?;
     let mut array = |name: &str| -> Result<Array, String> {
@@ -262,13 +269,24 @@ fn of_npz(bytes: Vec<u8>) -> Result<Vec<RecordedPing>, String> {
             .map_err(|e| format!("{name}: {e}"))?;
         npy(&bytes).map_err(|why| format!("{name}: {why}"))
     };
-    let lines = array("lines")?;
-    let &[pings, sides, samples] = lines.shape.as_slice() else {
-        return Err(format!(
-            "lines: {} dimensions, 3 are wanted",
-            lines.shape.len()
-        ));
+    // A pulse and its own lines: those of the sonar's lie in a member of their own.
+    let more = usize::from(pulse).saturating_sub(2);
+    let (lines, delay_s) = match pulse {
+        0 | 1 => (array("lines")?, 0.0),
+        _ => {
+            let lines = array("more_lines")?;
+            let delays = array("more_pulse_delay_s")?;
+            (lines, delays.numbers.get(more).copied().unwrap_or(0.0))
+        }
     };
+    let (pings, pulses, sides, samples) = match (pulse, lines.shape.as_slice()) {
+        (0 | 1, &[pings, sides, samples]) => (pings, 1, sides, samples),
+        (2.., &[pings, pulses, sides, samples]) => (pings, pulses, sides, samples),
+        (_, shape) => return Err(format!("lines: {} dimensions", shape.len())),
+    };
+    if more >= pulses {
+        return Err(format!("lines: {} pulses, not {pulse}", pulses + 1));
+    }
     if pings * sides * samples == 0 {
         return Err("lines: there are none".into());
     }
@@ -289,6 +307,10 @@ fn of_npz(bytes: Vec<u8>) -> Result<Vec<RecordedPing>, String> {
     let geodetic = shaped("geodetic_deg", &[pings, 2])?;
     let numbers = shaped("ping_number", &[pings])?;
     let utc_ns = shaped("ping_utc_ns", &[pings])?;
+    let velocity = match delay_s > 0.0 {
+        true => shaped("velocity_m_per_s", &[pings, 3])?,
+        false => vec![0.0; 3 * pings],
+    };
     let c = shaped("sound_speed_m_per_s", &[])?[0];
     let rate_hz = shaped("sample_rate_hz", &[])?[0];
     if !(c > 0.0 && rate_hz > 0.0) {
@@ -303,8 +325,11 @@ fn of_npz(bytes: Vec<u8>) -> Result<Vec<RecordedPing>, String> {
             let mut made = Vec::new();
             for (s, side) in side.iter().enumerate() {
                 let starboard = *side > 0.0;
-                let row = p * sides + s;
-                arms_m[usize::from(starboard)] = triple(&places, row) - triple(&reference, p);
+                // The arrays go on until the pulse leaves.
+                let ahead_m = delay_s * triple(&velocity, p);
+                arms_m[usize::from(starboard)] =
+                    triple(&places, p * sides + s) - triple(&reference, p) + ahead_m;
+                let row = (p * pulses + more) * sides + s;
                 let amplitude = &lines.numbers[row * samples..(row + 1) * samples];
                 made.push(Line {
                     side: if starboard {
@@ -326,7 +351,7 @@ fn of_npz(bytes: Vec<u8>) -> Result<Vec<RecordedPing>, String> {
                 sound_speed_m_per_s: c,
                 axis: RangeAxis::new(c, rate_hz),
                 lines: made,
-                utc_ns: utc_ns[p] as i64,
+                utc_ns: utc_ns[p] as i64 + (delay_s * 1e9) as i64,
             }
         })
         .collect())
@@ -406,7 +431,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("dir");
         let path = dir.path().join("rec");
         std::fs::write(&path, bytes).expect("written");
-        read(&path).expect_err("refused").to_string()
+        read(&path, 1).expect_err("refused").to_string()
     }
 
     #[test]
@@ -414,7 +439,7 @@ mod tests {
         assert!(error(b"").contains("is empty"));
         assert!(error(b"hello, world; this is a text file\n").contains("holds no 7k record"));
         assert!(error(b"PK\x03\x04 and then nothing").contains("is no whole .npz"));
-        let missing = read(Path::new("/no/such/file.s7k")).expect_err("refused");
+        let missing = read(Path::new("/no/such/file.s7k"), 1).expect_err("refused");
         assert!(
             missing
                 .to_string()
@@ -456,14 +481,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400), npz: bool) {
+        fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400), npz: bool, pulse in 0..4_u16) {
             let mut bytes = bytes;
             if npz {
                 bytes.splice(0..0, *b"PK\x03\x04");
             }
             let _ = match bytes.starts_with(b"PK") {
-                true => of_npz(bytes.clone()),
-                false => of_s7k(&bytes),
+                true => of_npz(bytes.clone(), pulse),
+                false => of_s7k(&bytes, pulse),
             };
             let _ = npy(&bytes);
         }

@@ -174,7 +174,8 @@ pub fn recover_folder(folder: &Path) -> Vec<String> {
     let paths = entries.flatten().map(|entry| entry.path());
     let is_kind = |path: &PathBuf| {
         let name = path.file_name().and_then(|name| name.to_str());
-        let is_ours = |name: &str| !name.ends_with(".jsonl") || name.starts_with("faults-");
+        let is_log = |name: &str| name.starts_with("faults-") || name.starts_with("overload-");
+        let is_ours = |name: &str| !name.ends_with(".jsonl") || is_log(name);
         name.is_some_and(|name| is_ours(name) && KINDS.iter().any(|kind| name.ends_with(kind)))
     };
     let mut paths: Vec<_> = paths.filter(is_kind).collect();

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::RecordError;
 use crate::config::spec::SonarSpec;
 use crate::emit::elements::interleave_iq;
-use crate::flow::{PingOutput, PingPlan, PulseKind};
+use crate::flow::{PingOutput, PingPlan, PulseKind, Strain};
 
 /// Pings that a recording may hold without words for them.
 const MOST_PINGS_UNSAID: usize = 1024;
@@ -149,7 +149,7 @@ impl SigmfRecorder {
         if let Err(source) = self.data.write_all(&self.bytes) {
             return Err(self.stop(source));
         }
-        let (capture, annotation) = words_of(plan, self.samples, saturated);
+        let (capture, annotation) = words_of(plan, output.strain, self.samples, saturated);
         // The samples first: the journal has words for none that are not there.
         let line = journal_line(&capture, &annotation);
         if let Err(source) = self.journal.write_all(line.as_bytes()) {
@@ -205,7 +205,15 @@ impl Drop for SigmfRecorder {
     }
 }
 
-fn words_of(plan: &PingPlan, sample_start: u64, saturated: u64) -> (Capture, Annotation) {
+fn words_of(
+    plan: &PingPlan,
+    strain: Strain,
+    sample_start: u64,
+    saturated: u64,
+) -> (Capture, Annotation) {
+    let looser = strain.tolerance.map_or_else(String::new, |tolerance| {
+        format!("; computing did not keep up: made within {tolerance:e}")
+    });
     let (pulse, nav, settings) = (&plan.pulse, &plan.nav, &plan.settings);
     let capture = Capture {
         sample_start,
@@ -223,7 +231,7 @@ fn words_of(plan: &PingPlan, sample_start: u64, saturated: u64) -> (Capture, Ann
         sample_count: plan.sample_count as u64,
         label: format!("ping {}", plan.ping_number),
         comment: format!(
-            "{kind} of {:.6} s; range {} m, {:.3} pings/s, source level {} dB, gain {} dB, c {} m/s; latitude {:.7}, longitude {:.7}, heading {:.3}, roll {:.3}, pitch {:.3} deg, heave {:.3} m down; {saturated} values held",
+            "{kind} of {:.6} s; range {} m, {:.3} pings/s, source level {} dB, gain {} dB, c {} m/s; latitude {:.7}, longitude {:.7}, heading {:.3}, roll {:.3}, pitch {:.3} deg, heave {:.3} m down; {saturated} values held{looser}",
             pulse.duration_s,
             settings.range_m,
             plan.ping_rate_hz,

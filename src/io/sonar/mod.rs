@@ -17,6 +17,7 @@
 pub mod client;
 mod dial;
 pub mod elements;
+pub mod heard;
 mod paced;
 mod queue;
 mod sevenk;
@@ -222,6 +223,7 @@ impl SonarServer {
             protocol,
             sending: OnceLock::new(),
             mute: AtomicBool::new(false),
+            paces_tcp: AtomicBool::new(false),
             paced: OnceLock::new(),
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -265,12 +267,18 @@ impl SonarServer {
         let _ = self.shared.sending.set(sending);
     }
 
+    /// What is spread over time is so for TCP clients too, from now on.
+    pub fn set_paces_tcp(&self, paces_tcp: bool) {
+        self.shared.paces_tcp.store(paces_tcp, Ordering::Relaxed);
+    }
+
     /// Queues records for every client that wants them. Never waits for a client.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
         self.deliver_over(records, 0.0);
     }
 
-    /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once.
+    /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once. For a TCP client too, where
+    /// [`Self::set_paces_tcp`] says so.
     pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         let records = match &mut *line {
@@ -286,6 +294,11 @@ impl SonarServer {
     /// All that is delivered passes `line` from now on.
     pub fn set_line(&self, line: Box<dyn Line>) {
         *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+    }
+
+    /// How its connections are to be from now on.
+    pub fn connect(&self, connection: Connection) {
+        self.shared.connect(connection);
     }
 
     pub fn report(&self) -> ServerReport {
@@ -417,6 +430,8 @@ struct Shared {
     sending: OnceLock<Sending>,
     /// TCP clients stay, and nothing is written or read.
     mute: AtomicBool,
+    /// TCP clients get what is spread over time so.
+    paces_tcp: AtomicBool,
     /// Begun with the first datagram; none where there can be no thread.
     paced: OnceLock<Option<PacedSender>>,
     queue: QueueLimit,

@@ -1,6 +1,7 @@
 //! TCP clients: one task each, that reads commands and writes records side by side.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use socket2::SockRef;
@@ -13,6 +14,7 @@ use tokio::time::{Instant, sleep, timeout, timeout_at};
 
 use super::queue::Client;
 use super::{Seat, Shared, Transport, stopping};
+use crate::io::pace::stream::set_pace;
 
 const READ_BYTES: usize = 16 * 1024;
 
@@ -132,6 +134,7 @@ async fn write_all(
 ) {
     let mut framer = shared.protocol.framer(Transport::Tcp);
     let (mut wire, mut packets) = (Vec::new(), Vec::new());
+    let mut pace_bytes_per_s = f64::INFINITY;
     loop {
         tokio::select! {
             () = shared.unmuted() => {}
@@ -139,6 +142,15 @@ async fn write_all(
             () = stopping(&mut stopped) => {}
         }
         while let Some(taken) = client.take() {
+            let wanted = match shared.paces_tcp.load(Ordering::Relaxed) {
+                true => client.pace_bytes_per_s(&taken),
+                false => f64::INFINITY,
+            };
+            if wanted != pace_bytes_per_s {
+                // A system that knows no pace sends at once.
+                let _ = set_pace(stream.as_ref(), wanted);
+                pace_bytes_per_s = wanted;
+            }
             wire.clear();
             packets.clear();
             framer.frame(&taken.datagram.bytes, &mut wire, &mut packets);

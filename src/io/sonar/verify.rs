@@ -42,11 +42,22 @@ pub struct PingTally {
 /// Notes records as they come.
 #[derive(Clone, Debug, Default)]
 pub struct Verifier {
-    streams: BTreeMap<u32, Stream>,
+    streams: BTreeMap<u32, Numbers>,
 }
 
+/// What a number was when it came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Seen {
+    /// Higher than all before.
+    New,
+    Duplicate,
+    /// After a higher one.
+    Late,
+}
+
+/// The numbers of one stream as they come.
 #[derive(Clone, Debug)]
-struct Stream {
+pub struct Numbers {
     lowest: u32,
     highest: u32,
     missing: BTreeSet<u32>,
@@ -63,8 +74,10 @@ impl Verifier {
         };
         self.streams
             .entry(record_type)
-            .and_modify(|stream| stream.note(number))
-            .or_insert_with(|| Stream::from(number));
+            .and_modify(|numbers| {
+                numbers.note(number);
+            })
+            .or_insert_with(|| Numbers::from(number));
         true
     }
 
@@ -78,11 +91,12 @@ impl Verifier {
     pub fn tally(&self, record_type: u32) -> PingTally {
         self.streams
             .get(&record_type)
-            .map_or_else(PingTally::default, Stream::tally)
+            .map_or_else(PingTally::default, Numbers::tally)
     }
 }
 
-impl Stream {
+impl From<u32> for Numbers {
+    /// The first of them.
     fn from(number: u32) -> Self {
         Self {
             lowest: number,
@@ -95,21 +109,35 @@ impl Stream {
             },
         }
     }
+}
 
-    fn note(&mut self, number: u32) {
+impl Numbers {
+    pub fn note(&mut self, number: u32) -> Seen {
         self.tally.received += 1;
         if number > self.highest {
             self.miss(self.highest + 1, number);
             self.highest = number;
-        } else if number < self.lowest {
+            return Seen::New;
+        }
+        if number < self.lowest {
             self.miss(number + 1, self.lowest);
             self.lowest = number;
-            self.tally.late += 1;
-        } else if self.missing.remove(&number) {
-            self.tally.late += 1;
-        } else {
+        } else if !self.missing.remove(&number) {
             self.tally.duplicate += 1;
+            return Seen::Duplicate;
         }
+        self.tally.late += 1;
+        Seen::Late
+    }
+
+    /// Lowest and highest number seen.
+    pub fn span(&self) -> (u32, u32) {
+        (self.lowest, self.highest)
+    }
+
+    /// Those between that have not come, lowest first; of very many the highest.
+    pub fn missing(&self) -> impl Iterator<Item = u32> + '_ {
+        self.missing.iter().copied()
     }
 
     /// Numbers from `first` up to, not including, `end` have not come.
@@ -123,7 +151,7 @@ impl Stream {
         }
     }
 
-    fn tally(&self) -> PingTally {
+    pub fn tally(&self) -> PingTally {
         PingTally {
             sent: u64::from(self.highest - self.lowest) + 1,
             lost: self.missing.len() as u64 + self.forgotten,

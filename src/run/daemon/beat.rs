@@ -11,19 +11,23 @@ use std::thread::{self, JoinHandle};
 use crossbeam_channel::Sender;
 
 use super::triggers::{Came, Triggers};
-use crate::config::spec::{RigSpec, StampSpec};
+use crate::config::spec::{OverloadSpec, RigSpec, RunSpec, StampSpec};
 use crate::io::priority;
 use crate::ping::beats::{Beats, Event, InForce};
 use crate::ping::trigger::Numbers;
-use crate::ping::{PingOrder, Refusal, Triggered};
+use crate::ping::{self, PingOrder, Refusal, Triggered};
 use crate::run::control::RunControl;
 use crate::run::counters::{add, worst};
 use crate::run::faults::{Faults, PingMark};
+use crate::run::overload::Backlog;
 use crate::run::settings::SettingsStore;
 use crate::time::{Bell, Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
 
 /// The thread looks this often whether it should end, at least.
 const LOOK_NS: i64 = NS_PER_S / 10;
+
+/// A pulse that waits for the pipeline waits so long, at least: the thread is not to wake for less.
+const LEAST_PUT_OFF_NS: i64 = NS_PER_S / 2000;
 
 pub(super) struct Beat {
     beats: Beats,
@@ -45,6 +49,26 @@ pub(super) struct Beat {
     /// Pulses that are ordered and lie ahead, to be told at their instants; earliest first.
     untold: VecDeque<Told>,
     coming: Arc<Coming>,
+    backlog: Arc<Backlog>,
+    stretch: Option<Stretch>,
+}
+
+/// An order on its way to the pipeline.
+#[derive(Clone, Copy)]
+pub(super) struct Ordered {
+    pub sonar: usize,
+    pub order: PingOrder,
+    /// How much later its pulse is than the beat had it.
+    pub put_off_s: f64,
+}
+
+/// `run.overload = "stretch"`.
+struct Stretch {
+    backlog: Arc<Backlog>,
+    run: RunSpec,
+    sound_speed_m_per_s: f64,
+    /// Of each sonar's next pulse.
+    put_off_ns: Vec<i64>,
 }
 
 /// A pulse as it is told to others.
@@ -82,6 +106,7 @@ pub(super) struct Company {
     pub control: Arc<RunControl>,
     pub faults: Arc<Faults>,
     pub clock: Arc<dyn Clock>,
+    pub backlog: Arc<Backlog>,
 }
 
 impl Beat {
@@ -112,6 +137,13 @@ impl Beat {
             came: None,
             ahead_ns: spec.run.ahead_ns(),
             untold: VecDeque::new(),
+            stretch: (spec.run.overload == OverloadSpec::Stretch).then(|| Stretch {
+                backlog: company.backlog.clone(),
+                run: spec.run.clone(),
+                sound_speed_m_per_s: spec.medium.sound_speed_m_per_s,
+                put_off_ns: vec![0; spec.sonars.len()],
+            }),
+            backlog: company.backlog,
             coming: Arc::new(Coming {
                 bell: Bell::default(),
                 next_utc_ns: AtomicI64::new(first.0),
@@ -136,6 +168,7 @@ impl Beat {
             let until = self
                 .came
                 .map_or(now, |came| self.timeline.utc(came.at).min(now));
+            self.stretch_until(until);
             let happened = {
                 let (settings, timeline) = (&self.settings, self.timeline);
                 self.beats.due(until, |sonar, at| {
@@ -154,6 +187,40 @@ impl Beat {
                 return Some((sonar, order));
             }
         }
+    }
+
+    /// Puts off the pulses up to `until` whose pings could not be ready in time.
+    fn stretch_until(&mut self, until: UtcNs) {
+        let Some(stretch) = self.stretch.as_mut().filter(|_| !self.own_time) else {
+            return;
+        };
+        let now = self.clock.mono();
+        for (sonar, settings) in self.settings.iter().enumerate() {
+            let at = self.beats.schedule(sonar).next_utc();
+            if at > until {
+                continue;
+            }
+            let pulse = self.timeline.mono(at);
+            let InForce { settings, .. } = settings.in_force(pulse);
+            if !settings.pinging {
+                stretch.put_off_ns[sonar] = 0;
+                continue;
+            }
+            let window_s = ping::window_s(&settings, stretch.sound_speed_m_per_s);
+            let ready_by = pulse.plus_s(stretch.run.ready_after_s(window_s));
+            let put_off_ns = stretch.backlog.put_off_ns(sonar, now.0, ready_by.0);
+            if put_off_ns > 0 {
+                let put_off_ns = put_off_ns.max(LEAST_PUT_OFF_NS);
+                self.beats.put_off(sonar, at.plus_ns(put_off_ns));
+                stretch.put_off_ns[sonar] += put_off_ns;
+            }
+        }
+    }
+
+    /// How much later the pulse that has just been ordered is than the beat had it.
+    fn put_off_s(&mut self, sonar: usize) -> f64 {
+        let put_off = self.stretch.as_mut().map(|s| &mut s.put_off_ns[sonar]);
+        put_off.map_or(0.0, |ns| std::mem::take(ns) as f64 / NS_PER_S as f64)
     }
 
     /// What becomes of a trigger from outside.
@@ -252,13 +319,21 @@ impl Beat {
     }
 
     /// The thread: hands every order on at its instant.
-    fn run(mut self, orders: &Sender<(usize, PingOrder)>, stop: &AtomicBool) {
+    fn run(mut self, orders: &Sender<Ordered>, stop: &AtomicBool) {
         while !stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = self.timeline.utc(now);
             self.tell();
             while let Some((sonar, order)) = self.next(utc.plus_ns(self.ahead_ns)) {
-                if orders.try_send((sonar, order)).is_err() {
+                let put_off_s = self.put_off_s(sonar);
+                self.backlog.ordered(sonar);
+                let ordered = Ordered {
+                    sonar,
+                    order,
+                    put_off_s,
+                };
+                if orders.try_send(ordered).is_err() {
+                    self.backlog.done(sonar);
                     add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
                 }
                 self.coming.bell.ring(&*self.clock);
@@ -276,11 +351,7 @@ impl Beat {
     }
 
     /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
-    pub fn start(
-        self,
-        orders: Sender<(usize, PingOrder)>,
-        priority: u8,
-    ) -> std::io::Result<BeatThread> {
+    pub fn start(self, orders: Sender<Ordered>, priority: u8) -> std::io::Result<BeatThread> {
         let stop = Arc::new(AtomicBool::new(false));
         let (clock, bell) = (self.clock.clone(), self.triggers.bell.clone());
         let thread = thread::Builder::new().name("beat".into()).spawn({

@@ -7,16 +7,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use echotank_protocols::{elements, ping_protocol, sevenk, wbms};
 
-use super::{Faults, PingMark};
+use super::{Faults, PingMark, Place};
 use crate::config::spec::TransportFault;
 use crate::emit::packets::Packets;
 use crate::flow::{Datagram, PingPlan};
 use crate::io::line::{Connection, Line as Passage};
+use crate::io::sonar::heard::ear as heard;
 use crate::time::UtcNs;
 
-/// What a spoiled record keeps.
+/// What a spoiled record keeps, and how it is known again.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {
+    /// Of the family, in the log.
+    name: &'static str,
+    /// Where a packet says that it belongs.
+    place: fn(&[u8]) -> Place,
     /// At its start: the frame, and a ping number in the body.
     kept_bytes: usize,
     /// Of its length, however it is cut.
@@ -29,8 +34,15 @@ pub struct Shape {
 
 fn mend_nothing(_: &mut [u8]) {}
 
+/// Its record type and its ping say it all.
+fn no_place(_: &[u8]) -> Place {
+    Place::default()
+}
+
 impl Shape {
     pub const SEVENK: Self = Self {
+        name: "7k",
+        place: no_place,
         kept_bytes: 80,
         // A packetiser takes no less for a record.
         least_bytes: 68,
@@ -42,16 +54,18 @@ impl Shape {
         },
     };
     /// The message's header, and the ping number of a sonar message.
-    pub const JSF: Self = Self::plain(32);
+    pub const JSF: Self = Self::plain("jsf", 32);
     pub const WBMS: Self = Self {
         mend: |bytes| {
             if let Some((head, body)) = bytes.split_first_chunk_mut::<24>() {
                 head[20..].copy_from_slice(&wbms::crc32(body).to_le_bytes());
             }
         },
-        ..Self::plain(32)
+        ..Self::plain("wbms", 32)
     };
     pub const PING: Self = Self {
+        name: "ping",
+        place: no_place,
         kept_bytes: 12,
         least_bytes: ping_protocol::HEADER_BYTES,
         tail_bytes: ping_protocol::CHECKSUM_BYTES,
@@ -61,13 +75,40 @@ impl Shape {
             }
         },
     };
-    pub const IMAGENEX872: Self = Self::plain(12);
+    /// The same on a serial line.
+    pub const PING_SERIAL: Self = Self {
+        name: "ping-serial",
+        ..Self::PING
+    };
+    pub const IMAGENEX872: Self = Self::plain("imagenex872", 12);
     /// Header, stream, class and time of a packet.
-    pub const VITA49: Self = Self::plain(28);
-    pub const ELEMENTS: Self = Self::plain(elements::HEADER_BYTES);
+    pub const VITA49: Self = Self {
+        place: |bytes| {
+            let place = heard::place_of(bytes);
+            Place {
+                stream: place.map(|p| p.stream),
+                context: place.map(|p| p.context),
+                packet_utc_ns: place.map(|p| p.utc_ns),
+                ..Place::default()
+            }
+        },
+        ..Self::plain("vita49", 28)
+    };
+    pub const ELEMENTS: Self = Self {
+        place: |bytes| {
+            let frame = elements::Frame::parse(bytes).ok();
+            Place {
+                frame_number: frame.map(|frame| frame.head.frame_number),
+                ..Place::default()
+            }
+        },
+        ..Self::plain("elements", elements::HEADER_BYTES)
+    };
 
-    const fn plain(kept_bytes: usize) -> Self {
+    const fn plain(name: &'static str, kept_bytes: usize) -> Self {
         Self {
+            name,
+            place: no_place,
             kept_bytes,
             least_bytes: kept_bytes,
             tail_bytes: 0,
@@ -158,20 +199,30 @@ impl Line {
     }
 
     /// How many of it leave, until when they are held back, and how it is spoiled.
-    fn fate(&self, ping: PingMark, record_type: u32, spoil: &mut dyn FnMut(Spoiling)) -> Fate {
+    fn fate(
+        &self,
+        ping: PingMark,
+        record_type: u32,
+        bytes: &[u8],
+        spoil: &mut dyn FnMut(Spoiling),
+    ) -> Fate {
         let mut fate = Fate {
             copies: 1,
             until: None,
         };
-        self.faults.record(ping, record_type, |fault| match fault {
+        let place = || (self.shape.place)(bytes);
+        let strike = |fault, part: f64| match fault {
             TransportFault::Drop | TransportFault::LinkDown => fate.copies = 0,
             TransportFault::Duplicate => fate.copies *= 2,
             // Until the next ping's delivery, which is later.
             TransportFault::Reorder => fate.until = Some(ping.utc.plus_ns(1)),
             TransportFault::Delay { s } => fate.until = Some(ping.utc.plus_s(s)),
+            TransportFault::Jitter { s } => fate.until = Some(ping.utc.plus_s(s * part).plus_ns(1)),
             TransportFault::Corrupt { mended } => spoil(Spoiling::Corrupt { mended }),
             TransportFault::Truncate => spoil(Spoiling::Truncate),
-        });
+        };
+        self.faults
+            .record(ping, record_type, self.shape.name, place, strike);
         fate
     }
 
@@ -185,7 +236,7 @@ impl Line {
     fn record(&mut self, ping: PingMark, record: &Arc<Datagram>) {
         let mut spoiled: Option<Datagram> = None;
         let shape = self.shape;
-        let fate = self.fate(ping, record.record_type, &mut |spoiling| {
+        let fate = self.fate(ping, record.record_type, &record.bytes, &mut |spoiling| {
             let whole = || (**record).clone();
             Self::spoil(
                 shape,
@@ -209,7 +260,7 @@ impl Line {
     fn packet(&mut self, ping: PingMark, number: u32, packet: &[u8]) {
         let mut bytes = packet.to_vec();
         let shape = self.shape;
-        let fate = self.fate(ping, number, &mut |spoiling| {
+        let fate = self.fate(ping, number, packet, &mut |spoiling| {
             Self::spoil(shape, spoiling, &mut bytes);
         });
         for _ in 0..fate.copies {
@@ -240,7 +291,7 @@ impl Passage for Line {
             Some((_, Connection::Reset)) => Connection::Up,
             Some((_, connection)) => connection,
             None => {
-                let connection = self.faults.connection(ping);
+                let connection = self.faults.connection(ping, self.shape.name);
                 self.connected = Some((ping.number, connection));
                 connection
             }

@@ -1,6 +1,6 @@
 //! Faults of navigation: samples that stay away, stick, lie, or come late.
 //!
-//! They strike samples, as decoded: what a sensor that has gone wrong says in sound sentences. Each source and quantity counts its own samples
+//! They strike samples, as decoded: what a sensor that has gone wrong says in sound sentences ([`super::nav_bytes`] strikes the sentences). Each source and quantity counts its own samples
 //! while any fault stands, and its draws depend on that number alone.
 
 use std::collections::VecDeque;
@@ -9,6 +9,7 @@ use std::sync::Arc;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
+use super::nav_bytes::ByteSpoiler;
 use super::{Faults, Moment, Standing};
 use crate::config::spec::{FaultKind, NavChannel, NavFault, NavSourceSpec, TimePolicy};
 use crate::flow::{NavQuantity, NavSample};
@@ -29,6 +30,7 @@ pub struct NavSpoiler {
     lanes: Vec<Lane>,
     /// With when they come; earliest first.
     held: VecDeque<(UtcNs, NavSample)>,
+    bytes: ByteSpoiler,
 }
 
 /// One quantity of one source.
@@ -44,10 +46,11 @@ impl NavSpoiler {
     pub fn new(faults: Arc<Faults>, sources: &[NavSourceSpec]) -> Self {
         let by_arrival = |s: &NavSourceSpec| matches!(s.time, TimePolicy::Arrival { .. });
         Self {
-            faults,
             by_arrival: sources.iter().map(by_arrival).collect(),
             lanes: Vec::new(),
             held: VecDeque::new(),
+            bytes: ByteSpoiler::new(faults.clone(), sources.len()),
+            faults,
         }
     }
 
@@ -79,6 +82,10 @@ fn channel(quantity: &NavQuantity) -> (NavChannel, &'static str) {
 }
 
 impl Spoil for NavSpoiler {
+    fn bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
+        self.bytes.spoil(source, arrival, bytes);
+    }
+
     fn sample(&mut self, sample: NavSample) -> Option<NavSample> {
         if self.faults.standing() == 0 {
             self.lanes.clear();

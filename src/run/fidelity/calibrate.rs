@@ -1,22 +1,35 @@
-//! Measures what methods cost on this machine: every way to sum and move is timed on a configuration's own sonars and scene, and the table of costs
-//! is fitted to the times.
+//! Measures what methods cost on this machine: ways to sum and move are timed on a configuration's own sonars and scene and on sonars of its own
+//! ([`super::benches`]), one thread, and the table of costs is fitted to the times.
 //!
 //! The fit is in logarithms, since a factor is what matters, and holds on to the table it starts from where the times say nothing.
 
+use std::time::{Duration, Instant};
+
 use thiserror::Error;
 
-use crate::config::spec::{AutoModel, RigSpec};
-use crate::ping::fidelity::{Candidate, FIGURES};
-use crate::run::chart::{self, ChartError, bare, run_method};
+use crate::config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
+use crate::flow::{DopplerModel, PathModel, PingPlan, Scatterers};
+use crate::ping::fidelity::{Candidate, Ranking};
+use crate::ping::polyline;
+use crate::ping::work::{FIGURES, Figure, Work};
+use crate::run::chart::bare;
+use crate::run::fidelity::benches::benches;
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::first::{FirstError, first};
-use crate::run::fidelity::with_choice;
+use crate::run::fidelity::{Scene, Swell, rank, with_choice};
+use crate::run::pipeline::SonarPipeline;
 use crate::run::rig::pool;
 
-/// Timed runs of each method; the least counts, since all that disturbs a run makes it longer.
-const REPEATS: usize = 3;
+/// All of it takes no longer than this, and the configuration's own sonars no longer than that.
+const LONGEST: Duration = Duration::from_secs(130);
+const OWN: Duration = Duration::from_secs(50);
+/// One method is run for so long, and so often at most; the least time counts, since all that disturbs a run makes it longer.
+const EACH: Duration = Duration::from_millis(150);
+const MOST_RUNS: usize = 30;
 /// Methods that would take longer are left out, ms.
-const LONGEST_MS: f64 = 3000.0;
+const LONGEST_MS: f64 = 800.0;
+/// A ping shorter than this is not the plan's concern, ms.
+const SHORTEST_MS: f64 = 0.03;
 /// Weight of staying where the table was, against one method's.
 const HOLD: f64 = 1e-3;
 /// Rounds of the search.
@@ -26,24 +39,23 @@ const ROUNDS: usize = 400;
 pub enum CalibrateError {
     #[error(transparent)]
     First(#[from] FirstError),
-    #[error(transparent)]
-    Chart(#[from] ChartError),
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
 pub struct Calibration {
     pub costs: Costs,
-    pub methods: usize,
+    /// Every method: what it is, what the new table predicts, what it took, ms.
+    pub methods: Vec<(String, f64, f64)>,
     /// exp of the rms of log(predicted / measured), by the table before and by this one.
     pub before: f64,
     pub after: f64,
 }
 
-/// One method: what it is predicted to cost per figure of the table, and what it took.
+/// One method: what it is made of, and what it took.
 struct Timed {
-    /// ms, in the order of [`Costs::values`], under the table before.
-    parts_ms: [f64; FIGURES],
+    name: String,
+    work: Work,
     took_ms: f64,
 }
 
@@ -55,41 +67,67 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrateError> {
     let pool = pool(1)?;
     pool.install(|| {
-        let mut timed = Vec::new();
-        for sonar in 0..spec.sonars.len() {
-            timed.extend(time(spec, sonar, before)?);
+        let began = Instant::now();
+        let mut timed = own(spec, before, began + OWN)?;
+        let mut all = true;
+        for bench in benches() {
+            let scene = Scene {
+                spec: &bench.spec,
+                medium: &bench.medium,
+                plan: &bench.plan,
+                scatterers: &bench.scatterers,
+                count: bench.scatterers.len(),
+                costs: before,
+                swell: Swell::NONE,
+            };
+            if let Some(ranking) = rank(&scene, &[]) {
+                let place = Place {
+                    name: "bench",
+                    spec: &bench.spec,
+                    medium: &bench.medium,
+                    plan: &bench.plan,
+                    scatterers: &bench.scatterers,
+                };
+                all &= place.time(&ranking, began + LONGEST, &mut timed);
+            }
         }
-        let values = fit(&timed);
-        let spread = |factors: &[f64; FIGURES]| {
-            let squares = timed.iter().map(|t| residual(t, factors).powi(2));
+        let factors = fit(&timed, &before.ns);
+        let spread = |ns: &Work| {
+            let squares = timed.iter().map(|t| residual(t, ns).powi(2));
             (squares.sum::<f64>() / timed.len().max(1) as f64)
                 .sqrt()
                 .exp()
         };
-        let mut new = before.values();
-        for (value, factor) in new.iter_mut().zip(values) {
+        let mut ns = Work::NONE;
+        for (k, &figure) in Figure::ALL.iter().enumerate() {
             // Three digits are more than a machine keeps.
-            let exact = *value * factor;
+            let exact = before.ns[figure] * factors[k];
             let digits = 10f64.powf(2.0 - exact.log10().floor());
-            *value = (exact * digits).round() / digits;
+            ns[figure] = (exact * digits).round() / digits;
         }
-        let mut costs = before.with_values(new);
-        costs.machine = format!(
-            "{machine}; one thread, {} methods on sonar {} and those beside it",
-            timed.len(),
-            spec.sonars[0].name
-        );
+        let costs = Costs {
+            machine: format!(
+                "{machine}; one thread, {} methods on {} and sonars to measure by{}",
+                timed.len(),
+                spec.sonars[0].name,
+                if all { "" } else { ", cut short" }
+            ),
+            ns,
+        };
         Ok(Calibration {
+            before: spread(&before.ns),
+            after: spread(&ns),
+            methods: timed
+                .into_iter()
+                .map(|t| (t.name, costs.ms(&t.work), t.took_ms))
+                .collect(),
             costs,
-            methods: timed.len(),
-            before: spread(&[1.0; FIGURES]),
-            after: spread(&values),
         })
     })
 }
 
-/// Times one candidate of every kind.
-fn time(spec: &RigSpec, sonar: usize, costs: &Costs) -> Result<Vec<Timed>, CalibrateError> {
+/// The configuration's own sonars.
+fn own(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed>, CalibrateError> {
     let mut open = spec.clone();
     // Everything is tried, whatever the configuration says.
     for sonar in &mut open.sonars {
@@ -101,65 +139,121 @@ fn time(spec: &RigSpec, sonar: usize, costs: &Costs) -> Result<Vec<Timed>, Calib
             cull: false,
         };
     }
-    let mut firsts = first(&open, costs)?;
-    let one = firsts.swap_remove(sonar);
-    let Some(ranking) = one.ranking else {
-        return Ok(Vec::new());
-    };
-    let scenes = [chart::Scene {
-        plan: one.plan,
-        scatterers: one.scatterers,
-    }];
-    let plain = bare(&spec.sonars[sonar]);
-    let mut seen: Vec<String> = Vec::new();
     let mut timed = Vec::new();
-    for candidate in &ranking.candidates {
-        let kind = format!(
-            "{} {} {} {:?}",
-            candidate.choice.model.path.name(),
-            candidate.choice.model.doppler.name(),
-            candidate.choice.model.synthesis.name(),
-            candidate.choice.engine_tolerance
-        );
-        if seen.contains(&kind) || candidate.cost_ms() > LONGEST_MS {
+    for (sonar, one) in spec.sonars.iter().zip(first(&open, costs)?) {
+        let Some(ranking) = one.ranking else {
             continue;
-        }
-        seen.push(kind);
-        let mut under = with_choice(&plain, &candidate.choice);
-        under.beams = Default::default();
-        under.more_pulses.clear();
-        if let Ok((_, times, _)) = run_method(&under, &spec.medium, &scenes, REPEATS) {
-            timed.push(Timed {
-                parts_ms: parts_ms(candidate, costs),
-                took_ms: times.least_ms,
-            });
-        }
+        };
+        let place = Place {
+            name: &sonar.name,
+            spec: sonar,
+            medium: &spec.medium,
+            plan: &one.plan,
+            scatterers: &one.scatterers,
+        };
+        place.time(&ranking, until, &mut timed);
     }
     Ok(timed)
 }
 
-/// A candidate's cost, figure by figure.
-fn parts_ms(candidate: &Candidate, costs: &Costs) -> [f64; FIGURES] {
-    let mut all = [0.0; FIGURES];
-    for part in &candidate.parts {
-        for ((all, work), ns) in all.iter_mut().zip(part.work).zip(costs.values()) {
-            *all += 1e-6 * work * ns;
-        }
-    }
-    all
+struct Place<'a> {
+    name: &'a str,
+    spec: &'a SonarSpec,
+    medium: &'a MediumSpec,
+    plan: &'a PingPlan,
+    scatterers: &'a Scatterers,
 }
 
-fn residual(timed: &Timed, factors: &[f64; FIGURES]) -> f64 {
-    let parts = timed.parts_ms.iter().zip(factors);
-    let predicted_ms: f64 = parts.map(|(ms, factor)| ms * factor).sum();
+impl Place<'_> {
+    /// Times one candidate of every kind; false where there was no time for all.
+    fn time(&self, ranking: &Ranking, until: Instant, timed: &mut Vec<Timed>) -> bool {
+        let mut spec = bare(self.spec);
+        spec.beams = Default::default();
+        spec.more_pulses.clear();
+        let mut seen: Vec<String> = Vec::new();
+        for candidate in ranking.candidates.iter().filter(|c| says_much(c)) {
+            let model = &candidate.choice.model;
+            let name = format!(
+                "{}: {} {} ms, {}, {} {:.1e}",
+                self.name,
+                model.path.name(),
+                1e3 * model.segment_s,
+                model.doppler.name(),
+                model.synthesis.name(),
+                candidate.choice.engine_tolerance.unwrap_or(0.0)
+            );
+            if seen.contains(&name) || candidate.cost_ms() > LONGEST_MS {
+                continue;
+            }
+            if Instant::now() > until {
+                return false;
+            }
+            let took_ms = self.least_ms(&with_choice(&spec, &candidate.choice));
+            if let Some(took_ms) = took_ms.filter(|ms| *ms > SHORTEST_MS) {
+                let parts = candidate.parts.iter();
+                timed.push(Timed {
+                    name: name.clone(),
+                    work: parts.fold(Work::NONE, |sum, part| sum.plus(&part.work)),
+                    took_ms,
+                });
+            }
+            seen.push(name);
+        }
+        true
+    }
+
+    fn least_ms(&self, spec: &SonarSpec) -> Option<f64> {
+        let mut pipeline = SonarPipeline::new(spec, self.medium).ok()?;
+        let mut plan = self.plan.clone();
+        plan.model = spec.model;
+        let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+        let segment_s = spec.model.segment_s;
+        polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
+        let mut output = pipeline.blank_output();
+        let began = Instant::now();
+        let mut least_ms = f64::INFINITY;
+        for run in 0..MOST_RUNS {
+            let run_began = Instant::now();
+            pipeline.compute_ping(&plan, self.scatterers, &mut output);
+            // The first warms up.
+            if run > 0 {
+                least_ms = least_ms.min(1e3 * run_began.elapsed().as_secs_f64());
+                if began.elapsed() > EACH {
+                    break;
+                }
+            }
+        }
+        Some(least_ms)
+    }
+}
+
+/// Enough of the kinds that all figures show, and no more.
+fn says_much(candidate: &Candidate) -> bool {
+    let model = &candidate.choice.model;
+    let segment_ms = (1e3 * model.segment_s).round() as u32;
+    match (model.path, model.doppler) {
+        (PathModel::StopAndHop, DopplerModel::None) => true,
+        (PathModel::KSegment, DopplerModel::Stretch) => segment_ms == 10 || segment_ms == 1,
+        (PathModel::KSegment, DopplerModel::StretchQuadratic) => segment_ms == 10,
+        (PathModel::Continuous, DopplerModel::StretchQuadratic) => true,
+        _ => false,
+    }
+}
+
+fn residual(timed: &Timed, ns: &Work) -> f64 {
+    let parts = Figure::ALL.iter().map(|&f| 1e-6 * ns[f] * timed.work[f]);
+    let predicted_ms: f64 = parts.sum();
     (predicted_ms / timed.took_ms.max(1e-6)).max(1e-9).ln()
 }
 
 /// Factors on the table: least squares of logarithms, one figure after another by halving steps.
-fn fit(timed: &[Timed]) -> [f64; FIGURES] {
+fn fit(timed: &[Timed], before: &Work) -> [f64; FIGURES] {
     let loss = |logs: &[f64; FIGURES]| {
-        let factors = logs.map(f64::exp);
-        let misses: f64 = timed.iter().map(|t| residual(t, &factors).powi(2)).sum();
+        let mut ns = Work::NONE;
+        for (&figure, log) in Figure::ALL.iter().zip(logs) {
+            ns[figure] = before[figure] * log.exp();
+        }
+        let misses: f64 = timed.iter().map(|t| residual(t, &ns).powi(2)).sum();
         misses + HOLD * logs.iter().map(|l| l * l).sum::<f64>()
     };
     let mut logs = [0.0; FIGURES];
@@ -190,25 +284,35 @@ mod tests {
 
     #[test]
     fn a_fit_finds_the_factors_that_made_the_times() {
-        let mut factors = [1.0; FIGURES];
-        (factors[0], factors[4], factors[11]) = (3.0, 0.4, 1.7);
+        let before = Costs::committed().ns;
+        let (far, near) = (Figure::Pair, Figure::DirectPoint);
+        let mut true_ns = before;
+        true_ns[far] *= 3.0;
+        true_ns[near] *= 0.4;
+        true_ns[Figure::Gridded1dEcho] *= 1.7;
         let timed: Vec<Timed> = (0..40)
             .map(|k| {
-                let mut parts_ms = [0.0; FIGURES];
-                parts_ms[0] = 1.0 + (k % 3) as f64;
-                parts_ms[4] = (k % 5) as f64;
-                parts_ms[11] = (k % 7) as f64;
-                let parts = parts_ms.iter().zip(factors);
+                let work = Work::of(far, 1e6 * (1.0 + (k % 3) as f64))
+                    .and(near, 1e7 * (k % 5) as f64)
+                    .and(Figure::Gridded1dEcho, 1e7 * (k % 7) as f64);
+                let parts = Figure::ALL.iter().map(|&f| 1e-6 * true_ns[f] * work[f]);
                 Timed {
-                    took_ms: parts.map(|(ms, f)| ms * f).sum(),
-                    parts_ms,
+                    name: String::new(),
+                    took_ms: parts.sum(),
+                    work,
                 }
             })
             .collect();
-        let got = fit(&timed);
-        for k in [0, 4, 11] {
-            assert!((got[k] / factors[k] - 1.0).abs() < 0.02, "{k}: {got:?}");
+        let got = fit(&timed, &before);
+        for (figure, want) in [(far, 3.0), (near, 0.4), (Figure::Gridded1dEcho, 1.7)] {
+            let got = got[figure as usize];
+            assert!(
+                (got / want - 1.0).abs() < 0.02,
+                "{}: {got}, {want}",
+                figure.name()
+            );
         }
-        assert!((got[2] - 1.0).abs() < 1e-9, "no method has it: {got:?}");
+        let untold = got[Figure::SpectralBin as usize];
+        assert!((untold - 1.0).abs() < 1e-9, "no method has it: {untold}");
     }
 }

@@ -1,15 +1,17 @@
 //! What the stages cost: a table of figures of one core, the one that comes with the program or one that `echotank check --calibrate` has measured.
 //!
-//! A method's cost is the sum of its amounts of work, each times its figure. Figures are nanoseconds; those of the engines with a tolerance
-//! are factors on what the engines themselves predict.
+//! A method's cost is the sum of its amounts of work ([`Work`]), each times its figure, nanoseconds. What the engines with a tolerance foresee of
+//! themselves is work too, in their own nanoseconds; its figures are near 1.
 
+use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use thiserror::Error;
 
 use crate::io::text_of;
-use crate::ping::fidelity::{FIGURES, Work};
+use crate::ping::work::{Figure, Work};
 
 /// The table that comes with the program.
 const COMMITTED: &str = include_str!("costs.toml");
@@ -23,7 +25,11 @@ pub enum CostsError {
         path: String,
         why: Box<toml::de::Error>,
     },
-    #[error("{path}: {key} = {value}: must be above 0 and finite")]
+    #[error("{path}: ns.{key} is missing")]
+    Missing { path: String, key: &'static str },
+    #[error("{path}: ns.{key}: no such figure; one of {}", names())]
+    Unknown { path: String, key: String },
+    #[error("{path}: ns.{key} = {value}: must be above 0 and finite")]
     Value {
         path: String,
         key: &'static str,
@@ -31,51 +37,25 @@ pub enum CostsError {
     },
 }
 
-/// As the file has it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+fn names() -> String {
+    let all: Vec<&str> = Figure::ALL.iter().map(|figure| figure.name()).collect();
+    all.join(", ")
+}
+
+#[derive(Clone, Debug, PartialEq)]
 pub struct Costs {
     /// Whose figures these are, and how they were got.
     pub machine: String,
-    /// Nanoseconds of one core.
-    pub ns: Figures,
-    /// On what engines predict of themselves.
-    pub factor: Factors,
+    /// Nanoseconds of one core for each unit of work.
+    pub ns: Work,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// As the file has it.
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Figures {
-    /// A scatterer as a transmitter sees it.
-    pub transmit_leg: f64,
-    /// A scatterer as an element sees it, by path model.
-    pub stop_and_hop: f64,
-    pub chords: f64,
-    pub continuous: f64,
-    /// The second order of its Doppler.
-    pub quadratic: f64,
-    /// A point of an echo in `direct`, and in `reference`.
-    pub direct_point: f64,
-    pub reference_point: f64,
-    /// A bin of an echo in `spectral`.
-    pub spectral_bin: f64,
-    /// A sample of an echo in `nearest`; `linear` has two.
-    pub replica_sample: f64,
-    /// A point ahead of the receiver filter.
-    pub filter_point: f64,
-    /// A sample of an element, whatever made it.
-    pub sample: f64,
-    /// An echo's own Doppler.
-    pub stretch: f64,
-    /// A scatterer as an element sees it, once more for each segment of the whole window.
-    pub segment: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Factors {
-    pub gridded_1d: f64,
-    pub gridded_2d: f64,
+struct Table {
+    machine: String,
+    ns: BTreeMap<String, f64>,
 }
 
 impl Costs {
@@ -97,117 +77,52 @@ impl Costs {
         Self::parse(&text, &name)
     }
 
-    fn parse(text: &str, name: &str) -> Result<Self, CostsError> {
-        let costs: Self = toml::from_str(text).map_err(|why| CostsError::Parse {
-            path: name.to_owned(),
+    fn parse(text: &str, path: &str) -> Result<Self, CostsError> {
+        let path = || path.to_owned();
+        let mut table: Table = toml::from_str(text).map_err(|why| CostsError::Parse {
+            path: path(),
             why: Box::new(why),
         })?;
-        for (key, value) in NAMES.into_iter().zip(costs.values()) {
+        let mut ns = Work::NONE;
+        for &figure in Figure::ALL {
+            let key = figure.name();
+            let value = table.ns.remove(key);
+            let value = value.ok_or_else(|| CostsError::Missing { path: path(), key })?;
             if !(value > 0.0 && value.is_finite()) {
-                return Err(CostsError::Value {
-                    path: name.to_owned(),
-                    key,
-                    value,
-                });
+                let path = path();
+                return Err(CostsError::Value { path, key, value });
             }
+            ns[figure] = value;
         }
-        Ok(costs)
-    }
-
-    /// Figures in ns, then factors in ns per predicted ns.
-    pub fn values(&self) -> [f64; FIGURES] {
-        let Figures {
-            transmit_leg,
-            stop_and_hop,
-            chords,
-            continuous,
-            quadratic,
-            direct_point,
-            reference_point,
-            spectral_bin,
-            replica_sample,
-            filter_point,
-            sample,
-            stretch,
-            segment,
-        } = self.ns;
-        [
-            transmit_leg,
-            stop_and_hop,
-            chords,
-            continuous,
-            quadratic,
-            direct_point,
-            reference_point,
-            spectral_bin,
-            replica_sample,
-            filter_point,
-            sample,
-            self.factor.gridded_1d,
-            self.factor.gridded_2d,
-            stretch,
-            segment,
-        ]
-    }
-
-    pub fn with_values(&self, v: [f64; FIGURES]) -> Self {
-        Self {
-            machine: self.machine.clone(),
-            ns: Figures {
-                transmit_leg: v[0],
-                stop_and_hop: v[1],
-                chords: v[2],
-                continuous: v[3],
-                quadratic: v[4],
-                direct_point: v[5],
-                reference_point: v[6],
-                spectral_bin: v[7],
-                replica_sample: v[8],
-                filter_point: v[9],
-                sample: v[10],
-                stretch: v[13],
-                segment: v[14],
-            },
-            factor: Factors {
-                gridded_1d: v[11],
-                gridded_2d: v[12],
-            },
+        if let Some((key, _)) = table.ns.pop_first() {
+            return Err(CostsError::Unknown { path: path(), key });
         }
+        Ok(Self {
+            machine: table.machine,
+            ns,
+        })
     }
 
     /// Milliseconds of one core.
     pub fn ms(&self, work: &Work) -> f64 {
-        let ns = self.values().into_iter().zip(work).map(|(ns, n)| ns * n);
+        let ns = Figure::ALL.iter().map(|&f| self.ns[f] * work[f]);
         1e-6 * ns.sum::<f64>()
     }
 
     /// As a file.
     pub fn text(&self) -> String {
-        let body = toml::to_string(self).unwrap_or_default();
-        format!(
-            "# What the stages cost: nanoseconds of one core for each unit of work ([ns]), and factors on what engines predict of themselves\n\
-             # ([factor]). Written by `echotank check CONFIG --calibrate FILE`; used with `--costs FILE` or run.costs.\n{body}"
-        )
+        let mut text = format!(
+            "# What the stages cost: nanoseconds of one core for each unit of work. Written by `echotank check CONFIG --calibrate FILE`; used with\n\
+             # `--costs FILE` or run.costs.\nmachine = {}\n\n[ns]\n",
+            toml::Value::from(self.machine.as_str())
+        );
+        for &figure in Figure::ALL {
+            let (name, value) = (figure.name(), self.ns[figure]);
+            let _ = writeln!(text, "{name} = {value:?} # {}", figure.meaning());
+        }
+        text
     }
 }
-
-pub const NAMES: [&str; FIGURES] = [
-    "ns.transmit_leg",
-    "ns.stop_and_hop",
-    "ns.chords",
-    "ns.continuous",
-    "ns.quadratic",
-    "ns.direct_point",
-    "ns.reference_point",
-    "ns.spectral_bin",
-    "ns.replica_sample",
-    "ns.filter_point",
-    "ns.sample",
-    "factor.gridded_1d",
-    "factor.gridded_2d",
-    "ns.stretch",
-    "ns.segment",
-];
 
 #[cfg(test)]
 mod tests {
@@ -220,13 +135,31 @@ mod tests {
             Costs::parse(&committed.text(), "text").expect("reads back"),
             committed
         );
-        assert_eq!(committed.with_values(committed.values()), committed);
-        let mut broken = committed.clone();
-        broken.ns.chords = 0.0;
-        let said = Costs::parse(&broken.text(), "costs.toml").expect_err("0 ns");
+        let said = |ns: &str| {
+            let text = committed.text();
+            let (head, tail) = text.split_once("chord = ").expect("there");
+            let (_, tail) = tail.split_once(' ').expect("a meaning follows");
+            let text = format!("{head}{ns} {tail}");
+            let broken = Costs::parse(&text, "costs.toml");
+            broken.expect_err("broken").to_string()
+        };
         assert_eq!(
-            said.to_string(),
-            "costs.toml: ns.chords = 0: must be above 0 and finite"
+            said("chord = 0.0"),
+            "costs.toml: ns.chord = 0: must be above 0 and finite"
         );
+        assert_eq!(said("#"), "costs.toml: ns.chord is missing");
+        let unknown = said("chord = 1.0\nchords = 1.0");
+        assert!(
+            unknown.starts_with("costs.toml: ns.chords: no such figure; one of ping, element,"),
+            "{unknown}"
+        );
+    }
+
+    #[test]
+    fn every_figure_has_a_name_of_its_own() {
+        let mut names: Vec<&str> = Figure::ALL.iter().map(|f| f.name()).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), crate::ping::work::FIGURES);
     }
 }

@@ -21,10 +21,13 @@ const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
 const SAMPLED: f64 = 1.1;
 
-/// Energy and the weighted squares of [`Heard`]'s five quantities, of one window.
+/// Energy and the weighted squares of [`Heard`]'s quantities, of one window.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     energy: f64,
+    /// Of the loudest echo, and how many there are.
+    loudest: f64,
+    echoes: f64,
     /// Sum of the squares of energies.
     energy2: f64,
     squares: [f64; 6],
@@ -37,13 +40,16 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let mut worst = [0.0f64; 6];
     let mut sounded = false;
-    // Echoes in a loud window that count, at most.
+    // Echoes in a loud window that count, at most; the loudest of a window; all of them.
     let mut crowd = 1.0f64;
+    let (mut loudest, mut echoes) = (0.0f64, 0.0);
     let mut sums = vec![Sums::default(); windows];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
         let ends = [0, array.elements - 1];
-        for &element in &ends[..array.elements.min(2)] {
+        let ends = &ends[..array.elements.min(2)];
+        let each = array.elements as f64 / ends.len() as f64;
+        for &element in ends {
             sums.fill(Sums::default());
             let ear = Ear::new(spec, plan, transmit, array, element);
             ear.listen(plan, scatterers, window_s, &mut sums);
@@ -54,6 +60,10 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
                     crowd = crowd.max(of_window.energy.powi(2) / of_window.energy2);
                 }
                 let against = of_window.energy.max(mean);
+                echoes += each * of_window.echoes;
+                if against > 0.0 {
+                    loudest = loudest.max(of_window.loudest / against);
+                }
                 for (worst, square) in worst.iter_mut().zip(of_window.squares) {
                     if against > 0.0 {
                         *worst = worst.max((square / against).sqrt());
@@ -71,14 +81,18 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
         across_m_per_s: across,
-        spread: 1.0 + (spread(plan, window_s, windows * elements) - 1.0) * (1.0 - 1.0 / crowd),
+        spread: 1.0
+            + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
+        loudest,
+        echoes,
     })
 }
 
 /// Of many echoes at random phases. Mean squares of n independent samples of Gaussian noise: the greatest of `looks` is 1 + 2 sqrt(L/n) + 2 L/n times the mean, L = ln looks
-/// (Laurent and Massart 2000, Lemma 1, in its sharper form for two degrees of freedom each: 1 + sqrt(2L/n) + L/n).
-fn spread(plan: &PingPlan, window_s: f64, looks: usize) -> f64 {
-    let independent = 1.0 + plan.pulse.bandwidth_hz * window_s;
+/// (Laurent and Massart 2000, Lemma 1, in its sharper form for two degrees of freedom each: 1 + sqrt(2L/n) + L/n). A window has no more
+/// independent samples than echoes.
+fn spread(plan: &PingPlan, window_s: f64, looks: usize, crowd: f64) -> f64 {
+    let independent = (1.0 + plan.pulse.bandwidth_hz * window_s).min(crowd);
     let l = (looks.max(2) as f64).ln() / independent;
     SAMPLED * (1.0 + (2.0 * l).sqrt() + l).sqrt()
 }
@@ -233,6 +247,8 @@ impl Ear {
                     ));
             let sums = &mut sums[window];
             sums.energy += energy;
+            sums.loudest = sums.loudest.max(energy / weight);
+            sums.echoes += weight;
             sums.energy2 += energy * energy;
             for (sum, value) in sums.squares.iter_mut().zip([
                 (here_m - self.at[0].position_m).dot(back),
@@ -248,38 +264,58 @@ impl Ear {
     }
 }
 
-/// Of all pairs of scatterer and element, the share that each floor (dB; none is no floor) leaves.
+/// Of all pairs of scatterer and element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shares {
+    /// Above the floor as the transmitter sees them: these are walked.
+    pub lit: f64,
+    /// ... and as the element hears them: these are summed.
+    pub kept: f64,
+}
+
+impl Shares {
+    pub const ALL: Self = Self {
+        lit: 1.0,
+        kept: 1.0,
+    };
+}
+
+/// What each floor (dB; none is no floor) leaves.
 pub fn kept_shares(
     spec: &SonarSpec,
     plan: &PingPlan,
     scatterers: &Scatterers,
     floors_db: &[Option<f64>],
-) -> Vec<f64> {
+) -> Vec<Shares> {
     let floors: Vec<f64> = floors_db
         .iter()
         .map(|db| db.map_or(f64::MIN_POSITIVE, amplitude_from_db))
         .collect();
-    let (mut all, mut kept) = (0.0, vec![0.0; floors.len()]);
+    let (mut all, mut sums) = (0.0, vec![(0.0, 0.0); floors.len()]);
     let stride = scatterers.len().div_ceil(LOOKED_AT).max(1);
     for array in &spec.receive {
         let ear = Ear::new(spec, plan, &spec.transmit[array.transmit], array, 0);
         let at = &ear.at[0];
+        let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {
             let place_m = scatterers.position_m(i);
             let out = ear.transmit_from_world * (place_m - ear.transmit_m).normalize_or_zero();
             let back = at.array_from_world * (place_m - at.position_m).normalize_or_zero();
-            let level = ear.lit.towards(out.x, out.y, out.z)
-                * ear.element.towards(back.x, back.y, back.z)
-                * f64::from(scatterers.loud[i]);
-            all += array.elements as f64;
-            for (kept, floor) in kept.iter_mut().zip(&floors) {
-                if level.abs() >= *floor {
-                    *kept += array.elements as f64;
-                }
+            let loud = f64::from(scatterers.loud[i]);
+            let sent = (ear.lit.towards(out.x, out.y, out.z) * loud).abs();
+            let level = (sent * ear.element.towards(back.x, back.y, back.z)).abs();
+            all += pairs;
+            for ((lit, kept), floor) in sums.iter_mut().zip(&floors) {
+                *lit += if sent >= *floor { pairs } else { 0.0 };
+                *kept += if level >= *floor { pairs } else { 0.0 };
             }
         }
     }
-    kept.iter()
-        .map(|kept| if all > 0.0 { kept / all } else { 0.0 })
+    let share = |sum: f64| if all > 0.0 { sum / all } else { 0.0 };
+    sums.into_iter()
+        .map(|(lit, kept)| Shares {
+            lit: share(lit),
+            kept: share(kept),
+        })
         .collect()
 }

@@ -4,15 +4,17 @@
 //! In: a sonar with what of its model is left to the plan, a ping's plan and scatterers, the table of costs. Out: a [`Ranking`].
 //! The same ping and table always give the same plan.
 
+mod benches;
 pub mod calibrate;
 pub mod costs;
 pub mod first;
 pub mod heard;
 pub mod live;
+mod walked;
 
 use crate::array::cards::synthesis_card;
 use crate::array::filter::{Decimator, oversample};
-use crate::array::gridded::Gridded1d;
+use crate::array::gridded::{Foreseen, Gridded1d};
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::echo::culling::left_out_share;
@@ -20,14 +22,14 @@ use crate::flow::{
     Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
     Scatterers, Synthesis,
 };
-use crate::ping::fidelity::{
-    Candidate, Choice, Displaced, Family, Goal, NO_WORK, Part, Ranking, Work, choose,
-};
-use crate::run::conditions::{conditions, sum_card};
+use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
+use crate::ping::work::{Figure, Work};
+use crate::run::conditions::{conditions, segment_step_s, sum_card};
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
 use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::heard::kept_shares;
-use crate::run::line_engines::{SIDEWAYS_M_PER_S, choices};
+use crate::run::fidelity::heard::{Shares, kept_shares};
+use crate::run::fidelity::walked::{Walked, direct_runs, flank_points};
+use crate::run::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
@@ -49,9 +51,9 @@ const NEARER: f64 = 0.7;
 const EXTREMES: f64 = 3.0;
 /// A line bears the motion across it that the echoes of a window have, and so much more in some.
 const ACROSS: f64 = 3.0;
-/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater. (They are made for their
-/// tolerance, and keep it.)
-const ENGINE_MARGIN: f64 = 2.0;
+/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater, and more in the worst of
+/// many windows. (They are made for their tolerance, and keep it.)
+const ENGINE_MARGIN: f64 = 3.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -153,12 +155,12 @@ struct Motion {
     cards: [MethodCard; 2],
 }
 
-/// A floor of the patterns, what it leaves out, and the share of the pairs it keeps.
+/// A floor of the patterns, what it leaves out, and the shares of the pairs that are lit and kept.
 #[derive(Clone, Copy)]
 struct Culling {
     db: Option<f64>,
     error: f64,
-    kept: f64,
+    of: Shares,
 }
 
 struct Maker<'a> {
@@ -166,6 +168,7 @@ struct Maker<'a> {
     conditions: Conditions,
     nearest_m: f64,
     cullings: Vec<Culling>,
+    walked: Walked,
 }
 
 /// What an engine promises and costs.
@@ -173,7 +176,7 @@ enum Engine {
     One(Gridded1d),
     Lines {
         error: f64,
-        cost_ms: f64,
+        cost: Foreseen,
         stretches: f64,
         why: String,
     },
@@ -195,6 +198,7 @@ impl<'a> Maker<'a> {
         );
         Self {
             scene,
+            walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: match spec.synthesis.auto.any() {
                 true => (NEARER * conditions.range_m.0).min(spec.synthesis.nearest_m.max(5.0)),
                 false => spec.synthesis.nearest_m,
@@ -203,7 +207,7 @@ impl<'a> Maker<'a> {
             cullings: floors
                 .into_iter()
                 .zip(kept)
-                .map(|((db, error), kept)| Culling { db, error, kept })
+                .map(|((db, error), of)| Culling { db, error, of })
                 .collect(),
         }
     }
@@ -236,8 +240,9 @@ impl<'a> Maker<'a> {
         let dopplers: Vec<_> = dopplers.collect();
         let mut motions = Vec::new();
         for (path, segment_s) in paths {
+            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
             let under = Conditions {
-                segment_s,
+                segment_s: segment_step_s(window_s, segment_s),
                 ..self.conditions
             };
             for &doppler in &dopplers {
@@ -411,13 +416,18 @@ impl<'a> Maker<'a> {
             let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
             return made.map(Engine::One).map_err(|why| why.to_string());
         }
-        let kept = self.cullings[0].kept * self.scene.count as f64;
-        let choices = choices(&spec, c, fastest, filter.as_ref(), kept as usize)
+        // As the engines are made; their echoes are then counted in those of this ping.
+        let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
+        let choices = choices(&spec, c, fastest, filter.as_ref(), NOMINAL_SCATTERERS)
             .map_err(|why| why.to_string())?;
         let stretches = choices.iter().zip(&spec.receive);
+        let costs = choices.iter().map(|choice| choice.cost);
         Ok(Engine::Lines {
             error: choices.iter().map(|c| c.card.error).fold(0.0, f64::max),
-            cost_ms: choices.iter().map(|c| c.card.cost_ms).sum(),
+            cost: costs.fold(Foreseen::default(), |sum, cost| Foreseen {
+                echoes_ns: sum.echoes_ns + kept * cost.echoes_ns,
+                grids_ns: sum.grids_ns + cost.grids_ns,
+            }),
             stretches: stretches
                 .map(|(choice, array)| {
                     array.elements.div_ceil(choice.fineness.stretch.max(1)) as f64
@@ -439,51 +449,43 @@ impl<'a> Maker<'a> {
     ) -> Candidate {
         let elements = self.conditions.elements as f64;
         let scatterers = self.scene.count as f64;
-        let arrivals = culling.kept * scatterers;
+        let arrivals = culling.of.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
-        let kept = |error: f64| (ENGINE_MARGIN * error).min(tolerance);
-        let (error, ns, pairs, figure, why) = match engine {
-            Engine::One(engine) => (
-                kept(engine.card().error),
-                1e6 * elements * engine.cost_ms(arrivals as usize, self.doppler_share()),
-                arrivals * elements,
-                11,
-                engine.card().why.clone(),
-            ),
+        let spread = self.conditions.heard.map_or(1.0, |heard| heard.spread);
+        let kept = |error: f64| (ENGINE_MARGIN * spread * error).min(tolerance);
+        let (error, work, pairs, why) = match engine {
+            Engine::One(engine) => {
+                let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
+                    EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
+                });
+                let one = engine.foreseen(arrivals as usize, self.doppler_share(), bend);
+                (
+                    kept(engine.card().error),
+                    Work::of(Figure::Gridded1dEcho, one.echoes_ns * elements)
+                        .and(Figure::Gridded1dGrid, one.grids_ns * elements),
+                    culling.of.lit * scatterers * elements,
+                    engine.card().why.clone(),
+                )
+            }
             Engine::Lines {
                 error,
-                cost_ms,
+                cost,
                 stretches,
                 why,
             } => {
-                let share = culling.kept / self.cullings[0].kept.max(f64::MIN_POSITIVE);
+                let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
                 (
                     kept(*error),
-                    // Its echoes are most of it where there are many.
-                    1e6 * cost_ms * share.clamp(0.5, 1.0),
-                    arrivals * stretches,
-                    12,
+                    Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
+                        .and(Figure::Gridded2dGrid, cost.grids_ns),
+                    culling.of.lit * scatterers * stretches,
                     why.clone(),
                 )
             }
         };
-        let mut work = NO_WORK;
-        work[figure] = ns;
-        self.candidate(
-            synthesis,
-            motion,
-            culling,
-            engine_tolerance,
-            pairs,
-            Part {
-                family: Family::Sum,
-                choice: format!("{} {tolerance:.1e}", synthesis.name()),
-                error,
-                cost_ms: self.ms(work),
-                work: self.with_samples(work),
-                why,
-            },
-        )
+        let name = format!("{} {tolerance:.1e}", synthesis.name());
+        let sum = self.sum(name, error, work, why);
+        self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum)
     }
 
     /// Of the widest span of Dopplers, what this ping has.
@@ -494,13 +496,20 @@ impl<'a> Maker<'a> {
         (closing / FASTEST_PLATFORM_M_PER_S).min(1.0)
     }
 
-    fn with_samples(&self, mut work: Work) -> Work {
-        work[10] = self.samples();
-        work
-    }
-
-    fn ms(&self, work: Work) -> f64 {
-        self.scene.costs.ms(&self.with_samples(work))
+    /// The part of the sum, with what every way to sum costs.
+    fn sum(&self, choice: String, error: f64, work: Work, why: String) -> Part {
+        let work = work
+            .and(Figure::Ping, 1.0)
+            .and(Figure::Element, self.conditions.elements as f64)
+            .and(Figure::Sample, self.samples());
+        Part {
+            family: Family::Sum,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why,
+        }
     }
 
     /// Of all elements.
@@ -508,9 +517,21 @@ impl<'a> Maker<'a> {
         self.conditions.elements as f64 * self.scene.plan.sample_count as f64
     }
 
+    /// Taps of the receiver filter ahead of this way to sum, 0 without one.
+    fn taps(&self, synthesis: Synthesis) -> f64 {
+        let mut spec = self.scene.spec.clone();
+        spec.model.synthesis = synthesis;
+        match spec.receiver.filter {
+            ReceiverFilter::None => 0.0,
+            ReceiverFilter::Fir => receiver_filter(&spec, self.scene.medium)
+                .map_or(0.0, |filter| filter.dense_len(1) as f64),
+        }
+    }
+
     fn plain(&self, synthesis: Synthesis, motion: &Motion, culling: Culling) -> Candidate {
         let spec = self.scene.spec;
-        let pairs = culling.kept * (self.scene.count * self.conditions.elements) as f64;
+        let all = (self.scene.count * self.conditions.elements) as f64;
+        let pairs = culling.of.kept * all;
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
         let filtered = self.conditions.filter == ReceiverFilter::Fir;
@@ -519,82 +540,68 @@ impl<'a> Maker<'a> {
             false => 1.0,
         };
         let echo_samples = pulse.duration_s * rate_hz;
-        let mut work = NO_WORK;
-        match synthesis {
+        let points = echo_samples * dense;
+        let work = match synthesis {
             Synthesis::Direct => {
-                work[5] = pairs * echo_samples * dense;
-                work[9] = if filtered {
-                    self.samples() * dense
-                } else {
-                    0.0
-                };
+                let runs = direct_runs(&self.conditions, motion.doppler, rate_hz * dense);
+                let sharp = filtered && pulse.taper == 0.0;
+                Work::of(Figure::DirectRun, pairs * runs)
+                    .and(Figure::DirectPoint, pairs * points)
+                    .and(Figure::DirectFlank, pairs * flank_points(pulse, points))
+                    .and(Figure::DirectEdge, if sharp { pairs } else { 0.0 })
+                    .and(Figure::FilterTap, self.samples() * self.taps(synthesis))
             }
             Synthesis::Spectral => {
-                let bins = self.scene.plan.sample_count as f64 + echo_samples;
-                work[7] = pairs * bins;
+                let tails = self.taps(synthesis) / dense;
+                let bins = self.scene.plan.sample_count as f64 + echo_samples + tails;
+                Work::of(Figure::SpectralBin, pairs * bins)
             }
-            Synthesis::Nearest => work[8] = pairs * echo_samples,
-            Synthesis::Linear => work[8] = 2.0 * pairs * echo_samples,
-            _ => {}
-        }
+            Synthesis::Nearest | Synthesis::Linear => {
+                let of_each = match synthesis {
+                    Synthesis::Linear => 2.0,
+                    _ => 1.0,
+                };
+                Work::of(Figure::ReplicaSample, of_each * pairs * echo_samples)
+                    .and(Figure::ReplicaEcho, pairs)
+            }
+            _ => Work::NONE,
+        };
         let card = sum_card(synthesis, spec, self.scene.plan, &self.conditions);
-        self.candidate(
-            synthesis,
-            motion,
-            culling,
-            None,
-            pairs,
-            Part {
-                family: Family::Sum,
-                choice: synthesis.name().to_owned(),
-                error: card.error,
-                cost_ms: self.ms(work),
-                work: self.with_samples(work),
-                why: card.why,
-            },
-        )
+        let sum = self.sum(synthesis.name().to_owned(), card.error, work, card.why);
+        let lit = culling.of.lit * all;
+        self.candidate(synthesis, motion, culling, None, lit, sum)
     }
 
     fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
-        let card = synthesis_card(Synthesis::Reference, &self.conditions);
+        let synthesis = Synthesis::Reference;
+        let card = synthesis_card(synthesis, &self.conditions);
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
         let dense = match self.conditions.filter {
-            ReceiverFilter::Fir => oversample(pulse, rate_hz, Synthesis::Reference) as f64,
+            ReceiverFilter::Fir => oversample(pulse, rate_hz, synthesis) as f64,
             ReceiverFilter::None => 1.0,
         };
         let pairs = (self.scene.count * self.conditions.elements) as f64;
-        let mut work = NO_WORK;
-        work[6] = pairs * pulse.duration_s * rate_hz * dense;
-        let mut candidate = self.candidate(
-            Synthesis::Reference,
-            motion,
-            Culling {
-                db: culling.db,
-                error: 0.0,
-                kept: 1.0,
-            },
-            None,
-            0.0,
-            Part {
-                family: Family::Sum,
-                choice: "reference".into(),
-                error: card.error,
-                cost_ms: self.ms(work),
-                work: self.with_samples(work),
-                why: card.why,
-            },
-        );
+        let points = pairs * pulse.duration_s * rate_hz * dense;
+        let work = Work::of(Figure::ReferencePoint, points)
+            .and(Figure::FilterTap, self.samples() * self.taps(synthesis));
+        let sum = self.sum("reference".into(), card.error, work, card.why);
+        let whole = Culling {
+            db: culling.db,
+            error: 0.0,
+            of: Shares::ALL,
+        };
+        let mut candidate = self.candidate(synthesis, motion, whole, None, 0.0, sum);
         for family in [Family::Path, Family::Doppler] {
             let part = &mut candidate.parts[family as usize];
-            (part.error, part.cost_ms, part.work) = (0.0, 0.0, NO_WORK);
+            (part.error, part.cost_ms, part.work) = (0.0, 0.0, Work::NONE);
             part.why = "not used: on the trajectory itself, sample by sample".into();
         }
         candidate.displaced = Displaced::default();
         candidate
     }
 
-    /// The parts that all have. `pairs`: of echoes that are solved for.
+    /// The parts that all have. `pairs`: of lit scatterers and elements (or stretches of them), which are solved for.
     fn candidate(
         &self,
         synthesis: Synthesis,
@@ -607,24 +614,24 @@ impl<'a> Maker<'a> {
         let spec = self.scene.spec;
         let [path_card, doppler_card] = &motion.cards;
         let segmented = matches!(motion.path, PathModel::Polyline | PathModel::KSegment);
-        let mut legs = NO_WORK;
-        legs[0] = (self.scene.count * spec.transmit.len()) as f64;
-        legs[match motion.path {
-            PathModel::StopAndHop => 1,
-            PathModel::Polyline | PathModel::KSegment => 2,
-            PathModel::Continuous => 3,
-        }] = pairs;
-        if segmented {
-            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
-            legs[14] = pairs * (window_s / motion.segment_s).ceil();
-        }
-        let mut second = NO_WORK;
-        if motion.doppler != DopplerModel::None {
-            second[13] = pairs;
-        }
-        if motion.doppler == DopplerModel::StretchQuadratic {
-            second[4] = pairs;
-        }
+        let chords = match motion.path {
+            PathModel::StopAndHop => 1.0,
+            _ => self.walked.chords(motion.segment_s),
+        };
+        let newton = match motion.path {
+            PathModel::Continuous => pairs,
+            _ => 0.0,
+        };
+        let transmitted = (self.scene.count * spec.transmit.len()) as f64;
+        let legs = Work::of(Figure::TransmitLeg, transmitted)
+            .and(Figure::Pair, pairs)
+            .and(Figure::Pattern, pairs * self.walked.patterned)
+            .and(Figure::Chord, pairs * chords)
+            .and(Figure::Newton, newton);
+        let second = match motion.doppler {
+            DopplerModel::StretchQuadratic => Work::of(Figure::Quadratic, pairs),
+            _ => Work::NONE,
+        };
         let part = |family, choice: String, error, work: Work, why: &str| Part {
             family,
             choice,
@@ -647,7 +654,7 @@ impl<'a> Maker<'a> {
                 format!("culled at {db:.0} dB"),
                 format!(
                     "{:.0} % of the scatterers at hand are kept",
-                    100.0 * culling.kept
+                    100.0 * culling.of.kept
                 ),
             ),
         };
@@ -683,7 +690,7 @@ impl<'a> Maker<'a> {
                     Family::Culling,
                     cull_name,
                     culling.error,
-                    NO_WORK,
+                    Work::NONE,
                     &cull_why,
                 ),
             ],

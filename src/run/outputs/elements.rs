@@ -1,6 +1,7 @@
 //! The plain stream of element samples: a TCP server, and datagrams to fixed addresses.
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -40,7 +41,7 @@ impl Elements {
     pub fn open(output: &ElementStreamSpec, opening: &Opening) -> Result<Self, OutputError> {
         let (unit, spread) = (opening.unit, opening.spread);
         let name = unit.spec.name.clone();
-        let queue = opening.spec.run.queue_pings;
+        let queue = opening.queue();
         let door = ServerSpec {
             listen: output.listen,
             tcp: true,
@@ -99,7 +100,7 @@ impl Elements {
         })
     }
 
-    fn emit(&mut self, slot: &PingSlot) {
+    fn emit(&mut self, slot: &PingSlot, samples: Range<usize>) {
         let nobody = self.server.wanted().is_empty();
         for way in &mut self.ways {
             if way.is_tcp && nobody {
@@ -109,10 +110,12 @@ impl Elements {
                 Some((packets, _)) => packets,
                 None => way.sender.buffer(),
             };
-            let saturated = way
-                .emitter
-                .emit_ping(&slot.plan, &slot.output, &mut packets);
-            self.saturated.fetch_add(saturated, Ordering::Relaxed);
+            let saturated =
+                way.emitter
+                    .emit_rows(&slot.plan, &slot.output, samples.clone(), &mut packets);
+            if samples.end == slot.plan.sample_count {
+                self.saturated.fetch_add(saturated, Ordering::Relaxed);
+            }
             way.pending = Some((packets, self.spread.over_s(&slot.plan)));
         }
     }
@@ -139,7 +142,7 @@ impl Output for Elements {
     }
 
     fn encode(&mut self, slot: &PingSlot) {
-        self.emit(slot);
+        self.emit(slot, 0..slot.plan.sample_count);
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
@@ -156,8 +159,8 @@ impl Output for Elements {
         self.spread.streaming.is_some()
     }
 
-    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
-        self.emit(slot);
+    fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
+        self.emit(slot, samples);
         for way in &mut self.ways {
             if let Some((packets, _)) = way.pending.take() {
                 way.sender.send(packets, self.spread.leaving(pulse));

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, StreamCounts, record};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
 use crate::beam::RowLimits;
 use crate::beam::matched::MatchedFilter;
 use crate::config::spec::{JsfSpec, MediumSpec, SonarSpec};
@@ -28,6 +28,9 @@ pub struct Jsf {
     rig_time: RigTime,
     /// Messages of the ping that waits for its deadline.
     pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// The pending ping leaves over so many seconds.
+    over_s: f64,
 }
 
 /// The matched filter that samples of formats 0 and 1 have behind them.
@@ -88,7 +91,7 @@ impl Jsf {
             ServerTimes::default(),
         )
         .map_err(failed)?;
-        data.set_line(opening.line(Shape::JSF));
+        opening.lay(&data, Shape::JSF);
         let recorder = match &spec.record {
             Some(record) if output.record => {
                 make_folder(&record.directory)?;
@@ -107,6 +110,8 @@ impl Jsf {
             recorder,
             rig_time: Arc::clone(rig_time),
             pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
         })
     }
 }
@@ -129,18 +134,18 @@ impl Output for Jsf {
 
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
         if self.data.wanted().is_empty() && self.recorder.is_none() {
             return;
         }
-        let subsystem = self.emitter.sheet().output.subsystem;
         let settings = Arc::clone(&self.settings);
-        let active = |channel| is_active(settings.as_ref(), subsystem, channel);
+        let active = |subsystem, channel| is_active(settings.as_ref(), subsystem, channel);
         self.emitter
             .emit_ping(&slot.plan, &slot.output, active, &mut self.pending);
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        self.data.deliver(&self.pending);
+        self.data.deliver_over(&self.pending, self.over_s);
         let mut pending = self.pending.drain(..);
         record(&mut self.recorder, |recorder| {
             pending.try_for_each(|message| recorder.write(&message.bytes))

@@ -12,6 +12,7 @@ mod vita49;
 mod wbms;
 mod xtf;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use chrono::DateTime;
@@ -23,7 +24,7 @@ use crate::io::datagrams::Leaving;
 use crate::io::line::Line as Passage;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
-use crate::io::sonar::{OpenError, RigTime};
+use crate::io::sonar::{OpenError, RigTime, SonarServer};
 use crate::run::faults::line::{Line, LineMark, Shape};
 use crate::run::histograms::Histograms;
 use crate::run::rig::{PingSlot, SonarUnit};
@@ -68,9 +69,10 @@ trait Output: Send {
     fn is_stream(&self) -> bool {
         false
     }
-    /// Makes a ping's packets, and lets them leave each at its time. The pulse begins at this instant of the rig's clock; none: all leave at once.
-    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
-        let _ = (slot, pulse);
+    /// Makes the packets of some of a ping's samples, and lets them leave each at its time. The pulse begins at this instant of the rig's clock;
+    /// none: all leave at once.
+    fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
+        let _ = (slot, samples, pulse);
     }
     /// Closes its recorder. A server closes when its last handle goes.
     fn close(self: Box<Self>) -> Result<(), OutputError>;
@@ -171,11 +173,31 @@ impl Spread {
     }
 }
 
+/// Tiles of a ping that wait to leave, at most: each is twice as long as the one before.
+const MOST_TILES: usize = 16;
+
 impl Opening<'_> {
+    /// Pings, or tiles of pings, that may wait to be sent.
+    fn queue(&self) -> usize {
+        let tiles = if self.spec.run.stream_tiles {
+            MOST_TILES
+        } else {
+            1
+        };
+        tiles * self.spec.run.queue_pings
+    }
+
     /// What everything that this output hands over passes on its way.
     fn line(&self, shape: Shape) -> Box<dyn Passage> {
         let faults = Arc::clone(&self.unit.faults);
         Box::new(Line::new(faults, shape, Arc::clone(&self.mark)))
+    }
+
+    /// What a server's records pass on their way, and how they are spread.
+    fn lay(&self, server: &SonarServer, shape: Shape) {
+        server.set_line(self.line(shape));
+        server.set_sending(self.sending.clone());
+        server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
     /// `NAME-20140801T000010.EXTENSION`: one run's recording does not overwrite another's.
@@ -291,11 +313,11 @@ impl Outputs {
         self.all.is_empty()
     }
 
-    /// Lets a ping's samples leave as they would be heard.
-    pub fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
+    /// Lets some of a ping's samples leave as they would be heard.
+    pub fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         for out in &mut self.all {
             out.mark.set(&slot.plan);
-            out.output.stream(slot, pulse);
+            out.output.stream(slot, samples.clone(), pulse);
         }
     }
 

@@ -63,18 +63,19 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
-        server.set_line(opening.line(Shape::PING));
-        server.set_sending(opening.sending.clone());
+        opening.lay(&server, Shape::PING);
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {
                 let connect = move || port.connect_line();
                 let line = SerialLine::open(path, *baud, connect, Arc::clone(rig_time));
-                Some(line.map_err(|source| OutputError::Line {
+                let line = line.map_err(|source| OutputError::Line {
                     name: name.clone(),
                     path: path.clone(),
                     source,
-                })?)
+                })?;
+                line.set_line(opening.line(Shape::PING_SERIAL));
+                Some(line)
             }
         };
         let recorder = match &spec.record {

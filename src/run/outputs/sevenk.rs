@@ -55,8 +55,7 @@ impl SevenK {
                     source,
                 }
             })?;
-        server.set_sending(opening.sending.clone());
-        server.set_line(opening.line(Shape::SEVENK));
+        opening.lay(&server, Shape::SEVENK);
         let recorder = match &spec.record {
             None => None,
             Some(record) => {

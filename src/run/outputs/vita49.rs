@@ -1,5 +1,6 @@
 //! VITA 49.2: element samples to boards, sent whether or not anybody listens.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -33,7 +34,7 @@ impl Vita49 {
             multicast_interface: output.multicast_interface,
             multicast_ttl: output.multicast_ttl,
             pace_bytes_per_s: output.pace_bytes_per_s,
-            queue: opening.spec.run.queue_pings,
+            queue: opening.queue(),
         };
         let clock = Arc::clone(opening.clock);
         let sender = DatagramSender::open(route, clock, opening.sending.clone());
@@ -56,13 +57,13 @@ impl Vita49 {
 }
 
 impl Vita49 {
-    fn emit(&mut self, slot: &PingSlot) {
+    fn emit(&mut self, slot: &PingSlot, samples: Range<usize>) {
         let mut packets = match self.pending.take() {
             Some((packets, _)) => packets,
             None => self.sender.buffer(),
         };
         self.emitter
-            .emit_ping(&slot.plan, &slot.output, self.lost, &mut packets);
+            .emit_rows(&slot.plan, &slot.output, samples, self.lost, &mut packets);
         self.saturated
             .store(self.emitter.totals().saturated, Ordering::Relaxed);
         self.pending = Some((packets, self.spread.over_s(&slot.plan)));
@@ -86,7 +87,7 @@ impl Output for Vita49 {
     }
 
     fn encode(&mut self, slot: &PingSlot) {
-        self.emit(slot);
+        self.emit(slot, 0..slot.plan.sample_count);
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
@@ -100,8 +101,8 @@ impl Output for Vita49 {
         self.spread.streaming.is_some()
     }
 
-    fn stream(&mut self, slot: &PingSlot, pulse: Option<MonoNs>) {
-        self.emit(slot);
+    fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
+        self.emit(slot, samples);
         if let Some((packets, _)) = self.pending.take() {
             self.lost = !self.sender.send(packets, self.spread.leaving(pulse));
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, StreamCounts};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
 use crate::config::spec::WbmsSpec;
 use crate::emit::session::Protocol;
 use crate::emit::wbms::control::{ControlPort, DataPort};
@@ -22,6 +22,9 @@ pub struct Wbms {
     /// As [`SERVERS`].
     servers: Arc<[SonarServer]>,
     pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// The pending ping leaves over so many seconds.
+    over_s: f64,
 }
 
 impl Wbms {
@@ -69,13 +72,15 @@ impl Wbms {
             })
             .collect::<Result<Arc<[_]>, _>>()?;
         for server in servers.iter().skip(1) {
-            server.set_line(opening.line(Shape::WBMS));
+            opening.lay(server, Shape::WBMS);
         }
         Ok(Self {
             name,
             emitter: WbmsEmitter::new(device, spec.run.queue_pings),
             servers,
             pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
         })
     }
 }
@@ -98,6 +103,7 @@ impl Output for Wbms {
 
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
         let [_, bathymetry, water_column, side_scan] = &*self.servers else {
             unreachable!("four servers are opened");
         };
@@ -118,7 +124,7 @@ impl Output for Wbms {
                 packet_type::WATER_COLUMN => 2,
                 _ => 3,
             };
-            self.servers[server].deliver(&[packet]);
+            self.servers[server].deliver_over(&[packet], self.over_s);
         }
         Ok(())
     }

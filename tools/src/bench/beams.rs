@@ -320,6 +320,8 @@ pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
         (Synthesis::Direct, 2500),
         (Synthesis::Direct, 5000),
         (Synthesis::Gridded1d, 5000),
+        (Synthesis::Gridded2d, 5000),
+        (Synthesis::Gridded2d, 100_000),
     ] {
         together(synthesis, scatterers, pings, &mut report)?;
     }
@@ -447,7 +449,11 @@ fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), 
     spec.settings.pulse_duration_s = pulse().duration_s;
     spec.limits.range_m = (range_m, range_m);
     spec.limits.pulse_duration_s = (pulse().duration_s, pulse().duration_s);
-    spec.model.path = PathModel::Polyline;
+    // The line's engine takes no polyline; the motion is straight, and its pieces are the same.
+    spec.model.path = match synthesis {
+        Synthesis::Gridded2d => PathModel::KSegment,
+        _ => PathModel::Polyline,
+    };
     spec.model.synthesis = synthesis;
     spec.model.segment_s = 1.0;
     spec.model.cull_db = None;

@@ -164,7 +164,7 @@ pub fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), 
         let mut messages = Vec::new();
         let mut encode = || {
             messages.clear();
-            emitter.emit_ping(&plan, &output, |_| true, &mut messages);
+            emitter.emit_ping(&plan, &output, |_, _| true, &mut messages);
             messages.iter().map(|m| m.bytes.len()).sum()
         };
         let bytes = encode();

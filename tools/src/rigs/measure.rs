@@ -2,10 +2,12 @@
 
 use std::time::Instant;
 
+use serde::{Deserialize, Serialize};
+
 use echotank::array::filter::FilterError;
 use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
 use echotank::flow::{DopplerModel, PathModel, PingOutput, PingPlan, Scatterers, Synthesis};
-use echotank::ping::fidelity::{Candidate, Choice, Ranking};
+use echotank::ping::fidelity::{Candidate, Choice, Family, Ranking};
 use echotank::ping::polyline;
 use echotank::run::chart::bare;
 use echotank::run::fidelity::costs::Costs;
@@ -25,9 +27,11 @@ const FINE_RULER: f64 = 0.25;
 const OTHERS: usize = 12;
 
 /// What one ping did under one choice.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Did {
     pub text: String,
+    /// What each family promises.
+    pub parts: [f64; 4],
     pub predicted_error: f64,
     pub predicted_ms: f64,
     /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. Where
@@ -39,7 +43,7 @@ pub struct Did {
     pub promised: bool,
 }
 
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Measured {
     pub sonar: String,
     pub tolerance: f64,
@@ -58,7 +62,7 @@ impl Measured {
     pub fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
-                "{:.1e} measured{}, {:.1e} promised, {:.2} ms, {:.2} predicted{}: {}",
+                "{:.1e} measured{}, {:.1e} promised ({}), {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
                 if did.by_certificate {
                     " by certificate"
@@ -66,6 +70,7 @@ impl Measured {
                     ""
                 },
                 did.predicted_error,
+                did.parts.map(|part| format!("{part:.1e}")).join(" + "),
                 did.ms,
                 did.predicted_ms,
                 if did.promised { "" } else { ", not within" },
@@ -217,6 +222,7 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
     let mut did = runners.iter().map(|(candidate, runner)| Did {
         by_certificate: runner.output.certificate.is_some(),
         text: candidate.text(),
+        parts: Family::ALL.map(|family| candidate.part(family).error),
         predicted_error: candidate.error(),
         predicted_ms: candidate.cost_ms(),
         error: match runner.output.certificate {

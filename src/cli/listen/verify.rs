@@ -1,0 +1,144 @@
+//! `echotank listen --verify`: accounts for what any family sends.
+
+use std::net::ToSocketAddrs;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use super::ListenArgs;
+use crate::cli::Failure;
+use crate::io::signals::stop_on_signals;
+use crate::io::sonar::heard::accounts::{sums_of, sums_text};
+use crate::io::sonar::heard::ear::{Family, Lane};
+use crate::io::sonar::heard::listener::{Listener, Listening};
+use crate::io::{text_of, write_text};
+
+/// Which family, on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum FamilyName {
+    #[value(name = "7k")]
+    SevenK,
+    Jsf,
+    Wbms,
+    Ping,
+    Imagenex872,
+    Vita49,
+    Elements,
+}
+
+impl From<FamilyName> for Family {
+    fn from(name: FamilyName) -> Self {
+        match name {
+            FamilyName::SevenK => Self::SevenK,
+            FamilyName::Jsf => Self::Jsf,
+            FamilyName::Wbms => Self::Wbms,
+            FamilyName::Ping => Self::Ping,
+            FamilyName::Imagenex872 => Self::Imagenex872,
+            FamilyName::Vita49 => Self::Vita49,
+            FamilyName::Elements => Self::Elements,
+        }
+    }
+}
+
+pub fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failure> {
+    let family = Family::from(args.family);
+    let no_address = |why: String| Failure::Configuration(format!("{}: {why}", args.address));
+    let mut addresses = args
+        .address
+        .to_socket_addrs()
+        .map_err(|why| no_address(why.to_string()))?;
+    let address = addresses
+        .next()
+        .ok_or_else(|| no_address("no such address".into()))?;
+    let against = match &args.against {
+        None => None,
+        Some(path) => {
+            let text = text_of(path).map_err(Failure::running)?;
+            let sums = sums_of(&text).map_err(|line| {
+                Failure::Configuration(format!("{}: line {line} is no sum", path.display()))
+            })?;
+            Some(sums)
+        }
+    };
+    let what = Listening {
+        family,
+        address,
+        record_types: record_types.to_vec(),
+        range_m: args.range_m,
+        silence: args
+            .silence_ms
+            .map(|ms| Duration::from_secs_f64(ms.clamp(1.0, 1e9) * 1e-3)),
+    };
+    let mut listener =
+        Listener::open(what, against, args.sums.is_some()).map_err(Failure::running)?;
+    println!("listening to {} at {}", family.name(), args.address);
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_on_signals(&stop).map_err(Failure::running)?;
+    let began = Instant::now();
+    let end = args
+        .seconds
+        .map(|s| began + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
+    let mut is_over =
+        || stop.load(Ordering::Acquire) || end.is_some_and(|end| Instant::now() >= end);
+    let ended = listener.run(&mut is_over);
+    let early = end.is_some() && !is_over();
+    let lost = print(&listener, began.elapsed());
+    for (path, text) in [
+        (&args.report, listener.accounts.report().text()),
+        (&args.sums, sums_text(listener.accounts.sums())),
+    ] {
+        if let Some(path) = path {
+            write_text(path, &text).map_err(Failure::running)?;
+        }
+    }
+    ended.map_err(Failure::running)?;
+    match (early, lost) {
+        // Something was to come.
+        (true, _) => Err(Failure::Running("the server closed the connection".into())),
+        (_, 0) => Ok(()),
+        (_, lost) => Err(Failure::Running(format!("{lost} records lost"))),
+    }
+}
+
+/// What came of it; how many were lost.
+fn print(listener: &Listener, took: Duration) -> u64 {
+    let mut lost = 0;
+    for (lane, tally) in listener.accounts.tallies() {
+        lost += tally.lost;
+        let name = match lane {
+            Lane::Records(record_type) => record_type.to_string(),
+            Lane::Packets { stream, context } => {
+                let what = if context { "contexts" } else { "data" };
+                format!("stream {stream} {what}")
+            }
+            Lane::Frames => "frames".to_owned(),
+            Lane::Answers => "answers".to_owned(),
+        };
+        println!(
+            "{name}: {} sent, {} received, {} lost, {} duplicate, {} late (out of order)",
+            tally.sent, tally.received, tally.lost, tally.duplicate, tally.late
+        );
+    }
+    let report = listener.accounts.report();
+    let mut kinds = std::collections::BTreeMap::new();
+    for finding in &report.findings {
+        *kinds.entry(finding.kind.as_str()).or_insert(0_u64) += 1;
+    }
+    if !kinds.is_empty() {
+        let words: Vec<_> = kinds.iter().map(|(k, n)| format!("{n} {k}")).collect();
+        println!("findings: {}", words.join(", "));
+    }
+    if listener.asked > 0 {
+        println!("{} asked, {} answers", listener.asked, listener.answers);
+    }
+    println!(
+        "{} bytes in {:.1} s; {} spoiled on the way, {} records without a number, {} resets, {} silences",
+        listener.bytes,
+        took.as_secs_f64(),
+        listener.errors(),
+        listener.others(),
+        listener.resets,
+        listener.silences
+    );
+    lost
+}

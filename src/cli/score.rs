@@ -1,0 +1,84 @@
+//! `echotank score`: a device's report laid beside the log of injected faults.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::Failure;
+use crate::io::sonar::heard::report::Report;
+use crate::io::text_of;
+use crate::run::score::{Score, log_of, score};
+
+#[derive(Args, Clone, Debug)]
+pub struct ScoreArgs {
+    /// The daemon's log, faults-TIME.jsonl
+    pub log: PathBuf,
+    /// What a device, or `echotank listen --verify --report`, found: JSON lines, e.g. {"kind": "lost", "ping_number": 17, "record_type": 7038}.
+    /// Kinds: lost, duplicate, late, damaged, different, reset, silent, or a fault's own. A line with the keys report, line (7k, jsf, wbms,
+    /// ping, imagenex872, vita49, elements), sonar, covers (record types), tells (kinds of faults), first_ping and last_ping says what it is of
+    pub report: PathBuf,
+    /// Only faults of this sonar
+    #[arg(long)]
+    pub sonar: Option<String>,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    text_of(path).map_err(|why| Failure::Configuration(format!("{}: {why}", path.display())))
+}
+
+pub fn main(args: &ScoreArgs) -> Result<(), Failure> {
+    let log = log_of(&read(&args.log)?).map_err(|(line, why)| {
+        Failure::Configuration(format!("{}: line {line}: {why}", args.log.display()))
+    })?;
+    let mut report = Report::parse(&read(&args.report)?)
+        .map_err(|why| Failure::Configuration(format!("{}: {why}", args.report.display())))?;
+    if args.sonar.is_some() {
+        report.head.sonar = args.sonar.clone();
+    }
+    let score = score(&log, &report);
+    if args.json {
+        println!("{}", serde_json::json!(score));
+    } else {
+        print(&score);
+    }
+    match score.is_clean() {
+        true => Ok(()),
+        false => Err(Failure::Running(format!(
+            "{} missed, {} invented",
+            score.missed.len(),
+            score.invented.len()
+        ))),
+    }
+}
+
+/// Lines of either list that are printed.
+const MOST_LINES: usize = 20;
+
+fn print(score: &Score) {
+    println!(
+        "{:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}",
+        "", "injected", "found", "by count", "masked", "missed", "untold", "others"
+    );
+    for (kind, tally) in &score.kinds {
+        println!(
+            "{kind:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}",
+            tally.injected,
+            tally.found,
+            tally.found_by_count,
+            tally.masked,
+            tally.missed,
+            tally.untold,
+            tally.not_covered
+        );
+    }
+    println!("{} findings follow from these", score.consequences);
+    for missed in score.missed.iter().take(MOST_LINES) {
+        println!("missed: {missed}");
+    }
+    for invented in score.invented.iter().take(MOST_LINES) {
+        println!("invented: {}", serde_json::json!(invented));
+    }
+}

@@ -1,0 +1,30 @@
+//! `run.overload`.
+
+use super::super::raw::{Problems, RawTable};
+use super::super::spec::*;
+
+/// `degrade` needs a tolerance that can be looser, `stretch` pulses of one's own.
+pub fn refuse_what_has_nothing_to_give(
+    run: &RawTable,
+    sonars: &[&SonarSpec],
+    problems: &mut Problems,
+) {
+    let entry = run.entry("overload");
+    for sonar in sonars {
+        let name = &sonar.name;
+        match run.text("overload") {
+            Some("degrade") if sonar.looser_tolerances().is_empty() => {
+                let rule = format!(
+                    "sonar {name} has no looser tolerance: model.synthesis must be \"gridded-1d\", \"gridded-2d\" or \"auto\", and model.tolerance below 0.1"
+                );
+                problems.refuse(entry, rule);
+            }
+            Some("stretch") if sonar.trigger.from.is_wired() => {
+                let rule =
+                    format!("the pulses of sonar {name} are its trigger's: they cannot wait");
+                problems.refuse(entry, rule);
+            }
+            _ => {}
+        }
+    }
+}

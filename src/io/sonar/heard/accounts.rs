@@ -1,0 +1,484 @@
+//! Accounts for the records that came: what is lost, came twice or late, is damaged, or holds what it should not.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use super::ear::{Family, Lane, Sighting};
+use super::report::{Finding, Report, ReportHead};
+use crate::io::sonar::verify::{Numbers, PingTally, Seen};
+
+/// Sums of records, by lane and [`Sighting::key`]: what they held in a run without faults.
+pub type Sums = HashMap<(Lane, u64), u64>;
+
+/// Of a gap, how many missing numbers have their places kept.
+const MOST_PLACES: usize = 100_000;
+/// Findings kept; what is beyond is counted.
+const MOST_FINDINGS: usize = 1_000_000;
+
+/// Fowler, Noll and Vo's hash (1a), 64 bits.
+fn sum_of(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3)
+    })
+}
+
+/// One listener's, over all its connections.
+pub struct Accounts {
+    family: Family,
+    lanes: BTreeMap<Lane, Numbers>,
+    /// Where a missing packet or frame lies: between these times of its stream, or these pings.
+    between: BTreeMap<(Lane, u32), (i64, i64)>,
+    /// Of the newest of a lane: its time, or its ping.
+    newest: BTreeMap<Lane, i64>,
+    damaged: BTreeSet<(Lane, u32)>,
+    /// What records are compared with.
+    against: Option<Sums>,
+    /// What they held.
+    sums: Sums,
+    keeps_sums: bool,
+    findings: Vec<Finding>,
+    /// Those that last until the next ping.
+    open: Vec<usize>,
+    unkept: u64,
+    pings: Option<(u32, u32)>,
+    last_ping: Option<u32>,
+    utc_ns: Option<(i64, i64)>,
+}
+
+impl Accounts {
+    /// `against`: the sums of a run without faults. `keeps_sums`: for [`Accounts::sums`].
+    pub fn new(family: Family, against: Option<Sums>, keeps_sums: bool) -> Self {
+        Self {
+            family,
+            lanes: BTreeMap::new(),
+            between: BTreeMap::new(),
+            newest: BTreeMap::new(),
+            damaged: BTreeSet::new(),
+            against,
+            sums: Sums::new(),
+            keeps_sums,
+            findings: Vec::new(),
+            open: Vec::new(),
+            unkept: 0,
+            pings: None,
+            last_ping: None,
+            utc_ns: None,
+        }
+    }
+
+    pub fn sums(&self) -> &Sums {
+        &self.sums
+    }
+
+    /// The ping that was heard last.
+    pub fn last_ping(&self) -> Option<u32> {
+        self.last_ping
+    }
+
+    /// Findings beyond what is kept.
+    pub fn unkept(&self) -> u64 {
+        self.unkept
+    }
+
+    fn find(&mut self, finding: Finding) {
+        if self.findings.len() < MOST_FINDINGS {
+            self.findings.push(finding);
+        } else {
+            self.unkept += 1;
+        }
+    }
+
+    /// Adds what the listener itself has seen: a reset, a silence, an answer too many.
+    pub fn found(&mut self, kind: &str, from: Option<u32>, to: Option<u32>) {
+        self.find(Finding {
+            kind: kind.into(),
+            ping_number: from,
+            to_ping: to,
+            ..Finding::default()
+        });
+    }
+
+    /// The same, from the ping that was heard last to the next one.
+    pub fn found_until_next(&mut self, kind: &str) {
+        self.found(kind, self.last_ping, None);
+        self.open.push(self.findings.len() - 1);
+    }
+
+    pub fn note(&mut self, sighting: &Sighting) {
+        if let Some(ping) = sighting.ping_number.filter(|_| !sighting.is_damaged) {
+            for at in self.open.drain(..) {
+                self.findings[at].to_ping = Some(ping);
+            }
+            let (first, last) = self.pings.unwrap_or((ping, ping));
+            self.pings = Some((first.min(ping), last.max(ping)));
+            self.last_ping = Some(ping);
+        }
+        if let Some(utc) = sighting.utc_ns {
+            let (first, last) = self.utc_ns.unwrap_or((utc, utc));
+            self.utc_ns = Some((first.min(utc), last.max(utc)));
+        }
+        let Some(number) = sighting.number else {
+            return;
+        };
+        let lane = sighting.lane;
+        if sighting.is_damaged {
+            if self.damaged.insert((lane, number)) {
+                self.find(finding("damaged", sighting));
+            }
+            // A datagram's count is believed all the same: or it would be lost as well.
+            if self.family != Family::Vita49 {
+                return;
+            }
+        }
+        let mut before = None;
+        let seen = match self.lanes.get_mut(&lane) {
+            Some(numbers) => {
+                before = Some(numbers.span().1);
+                numbers.note(number)
+            }
+            None => {
+                self.lanes.insert(lane, Numbers::from(number));
+                Seen::New
+            }
+        };
+        let place = match lane {
+            Lane::Packets { .. } => sighting.utc_ns,
+            Lane::Frames => sighting.ping_number.map(i64::from),
+            Lane::Records(_) | Lane::Answers => None,
+        };
+        if let (Some(place), Seen::New) = (place, seen) {
+            let newest = self.newest.insert(lane, place);
+            if let (Some(before), Some(newest)) = (before, newest) {
+                for missing in (before + 1..number).take(MOST_PLACES) {
+                    self.between.insert((lane, missing), (newest, place));
+                }
+            }
+        }
+        match seen {
+            Seen::New => {}
+            Seen::Duplicate => return self.find(finding("duplicate", sighting)),
+            Seen::Late => self.find(finding("late", sighting)),
+        }
+        if sighting.is_damaged {
+            return;
+        }
+        let sum = (self.against.is_some() || self.keeps_sums).then(|| sum_of(sighting.content));
+        if let (Some(against), Some(sum)) = (&self.against, sum)
+            && against
+                .get(&(lane, sighting.key))
+                .is_some_and(|was| *was != sum)
+        {
+            self.find(finding("different", sighting));
+        }
+        if let (true, Some(sum)) = (self.keeps_sums, sum) {
+            self.sums.insert((lane, sighting.key), sum);
+        }
+    }
+
+    /// Of each lane: what was sent, lost, came twice or late. What is damaged counts as lost.
+    pub fn tallies(&self) -> impl Iterator<Item = (Lane, PingTally)> + '_ {
+        let lanes = self.lanes.iter();
+        lanes.map(|(lane, numbers)| (*lane, numbers.tally()))
+    }
+
+    /// Everything found, and what never came.
+    pub fn report(&self) -> Report {
+        let mut findings = self.findings.clone();
+        for (lane, numbers) in &self.lanes {
+            for number in numbers.missing() {
+                if self.damaged.contains(&(*lane, number)) {
+                    continue;
+                }
+                findings.push(self.lost(*lane, number));
+            }
+        }
+        let lanes = || self.lanes.keys();
+        let types: Vec<u32> = lanes()
+            .filter_map(|lane| match lane {
+                Lane::Records(record_type) => Some(*record_type),
+                _ => None,
+            })
+            .collect();
+        let tells = self.family.tells(self.against.is_some());
+        Report {
+            head: ReportHead {
+                report: "echotank listen".into(),
+                line: Some(self.family.name().into()),
+                sonar: None,
+                covers: (!types.is_empty()).then_some(types),
+                tells: Some(tells.into_iter().map(str::to_owned).collect()),
+                first_ping: self.pings.map(|(first, _)| first),
+                last_ping: self.pings.map(|(_, last)| last),
+                from_utc_ns: self.utc_ns.map(|(first, _)| first),
+                to_utc_ns: self.utc_ns.map(|(_, last)| last),
+            },
+            findings,
+        }
+    }
+
+    fn lost(&self, lane: Lane, number: u32) -> Finding {
+        let lost = Finding {
+            kind: "lost".into(),
+            ..Finding::default()
+        };
+        let between = self.between.get(&(lane, number));
+        match lane {
+            Lane::Records(record_type) => Finding {
+                ping_number: Some(number),
+                record_type: Some(record_type),
+                ..lost
+            },
+            Lane::Packets { stream, context } => Finding {
+                stream: Some(stream),
+                context: Some(context),
+                from_utc_ns: between.map(|(from, _)| *from),
+                to_utc_ns: between.map(|(_, to)| *to),
+                ..lost
+            },
+            Lane::Frames => Finding {
+                frame_number: Some(number),
+                ping_number: between.and_then(|(from, _)| u32::try_from(*from).ok()),
+                to_ping: between.and_then(|(_, to)| u32::try_from(*to).ok()),
+                ..lost
+            },
+            Lane::Answers => lost,
+        }
+    }
+}
+
+fn finding(kind: &str, sighting: &Sighting) -> Finding {
+    let (record_type, stream, context, frame_number) = match sighting.lane {
+        Lane::Records(record_type) => (Some(record_type), None, None, None),
+        Lane::Packets { stream, context } => (None, Some(stream), Some(context), None),
+        Lane::Frames => (None, None, None, sighting.number),
+        Lane::Answers => (None, None, None, None),
+    };
+    Finding {
+        kind: kind.into(),
+        ping_number: sighting.ping_number,
+        record_type,
+        stream,
+        context,
+        frame_number,
+        from_utc_ns: sighting.utc_ns,
+        to_utc_ns: sighting.utc_ns,
+        ..Finding::default()
+    }
+}
+
+/// Sums as text: a line each, `KIND A B KEY SUM`.
+pub fn sums_text(sums: &Sums) -> String {
+    let mut lines: Vec<String> = sums
+        .iter()
+        .map(|((lane, key), sum)| {
+            let (kind, a, b) = match lane {
+                Lane::Records(record_type) => ("record", *record_type, 0),
+                Lane::Packets { stream, context } => ("packet", *stream, u32::from(*context)),
+                Lane::Frames => ("frame", 0, 0),
+                Lane::Answers => ("answer", 0, 0),
+            };
+            format!("{kind} {a} {b} {key} {sum:016x}\n")
+        })
+        .collect();
+    lines.sort_unstable();
+    lines.concat()
+}
+
+/// And back; the number of the first line that is none.
+pub fn sums_of(text: &str) -> Result<Sums, usize> {
+    let lines = text.lines().enumerate();
+    lines
+        .map(|(at, line)| {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let wrong = at + 1;
+            let [kind, a, b, key, sum] = words[..] else {
+                return Err(wrong);
+            };
+            let integer = |text: &str| text.parse::<u32>().map_err(|_| wrong);
+            let lane = match kind {
+                "record" => Lane::Records(integer(a)?),
+                "packet" => Lane::Packets {
+                    stream: integer(a)?,
+                    context: integer(b)? == 1,
+                },
+                "frame" => Lane::Frames,
+                "answer" => Lane::Answers,
+                _ => return Err(wrong),
+            };
+            let sum = u64::from_str_radix(sum, 16).map_err(|_| wrong)?;
+            Ok(((lane, key.parse().map_err(|_| wrong)?), sum))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use echotank_protocols::elements::{FrameHead, SampleType};
+    use echotank_protocols::vita49::{SignalStream, VrtTime};
+    use proptest::prelude::*;
+
+    use super::super::ear::Ear;
+    use super::*;
+
+    /// Lets datagrams or pieces of a connection be heard.
+    fn hear<'a>(
+        family: Family,
+        pieces: impl IntoIterator<Item = &'a [u8]>,
+        against: Option<Sums>,
+    ) -> Accounts {
+        let mut ear = Ear::new(family);
+        let mut accounts = Accounts::new(family, against, true);
+        for piece in pieces {
+            ear.hear(piece, &mut |sighting| accounts.note(sighting));
+        }
+        accounts
+    }
+
+    /// Kind and count of all findings.
+    fn kinds(accounts: &Accounts) -> Vec<(String, usize)> {
+        let mut kinds = BTreeMap::new();
+        for finding in accounts.report().findings {
+            *kinds.entry(finding.kind).or_insert(0) += 1;
+        }
+        kinds.into_iter().collect()
+    }
+
+    /// Packets of two streams, 1 ms apart, a pause after every tenth.
+    fn packets() -> Vec<Vec<u8>> {
+        let mut streams = [7, 8].map(|id| SignalStream::new(id, true, 1, 10e3, 1472));
+        let mut packets = Vec::new();
+        for k in 0..60_i64 {
+            let utc_ns = 1_700_000_000_000_000_000 + k * 1_000_000 + k / 10 * 500_000_000;
+            for stream in &mut streams {
+                let samples = [[k as i16, 5]; 10];
+                let time = VrtTime::from_utc_ns(utc_ns);
+                stream.emit_complex(&mut Vec::new(), time, &samples, None, |packet| {
+                    packets.push(packet.to_vec());
+                });
+            }
+        }
+        packets
+    }
+
+    #[test]
+    fn vita_packets_are_accounted_for_by_their_counts_and_times() {
+        let packets = packets();
+        let heard = |packets: &[Vec<u8>], sums| {
+            hear(Family::Vita49, packets.iter().map(Vec::as_slice), sums)
+        };
+        let clean = heard(&packets, None);
+        assert_eq!(kinds(&clean), []);
+        assert_eq!(clean.sums().len(), 120);
+
+        // Of stream 7: 14 in a row are lost, over two pauses.
+        let mut some = packets.clone();
+        let mut k = 0;
+        some.retain(|_| {
+            k += 1;
+            !(k % 2 == 1 && (8..22).contains(&(k / 2)))
+        });
+        let lost = heard(&some, None);
+        assert_eq!(kinds(&lost), [("lost".into(), 14)]);
+        let findings = lost.report().findings;
+        assert!(findings.iter().all(|f| f.stream == Some(7)));
+        assert!(findings.iter().all(|f| f.from_utc_ns < f.to_utc_ns));
+
+        let mut twice = packets.clone();
+        twice.insert(41, packets[40].clone());
+        twice.insert(80, packets[30].clone());
+        let twice = heard(&twice, None);
+        assert_eq!(kinds(&twice), [("duplicate".into(), 2)]);
+
+        let mut late = packets.clone();
+        let held = late.remove(30);
+        late.insert(37, held);
+        assert_eq!(kinds(&heard(&late, None)), [("late".into(), 1)]);
+
+        let mut spoiled = packets.clone();
+        spoiled[20][40] ^= 0x55;
+        spoiled[30].truncate(36);
+        assert_eq!(kinds(&heard(&spoiled, None)), [("damaged".into(), 1)]);
+        let compared = heard(&spoiled, Some(clean.sums().clone()));
+        let want = [("damaged".into(), 1), ("different".into(), 1)];
+        assert_eq!(kinds(&compared), want);
+    }
+
+    fn frames(first_number: u32) -> Vec<Vec<u8>> {
+        let frame = |(number, ping): (u32, u32)| {
+            let mut bytes = Vec::new();
+            FrameHead {
+                frame_number: first_number + number,
+                ping_number: ping,
+                first_moment: 0,
+                ping_moments: 2,
+                elements: 1,
+                sample_type: SampleType::I16,
+                volts_per_unit: 1.0,
+                pulse_utc_ns: 0,
+                first_moment_s: 0.0,
+                moments_per_s: 1.0,
+                center_frequency_hz: 1.0,
+            }
+            .emit(&mut bytes, 2, |buf| buf.extend([ping as u8; 8]));
+            bytes
+        };
+        (0..20).zip(100..).map(frame).collect()
+    }
+
+    #[test]
+    fn frames_are_lost_between_two_pings_and_the_same_whatever_their_numbers() {
+        let mut sent = frames(5);
+        let clean = hear(Family::Elements, [&sent.concat()[..]], None);
+        assert_eq!(kinds(&clean), []);
+        // A client that came earlier has other numbers for the same pings.
+        let other = frames(77).concat();
+        let again = hear(Family::Elements, [&other[..]], Some(clean.sums().clone()));
+        assert_eq!(kinds(&again), []);
+        sent.remove(9);
+        sent[3][75] ^= 1;
+        let bytes = sent.concat();
+        let pieces = bytes.chunks(13);
+        let heard = hear(Family::Elements, pieces, Some(clean.sums().clone()));
+        let findings = heard.report().findings;
+        let places: Vec<_> = findings
+            .iter()
+            .map(|f| (f.kind.as_str(), f.frame_number, f.ping_number, f.to_ping))
+            .collect();
+        let want = [
+            ("different", Some(8), Some(103), None),
+            ("lost", Some(14), Some(108), Some(110)),
+        ];
+        assert_eq!(places, want);
+    }
+
+    #[test]
+    fn sums_survive_their_own_text() {
+        let clean = hear(Family::Elements, [&frames(1).concat()[..]], None);
+        let mut sums = clean.sums().clone();
+        sums.insert((Lane::Records(7038), 3), u64::MAX);
+        let lane = Lane::Packets {
+            stream: 9,
+            context: true,
+        };
+        sums.insert((lane, 1 << 60), 0);
+        let text = sums_text(&sums);
+        assert_eq!(sums_of(&text).expect("sums"), sums);
+        assert_eq!(sums_of(&(text + "record 1 2 x 0\n")), Err(sums.len() + 1));
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_any_ear_fall(
+            bytes in proptest::collection::vec(any::<u8>(), 0..400),
+            mark in 0..6_usize,
+            cut in 1..50_usize,
+        ) {
+            let marks: [&[u8]; 6] =
+                [&[1, 0x16], &[0xEF, 0xBE, 0xAD, 0xDE], b"BR", b"IMX", b"ETEL", &[5, 0, 36, 0]];
+            let bytes = [marks[mark], &bytes].concat();
+            for family in Family::ALL {
+                let accounts = hear(family, bytes.chunks(cut), None);
+                let _ = accounts.report().text();
+            }
+        }
+    }
+}

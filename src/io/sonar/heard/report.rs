@@ -1,0 +1,164 @@
+//! What a listener, or any device, says went wrong: JSON lines, one finding each, that `echotank score` lays beside the log of faults.
+//!
+//! ```text
+//! {"report": "my topside", "line": "7k", "covers": [7000, 7038], "tells": ["drop", "duplicate"], "first_ping": 1, "last_ping": 900}
+//! {"kind": "lost", "ping_number": 17, "record_type": 7038}
+//! {"kind": "silent", "ping_number": 40, "to_ping": 46}
+//! {"kind": "dead", "ping_number": 100, "to_ping": 180, "array": 0, "element": 3}
+//! ```
+//!
+//! A line with `report` is a head; without one the report covers everything. Every other line is a finding. What is left out of it is not
+//! claimed, and keys that are not known here are passed over.
+
+use serde::{Deserialize, Serialize};
+
+/// What the findings below it are of.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ReportHead {
+    /// Whose it is.
+    pub report: String,
+    /// The family of the line, as in the log; none: every one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sonar: Option<String>,
+    /// Record types that were looked at; none: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub covers: Option<Vec<u32>>,
+    /// Kinds of faults that can be found at all; none: every one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tells: Option<Vec<String>>,
+    /// First and last ping heard.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_ping: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last_ping: Option<u32>,
+    /// First and last packet time heard, of VITA 49.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_utc_ns: Option<i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub to_utc_ns: Option<i64>,
+}
+
+/// One thing that was found wrong.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Finding {
+    /// `lost`, `duplicate`, `late`, `damaged` (it says itself that it is not whole), `different` (from what it should be), `reset`, `silent`; or a
+    /// kind of fault by its name.
+    pub kind: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sonar: Option<String>,
+    /// The ping, or the first of several up to `to_ping`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ping_number: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub to_ping: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub record_type: Option<u32>,
+    /// Of an element stream.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_number: Option<u32>,
+    /// Of VITA 49, with the packet's own time, or times that it lies between.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stream: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub context: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_utc_ns: Option<i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub to_utc_ns: Option<i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub array: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub element: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<String>,
+}
+
+/// A report, read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    pub head: ReportHead,
+    pub findings: Vec<Finding>,
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("line {line}: {why}")]
+pub struct ReportError {
+    pub line: usize,
+    pub why: String,
+}
+
+impl Report {
+    /// Reads JSON lines; empty ones are passed over.
+    pub fn parse(text: &str) -> Result<Self, ReportError> {
+        let mut report = Self::default();
+        for (at, line) in text.lines().enumerate() {
+            if line.trim().is_empty() {
+                continue;
+            }
+            let refused = |why: String| ReportError { line: at + 1, why };
+            let value: serde_json::Value =
+                serde_json::from_str(line).map_err(|why| refused(why.to_string()))?;
+            let has = |key| value.get(key).is_some();
+            let done = if has("report") {
+                serde_json::from_value(value).map(|head| report.head = head)
+            } else if has("kind") {
+                serde_json::from_value(value).map(|finding| report.findings.push(finding))
+            } else {
+                return Err(refused("neither `report` nor `kind`".into()));
+            };
+            done.map_err(|why| refused(why.to_string()))?;
+        }
+        Ok(report)
+    }
+
+    /// The same as JSON lines.
+    pub fn text(&self) -> String {
+        let mut text = serde_json::json!(self.head).to_string() + "\n";
+        for finding in &self.findings {
+            text += &serde_json::json!(finding).to_string();
+            text.push('\n');
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_survives_its_own_text_and_says_where_it_is_wrong() {
+        let report = Report {
+            head: ReportHead {
+                report: "a topside".into(),
+                covers: Some(vec![7038]),
+                ..ReportHead::default()
+            },
+            findings: vec![Finding {
+                kind: "lost".into(),
+                ping_number: Some(3),
+                record_type: Some(7038),
+                ..Finding::default()
+            }],
+        };
+        assert_eq!(Report::parse(&report.text()).expect("sound"), report);
+        let more = "{\"kind\": \"late\", \"ping_number\": 9, \"mine\": true}\n\n";
+        let findings = Report::parse(more).expect("keys of others").findings;
+        assert_eq!((findings.len(), findings[0].ping_number), (1, Some(9)));
+        for (text, line) in [
+            ("{}", 1),
+            ("\n{\"kind\": 3}", 2),
+            ("nothing", 1),
+            ("{\"kind\": \"lost\", \"ping_number\": -1}", 1),
+        ] {
+            let error = Report::parse(text).expect_err(text);
+            assert_eq!(error.line, line, "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Amounts of work, kind by kind: what the costs of methods are made of.
+//!
+//! One list says what the kinds are, what a table of costs calls them and what they mean; everything else goes by [`Figure`].
+
+use std::ops::{Index, IndexMut};
+
+macro_rules! figures {
+    ($($variant:ident $name:literal $doc:literal;)*) => {
+        /// A kind of work that a table of costs has a figure for, in nanoseconds of one core for each unit of it.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Figure {
+            $(#[doc = $doc] $variant,)*
+        }
+
+        impl Figure {
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// As a table of costs calls it.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)*
+                }
+            }
+
+            /// What one unit of it is.
+            pub fn meaning(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $doc,)*
+                }
+            }
+        }
+    };
+}
+
+figures! {
+    Ping "ping" "a ping, whatever is in it";
+    Element "element" "an element of a ping";
+    Sample "sample" "a sample of an element, whatever made it";
+    TransmitLeg "transmit_leg" "a scatterer as a transmitter sees it";
+    Pair "pair" "a lit scatterer at an element: its second leg's level, and where it goes";
+    Pattern "pattern" "... where the element has a pattern";
+    Chord "chord" "a lit scatterer at an element, for each leg of the path that is looked at";
+    Newton "newton" "a lit scatterer at an element on the trajectory itself";
+    Quadratic "quadratic" "the second order of an echo's Doppler";
+    DirectRun "direct_run" "a run of samples of an echo in `direct`: sines and cosines anew";
+    DirectPoint "direct_point" "a point of an echo in `direct`";
+    DirectFlank "direct_flank" "... more, on a taper's flank";
+    DirectEdge "direct_edge" "the two sharp ends of an echo in `direct` behind the receiver filter";
+    ReferencePoint "reference_point" "a point of an echo in `reference`";
+    SpectralBin "spectral_bin" "a bin of an echo in `spectral`";
+    ReplicaEcho "replica_echo" "an echo in `nearest` and `linear`";
+    ReplicaSample "replica_sample" "a sample of an echo in `nearest`; `linear` has two";
+    FilterTap "filter_tap" "a tap of the receiver filter, for each sample behind it";
+    Gridded1dEcho "gridded_1d_echo" "what `gridded-1d` foresees for its echoes, in its own ns";
+    Gridded1dGrid "gridded_1d_grid" "what `gridded-1d` foresees for its grids, in its own ns";
+    Gridded2dEcho "gridded_2d_echo" "what `gridded-2d` foresees for its echoes, in its own ns";
+    Gridded2dGrid "gridded_2d_grid" "what `gridded-2d` foresees for its grids, in its own ns";
+}
+
+pub const FIGURES: usize = Figure::ALL.len();
+
+/// Amounts of each kind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Work([f64; FIGURES]);
+
+impl Work {
+    pub const NONE: Self = Self([0.0; FIGURES]);
+
+    /// With this much of one kind.
+    pub fn of(figure: Figure, amount: f64) -> Self {
+        Self::NONE.and(figure, amount)
+    }
+
+    /// ... and so much more of another.
+    pub fn and(mut self, figure: Figure, amount: f64) -> Self {
+        self[figure] += amount;
+        self
+    }
+
+    /// All of both.
+    pub fn plus(mut self, other: &Self) -> Self {
+        for &figure in Figure::ALL {
+            self[figure] += other[figure];
+        }
+        self
+    }
+}
+
+impl Index<Figure> for Work {
+    type Output = f64;
+    fn index(&self, figure: Figure) -> &f64 {
+        &self.0[figure as usize]
+    }
+}
+
+impl IndexMut<Figure> for Work {
+    fn index_mut(&mut self, figure: Figure) -> &mut f64 {
+        &mut self.0[figure as usize]
+    }
+}

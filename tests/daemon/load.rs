@@ -1,0 +1,98 @@
+//! The running daemon with a large multibeam's records, two topsides that read and one that does not. The long form, with one that takes
+//! a byte a second, and the timing without them, is `tools/soak --load`.
+
+use std::time::{Duration, Instant};
+
+use echotank::io::sonar::client::SevenKClient;
+use echotank::io::sonar::verify::Verifier;
+
+use super::modes::status;
+use super::{Daemon, PATIENCE};
+
+/// 256 elements and beams of 2000 samples: 2 MB a record, of which four may wait for a client, and some more in its socket.
+const LARGE: [&str; 20] = [
+    "--set",
+    "sonar.receive=[{name=\"rx\", elements=256, spacing_m=0.00375, position_m=[0.6, 0.0, 0.9], yaw_deg=90.0, sensitivity_db=0.0}]",
+    "--set",
+    "sonar.beams={fan={array=\"rx\", beams=256, sector_deg=120.0, shading=\"uniform\", former=\"fft\"}}",
+    "--set",
+    "sonar.output.sevenk={id=103, arrays=[\"rx\"], listen=\"127.0.0.1:0\", client_queue_mib=8}",
+    "--set",
+    "control.listen=127.0.0.1:0",
+    "--set",
+    "sonar.model.synthesis=direct",
+    "--set",
+    "sonar.receiver.sample_rate_khz=50",
+    "--set",
+    "sonar.pulse.duration_ms=0.5",
+    "--set",
+    "sonar.ping.range_m=29.61",
+    "--set",
+    "sonar.ping.rate_hz=5",
+    "--set",
+    "nav.source.0.path=data/launch_nav.csv",
+];
+const PINGS: u64 = 8;
+
+#[test]
+fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
+    let mut arguments = vec!["hil-configs/points.toml"];
+    arguments.extend(LARGE);
+    let mut daemon = Daemon::start(&arguments);
+    let http = daemon.announced("control http", "http");
+    let address = daemon.announced("7k points", "tcp");
+    let mut third = SevenKClient::connect(address).expect("listening");
+    third.subscribe(&[7038, 7018]).expect("subscribed");
+    let peer = third.local_addr().expect("bound");
+    let readers: Vec<_> = (0..2)
+        .map(|_| {
+            let mut client = SevenKClient::connect(address).expect("listening");
+            client.subscribe(&[7038, 7018]).expect("subscribed");
+            std::thread::spawn(move || {
+                let mut verifier = Verifier::default();
+                while verifier.tally(7038).received < PINGS {
+                    let record = client.next_record(PATIENCE).expect("connected");
+                    let record = record.expect("a record in time");
+                    verifier.note(record.record_type(), record.body());
+                }
+                assert_eq!(client.counters().checksum_errors, 0);
+                verifier
+            })
+        })
+        .collect();
+    let verifiers: Vec<_> = readers
+        .into_iter()
+        .map(|reader| reader.join().expect("no panic"))
+        .collect();
+    // What a loaded machine skipped has a number and never comes.
+    let begun = Instant::now();
+    let (skipped, line) = loop {
+        let status = status(http);
+        let sonar = &status["sonars"][0];
+        let counters = sonar["counters"].as_object().expect("counters");
+        let skipped: u64 = counters
+            .iter()
+            .filter(|(name, _)| name.starts_with("pings_skipped"))
+            .filter_map(|(_, count)| count.as_u64())
+            .sum();
+        let outputs = sonar["outputs"].as_array().expect("outputs");
+        let its = outputs.iter().filter_map(|line| line.as_str());
+        let its = its.filter_map(|line| line.lines().find(|l| l.contains(&format!("{peer}: "))));
+        let line = its.map(str::to_owned).next().expect("the third is there");
+        if !line.contains(" 0 dropped") {
+            break (skipped, line);
+        }
+        assert!(begun.elapsed() < PATIENCE, "{line}");
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    println!("{line}; {skipped} pings skipped");
+    for verifier in &verifiers {
+        let tally = verifier.tally(7038);
+        assert!(tally.lost <= skipped, "{tally:?}, {skipped} skipped");
+        assert_eq!((tally.duplicate, tally.late), (0, 0));
+        // The last ping's beams may still be on their way.
+        let beams = verifier.tally(7018);
+        assert!(beams.lost <= skipped && beams.received + 1 >= PINGS, "{beams:?}");
+    }
+    daemon.terminate();
+}

@@ -1,0 +1,229 @@
+//! What becomes of pings that take longer than there is time: skipped, made looser, put off; counted, logged, and nothing else changed.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use echotank_protocols::sevenk::RecordBody;
+use echotank_protocols::sevenk::file::FileReader;
+use serde_json::Value;
+
+use super::Daemon;
+use super::modes::{Pings, pings_in, pings_of, rig, status};
+
+/// Where year, day, seconds, hours and minutes stand in a record's frame.
+type Instant = Vec<u8>;
+
+/// Five seconds of 20 pings a second, each of which takes 75 ms where 50 are to be had.
+fn strained(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
+    let overload = format!("run.overload={overload}");
+    let log = format!("run.fault_directory={folder:?}");
+    let mut sets = vec![overload.as_str(), log.as_str(), "run.rehearse_ms=75"];
+    sets.extend(QUICK.iter().chain(more));
+    let mut daemon = rig(folder, &sets);
+    let control = daemon.announced("control http", "http");
+    let mut last = Value::Null;
+    // Until the log ends, and the daemon with it.
+    while daemon.child.try_wait().expect("a child").is_none() {
+        if let Ok((200, body)) = echotank::io::control::client::get(control, "/status", None) {
+            last = serde_json::from_str(&body).expect("JSON");
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let ended = daemon.child.wait().expect("ended");
+    assert!(ended.success(), "{ended}");
+    (daemon, last)
+}
+
+const QUICK: [&str; 3] = [
+    "sonar.ping.range_m=30",
+    "sonar.ping.rate_hz=20",
+    "run.status_interval_s=1000",
+];
+
+/// Its last words.
+fn said(mut daemon: Daemon) -> String {
+    let mut text = String::new();
+    std::io::Read::read_to_string(&mut daemon.stdout, &mut text).expect("readable");
+    text
+}
+
+/// The same rig without a time to keep.
+fn at_leisure(folder: &Path, more: &[&str]) -> Pings {
+    let mut sets = vec!["run.clock=fast"];
+    sets.extend(QUICK.iter().chain(more));
+    let mut daemon = rig(folder, &sets);
+    assert!(daemon.child.wait().expect("ended").success());
+    pings_of(folder)
+}
+
+/// What the log of overloads says: what befell which ping.
+fn log_of(folder: &Path) -> Vec<Value> {
+    let files = std::fs::read_dir(folder).expect("folder");
+    let paths = files.map(|e| e.expect("entry").path());
+    let log = paths.into_iter().find(|path| {
+        let name = path.file_name().map(|name| name.to_string_lossy());
+        name.is_some_and(|name| name.starts_with("overload-"))
+    });
+    let text = std::fs::read_to_string(log.expect("a log")).expect("readable");
+    let lines = text.lines();
+    lines
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
+}
+
+fn numbers(log: &[Value], what: &str) -> Vec<u64> {
+    let lines = log.iter().filter(|line| line["what"] == what);
+    lines
+        .map(|line| line["ping_number"].as_u64().expect("a number"))
+        .collect()
+}
+
+/// Ping numbers and periods by the instants that records are stamped with.
+fn settings_of(folder: &Path) -> BTreeMap<Instant, (u64, f32)> {
+    let files = std::fs::read_dir(folder).expect("folder");
+    let paths = files.map(|e| e.expect("entry").path());
+    let path = paths
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|e| e == "s7k"));
+    let bytes = std::fs::read(path.expect("a record")).expect("readable");
+    let mut at = 0;
+    let mut all = BTreeMap::new();
+    for read in FileReader::new(&bytes) {
+        let record = read.expect("sound").record;
+        let stamp = bytes[at + 20..at + 30].to_vec();
+        at += record.frame.size_bytes as usize;
+        if let Ok(RecordBody::SonarSettings(settings)) = RecordBody::parse(&record) {
+            all.insert(
+                stamp,
+                (u64::from(settings.ping_number), settings.ping_period_s),
+            );
+        }
+    }
+    all
+}
+
+fn counter(status: &Value, name: &str) -> u64 {
+    let value = &status["sonars"][0]["counters"][name];
+    value.as_u64().unwrap_or_else(|| panic!("{name}: {status}"))
+}
+
+#[test]
+fn skipped_pings_are_counted_and_logged_and_the_others_are_those_of_a_machine_that_keeps_up() {
+    let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
+    let want = at_leisure(folders[0].path(), &[]);
+    let (daemon, last) = strained(folders[1].path(), "skip", &[]);
+    let got = pings_of(folders[1].path());
+    let log = log_of(folders[1].path());
+    let skipped = numbers(&log, "skipped");
+    assert_eq!(last["sonars"][0]["overload"], "skip");
+    // Five seconds have room for 67 of 100 and what waits.
+    assert!(skipped.len() >= 10, "{} skipped: {log:?}", skipped.len());
+    assert!(
+        pings_in(&got) >= 20 && pings_in(&got) < pings_in(&want),
+        "{} of {}",
+        pings_in(&got),
+        pings_in(&want)
+    );
+    for (key, bytes) in &got {
+        assert!(want.get(key) == Some(bytes), "record {} differs", key.0);
+    }
+    let made: Vec<_> = settings_of(folders[1].path()).into_values().collect();
+    assert!(made.iter().all(|(number, _)| !skipped.contains(number)));
+    assert_eq!(
+        (
+            counter(&last, "pings_degraded"),
+            counter(&last, "pings_stretched")
+        ),
+        (0, 0)
+    );
+    let said = said(daemon);
+    assert!(said.contains(&format!("late {}", skipped.len())), "{said}");
+}
+
+#[test]
+fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_comes_back() {
+    let sets = [
+        "sonar.model.synthesis=gridded-1d",
+        "sonar.receiver.rx_filter=fir",
+        "sonar.model.tolerance=1e-4",
+    ];
+    let looser = [sets[0], sets[1], "sonar.model.tolerance=1e-3"];
+    let folders = [0, 1, 2].map(|_| tempfile::tempdir().expect("folder"));
+    let fine = at_leisure(folders[0].path(), &sets);
+    let coarse = at_leisure(folders[1].path(), &looser);
+    let (daemon, last) = strained(folders[2].path(), "degrade", &sets);
+    let got = pings_of(folders[2].path());
+    let log = log_of(folders[2].path());
+    let of_tolerance = |tolerance: f64| -> Vec<u64> {
+        let lines = log.iter().filter(|line| line["tolerance"] == tolerance);
+        numbers(&lines.cloned().collect::<Vec<_>>(), "degraded")
+    };
+    let (first, all) = (of_tolerance(1e-3), numbers(&log, "degraded"));
+    assert!(first.len() >= 10, "{log:?}");
+    let numbers_of: BTreeMap<_, _> = settings_of(folders[2].path());
+    let mut compared = [0; 2];
+    for ((kind, stamp), bytes) in &got {
+        let Some((number, _)) = numbers_of.get(stamp) else {
+            continue;
+        };
+        let (want, which) = match (first.contains(number), all.contains(number)) {
+            (true, _) => (&coarse, 1),
+            (false, true) => continue,
+            (false, false) => (&fine, 0),
+        };
+        let other = want.get(&(*kind, stamp.clone()));
+        assert!(other == Some(bytes), "record {kind} of ping {number}");
+        compared[which] += 1;
+    }
+    assert!(compared.iter().all(|&n| n >= 20), "{compared:?}");
+    // Back when there is room.
+    let after = numbers_of.values().map(|(number, _)| *number);
+    let fine_again = after.filter(|n| *n > first[0] && !all.contains(n)).count();
+    assert!(fine_again > 0, "{all:?}");
+    assert_eq!(last["sonars"][0]["overload"], "degrade");
+    assert!(counter(&last, "pings_degraded") > 0);
+    let said = said(daemon);
+    assert!(
+        said.contains(&format!("OVERLOAD: {} made looser", all.len())),
+        "{said}"
+    );
+}
+
+#[test]
+fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (daemon, last) = strained(folder.path(), "stretch", &[]);
+    let log = log_of(folder.path());
+    let (stretched, skipped) = (numbers(&log, "stretched"), numbers(&log, "skipped"));
+    let made: Vec<_> = settings_of(folder.path()).into_values().collect();
+    assert!(stretched.len() >= 10, "{log:?}");
+    assert!(4 * skipped.len() <= made.len(), "{log:?}");
+    // The record's period is the real one.
+    for (number, period_s) in &made[1..] {
+        match stretched.contains(number) {
+            true => assert!(*period_s > 0.05, "ping {number}: {period_s} s"),
+            false => assert!(
+                (period_s - 0.05).abs() < 1e-6,
+                "ping {number}: {period_s} s"
+            ),
+        }
+    }
+    // From the first that waited on they keep their 75 ms, but for what the queue still held.
+    let last_ones = &made[made.len() / 2..];
+    let mean_s = last_ones.iter().map(|(_, s)| f64::from(*s)).sum::<f64>() / last_ones.len() as f64;
+    assert!(mean_s > 0.065, "{mean_s} s: {made:?}");
+    assert_eq!(last["sonars"][0]["overload"], "stretch");
+    let said = said(daemon);
+    assert!(
+        said.contains(&format!("OVERLOAD: {} pulses put off", stretched.len())),
+        "{said}"
+    );
+    // Where a machine keeps up nothing of it happens.
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = rig(folder.path(), &["run.overload=stretch", "nav.loop=true"]);
+    let control = daemon.announced("control http", "http");
+    super::modes::wait_delivered(control, 5);
+    let now = status(control);
+    assert_eq!(counter(&now, "pings_stretched"), 0, "{now}");
+    daemon.terminate();
+}

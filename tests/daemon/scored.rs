@@ -1,0 +1,393 @@
+//! Faults of the line, scored in every live family: what the log tells is what a listener finds, no more and no less.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use echotank::io::control::client;
+use echotank::io::sonar::elements::ElementClient;
+use echotank::io::sonar::heard::accounts::Sums;
+use echotank::io::sonar::heard::ear::Family;
+use echotank::io::sonar::heard::listener::{Listener, Listening};
+use echotank::io::sonar::heard::report::Report;
+use echotank::run::score::{Logged, Score, log_of, score};
+use serde_json::{Value, json};
+
+use super::modes::{rig, tell, wait_delivered};
+use super::{Daemon, PATIENCE};
+
+const RECORDS: [u32; 3] = [7000, 7007, 7038];
+/// Each strikes with this probability.
+const PROBABILITY: f64 = 0.6;
+const KINDS: [&str; 9] = [
+    "drop",
+    "duplicate",
+    "reorder",
+    "corrupt",
+    "corrupt-mended",
+    "truncate",
+    "delay",
+    "jitter",
+    "link-down",
+];
+/// Pings that a kind stands, and clean ones after it.
+const STRUCK: u64 = 6;
+/// What is delayed by a quarter of a second has come.
+const CLEAN: u64 = 3;
+
+/// What one listener brings home.
+struct Heard {
+    report: Report,
+    sums: Sums,
+    errors: u64,
+}
+
+type AllHeard = BTreeMap<&'static str, Heard>;
+
+struct Listeners {
+    stop: Arc<AtomicBool>,
+    threads: Vec<thread::JoinHandle<(&'static str, Heard)>>,
+}
+
+impl Listeners {
+    fn new() -> Self {
+        Self {
+            stop: Arc::default(),
+            threads: Vec::new(),
+        }
+    }
+
+    /// Begins to listen; the address of its own end.
+    fn listen(
+        &mut self,
+        family: Family,
+        name: &'static str,
+        address: SocketAddr,
+        clean: Option<&AllHeard>,
+        silence: Option<Duration>,
+    ) -> SocketAddr {
+        let what = Listening {
+            family,
+            address,
+            record_types: RECORDS.to_vec(),
+            range_m: 10,
+            silence,
+        };
+        let against = clean.map(|clean| clean[name].sums.clone());
+        let mut listener = Listener::open(what, against, clean.is_none()).expect("listening");
+        let local = listener.local_addr().expect("bound");
+        let stop = self.stop.clone();
+        self.threads.push(thread::spawn(move || {
+            let mut stopped = || stop.load(Ordering::Acquire);
+            listener.run(&mut stopped).expect("listens to the end");
+            let heard = Heard {
+                report: listener.accounts.report(),
+                sums: listener.accounts.sums().clone(),
+                errors: listener.errors(),
+            };
+            (name, heard)
+        }));
+        local
+    }
+
+    fn end(self) -> AllHeard {
+        // Datagrams have no end: what was sent is on this machine already.
+        thread::sleep(Duration::from_millis(200));
+        self.stop.store(true, Ordering::Release);
+        let threads = self.threads.into_iter();
+        threads.map(|t| t.join().expect("ends")).collect()
+    }
+}
+
+fn track(folder: &Path) -> String {
+    // Long enough, and without a seam at which pings would be skipped.
+    let track = folder.join("track.csv");
+    let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+    for quarter in 0..300 {
+        let time_s = 1_793_611_200.0 + 0.25 * f64::from(quarter);
+        text += &format!("{time_s:.2},0,0,5,3,-2,35\n");
+    }
+    std::fs::write(&track, text).expect("written");
+    format!("nav.source.path={track:?}")
+}
+
+/// Steps so many pings, few at a time: a socket's buffer of stock size holds them.
+fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
+    for _ in 0..pings {
+        let (code, answer) = tell(control, &json!({ "do": "step", "pings": 1 }));
+        assert_eq!(code, 200, "{answer}");
+        *delivered = wait_delivered(control, *delivered + 1);
+    }
+}
+
+/// Until a client of each of these outputs is there and has asked: `OUTPUT: N clients now, M ever`.
+fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let (_, status) = client::get(control, "/status", None).expect("answers");
+        let said = |(output, count): &(&str, &str)| status.contains(&format!("{output}: {count}"));
+        if wanted.iter().all(said) {
+            // A client is listed a moment before it has asked.
+            return thread::sleep(Duration::from_millis(100));
+        }
+        assert!(Instant::now() < until, "{wanted:?}: {status}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn logged(folder: &Path) -> Vec<Logged> {
+    let files = std::fs::read_dir(folder).expect("folder");
+    let texts = files.map(|e| std::fs::read_to_string(e.expect("entry").path()).expect("text"));
+    log_of(&texts.collect::<String>()).expect("a log")
+}
+
+/// One run of all families side by side; `clean`: what they brought home from a run without faults, and then there are some.
+fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<Logged>) {
+    let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
+    let mut listeners = Listeners::new();
+    let any = "127.0.0.1:0".parse().expect("an address");
+    let board = listeners.listen(Family::Vita49, "vita49", any, clean, None);
+    let mut daemon = rig(
+        folders[0].path(),
+        &[
+            "run.clock=lockstep",
+            "sonar.ping.range_m=5",
+            "sonar.output.jsf.listen=127.0.0.1:0",
+            "sonar.output.jsf.listen_data=127.0.0.1:0",
+            "sonar.output.jsf.subsystem=20",
+            "sonar.output.jsf.format=envelope",
+            "sonar.output.jsf.channels=sides",
+            "sonar.output.wbms.listen=127.0.0.1:0",
+            "sonar.output.ping.listen=127.0.0.1:0",
+            "sonar.output.ping.device=omniscan450",
+            "sonar.output.ping.side=port",
+            "sonar.output.elements.listen=127.0.0.1:0",
+            "sonar.output.vita49.arrays=[\"port\"]",
+            &format!("sonar.output.vita49.send_to=\"{board}\""),
+            &track(folders[0].path()),
+            &format!("run.fault_directory={:?}", folders[1].path()),
+        ],
+    );
+    let mut servers = Vec::new();
+    for (name, family, line) in [
+        ("7k", Family::SevenK, "7k points"),
+        ("jsf", Family::Jsf, "jsf-data points"),
+        ("elements", Family::Elements, "elements points"),
+        ("ping", Family::Ping, "ping points"),
+        ("wbms", Family::Wbms, "wbms points bathymetry"),
+        ("wbms fan", Family::Wbms, "wbms points water column"),
+        ("wbms sides", Family::Wbms, "wbms points side-scan"),
+    ] {
+        servers.push((name, family, daemon.address_of(line, "tcp")));
+    }
+    let control = daemon.address_of("control http", "http");
+    for (name, family, address) in servers {
+        listeners.listen(family, name, address, clean, None);
+    }
+    wait_clients(
+        control,
+        &[
+            ("7k points", "1 clients"),
+            ("jsf-data points", "1 clients"),
+            ("elements points", "1 clients"),
+            ("ping points", "1 clients"),
+            ("wbms points bathymetry", "1 clients"),
+            ("wbms points water column", "1 clients"),
+            ("wbms points side-scan", "1 clients"),
+        ],
+    );
+    let mut delivered = 0;
+    step(control, &mut delivered, CLEAN);
+    for (seed, kind) in KINDS.into_iter().enumerate() {
+        if clean.is_some() {
+            let mut fault =
+                json!({ "do": "fault", "kind": kind, "probability": PROBABILITY, "seed": seed });
+            if matches!(kind, "delay" | "jitter") {
+                // Three pings.
+                fault["value"] = json!(250.0);
+            }
+            let (code, answer) = tell(control, &fault);
+            assert_eq!(code, 200, "{answer}");
+        }
+        step(control, &mut delivered, STRUCK);
+        tell(control, &json!({ "do": "clear-faults" }));
+        step(control, &mut delivered, CLEAN);
+    }
+    daemon.terminate();
+    (listeners.end(), logged(folders[1].path()))
+}
+
+#[test]
+fn every_live_family_finds_exactly_what_the_log_tells() {
+    let (clean, log) = run(None);
+    assert!(log.is_empty());
+    for (name, heard) in &clean {
+        assert_eq!(heard.report.findings, [], "{name}");
+        assert_eq!(heard.errors, 0, "{name}");
+        assert!(heard.sums.len() > 80, "{name}: {}", heard.sums.len());
+    }
+    let (faulty, log) = run(Some(&clean));
+    for (name, heard) in &faulty {
+        let score = score(&log, &heard.report);
+        assert!(
+            score.is_clean(),
+            "{name}: missed {:#?}, invented {:#?}",
+            score.missed,
+            score.invented
+        );
+        for kind in KINDS {
+            let tally = score.kinds[kind];
+            // One record of each ping at least: six draws.
+            assert!(tally.injected > 0, "{name} {kind}: {tally:?}");
+            assert_eq!(tally.untold, 0, "{name} {kind}");
+            let held = matches!(kind, "reorder" | "delay" | "jitter");
+            assert!(
+                tally.found > 0 && (held || tally.masked == 0),
+                "{name} {kind}: {tally:?}"
+            );
+        }
+    }
+}
+
+const ROUNDS: u64 = 2;
+
+/// The families of which nothing but a connection is tested, in steps that nobody hurries.
+fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
+    let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
+    let mut daemon: Daemon = rig(
+        folders[0].path(),
+        &[
+            "run.clock=lockstep",
+            "sonar.ping.range_m=5",
+            "sonar.output.elements.listen=127.0.0.1:0",
+            &track(folders[0].path()),
+            &format!("run.fault_directory={:?}", folders[1].path()),
+        ],
+    );
+    let sevenk = daemon.address_of("7k points", "tcp");
+    let elements = daemon.address_of("elements points", "tcp");
+    let control = daemon.address_of("control http", "http");
+    let mut listeners = Listeners::new();
+    // Steps follow each other much faster, and a silence is made longer.
+    let silence = Some(Duration::from_millis(300));
+    listeners.listen(Family::SevenK, "7k", sevenk, None, silence);
+    listeners.listen(Family::Elements, "elements", elements, None, silence);
+    let now = |ever: u64| format!("1 clients now, {ever} ever");
+    let both = |ever: u64| {
+        let count = now(ever);
+        wait_clients(
+            control,
+            &[("7k points", count.as_str()), ("elements points", &count)],
+        );
+    };
+    both(1);
+    let mut delivered = 0;
+    for round in 1..=ROUNDS {
+        step(control, &mut delivered, 2);
+        let mut fault = json!({ "do": "fault", "kind": kind });
+        fault["for_s"] = value.clone();
+        tell(control, &fault);
+        step(control, &mut delivered, pings);
+        match kind {
+            "reset" => both(1 + round),
+            // Nobody hears anything meanwhile.
+            _ => thread::sleep(Duration::from_millis(500)),
+        }
+        step(control, &mut delivered, 2);
+        tell(control, &json!({ "do": "clear-faults" }));
+    }
+    step(control, &mut delivered, 2);
+    daemon.terminate();
+    let heard = listeners.end();
+    let log = logged(folders[1].path());
+    let of = |name| score(&log, &heard[name].report);
+    (of("7k"), of("elements"))
+}
+
+#[test]
+fn resets_and_silences_of_connections_are_found_where_the_log_has_them() {
+    let both = thread::scope(|scope| {
+        let kinds = [("reset", json!(0.05), 1), ("half-open", json!(0.25), 3)];
+        let running = kinds.map(|(kind, value, pings)| {
+            (kind, scope.spawn(move || connections(kind, &value, pings)))
+        });
+        running.map(|(kind, thread)| (kind, thread.join().expect("ends")))
+    });
+    for (kind, (sevenk, elements)) in both {
+        for (name, score) in [("7k", sevenk), ("elements", elements)] {
+            let tally = score.kinds[kind];
+            let found = (tally.injected, tally.found);
+            assert_eq!(found, (ROUNDS, ROUNDS), "{name} {kind}: {score:?}");
+            // A machine that stands still for a third of a second is silent too.
+            let invented = score.invented.iter().filter(|f| f.kind != "silent");
+            assert_eq!(invented.count(), 0, "{name} {kind}: {:?}", score.invented);
+        }
+    }
+}
+
+#[test]
+fn a_dead_element_asked_for_live_is_dead_in_the_pings_of_the_log_and_in_no_other() {
+    const ELEMENTS: usize = 32;
+    let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
+    let mut daemon = rig(
+        folders[0].path(),
+        &[
+            "run.clock=lockstep",
+            // Far enough for echoes.
+            "sonar.ping.range_m=50",
+            "sonar.output.elements.listen=127.0.0.1:0",
+            &track(folders[0].path()),
+            &format!("run.fault_directory={:?}", folders[1].path()),
+        ],
+    );
+    let elements = daemon.address_of("elements points", "tcp");
+    let control = daemon.address_of("control http", "http");
+    let mut client = ElementClient::connect(elements).expect("listening");
+    wait_clients(control, &[("elements points", "1 clients")]);
+    let mut delivered = 0;
+    step(control, &mut delivered, 2);
+    let (code, answer) = tell(
+        control,
+        &json!({ "do": "fault", "kind": "dead", "array": 1, "element": 3, "for_s": 0.25 }),
+    );
+    assert_eq!(code, 200, "{answer}");
+    step(control, &mut delivered, 6);
+    daemon.terminate();
+    // Array 1 comes after the eight elements of array 0.
+    let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
+    // Whether anything was heard of it in a ping's frames.
+    let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
+    let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
+    loop {
+        let open = client.read(Duration::from_secs(5), |frame, _| {
+            assert_eq!(usize::from(frame.head.elements), ELEMENTS);
+            let heard = |element: usize| {
+                let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
+                moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
+            };
+            let number = frame.head.ping_number;
+            *pings.entry(number).or_default() |= heard(dead_one);
+            *neighbours.entry(number).or_default() |= heard(its_neighbour);
+        });
+        if !open.expect("to the end") {
+            break;
+        }
+    }
+    assert_eq!(pings.len(), 8);
+    assert!(neighbours.values().all(|heard| *heard), "{neighbours:?}");
+    let dead: Vec<u32> = pings
+        .into_iter()
+        .filter_map(|(number, heard)| (!heard).then_some(number))
+        .collect();
+    let log = logged(folders[1].path());
+    let struck: Vec<_> = log.iter().map(|l| l.ping_number).collect();
+    assert_eq!((struck.len(), &struck), (3, &dead));
+    assert!(
+        log.iter()
+            .all(|l| (l.array, l.element) == (Some(1), Some(3)))
+    );
+}

@@ -1,0 +1,91 @@
+//! Bytes of live navigation that go wrong: the decoder counts exactly what the faults did.
+
+use std::net::UdpSocket;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use echotank::config::spec::FaultRequest;
+use echotank::io::nav::NavInputs;
+use echotank::nav::NavHistory;
+use echotank::nav::decoder::NavCounters;
+use echotank::run::faults::Faults;
+use echotank::run::faults::nav::NavSpoiler;
+use echotank::time::{SystemClock, UtcNs};
+
+use super::{PATIENCE, nav_spec, sentences, source, udp};
+
+/// All sentences of the log over UDP, cut anywhere, through a fault: what the decoder counted, and how many sentences were struck.
+fn heard(fault: Option<&str>) -> (NavCounters, u64) {
+    let spec = nav_spec(vec![source("s330", udp())]);
+    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    let faults = Arc::new(Faults::new(&[], &spec.sources));
+    if let Some(json) = fault {
+        let request: FaultRequest = serde_json::from_str(json).expect("JSON");
+        faults.add(&request).expect("sound");
+    }
+    inputs.spoil_with(Box::new(NavSpoiler::new(faults.clone(), &spec.sources)));
+    let (_, address) = inputs.listening()[0].clone();
+    let mut history = NavHistory::new(&spec);
+    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    let stream = sentences().concat();
+    let begun = Instant::now();
+    let mut sent = 0;
+    for datagram in stream.chunks(301) {
+        sender.send_to(datagram, address).expect("sent");
+        sent += 1;
+        while inputs.counters()[0].live.received < sent && begun.elapsed() < PATIENCE {
+            std::thread::yield_now();
+        }
+    }
+    let (mut before, mut same) = (0, 0);
+    while same < 5 && begun.elapsed() < PATIENCE {
+        inputs.pull(UtcNs(0), &mut history);
+        let now = inputs.counters()[0].decoder.bytes;
+        same = if now == before && now > 0 {
+            same + 1
+        } else {
+            0
+        };
+        before = now;
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let counters = inputs.counters()[0].decoder;
+    let log = faults.take_injections();
+    assert!(log.iter().all(|i| i.source.as_deref() == Some("s330")));
+    assert_eq!(log.len() as u64, faults.injected());
+    (counters, faults.injected())
+}
+
+#[test]
+fn the_decoder_counts_the_sentences_whose_bytes_were_spoiled() {
+    let (clean, none) = heard(None);
+    assert_eq!((clean.sentences, clean.bad_checksum, none), (720, 0, 0));
+    assert_eq!((clean.missing_checksum, clean.refused_checksum), (0, 0));
+
+    let (got, struck) = heard(Some(
+        r#"{"kind": "nav-checksum", "probability": 0.2, "seed": 3}"#,
+    ));
+    assert!((100..200).contains(&struck), "{struck} of 720");
+    assert_eq!((got.sentences, got.bad_checksum), (720, struck));
+    assert_eq!(got.refused_checksum, struck);
+    assert_eq!(got.bytes, clean.bytes);
+
+    let (got, struck) = heard(Some(
+        r#"{"kind": "nav-noise", "value": 3, "probability": 0.2, "source": "s330"}"#,
+    ));
+    assert!((100..200).contains(&struck), "{struck} of 720");
+    assert_eq!((got.sentences, got.bad_checksum), (720, 0));
+    assert_eq!(got.resync_bytes, clean.resync_bytes + 3 * struck);
+    assert_eq!(got.used, clean.used);
+
+    let (got, struck) = heard(Some(
+        r#"{"kind": "nav-cut", "probability": 0.2, "seed": 9}"#,
+    ));
+    assert!((100..200).contains(&struck), "{struck} of 720");
+    assert_eq!((got.sentences, got.missing_checksum), (720, struck));
+    assert_eq!(got.refused_checksum, struck);
+    assert!(
+        got.resync_bytes > clean.resync_bytes + 10 * struck,
+        "{got:?}"
+    );
+}
