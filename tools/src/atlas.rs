@@ -45,6 +45,9 @@ struct Arguments {
     /// A short pulse and two elements: a quick look
     #[arg(long)]
     small: bool,
+    /// Plans choose path and Doppler alone: quicker
+    #[arg(long)]
+    models_alone: bool,
     #[arg(long, default_value_t = 2)]
     threads: usize,
 }
@@ -62,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let wanted = |name: &str| given.only.as_deref().is_none_or(|part| name.contains(part));
     let base = Base::new(size);
-    let mut bench = Bench::new(true);
+    let mut bench = Bench::new(!given.models_alone);
     let mut csv = String::from("map,value,method,outcome,error,said,counted\n");
     for regime in ALL.iter().filter(|r| wanted(r.name)) {
         let began = Instant::now();
@@ -72,7 +75,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .map(|&v| bench.column(&(regime.spot)(&base, v)))
                 .collect()
         });
-        write(&given, regime.name, &map(regime, &columns).svg())?;
+        write(&given, regime.name, &map(regime, size, &columns).svg())?;
         summary(regime, &columns, began.elapsed().as_secs_f64());
         cells(regime, &columns, &mut csv);
     }
@@ -116,7 +119,7 @@ fn mark(outcome: &Outcome, tolerance: f64, blind: bool) -> Mark {
     }
 }
 
-fn map(regime: &Regime, columns: &[Column]) -> Map {
+fn map(regime: &Regime, size: Size, columns: &[Column]) -> Map {
     let blind = regime.is_blind();
     let mut rows = Vec::new();
     for doppler in DOPPLERS {
@@ -164,7 +167,8 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
     Map {
         title: regime.title.to_owned(),
         about: format!(
-            "400 kHz, 30 kHz, 5 ms, a line of 8 elements half a wavelength apart unless the column says otherwise; {tolerance}; error: the worst window of a pulse's length of any element, against the retarded-time sum"
+            "400 kHz, {} kHz, {} ms, a line of {} elements half a wavelength apart unless the column says otherwise; {tolerance}; error: the worst window of a pulse's length of any element, against the retarded-time sum",
+            size.bandwidth_khz, size.duration_ms, size.elements
         ),
         axis: regime.axis.to_owned(),
         columns: regime.values.iter().map(|&v| regime.label(v)).collect(),

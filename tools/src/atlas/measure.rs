@@ -147,10 +147,9 @@ impl Bench {
     /// To be called inside one and the same pool.
     pub fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
-        let count = SUMS.len() * DOPPLERS.len() * PathModel::ALL.len();
         if let Some(why) = &spot.refused {
             return Column {
-                cells: vec![Outcome::Refused(why.clone()); count],
+                cells: all(&Outcome::Refused(why.clone())),
                 plan: None,
                 tolerance,
             };
@@ -163,14 +162,14 @@ impl Bench {
             Ok((truth, _)) => truth,
             Err(outcome) => {
                 return Column {
-                    cells: vec![outcome; count],
+                    cells: all(&outcome),
                     plan: None,
                     tolerance,
                 };
             }
         };
         let (plan, scatterers) = spot.asked();
-        let mut cells = Vec::with_capacity(count);
+        let mut cells = Vec::new();
         let cards = Cards::of(spot, &plan, &scatterers);
         for synthesis in SUMS {
             for doppler in DOPPLERS {
@@ -337,6 +336,21 @@ impl Bench {
             }
         }
     }
+}
+
+/// The same of every method that there is.
+fn all(outcome: &Outcome) -> Vec<Outcome> {
+    let mut cells = Vec::new();
+    for sum in SUMS {
+        for doppler in DOPPLERS {
+            let of = match sum.takes(doppler) {
+                true => outcome,
+                false => &Outcome::NotTaken,
+            };
+            cells.extend(PathModel::ALL.map(|_| of.clone()));
+        }
+    }
+    cells
 }
 
 fn words(panic: Box<dyn std::any::Any + Send>) -> String {
