@@ -45,6 +45,9 @@ struct Arguments {
     /// A short pulse and two elements: a quick look
     #[arg(long)]
     small: bool,
+    /// The page alone, from words: no picture is made
+    #[arg(long, conflicts_with = "only")]
+    page: bool,
     /// Plans choose path and Doppler alone: quicker
     #[arg(long)]
     models_alone: bool,
@@ -55,6 +58,10 @@ struct Arguments {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let given = Arguments::parse();
     std::fs::create_dir_all(&given.out)?;
+    if given.page {
+        std::fs::write(given.out.join("README.md"), page::page())?;
+        return Ok(());
+    }
     // Panics are cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
     let pool = echotank::run::rig::pool(given.threads)?;

@@ -72,9 +72,9 @@ pub const ALL: [Regime; 20] = [
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
-        says: "Without its motion an echo is right below some micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance know 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
+        says: "Without its motion an echo is right up to 10 micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance are made for 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
         paper: "divides by the speed (Eq. 5), and Eq. 21 undoes what Eq. 5 did: off by the signal itself from 0.1 m/s on",
-        ours: "one expression for every speed, 0 included; above 10 m/s engines count every echo as beyond them and the plan takes `direct`; above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
+        ours: "one expression for every speed, 0 included; at 30 m/s and above `gridded-1d`'s echoes are counted as beyond it, from 30 m/s on the plan says that nothing keeps the tolerance (what it takes keeps it up to 30 m/s); above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
     },
     Regime {
         name: "range",
@@ -359,7 +359,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
             spot
         },
-        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds until the path bends within the pulse; its second order holds to 20 ms.",
+        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds up to 1 ms, until the path bends within the pulse; its second order holds to 20 ms, in engines as far as they can be made (5 ms and 8 ms).",
         paper: "Eq. 21 shifts no frequency: it stretches the delays and leaves the pulse as it is",
         ours: "every echo stretched about its own arrival; engines hold the stretch in Doppler columns made for the longest pulse",
     },
