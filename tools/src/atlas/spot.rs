@@ -129,6 +129,7 @@ tolerance = 1e-3
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
         let mut rig =
             config::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
+        rig.nav.history_s = 60.0;
         // A sensor's: a track in a file may be as sparse as it likes.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),
