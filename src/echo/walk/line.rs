@@ -34,9 +34,6 @@ const CORNERS: usize = 8;
 /// A box wider than this much of its range is not small: its points are surveyed themselves.
 const SMALL_BOX: f64 = 0.25;
 
-/// Of what lies nearer the derivatives are those at this range, metres: one over nothing is no number, and no engine follows them anyway.
-const SHORTEST_M: f64 = 1e-6;
-
 /// Of the gain at the ends of a stretch, what its middle has at least.
 const NULL: f64 = 1e-6;
 /// Batches, about, whose echoes a survey hands on.
@@ -434,8 +431,7 @@ pub fn line_survey(
                     pick(2, low_m.z, high_m.z),
                 );
                 let range_m = at_m.length();
-                let closing =
-                    lit.transmit.motion.velocity_m_per_s.dot(at_m) / range_m.max(SHORTEST_M);
+                let closing = lit.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
                 work.places.push(at_m, range_m, closing);
             }
             continue;
@@ -628,7 +624,7 @@ impl Derivation<'_> {
         let transmit_a = self.transmit.acceleration_m_per_s2;
         for i in 0..n {
             let (x, y, z) = (rx[i], ry[i], rz[i]);
-            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(SHORTEST_M);
+            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(f64::MIN_POSITIVE);
             let (x, y, z) = (x * per_m, y * per_m, z * per_m);
             let dot = |a: DVec3| a.x * x + a.y * y + a.z * z;
             let after_s = delay_s[i] - start_s;
@@ -658,7 +654,7 @@ impl Derivation<'_> {
             twist[i] = stretched
                 * ((wx * qx + wy * qy + wz * qz - closing * s) * per_m - dot(along))
                 * per_w;
-            let transmit_per_m = 1.0 / transmit_m[i].max(SHORTEST_M);
+            let transmit_per_m = 1.0 / transmit_m[i].max(f64::MIN_POSITIVE);
             let pulled = transmit_a.x * tx[i] + transmit_a.y * ty[i] + transmit_a.z * tz[i];
             swing[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
                 * transmit_per_m

@@ -44,7 +44,7 @@ impl Size {
     /// For tests of seconds.
     pub const SMALL: Self = Self {
         elements: 2,
-        duration_ms: 0.5,
+        duration_ms: 1.0,
         bandwidth_khz: 20.0,
     };
 }
@@ -129,7 +129,6 @@ tolerance = 1e-3
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
         let mut rig =
             config::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
-        rig.nav.history_s = 60.0;
         // A sensor's: a track in a file may be as sparse as it likes.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),
