@@ -55,14 +55,9 @@ fn a_still_sonar_is_as_good_as_asked() {
 }
 
 #[test]
-fn a_line_under_way_is_as_good_as_asked_beside_its_echoes() {
+fn a_line_under_way_is_as_good_as_asked() {
     let (answers, broken) = sweep(4, 3);
-    // Known: gridded-1d with stretch-quadratic, in windows that hold the end of an echo and little else, is 4 times above 1e-2, 1e-3 and 1e-4.
-    assert!(broken.len() <= 3, "{broken:#?}");
-    assert!(
-        broken.iter().all(|cell| cell.contains("gridded-1d")),
-        "{broken:#?}"
-    );
+    assert!(broken.is_empty(), "{broken:#?}");
     assert!(answers >= 4 + 1 + 3, "{answers}");
 }
 

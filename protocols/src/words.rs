@@ -5,7 +5,7 @@ use std::fmt;
 
 use crate::WireError;
 use crate::framing::{Framing, Splitter};
-use crate::imagenex872::{SwitchCommand, SwitchFraming, parse_answer};
+use crate::imagenex872::{EitherFraming, SwitchCommand, parse_answer};
 use crate::jsf::{self, JsfFraming};
 use crate::ping_protocol::{Frame, Message, PingFraming};
 use crate::sevenk::{self, Reassembler, StreamDecoder, file::FileReader};
@@ -133,7 +133,7 @@ enum State {
     Jsf(Splitter<JsfFraming>),
     Ping(Splitter<PingFraming>),
     Wbms(Splitter<WbmsFraming>),
-    Imagenex(Splitter<SwitchFraming>),
+    Imagenex(Splitter<EitherFraming>),
     /// With the front of the file until its header is whole, then the header.
     Xtf(Vec<u8>, Option<FileHeader>, Splitter<XtfFraming>),
     /// A line that has no end yet.
@@ -149,7 +149,7 @@ impl Words {
             Format::Jsf => State::Jsf(Splitter::new(JsfFraming::default())),
             Format::PingProtocol => State::Ping(Splitter::new(PingFraming)),
             Format::Wbms => State::Wbms(Splitter::new(WbmsFraming)),
-            Format::Imagenex872 => State::Imagenex(Splitter::new(SwitchFraming)),
+            Format::Imagenex872 => State::Imagenex(Splitter::new(EitherFraming)),
             Format::Xtf => State::Xtf(Vec::new(), None, Splitter::new(XtfFraming::default())),
             Format::WbmsText => State::WbmsText(Vec::new()),
             Format::S7k | Format::Vita49 | Format::Sigmf | Format::Wav => {

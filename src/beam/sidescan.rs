@@ -185,10 +185,7 @@ mod tests {
                         Complex64::cis(-k * farther_m) / 1000.0
                     })
                     .sum::<Complex64>();
-                let (got, bound) = (
-                    (mean - 1.0).norm(),
-                    far_field_error(length_m, k, range_m),
-                );
+                let (got, bound) = ((mean - 1.0).norm(), far_field_error(length_m, k, range_m));
                 println!("{length_m} m at {range_m} m: {got:.2e}, bound {bound:.2e}");
                 assert!(got <= bound, "{length_m} {range_m}: {got} {bound}");
                 assert!(bound > 0.5 || got > 0.9 * bound, "{got} {bound}");

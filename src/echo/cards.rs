@@ -4,9 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::flow::{
-    Conditions, DopplerModel, MethodCard, MethodRefused, PathModel, ReceiverFilter,
-};
+use crate::flow::{Conditions, DopplerModel, MethodCard, MethodRefused, PathModel, ReceiverFilter};
 
 /// f64 delays of 0.3 s at 400 kHz and what follows from them.
 const F64_FLOOR: f64 = 1e-9;
@@ -31,7 +29,11 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let echo_samples = (pulse.duration_s * conditions.sample_rate_hz).max(1.0);
     let (loudest, echoes, spread) = match conditions.heard {
         Some(heard) => (heard.loudest, heard.echoes, heard.spread),
-        None => (1.0, (conditions.scatterers * conditions.elements) as f64, 1.0),
+        None => (
+            1.0,
+            (conditions.scatterers * conditions.elements) as f64,
+            1.0,
+        ),
     };
     let crossed = (2.0 * shift_s * conditions.sample_rate_hz).min(echo_samples);
     if crossed * echoes < RARE {

@@ -78,7 +78,7 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
             let told = format
                 .or(Format::of_port(packet.port))
                 .or(Format::of_bytes(payload));
-            let mut say = |line| goes_on &= each(format!("{arrival} to {}: {line}", packet.port));
+            let mut say = |line: String| goes_on &= each(format!("{arrival} to {}: {line}", packet.port));
             match told {
                 Some(format) => datagrams.push(format, payload, &mut say),
                 None => say(format!("{} B of no format that we know", payload.len())),
@@ -86,7 +86,7 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
         } else if let Some(segment) = packet.segment {
             let (from, to) = (segment.from_port, segment.to_port);
             let way = ways.entry((segment.addresses.to_vec(), from, to)).or_default();
-            let mut say = |line| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
+            let mut say = |line: String| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
             let mut words = way.words.take();
             way.push(&segment, |new| {
                 let told = format
@@ -110,7 +110,7 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
     let mut goes_on = true;
     for ((_, from, to), way) in ways {
         if let Some(words) = way.words.filter(|_| goes_on) {
-            words.finish(&mut |line| goes_on &= each(format!("{from} to {to}: {line}")));
+            words.finish(&mut |line: String| goes_on &= each(format!("{from} to {to}: {line}")));
         }
     }
 }

@@ -475,6 +475,7 @@ impl Daemon {
             ladders: ladders.collect(),
             backlog,
             has_rested: true,
+            skipped: vec![false; settings.len()],
             first_ready: None,
             first: None,
             triggers: Some(triggers),
@@ -650,6 +651,8 @@ struct Pacer {
     backlog: Arc<Backlog>,
     /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
     has_rested: bool,
+    /// Of each sonar: its last ping was skipped before its time.
+    skipped: Vec<bool>,
     /// Of a ping that was made tile by tile: when the first was.
     first_ready: Option<MonoNs>,
     inputs: NavInputs,
@@ -956,10 +959,12 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return Step::Wait(now.plus_ns(POLL_NS).min(deadline));
         };
-        let waited = !self.has_rested;
+        // Never two in a row: with several sonars each would find the pipeline busy with another's, and one of them be skipped for ever.
+        let waited = !self.has_rested && !std::mem::take(&mut self.skipped[sonar]);
         let Some(rung) = self.ladders[sonar].choose(deadline.0 - now.0, waited) else {
             add(&self.counters(sonar).skipped_late, 1);
             self.strained("skipped", sonar, &order);
+            self.skipped[sonar] = true;
             self.lanes[sonar].spare = Some(slot);
             return Step::Done;
         };

@@ -3,7 +3,7 @@
 //! `skip`: a ping that had to wait for others and cannot be ready by its instant any more is not made. `degrade`: it is made with a looser
 //! tolerance ([`Ladder`]). `stretch`: the next pulse waits until its ping can be ready ([`Backlog`]), so that the rate falls to what can be
 //! kept. Whatever is chosen, what cannot be ready even so is skipped. A ping that waited for no other is made, late or not: skipping it would
-//! help nobody, and tells what pings cost.
+//! help nobody, and it tells what pings cost; so is one whose sonar's last was skipped.
 //!
 //! Every decision rests on how long pings took: under overload which pings are made, when, and with which tolerance depends on the machine,
 //! and each that differs says so ([`crate::flow::Strain`]). Where pings keep up nothing is decided here, and where time is the pipeline's own

@@ -44,7 +44,7 @@ pub fn log_of(text: &str) -> Result<Vec<Logged>, (usize, String)> {
 /// pings later.
 fn looks_like(kind: &str) -> (&'static [&'static str], &'static [&'static str], u32) {
     match kind {
-        "drop" | "link-down" => (&["lost"], &[], 0),
+        "drop" | "link-down" => (&["lost"], &["silent"], 0),
         "duplicate" => (&["duplicate"], &[], 0),
         "reorder" | "delay" | "jitter" => (&["late", "lost"], &[], 0),
         "corrupt" => (&["damaged", "different", "lost"], &[], 0),
@@ -105,6 +105,8 @@ struct Case<'a> {
     to_ping: u32,
     found: bool,
     by_count: bool,
+    /// Not to be found: the report does not cover it or cannot tell it. What comes of it may be in the report all the same.
+    is_aside: bool,
 }
 
 /// Lays a report beside a log.
@@ -114,16 +116,16 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
     let mut seen_connections = BTreeSet::new();
     for logged in log {
         let tally = score.kinds.entry(logged.kind.clone()).or_default();
-        if !covers(report, logged) {
-            tally.not_covered += 1;
-            continue;
-        }
         let tells = report.head.tells.as_ref();
-        if tells.is_some_and(|tells| !tells.contains(&logged.kind)) {
-            tally.untold += 1;
+        let is_covered = covers(report, logged);
+        let is_untold = is_covered && tells.is_some_and(|tells| !tells.contains(&logged.kind));
+        tally.not_covered += u64::from(!is_covered);
+        tally.untold += u64::from(is_untold);
+        let is_aside = !is_covered || is_untold;
+        if is_aside && !is_of_line(report, logged) {
             continue;
         }
-        if matches!(logged.kind.as_str(), "reset" | "half-open") {
+        if !is_aside && matches!(logged.kind.as_str(), "reset" | "half-open") {
             // Every port of a family has its own line in the log.
             if !seen_connections.insert((logged.fault, logged.ping_number)) {
                 continue;
@@ -134,6 +136,7 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
             to_ping: logged.ping_number,
             found: false,
             by_count: false,
+            is_aside,
         });
     }
     join_silences(&mut cases);
@@ -147,7 +150,8 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
         let (mut explains, mut follows) = (false, false);
         for at in index.near(finding, &cases) {
             let case = &mut cases[at];
-            if shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0) {
+            if !case.is_aside && shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0)
+            {
                 (case.found, explains) = (true, true);
             }
             let (_, besides, pings) = looks_like(&case.logged.kind);
@@ -162,7 +166,7 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
     for finding in unplaced {
         let mut open = cases
             .iter_mut()
-            .filter(|case| !case.found && !case.by_count);
+            .filter(|case| !case.found && !case.by_count && !case.is_aside);
         let case =
             open.find(|case| shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0));
         match case {
@@ -172,7 +176,7 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
         }
     }
     let held = held_pings(log);
-    for case in &cases {
+    for case in cases.iter().filter(|case| !case.is_aside) {
         let logged = case.logged;
         let tally = score.kinds.entry(logged.kind.clone()).or_default();
         tally.injected += 1;
@@ -196,7 +200,7 @@ fn join_silences(cases: &mut Vec<Case>) {
     // Of each fault, where its newest silence is kept.
     let mut newest: HashMap<u32, usize> = HashMap::new();
     for case in cases.drain(..) {
-        if case.logged.kind == "half-open" {
+        if case.logged.kind == "half-open" && !case.is_aside {
             let before = newest.get(&case.logged.fault).map(|at| &mut kept[*at]);
             if let Some(before) = before.filter(|last| last.to_ping + 1 == case.to_ping) {
                 before.to_ping = case.to_ping;
@@ -209,28 +213,29 @@ fn join_silences(cases: &mut Vec<Case>) {
     *cases = kept;
 }
 
-fn covers(report: &Report, logged: &Logged) -> bool {
+/// Of the line and the sonar that the report is of: other faults are not of one family.
+fn is_of_line(report: &Report, logged: &Logged) -> bool {
     let head = &report.head;
     let same = |of_report: &Option<String>, of_log: &Option<String>| {
         of_report.is_none() || of_log.is_none() || of_report == of_log
     };
+    (head.line.is_none() || logged.line.is_some())
+        && same(&head.line, &logged.line)
+        && same(&head.sonar, &logged.sonar)
+}
+
+fn covers(report: &Report, logged: &Logged) -> bool {
+    let head = &report.head;
     let in_types = match (&head.covers, logged.record_type, logged.stream) {
         (Some(types), Some(record_type), None) => types.contains(&record_type),
         _ => true,
     };
-    // Of the line's own faults: others are not of one family.
-    let of_line = head.line.is_none() || logged.line.is_some();
     let in_pings = head.first_ping.is_none_or(|p| logged.ping_number >= p)
         && head.last_ping.is_none_or(|p| logged.ping_number <= p);
     let in_time = logged.packet_utc_ns.is_none_or(|utc| {
         head.from_utc_ns.is_none_or(|from| utc >= from) && head.to_utc_ns.is_none_or(|to| utc <= to)
     });
-    of_line
-        && same(&head.line, &logged.line)
-        && same(&head.sonar, &logged.sonar)
-        && in_types
-        && in_pings
-        && in_time
+    is_of_line(report, logged) && in_types && in_pings && in_time
 }
 
 fn is_placed(finding: &Finding) -> bool {
@@ -444,6 +449,22 @@ mod tests {
         );
         assert_eq!(score.kinds["truncate"].found, 1);
         assert_eq!((score.consequences, score.invented.len()), (1, 1));
+    }
+
+    #[test]
+    fn what_is_not_looked_at_has_consequences_too() {
+        let log = log(&[
+            r#"{"fault":1,"kind":"truncate","line":"jsf","ping_number":5,"record_type":2020}"#,
+        ]);
+        let score = score(
+            &log,
+            &report(&[
+                r#"{"report":"me","line":"jsf","covers":[80]}"#,
+                r#"{"kind":"lost","ping_number":6,"record_type":80}"#,
+            ]),
+        );
+        assert_eq!(score.kinds["truncate"].not_covered, 1);
+        assert!(score.is_clean() && score.consequences == 1);
     }
 
     #[test]

@@ -134,7 +134,10 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
 
     // In effect eight pings later, and 128 samples until nothing is left of the old one's.
     delivered = step(PINGS - delivered, delivered);
-    let (plan, error) = (metric(control, "plan"), metric(control, "certificate_error"));
+    let (plan, error) = (
+        metric(control, "plan"),
+        metric(control, "certificate_error"),
+    );
     println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
     assert!(plan >= Some(2.0), "{plan:?}");
     assert!(error < Some(1e-2), "{error:?}");

@@ -464,7 +464,7 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
         let want_m = DELAY_S * 10.0 * 1852.0 / 3600.0;
         assert!((ahead_m - want_m).abs() < 1e-3, "{ahead_m}, want {want_m}");
         let same = alike(&own.lines[0].amplitude, &other.lines[0].amplitude);
-        assert!(same < 0.999, "two pulses, not one: {same}");
+        assert!(same < 0.9, "two pulses, not one: {same}");
     }
     for file in &files {
         let tiff = file.with_extension("tif");

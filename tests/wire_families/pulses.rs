@@ -175,7 +175,7 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
             let message = jsf_message(m);
             let data = SonarData80::parse(message.body).expect("80");
             let place = (message.header.subsystem, message.header.channel);
-            let h = data.header;
+            let h = &data.header;
             (place, h.ping_number, h.frequencies_hz(), h.utc_ns(), data.values().next())
         })
         .collect();

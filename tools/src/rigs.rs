@@ -73,7 +73,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             rows.push(serde_json::from_str::<Row>(line)?);
         }
     }
-    let random = if given.from.is_empty() { given.random } else { 0 };
+    let random = if given.from.is_empty() {
+        given.random
+    } else {
+        0
+    };
     let pool = pool(1)?;
     let folder = std::env::temp_dir().join(format!("echotank-rigs-{}", std::process::id()));
     fs::create_dir_all(&folder)?;

@@ -182,5 +182,31 @@ impl Framing for SwitchFraming {
     }
 }
 
+/// What either end says over a connection: commands and answers.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct EitherFraming;
+
+impl Framing for EitherFraming {
+    fn max_message_bytes(&self) -> usize {
+        ANSWER_BYTES
+    }
+
+    fn look(&self, bytes: &[u8]) -> Look {
+        let seen = bytes.len().min(ANSWER_MARK.len());
+        if bytes[..seen] != ANSWER_MARK[..seen] {
+            return SwitchFraming.look(bytes);
+        }
+        match bytes.get(ANSWER_BYTES - 1) {
+            None => Look::More,
+            Some(&ANSWER_END) => Look::Whole(ANSWER_BYTES),
+            Some(&other) => Look::Wrong(WireError::Mark {
+                what: "Imagenex answer",
+                expected: ANSWER_END.into(),
+                got: other.into(),
+            }),
+        }
+    }
+}
+
 /// Commands from a connection.
 pub type SwitchStream = Splitter<SwitchFraming>;

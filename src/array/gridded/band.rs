@@ -81,11 +81,11 @@ static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
     fading
 });
 
-/// How far to either side of the carrier the band of pulses is looked at, sample rates: twice the widest band, or as far as a filter lets pass
-/// anything worth mentioning.
+/// How far to either side of the carrier the band of pulses is looked at, sample rates: twice the widest band, or with a filter the widest, which the
+/// others are measured by.
 pub fn widest(filtered: bool) -> f64 {
     match filtered {
-        true => 0.25 * (MOST_BANDS + 1) as f64,
+        true => 0.25 * MOST_BANDS as f64,
         false => MOST_BANDS as f64,
     }
 }

@@ -11,8 +11,8 @@ use super::transform::grid_size;
 /// What the band leaves out may take this share of the tolerance in the worst window.
 pub const SHARE: f64 = 0.25;
 
-/// Root mean square error of the kernel over delay, as a share of the tolerance; a sweep's ends lie where the kernel does twice as ill.
-const KERNEL_SHARE: f64 = 0.2;
+/// Root mean square error of the kernel over delay, as a share of the tolerance; single echoes do three times as ill at a band's ends, where a sweep ends.
+const KERNEL_SHARE: f64 = 0.1;
 
 /// The kernel over delay: the smallest grid on which `widest` reaches the share.
 pub fn delay_kernel<M: Real>(

@@ -294,13 +294,14 @@ impl<M: Real, G: Real> Plan<M, G> {
             turned_rad: bend_rad,
             tolerance: spec.tolerance,
         })?;
-        let highest_hz = (widest(spec.filter.is_some()) * rate_hz + fastest * carrier_hz)
+        let highest_hz = ((widest(spec.filter.is_some()) + 0.25) * rate_hz
+            + fastest * carrier_hz)
             / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
         let kept = band(spec, span, &spectrum)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
-        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what coupling moves it.
+        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
         let alone_s = half_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
         let period_with =

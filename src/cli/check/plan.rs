@@ -200,7 +200,8 @@ fn output(told: &Told) -> String {
         let highest_hz = plan.pulse.center_frequency_hz + 0.5 * plan.pulse.bandwidth_hz;
         let wavenumber_per_m = std::f64::consts::TAU * highest_hz / plan.sound_speed_m_per_s;
         let error = far_field_error(longest_m, wavenumber_per_m, nearest_m);
-        let enough_m = far_field_error(longest_m, wavenumber_per_m, 1e6) * 1e6 / sonar.synthesis.tolerance;
+        let enough_m =
+            far_field_error(longest_m, wavenumber_per_m, 1e6) * 1e6 / sonar.synthesis.tolerance;
         let _ = write!(
             text,
             "; one element in place of a line's {longest_m:.2} m would be off by {error:.1e} at {nearest_m:.0} m, and within the tolerance from {enough_m:.0} m on"

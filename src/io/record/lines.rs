@@ -351,7 +351,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
                 sound_speed_m_per_s: c,
                 axis: RangeAxis::new(c, rate_hz),
                 lines: made,
-                utc_ns: utc_ns[p] as i64 + (delay_s * 1e9) as i64,
+                utc_ns: (utc_ns[p] as i64).saturating_add((delay_s * 1e9) as i64),
             }
         })
         .collect())

@@ -76,8 +76,10 @@ impl Family {
         if compared && self != Self::Imagenex872 {
             kinds.extend(["corrupt", "corrupt-mended", "truncate"]);
         }
-        if self != Self::Vita49 {
-            kinds.extend(["reset", "half-open"]);
+        match self {
+            Self::Vita49 => {}
+            Self::Imagenex872 => kinds.push("reset"),
+            _ => kinds.extend(["reset", "half-open"]),
         }
         kinds.sort_unstable();
         kinds.dedup();

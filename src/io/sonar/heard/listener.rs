@@ -18,6 +18,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// A server that was reset from is tried again so often, so long.
 const AGAIN: Duration = Duration::from_millis(10);
 const PATIENCE: Duration = Duration::from_secs(2);
+/// A question that has no answer for so long is asked again: the answer was lost or torn.
+const ASK_AGAIN: Duration = Duration::from_millis(500);
 /// Asked of the kernel for a socket of datagrams.
 const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 const READ_BYTES: usize = 256 * 1024;
@@ -171,6 +173,12 @@ impl Listener {
                 Ok(len) => len,
                 Err(error) => match error.kind() {
                     ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
+                        if let (true, Link::Tcp(stream)) =
+                            (asks && heard_at.elapsed() > ASK_AGAIN, &mut self.link)
+                        {
+                            stream.write_all(&switch(self.what.range_m))?;
+                            heard_at = Instant::now();
+                        }
                         continue;
                     }
                     ErrorKind::ConnectionReset | ErrorKind::BrokenPipe => return Ok(End::Reset),
@@ -187,12 +195,15 @@ impl Listener {
             }
             heard_at = now;
             let accounts = &mut self.accounts;
-            let mut came = 0;
+            let (mut came, errors) = (0, self.heard.ear.errors());
             self.heard.ear.hear(&buffer[..len], &mut |sighting| {
                 came += 1;
                 accounts.note(sighting);
             });
             if asks {
+                for _ in errors..self.heard.ear.errors() {
+                    self.accounts.found("damaged", None, None);
+                }
                 self.answers += came;
                 // One answer to each question; those beyond are too many.
                 for _ in self.asked..self.answers {
