@@ -1,14 +1,155 @@
-//! Where what is no way to sum breaks: places at the ends of latitude and longitude, surfaces without curvature. `tools/atlas` draws the map of
-//! all failures.
+//! Where methods fail, held on either side of the boundary: no number that is none, no panic, no wrong answer that was promised to be right, no plan
+//! inside a failing region. A short pulse and two elements, four regimes of twenty: each takes seconds. `tools/atlas` draws the long form.
 
 use std::f64::consts::TAU;
 
-use echotank::flow::{ScatterLaw, Scatterers};
+use echotank::flow::{DopplerModel, PathModel, ScatterLaw, Scatterers, Synthesis};
 use echotank::geodesy::LocalTangentPlane;
+use echotank::run::rig::pool;
 use echotank::scene::simplify::energy::{Energies, View};
 use echotank::scene::simplify::{Method, Selection, Settings, Weights};
 use glam::DVec3;
 use num_complex::Complex64;
+
+use crate::atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
+use crate::atlas::regimes::{ALL, Regime};
+use crate::atlas::spot::{Base, Size};
+
+fn regime(name: &str) -> &'static Regime {
+    let found = ALL.iter().find(|regime| regime.name == name);
+    found.unwrap_or_else(|| panic!("no regime {name}"))
+}
+
+fn columns(regime: &Regime) -> Vec<(f64, Column)> {
+    let base = Base::new(Size::SMALL);
+    let pool = pool(1).expect("threads");
+    let mut bench = Bench::default();
+    let values = regime.few.iter();
+    pool.install(|| {
+        values
+            .map(|&v| (v, bench.column(&(regime.spot)(&base, v))))
+            .collect()
+    })
+}
+
+/// What holds everywhere. Hands on the columns for what holds here.
+fn swept(name: &str) -> Vec<(f64, Column)> {
+    let regime = regime(name);
+    let columns = columns(regime);
+    for (value, column) in &columns {
+        let label = regime.label(*value);
+        for (method, outcome) in column.named() {
+            let said = format!("{name}, {label}: {method}: {outcome:?}");
+            assert!(
+                !matches!(outcome, Outcome::NoNumber | Outcome::Panic(_)),
+                "{said}"
+            );
+            assert!(
+                regime.is_blind() || !outcome.is_silently_wrong(column.tolerance),
+                "promised {:e}: {said}",
+                column.tolerance
+            );
+            if let Outcome::Refused(why) = outcome {
+                assert!(why.len() > 10, "a refusal says why: {said}");
+            }
+        }
+        if let Some(plan) = &column.plan {
+            let said = format!("{name}, {label}: plan {}: {:?}", plan.text, plan.outcome);
+            assert!(
+                regime.is_blind() || plan.out_of_reach || plan.outcome.is_within(column.tolerance),
+                "{said}"
+            );
+            assert!(
+                !matches!(
+                    plan.outcome,
+                    Outcome::Refused(_) | Outcome::NoNumber | Outcome::Panic(_)
+                ),
+                "{said}"
+            );
+        }
+    }
+    columns
+}
+
+fn cell(column: &Column, synthesis: Synthesis, path: PathModel, doppler: DopplerModel) -> &Outcome {
+    let at = |of: Option<usize>| of.expect("in the lists");
+    column.cell(
+        at(SUMS.iter().position(|s| *s == synthesis)),
+        at(DOPPLERS.iter().position(|d| *d == doppler)),
+        at(PathModel::ALL.iter().position(|p| *p == path)),
+    )
+}
+
+fn best(column: &Column) -> &Outcome {
+    cell(
+        column,
+        Synthesis::Direct,
+        PathModel::Continuous,
+        DopplerModel::StretchQuadratic,
+    )
+}
+
+fn error(outcome: &Outcome) -> f64 {
+    match outcome {
+        Outcome::Answer { error, .. } => *error,
+        other => panic!("no answer: {other:?}"),
+    }
+}
+
+fn at(columns: &[(f64, Column)], value: f64) -> &Column {
+    let found = columns.iter().find(|(v, _)| *v == value);
+    &found.unwrap_or_else(|| panic!("{value} is no column")).1
+}
+
+#[test]
+fn tolerance() {
+    assert!(!swept("tolerance").is_empty());
+}
+
+#[test]
+fn speed() {
+    let columns = swept("speed");
+    assert!(matches!(best(at(&columns, 151.0)), Outcome::Refused(why) if why.contains("151 m/s")));
+    assert!(at(&columns, 151.0).plan.is_none());
+    let cruise = at(&columns, 2.572);
+    let printed = cell(
+        cruise,
+        Synthesis::Spectral,
+        PathModel::Polyline,
+        DopplerModel::PaperEq21,
+    );
+    assert!(error(printed) > 0.5, "{printed:?}");
+    assert!(best(cruise).is_within(1e-3), "{:?}", best(cruise));
+}
+
+#[test]
+fn navigation_faults() {
+    let columns = swept("navigation-faults");
+    // A jump of 500 m in a tenth of a second; a gap that is no gap; another clock.
+    for refused in [5.0, 8.0] {
+        let outcome = best(at(&columns, refused));
+        assert!(
+            matches!(outcome, Outcome::Refused(_)),
+            "{refused}: {outcome:?}"
+        );
+    }
+    for answered in [0.0, 1.0, 2.0] {
+        let outcome = best(at(&columns, answered));
+        assert!(outcome.is_within(1e-2), "{answered}: {outcome:?}");
+    }
+}
+
+#[test]
+fn scatterers() {
+    let columns = swept("scatterers");
+    for (method, outcome) in at(&columns, 0.0).named() {
+        let quiet = matches!(
+            outcome,
+            Outcome::Silence | Outcome::NotTaken | Outcome::Refused(_)
+        );
+        assert!(quiet, "{method}: {outcome:?}");
+    }
+}
 
 #[test]
 fn places_come_back_over_poles_and_antimeridian() {
