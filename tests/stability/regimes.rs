@@ -1,5 +1,5 @@
 //! Where methods fail, held on either side of the boundary: no number that is none, no panic, no wrong answer that was promised to be right, no plan
-//! inside a failing region. A short pulse and two elements; `tools/atlas` draws the long form.
+//! inside a failing region. A short pulse and two elements, four regimes of twenty: each takes seconds. `tools/atlas` draws the long form.
 
 use std::f64::consts::TAU;
 
@@ -101,29 +101,9 @@ fn at(columns: &[(f64, Column)], value: f64) -> &Column {
     &found.unwrap_or_else(|| panic!("{value} is no column")).1
 }
 
-macro_rules! only_what_holds_everywhere {
-    ($($name:ident = $regime:literal;)*) => {
-        $(
-            #[test]
-            fn $name() {
-                assert!(!swept($regime).is_empty());
-            }
-        )*
-    };
-}
-
-only_what_holds_everywhere! {
-    endfire = "endfire";
-    elements = "elements";
-    window_end = "window-end";
-    window_start = "window-start";
-    segments = "segments";
-    manoeuvre = "manoeuvre";
-    attitude = "attitude";
-    navigation_rate = "navigation-rate";
-    pulse_stretch = "pulse-stretch";
-    tolerance = "tolerance";
-    grid_edge = "grid-edge";
+#[test]
+fn tolerance() {
+    assert!(!swept("tolerance").is_empty());
 }
 
 #[test]
@@ -143,35 +123,6 @@ fn speed() {
 }
 
 #[test]
-fn range() {
-    for (value, column) in swept("range") {
-        // Nearer than a wavelength is counted.
-        if let Outcome::Answer { counted, .. } = *best(&column) {
-            assert_eq!(
-                counted > 0,
-                value < 3.7e-3,
-                "{value} m: {:?}",
-                best(&column)
-            );
-        }
-    }
-}
-
-#[test]
-fn grazing() {
-    let columns = swept("grazing");
-    for behind in [91.0] {
-        for (method, outcome) in at(&columns, behind).named() {
-            let quiet = matches!(
-                outcome,
-                Outcome::Silence | Outcome::NotTaken | Outcome::Refused(_)
-            );
-            assert!(quiet, "{behind} degrees: {method}: {outcome:?}");
-        }
-    }
-}
-
-#[test]
 fn navigation_faults() {
     let columns = swept("navigation-faults");
     // A jump of 500 m in a tenth of a second; a gap that is no gap; another clock.
@@ -186,49 +137,6 @@ fn navigation_faults() {
         let outcome = best(at(&columns, answered));
         assert!(outcome.is_within(1e-2), "{answered}: {outcome:?}");
     }
-}
-
-#[test]
-fn far_from_origin() {
-    for (away_m, column) in swept("far-from-origin") {
-        assert!(
-            best(&column).is_within(1e-3),
-            "{away_m} m: {:?}",
-            best(&column)
-        );
-    }
-}
-
-#[test]
-fn frequency_step() {
-    let columns = swept("frequency-step");
-    let hop = |share: f64| {
-        error(cell(
-            at(&columns, share),
-            Synthesis::Spectral,
-            PathModel::StopAndHop,
-            DopplerModel::None,
-        ))
-    };
-    assert!(
-        hop(0.5) < 1e-3 && hop(2.0) > 0.5,
-        "{} {}",
-        hop(0.5),
-        hop(2.0)
-    );
-}
-
-#[test]
-fn sample_rate() {
-    let columns = swept("sample-rate");
-    assert!(matches!(best(at(&columns, 0.5)), Outcome::Refused(why) if why.contains("at least")));
-    assert!(best(at(&columns, 1.1)).is_within(1e-3));
-}
-
-#[test]
-fn culling() {
-    let columns = swept("culling");
-    assert!(error(best(at(&columns, -3.0))) > 1e-3);
 }
 
 #[test]

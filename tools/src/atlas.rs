@@ -1,6 +1,9 @@
 //! Draws the map of failures; see `tools/atlas --help`.
 
-#[allow(dead_code, reason = "shared with tests/stability.rs")]
+#[allow(
+    dead_code,
+    reason = "a regime names the columns about its boundary too"
+)]
 #[path = "atlas/mod.rs"]
 mod atlas;
 #[allow(dead_code, reason = "the chart's own, of which maps use a part")]

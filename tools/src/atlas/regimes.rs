@@ -39,7 +39,7 @@ impl Regime {
         }
         match value {
             v if v == NO_FLOOR => "none".into(),
-            v if v == 0.0 => "0".into(),
+            0.0 => "0".into(),
             v if (1e-3..1e5).contains(&v.abs()) => format!("{v}"),
             v => format!("{v:.0e}"),
         }
@@ -72,9 +72,9 @@ pub const ALL: [Regime; 20] = [
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
-        says: "Without its motion an echo is right below some micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance know 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
+        says: "Without its motion an echo is right up to 10 micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance are made for 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
         paper: "divides by the speed (Eq. 5), and Eq. 21 undoes what Eq. 5 did: off by the signal itself from 0.1 m/s on",
-        ours: "one expression for every speed, 0 included; above 10 m/s engines count every echo as beyond them and the plan takes `direct`; above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
+        ours: "one expression for every speed, 0 included; at 30 m/s and above `gridded-1d`'s echoes are counted as beyond it, from 30 m/s on the plan says that nothing keeps the tolerance (what it takes keeps it up to 30 m/s); above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
     },
     Regime {
         name: "range",
@@ -116,7 +116,7 @@ pub const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "At and beyond grazing the ground is silent for every method alike, the truth included; at nadir nothing happens.",
+        says: "From nadir to 90 degrees nothing happens to any method; behind that the ground is silent for all alike, the truth included.",
         paper: "Eq. 13's 20 log cos falls to minus infinity dB at 90 degrees and is no number behind",
         ours: "the cosine is held at 0: silence, for one leg or both",
     },
@@ -137,7 +137,7 @@ pub const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "At endfire motion and Doppler are strongest; at broadside what is left of them is the bend of the path, which a stretch alone does not follow.",
+        says: "At endfire motion and Doppler are strongest and the path is straight: a stretch is enough up to 30 degrees; nearer broadside the bend of the path is left, which a stretch alone does not follow.",
         paper: "worst ahead and astern; at 90 degrees it is as good as no motion",
         ours: "`stretch-quadratic` keeps the tolerance in every direction",
     },
@@ -269,7 +269,7 @@ pub const ALL: [Regime; 20] = [
             (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 3.0);
             spot.through_navigation(every_s, |_, _, _| {})
         },
-        says: "What navigation does not say no method can know: above 20 samples a second or so the samples follow the true swell, below that they follow the curve through what was said. (Between a sensor's samples farther apart than 5 s there is no ping; a track in a file may be as sparse as its author likes.)",
+        says: "What navigation does not say no method can know: with 20 samples a second and more the samples follow the true swell within 1e-3 (`continuous`, `stretch-quadratic`), with fewer they follow the curve through what was said. From 3 s on the ten seconds of history that this sonar keeps hold no position before the ping, and there is none.",
         paper: "vertices of the polyline are the navigation's own samples, straight between them",
         ours: "a smooth curve through them, the same law for every method: a measured error of the input, not of a method",
     },
@@ -307,7 +307,7 @@ pub const ALL: [Regime; 20] = [
             };
             spot.through_navigation(0.1, spoil)
         },
-        says: "Repeated stamps are dropped, backward ones put where they belong, gaps bridged by the curve; a jump that implies more than 150 m/s is refused, a smaller one believed; a clock an hour ahead gives no ping.",
+        says: "Repeated stamps are dropped, late ones put where they belong, a gap of a second is bridged by the curve, one of 6 s is not; a jump that implies more than 150 m/s is refused, a smaller one believed; a clock an hour ahead gives no ping.",
         paper: "not considered",
         ours: "every one of these is counted by the navigation's history; refusals name the channel and the number",
     },
@@ -358,7 +358,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
             spot
         },
-        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds until the path bends within the pulse; its second order holds to 20 ms.",
+        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds up to 1 ms, until the path bends within the pulse; its second order holds to 20 ms, in engines as far as they can be made (5 ms and 8 ms).",
         paper: "Eq. 21 shifts no frequency: it stretches the delays and leaves the pulse as it is",
         ours: "every echo stretched about its own arrival; engines hold the stretch in Doppler columns made for the longest pulse",
     },

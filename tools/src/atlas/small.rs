@@ -23,7 +23,7 @@ pub fn maps() -> Vec<(&'static str, Map, &'static str)> {
     ]
 }
 
-pub const CURVATURE_SAYS: &str = "On planes, ridges and cylinders Gaussian curvature is zero, on a single point nothing can be fitted: energies as printed then hold no number (0/0), ours a floor; only `acoustic-unbiased` keeps the level.";
+pub const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the energies as printed hold no number (0/0), ours a floor; `acoustic` loses the level of what it leaves out by design, `acoustic-unbiased` and area inherited keep it.";
 pub const PLACES_SAYS: &str = "A kilometre from anywhere, over the antimeridian and over both poles, latitude and longitude come back to the micrometre.";
 
 fn ratio(value: f64, tolerance: f64) -> Mark {
