@@ -84,6 +84,11 @@ impl Candidate {
     pub fn part(&self, family: Family) -> &Part {
         &self.parts[family as usize]
     }
+    /// How much of the motion is modelled, by its place among path and Doppler models.
+    fn modelled(&self) -> (u8, u8) {
+        let model = self.choice.model;
+        (model.path as u8, model.doppler as u8)
+    }
     /// `k-segment 10 ms, stretch, gridded-1d 5e-4, culled at -40 dB`.
     pub fn text(&self) -> String {
         let choices: Vec<&str> = self.parts.iter().map(|p| p.choice.as_str()).collect();
@@ -149,7 +154,11 @@ pub fn choose(
 ) -> Option<Ranking> {
     candidates.sort_by(|a, b| {
         let by_cost = a.cost_ms().total_cmp(&b.cost_ms());
-        by_cost.then(a.error().total_cmp(&b.error()))
+        // What costs the same models no more than it must.
+        let simpler = a.modelled().cmp(&b.modelled());
+        by_cost
+            .then(simpler)
+            .then(a.error().total_cmp(&b.error()))
     });
     let may = |c: &Candidate| !barred.contains(&c.choice);
     let first = candidates.iter().position(|c| may(c) && goal.meets(c));
