@@ -544,6 +544,10 @@ fn survey_places(
     }
 }
 
+/// A scatterer nearer than this lies on the array: its derivatives are those at this distance, large and finite, and engines count them as beyond
+/// what they are made for.
+const TOUCHING_M: f64 = 1e-6;
+
 /// What the derivatives of a batch's echoes are made from.
 struct Derivation<'a> {
     c: f64,
@@ -624,7 +628,7 @@ impl Derivation<'_> {
         let transmit_a = self.transmit.acceleration_m_per_s2;
         for i in 0..n {
             let (x, y, z) = (rx[i], ry[i], rz[i]);
-            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(f64::MIN_POSITIVE);
+            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(TOUCHING_M);
             let (x, y, z) = (x * per_m, y * per_m, z * per_m);
             let dot = |a: DVec3| a.x * x + a.y * y + a.z * z;
             let after_s = delay_s[i] - start_s;
@@ -654,7 +658,7 @@ impl Derivation<'_> {
             twist[i] = stretched
                 * ((wx * qx + wy * qy + wz * qz - closing * s) * per_m - dot(along))
                 * per_w;
-            let transmit_per_m = 1.0 / transmit_m[i].max(f64::MIN_POSITIVE);
+            let transmit_per_m = 1.0 / transmit_m[i].max(TOUCHING_M);
             let pulled = transmit_a.x * tx[i] + transmit_a.y * ty[i] + transmit_a.z * tz[i];
             swing[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
                 * transmit_per_m
