@@ -78,7 +78,11 @@ fn golden_files_are_told_by_their_front_and_every_message_of_them_is_put_into_wo
             xtf,
             Format::Xtf,
             6,
-            &["sonar_name: \"emulator\"", "ping_number: 5", "channel 1 of 800 samples"],
+            &[
+                "sonar_name: \"emulator\"",
+                "ping_number: 5",
+                "channel 1 of 800 samples",
+            ],
         ),
     ];
     for (bytes, format, messages, said) in cases {
@@ -86,10 +90,16 @@ fn golden_files_are_told_by_their_front_and_every_message_of_them_is_put_into_wo
         let lines = in_words(format, bytes);
         assert_eq!(lines.len(), messages, "{format}");
         for line in &lines {
-            assert!(!COMPLAINTS.iter().any(|c| line.contains(c)), "{format}: {line}");
+            assert!(
+                !COMPLAINTS.iter().any(|c| line.contains(c)),
+                "{format}: {line}"
+            );
         }
         for said in said {
-            assert!(lines.iter().any(|line| line.contains(said)), "{format}: no `{said}`");
+            assert!(
+                lines.iter().any(|line| line.contains(said)),
+                "{format}: no `{said}`"
+            );
         }
     }
 }

@@ -78,15 +78,19 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
             let told = format
                 .or(Format::of_port(packet.port))
                 .or(Format::of_bytes(payload));
-            let mut say = |line: String| goes_on &= each(format!("{arrival} to {}: {line}", packet.port));
+            let mut say =
+                |line: String| goes_on &= each(format!("{arrival} to {}: {line}", packet.port));
             match told {
                 Some(format) => datagrams.push(format, payload, &mut say),
                 None => say(format!("{} B of no format that we know", payload.len())),
             }
         } else if let Some(segment) = packet.segment {
             let (from, to) = (segment.from_port, segment.to_port);
-            let way = ways.entry((segment.addresses.to_vec(), from, to)).or_default();
-            let mut say = |line: String| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
+            let way = ways
+                .entry((segment.addresses.to_vec(), from, to))
+                .or_default();
+            let mut say =
+                |line: String| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
             let mut words = way.words.take();
             way.push(&segment, |new| {
                 let told = format
@@ -156,7 +160,11 @@ mod tests {
     #[test]
     fn a_stream_cut_at_any_places_told_twice_and_out_of_order_is_read_as_it_was_sent() {
         let text = b"set_range 0 50\r\nset_rate 4\r\nset_power 1\r\n";
-        let want = ["RangeM { start: 0.0, stop: 50.0", "RateHz(4.0)", "Power(true)"];
+        let want = [
+            "RangeM { start: 0.0, stop: 50.0",
+            "RateHz(4.0)",
+            "Power(true)",
+        ];
         // Sequence numbers turn over inside.
         let first = u32::MAX - 20;
         let at = |from: usize, to: usize| {
@@ -165,15 +173,27 @@ mod tests {
         };
         for (what, segments) in [
             ("whole", vec![(first, true, &b""[..]), at(0, 41)]),
-            ("pieces", vec![(first, true, b""), at(0, 5), at(5, 17), at(17, 41)]),
-            ("twice", vec![(first, true, b""), at(0, 20), at(0, 20), at(10, 41)]),
-            ("early", vec![(first, true, b""), at(0, 5), at(17, 41), at(5, 17)]),
+            (
+                "pieces",
+                vec![(first, true, b""), at(0, 5), at(5, 17), at(17, 41)],
+            ),
+            (
+                "twice",
+                vec![(first, true, b""), at(0, 20), at(0, 20), at(10, 41)],
+            ),
+            (
+                "early",
+                vec![(first, true, b""), at(0, 5), at(17, 41), at(5, 17)],
+            ),
             ("no start", vec![at(0, 20), at(20, 41)]),
         ] {
             let got = lines(&pcap(&segments), Some(Format::WbmsText));
             assert_eq!(got.len(), want.len(), "{what}: {got:?}");
             for (got, want) in got.iter().zip(want) {
-                assert!(got.starts_with("7000000000 2210 to 50000: WBMS"), "{what}: {got}");
+                assert!(
+                    got.starts_with("7000000000 2210 to 50000: WBMS"),
+                    "{what}: {got}"
+                );
                 assert!(got.contains(want), "{what}: {got}, wanted {want}");
             }
         }
@@ -184,7 +204,9 @@ mod tests {
         let mut segments = vec![(0, true, &b""[..]), (1, false, &b"set_rate 4\r\n"[..])];
         // One is lost; many lines follow.
         let lost = 13 + 12;
-        segments.extend((0..=MOST_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])));
+        segments.extend(
+            (0..=MOST_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])),
+        );
         let got = lines(&pcap(&segments), Some(Format::WbmsText));
         assert_eq!(got.len(), 2 + MOST_WAITING, "{got:?}");
     }

@@ -156,9 +156,7 @@ pub fn choose(
         let by_cost = a.cost_ms().total_cmp(&b.cost_ms());
         // What costs the same models no more than it must.
         let simpler = a.modelled().cmp(&b.modelled());
-        by_cost
-            .then(simpler)
-            .then(a.error().total_cmp(&b.error()))
+        by_cost.then(simpler).then(a.error().total_cmp(&b.error()))
     });
     let may = |c: &Candidate| !barred.contains(&c.choice);
     let first = candidates.iter().position(|c| may(c) && goal.meets(c));

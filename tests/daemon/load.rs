@@ -40,7 +40,7 @@ fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
     arguments.extend(LARGE);
     let mut daemon = Daemon::start(&arguments);
     let http = daemon.announced("control http", "http");
-    let address = daemon.announced("7k points", "tcp");
+    let address = daemon.address_of("7k points", "tcp");
     let mut third = SevenKClient::connect(address).expect("listening");
     third.subscribe(&[7038, 7018]).expect("subscribed");
     let peer = third.local_addr().expect("bound");
@@ -92,7 +92,10 @@ fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
         assert_eq!((tally.duplicate, tally.late), (0, 0));
         // The last ping's beams may still be on their way.
         let beams = verifier.tally(7018);
-        assert!(beams.lost <= skipped && beams.received + 1 >= PINGS, "{beams:?}");
+        assert!(
+            beams.lost <= skipped && beams.received + 1 >= PINGS,
+            "{beams:?}"
+        );
     }
     daemon.terminate();
 }

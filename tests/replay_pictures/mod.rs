@@ -442,7 +442,9 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
     let alike = |a: &[f32], b: &[f32]| {
         let product = |a: &[f32], b: &[f32]| {
             let pairs = a.iter().zip(b);
-            pairs.map(|(x, y)| f64::from(*x) * f64::from(*y)).sum::<f64>()
+            pairs
+                .map(|(x, y)| f64::from(*x) * f64::from(*y))
+                .sum::<f64>()
         };
         product(a, b) / (product(a, a) * product(b, b)).sqrt()
     };
@@ -454,7 +456,11 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
             let same = alike(&a.lines[0].amplitude, &b.lines[0].amplitude);
             assert!(same > 0.9999, "ping {}: {same}", a.ping_number);
             // 7KTIME has f32 seconds, 4 us.
-            assert!((a.utc_ns - b.utc_ns).abs() < 10_000, "{}", a.utc_ns - b.utc_ns);
+            assert!(
+                (a.utc_ns - b.utc_ns).abs() < 10_000,
+                "{}",
+                a.utc_ns - b.utc_ns
+            );
         }
     }
     for (own, other) in first[1].iter().zip(&second[1]) {
@@ -479,7 +485,10 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
         ]);
         assert!(good && tiff.exists(), "{text}");
         let (good, text) = mosaic(&[file, Path::new("--out"), &tiff, Path::new("--pulse=3")]);
-        assert!(!good && text.contains("pulse") && text.contains('3'), "{text}");
+        assert!(
+            !good && text.contains("pulse") && text.contains('3'),
+            "{text}"
+        );
     }
 }
 

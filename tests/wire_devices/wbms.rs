@@ -188,8 +188,14 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
             "set_tx 100 0.5 13 500000 # refused: ",
         ),
         ("set_trigger_mode 6", "set_trigger_mode 0 # refused: "),
-        ("set_gain 101", "set_gain 20 # refused: set_gain takes 0 to 100"),
-        ("set_ntp_server a b", "set_ntp_server # refused: set_ntp_server takes one"),
+        (
+            "set_gain 101",
+            "set_gain 20 # refused: set_gain takes 0 to 100",
+        ),
+        (
+            "set_ntp_server a b",
+            "set_ntp_server # refused: set_ntp_server takes one",
+        ),
         ("set_rage 1 2", "set_rage # refused: unknown command"),
         ("\u{1b}[A", "[A # refused: unknown command"),
     ] {

@@ -308,7 +308,10 @@ fn jsf(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
         };
         let mut emitter = JsfEmitter::new(Arc::new(sheet), Box::new(|_, _| {}));
         let mut messages = Vec::new();
-        assert_eq!(emitter.emit_ping(plan, output, |_, _| true, &mut messages), 0);
+        assert_eq!(
+            emitter.emit_ping(plan, output, |_, _| true, &mut messages),
+            0
+        );
         let mut seen = 0;
         for message in &messages {
             let message = JsfMessage::parse(&message.bytes).expect("whole");

@@ -176,7 +176,13 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
             let data = SonarData80::parse(message.body).expect("80");
             let place = (message.header.subsystem, message.header.channel);
             let h = &data.header;
-            (place, h.ping_number, h.frequencies_hz(), h.utc_ns(), data.values().next())
+            (
+                place,
+                h.ping_number,
+                h.frequencies_hz(),
+                h.utc_ns(),
+                data.values().next(),
+            )
         })
         .collect();
     // Somebody has switched port off in the second.
@@ -187,7 +193,10 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
     assert_eq!(said[0].2, (100_000.0 - half, 100_000.0 + half), "up");
     assert_eq!(said[2].2, (103_000.0 + half, 103_000.0 - half), "down");
     let late_s = (said[2].3 - said[0].3) as f64 * 1e-9;
-    assert!((late_s - DELAY_S).abs() < 1e-3, "{late_s}, to a millisecond");
+    assert!(
+        (late_s - DELAY_S).abs() < 1e-3,
+        "{late_s}, to a millisecond"
+    );
     // Levels as they were made: 0.8 and 0.6 of the first, 0.2 of the second's starboard.
     let level = |k: usize| said[k].4.expect("samples");
     for (k, ratio) in [(1, 0.75), (2, 0.25)] {
@@ -236,10 +245,16 @@ fn commands_for_the_second_pulses_subsystem_are_for_the_sonar_and_its_data_are_i
     assert!(tell(message_type::PING_RANGE, 22, 0, 30_000).is_empty());
     assert_eq!(store.snapshot().0.range_m, 42.0, "22 has no pulse");
     let refused = tell(message_type::PING_RANGE, 23, 0, 30_000);
-    assert_eq!(refused[0].value, Value::Error(error_code::UNKNOWN_SUBSYSTEM));
+    assert_eq!(
+        refused[0].value,
+        Value::Error(error_code::UNKNOWN_SUBSYSTEM)
+    );
     let active = |subsystem, channel| is_active(store.as_ref(), subsystem, channel);
     assert!(active(20, 1) && active(21, 0) && !active(21, 1));
     let kind = client.get(message_type::SYSTEM_TYPE, 0);
     assert_eq!(kind, Value::Number(system_type::DUAL_FREQUENCY_SIDE_SCAN));
-    assert_eq!(client.get(message_type::PING_RANGE, 0), Value::Number(42_000));
+    assert_eq!(
+        client.get(message_type::PING_RANGE, 0),
+        Value::Number(42_000)
+    );
 }

@@ -49,7 +49,10 @@ pub fn jsf_ping(
     });
     let mut emitter = JsfEmitter::new(jsf_sheet(channels, format), filter);
     let mut messages = Vec::new();
-    assert_eq!(emitter.emit_ping(plan, output, |_, _| true, &mut messages), 0);
+    assert_eq!(
+        emitter.emit_ping(plan, output, |_, _| true, &mut messages),
+        0
+    );
     messages
 }
 

@@ -94,7 +94,9 @@ pub fn jsf<'t>(
         if last > usize::from(u8::MAX) {
             problems.refuse(
                 table.entry("subsystem"),
-                format!("each pulse is a subsystem, and the last would be {last}; JSF counts to 255"),
+                format!(
+                    "each pulse is a subsystem, and the last would be {last}; JSF counts to 255"
+                ),
             );
         }
         let its = usize::from(subsystem)..=last;

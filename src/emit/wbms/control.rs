@@ -243,7 +243,9 @@ impl Client {
     /// Keeps what the model has no use for.
     fn keep(&self, word: &str, command: &Command, asked: Asked) -> Result<(), String> {
         if let (Command::NtpServer(server), Some(key)) = (command, key_of(word)) {
-            let kept = self.settings.keep(key, KeptValue::Text(server.clone()), asked);
+            let kept = self
+                .settings
+                .keep(key, KeptValue::Text(server.clone()), asked);
             return kept.map_err(|refused| refused.to_string());
         }
         let numbers = match *command {
