@@ -168,7 +168,7 @@ impl Map {
         let label = 5.2 * longest.unwrap_or(1) as f64;
         let bottom = self.row_top(self.rows.len() - 1) + CELL;
         let words = self.plan.as_ref().map_or(0, |(_, words)| words.len());
-        let width = (LEFT + panels * panel_width + 24.0).max(900.0);
+        let width = (LEFT + panels * panel_width + 24.0).max(1240.0);
         let plan_top = bottom + label + 44.0;
         let height = plan_top
             + self
