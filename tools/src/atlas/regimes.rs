@@ -154,7 +154,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.receive[0].spacing_m = wavelengths * base.wavelength_m();
             spot
         },
-        says: "Samples know no grating lobes (those are the beams' affair): what is made element by element does not care; the line engine refuses a line that its tables do not reach along.",
+        says: "Samples know no grating lobes (those are the beams' affair): no method cares, from a thousandth of a wavelength to 300 of them.",
         paper: "a plane wave over the subarray: fails as L^2/(8 r) grows beyond a wavelength",
         ours: "exact per element; `gridded-2d` takes stretches as short as it must, or refuses",
     },
@@ -214,7 +214,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.model.segment_s = ms * 1e-3;
             spot
         },
-        says: "Attitude held on a segment moves an element on its arm in steps; chords of each element's own (`k-segment`) are good up to some tens of milliseconds; echoes past the last segment are carried on along it.",
+        says: "Attitude held on a segment moves an element on its arm in steps; chords of each element's own (`k-segment`) keep 1e-3 here up to 5 ms; echoes past the last segment are carried on along it.",
         paper: "stops at the end of its segment, and attitude steps there: \"the attitude change only occurs at the polyline intersection\"",
         ours: "`polyline` as printed, its steps counted; `k-segment` and `continuous` beside it",
     },
@@ -252,7 +252,7 @@ pub const ALL: [Regime; 20] = [
             spot.motion.yaw_deg_per_s = 2.0;
             spot.through_navigation(0.02, |_, _, _| {})
         },
-        says: "Attitude is a rotation from the first sample on: roll and heading that cannot be told apart at 90 degrees, and a heading that passes 360 during the ping, change nothing.",
+        says: "Attitude is a rotation from the first sample on: roll and heading that cannot be told apart at 90 degrees, and a heading that passes 360 during the ping, change nothing for what follows the motion itself; a polyline's steps of the turning heading are felt but straight up and down.",
         paper: "Eq. 4 is no rotation matrix as printed (cos alpha where cos beta belongs)",
         ours: "unit quaternions between samples, the short way round",
     },
