@@ -9,14 +9,13 @@ use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
 use echotank::flow::{DopplerModel, PathModel, PingOutput, PingPlan, Scatterers, Synthesis};
 use echotank::ping::fidelity::{Candidate, Choice, Family, Ranking};
 use echotank::ping::polyline;
+use echotank::run::certificate::worst_window;
 use echotank::run::chart::bare;
 use echotank::run::fidelity::costs::Costs;
 use echotank::run::fidelity::first::{FirstError, first, pings};
 use echotank::run::fidelity::with_choice;
 use echotank::run::pipeline::{PipelineError, SonarPipeline};
 
-/// Windows are a pulse long, and so many samples at least.
-const LEAST_WINDOW: usize = 32;
 /// Timed runs of every choice, taken in turn; the least counts.
 const REPEATS: usize = 5;
 /// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
@@ -227,7 +226,12 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
         predicted_ms: candidate.cost_ms(),
         error: match runner.output.certificate {
             Some(certificate) => certificate.error,
-            None => worst_window(ping, &runner.output, &truth),
+            None => worst_window(
+                &runner.output,
+                &truth,
+                ping.plan.pulse.duration_s,
+                ping.spec.receiver.sample_rate_hz,
+            ),
         },
         ms: runner.least_ms,
         promised: ranking.goal.meets(candidate),
@@ -299,26 +303,4 @@ fn certified(ping: &Ping, spec: &SonarSpec) -> Result<Runner, PipelineError> {
         runner.run(ping.everything);
     }
     Ok(runner)
-}
-
-fn worst_window(ping: &Ping, got: &PingOutput, want: &PingOutput) -> f64 {
-    let rate_hz = ping.spec.receiver.sample_rate_hz;
-    let window = ((ping.plan.pulse.duration_s * rate_hz).ceil() as usize).max(LEAST_WINDOW);
-    let mut worst = 0.0f64;
-    for (got, want) in got.elements.iter().zip(&want.elements) {
-        for element in 0..want.elements {
-            let (got, want) = (got.element(element), want.element(element));
-            let squares: f64 = want.iter().map(|x| x.norm_sqr()).sum();
-            let whole = squares / want.len().max(1) as f64;
-            for (got, want) in got.chunks(window).zip(want.chunks(window)) {
-                let off: f64 = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr()).sum();
-                let loud: f64 = want.iter().map(|x| x.norm_sqr()).sum();
-                let against = loud.max(whole * want.len() as f64);
-                if against > 0.0 {
-                    worst = worst.max((off / against).sqrt());
-                }
-            }
-        }
-    }
-    worst
 }
