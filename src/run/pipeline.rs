@@ -37,7 +37,7 @@ use crate::image::bottom::BottomDetector;
 use crate::ping;
 use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
-use crate::run::footprints::footprints;
+use crate::run::footprints::{footprints, heard_within_m};
 use crate::run::line_engines::LineEngines;
 use crate::run::more_pulses::{Desk, MorePulse};
 
@@ -347,6 +347,15 @@ impl SonarPipeline {
                 .detector
                 .detect(halves, plan.first_sample_s, least_s, soundings);
         }
+    }
+
+    /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
+    pub fn heard_within_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+        let samples = std::mem::replace(&mut plan.sample_count, end);
+        // As far as the receiver filter looks ahead.
+        let (first_s, rate_hz, len) = self.grid(plan);
+        plan.sample_count = samples;
+        heard_within_m(&self.spec, plan, first_s + len as f64 / rate_hz)
     }
 
     /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing

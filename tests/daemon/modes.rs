@@ -11,6 +11,7 @@ use echotank::io::control::client;
 use echotank_protocols::sevenk::file::FileReader;
 use serde_json::{Value, json};
 
+use super::triggers::{records, three};
 use super::{Daemon, PATIENCE};
 
 /// Records of pings by type and time stamp: what says when a file was begun stays out.
@@ -189,6 +190,142 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
         let records = assert_same(&got, &want, what);
         let pings = pings_in(&got);
         assert!(pings >= least, "{what}: {pings} pings, {records} records");
+    }
+}
+
+/// Faults of elements, of navigation and of pulses, the last of which those sonars hear of that follow.
+const SCENARIO: &str = r#"
+[[fault]]
+kind = "inverted"
+sonar = "bow"
+array = 2
+element = 3
+at_s = 0.2
+for_s = 0.8
+[[fault]]
+kind = "noise-burst"
+value = 1e-5
+at_s = 0.5
+probability = 0.4
+burst = 2
+seed = 3
+[[fault]]
+kind = "nav-wrong"
+quantity = "roll-pitch"
+value = 4.0
+at_s = 0.4
+ramp_s = 0.5
+[[fault]]
+kind = "nav-slow"
+quantity = "heading"
+value = 2.0
+[[fault]]
+kind = "trigger-missed"
+sonar = "points"
+at_s = 1.0
+for_s = 0.15
+[[fault]]
+kind = "trigger-double"
+sonar = "points"
+value = 45.0
+at_s = 1.4
+for_s = 0.25
+"#;
+/// 2026-11-02T09:20:00Z: the track begins.
+const BEGUN_UTC_NS: i64 = 1_793_611_200_000_000_000;
+
+/// Three sonars, two of which follow the first; methods left to the plan, an engine for a tolerance among them.
+#[test]
+fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
+    let folder = tempfile::tempdir().expect("folder");
+    for (name, synthesis) in [("auto", "auto"), ("engine", "gridded-1d")] {
+        let model = format!(
+            "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"{synthesis}\"\ntolerance = 1e-2"
+        );
+        let folder = folder.path().join(name);
+        std::fs::create_dir(&folder).expect("made");
+        let config = three(&folder, &model, SCENARIO);
+        // An engine for a tolerance wants the receiver's filter, and pulses without sharp edges.
+        let text = std::fs::read_to_string(&config).expect("readable");
+        let text = text
+            .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
+            .replace("taper = 0.0", "taper = 0.2");
+        std::fs::write(&config, text).expect("written");
+        in_every_mode(&folder, config.to_str().expect("text"));
+    }
+}
+
+fn in_every_mode(folder: &Path, config: &str) {
+    let start = |name: &str, more: &[&str]| {
+        let record = format!("record.directory={:?}", folder.join(name));
+        let mut arguments = vec![
+            config,
+            "--set",
+            &record,
+            "--set",
+            "control.listen=127.0.0.1:0",
+        ];
+        for set in more {
+            arguments.extend(["--set", set]);
+        }
+        Daemon::start(&arguments)
+    };
+    let mut fast = start("fast", &["run.clock=fast"]);
+    assert!(fast.child.wait().expect("ended").success());
+    let mut realtime = start("realtime", &["run.clock=realtime"]);
+    let mut stopped = start("stopped", &["run.clock=realtime"]);
+    let mut scaled = start("scaled", &["run.clock=scaled", "run.clock_rate=10"]);
+    let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
+    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
+        .arg(folder.join("replay"))
+        .output()
+        .expect("echotank runs");
+    assert!(replayed.status.success(), "{replayed:?}");
+    let at = stopped.announced("control http", "http");
+    wait_delivered(at, 3);
+    signal(&stopped, "-STOP");
+    let at = lockstep.announced("control http", "http");
+    let (code, answer) = tell(at, &json!({ "do": "step", "pings": 70 }));
+    assert_eq!(code, 200, "{answer}");
+    wait_delivered(at, 70);
+    signal(&stopped, "-CONT");
+    let ended = scaled.child.wait().expect("ended");
+    assert!(ended.success(), "{ended}");
+    for daemon in [&mut realtime, &mut stopped] {
+        let at = daemon.address_of("control http", "http");
+        // Beyond all that goes wrong.
+        let until = Instant::now() + PATIENCE;
+        while status(at)["rig_utc_ns"].as_i64() < Some(BEGUN_UTC_NS + 3_000_000_000) {
+            assert!(Instant::now() < until, "{}", status(at));
+            thread::sleep(Duration::from_millis(20));
+        }
+    }
+    for daemon in [realtime, stopped, lockstep] {
+        daemon.terminate();
+    }
+    for sonar in ["points", "bow", "stern"] {
+        let (pulses, want) = records(&folder.join("fast"), sonar);
+        assert!(pulses.len() > 20, "{sonar}: {} pings", pulses.len());
+        for (name, least) in [
+            ("replay", pulses.len()),
+            ("lockstep", 20),
+            ("realtime", 5),
+            ("stopped", 3),
+            ("scaled", 1),
+        ] {
+            let (pings, got) = records(&folder.join(name), sonar);
+            for (key, body) in &got {
+                let other = want.get(key);
+                assert!(
+                    other == Some(body),
+                    "{name} {sonar}: record {} of ping {} differs",
+                    key.0,
+                    key.1
+                );
+            }
+            assert!(pings.len() >= least, "{name} {sonar}: {}", pings.len());
+        }
     }
 }
 
