@@ -1151,7 +1151,8 @@ impl Pacer {
         if strain.put_off_s > 0.0 {
             self.strained_as("stretched", sonar, order, strain);
         }
-        if due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+        let first_ready = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
+        if due.is_some_and(|due| first_ready > due.ready_by) {
             self.strained_as("late", sonar, order, strain);
         }
         let output = &slot.output;
@@ -1166,9 +1167,8 @@ impl Pacer {
         }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
-            let now = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
-            histograms.margin_us(due.ready_by.0 - now.0);
-            histograms.nav_to_samples_us(now.0 - due.pulse.0);
+            histograms.margin_us(due.ready_by.0 - first_ready.0);
+            histograms.nav_to_samples_us(first_ready.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
         if let Err(TrySendError::Disconnected(_)) =

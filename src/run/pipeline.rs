@@ -97,6 +97,8 @@ pub struct SonarPipeline {
     line_engines: Option<LineEngines>,
     /// This ping's engine is at hand.
     engine_ready: bool,
+    /// A tile without an echo is under way. It is soon made: another thread would have to be woken, and waited for.
+    is_quiet: bool,
     /// One per receive array, for `gridded-1d`: the Dopplers of this ping.
     spans: Vec<DopplerSpan>,
     /// The sampled pulse, for `nearest` and `linear`.
@@ -206,6 +208,7 @@ impl SonarPipeline {
                 spec.receive.len()
             ],
             engine_ready: false,
+            is_quiet: false,
             engines,
             line_engines,
             certifier: match spec.synthesis.certificate {
@@ -379,9 +382,11 @@ impl SonarPipeline {
         for lit in &mut self.lit {
             lit.hear(Window::of_samples(first_s, rate_hz, len));
         }
+        self.is_quiet = scatterers.is_empty();
         for (index, frame) in elements.iter_mut().enumerate() {
             self.synthesise(plan, scatterers, index, frame, &mut counts);
         }
+        self.is_quiet = false;
         plan.sample_count = samples;
     }
 
@@ -465,9 +470,11 @@ impl SonarPipeline {
         }
         let mut results = std::mem::take(&mut self.results);
         let this = &*self;
+        let together = if self.is_quiet { elements } else { 1 };
         frame
             .iq
             .par_chunks_mut(plan.sample_count)
+            .with_min_len(together)
             .zip(&mut results[..elements])
             .enumerate()
             .for_each(|(element, (iq, result))| {

@@ -59,6 +59,7 @@ impl FromStr for TriggerTo {
 
 /// Triggers at random instants until it is dropped.
 pub struct Pulses {
+    /// When the last was sent, host time, until a first sample has come.
     sent_ns: Arc<AtomicI64>,
     sent: Arc<AtomicI64>,
     stop: Arc<AtomicBool>,
@@ -121,9 +122,10 @@ impl Drop for Pulses {
     }
 }
 
-type Send = Box<dyn FnMut() -> std::io::Result<()> + std::marker::Send>;
+/// Sends one.
+type Sender = Box<dyn FnMut() -> std::io::Result<()> + Send>;
 
-fn sender(to: TriggerTo) -> std::io::Result<Send> {
+fn sender(to: TriggerTo) -> std::io::Result<Sender> {
     let address = to.address;
     Ok(match to.way {
         Way::Udp => {

@@ -163,6 +163,7 @@ impl Listener {
         let mut is_answered = false;
         loop {
             if stop() {
+                self.give_up();
                 return Ok(End::Stopped);
             }
             let read = match &mut self.link {
@@ -170,7 +171,10 @@ impl Listener {
                 Link::Udp(socket) => socket.recv(&mut buffer),
             };
             let len = match read {
-                Ok(0) if matches!(self.link, Link::Tcp(_)) => return Ok(End::Closed),
+                Ok(0) if matches!(self.link, Link::Tcp(_)) => {
+                    self.give_up();
+                    return Ok(End::Closed);
+                }
                 Ok(len) => len,
                 Err(error) => match error.kind() {
                     ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
@@ -180,9 +184,7 @@ impl Listener {
                             self.ask()?;
                         } else if asks && heard_at.elapsed() > ASK_AGAIN {
                             heard_at = Instant::now();
-                            let errors = self.heard.ear.errors();
-                            self.heard.ear.give_up();
-                            self.damaged_since(errors);
+                            self.give_up();
                             self.ask()?;
                         }
                         continue;
@@ -235,6 +237,13 @@ impl Listener {
             Link::Tcp(stream) => stream.set_read_timeout(Some(patience)),
             Link::Udp(socket) => socket.set_read_timeout(Some(patience)),
         }
+    }
+
+    /// An answer that has begun is torn: its rest will not come.
+    fn give_up(&mut self) {
+        let errors = self.heard.ear.errors();
+        self.heard.ear.give_up();
+        self.damaged_since(errors);
     }
 
     fn damaged_since(&mut self, errors: u64) {
