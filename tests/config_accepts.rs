@@ -208,6 +208,7 @@ status_interval_s = 1.0
 queue_pings = 9
 clock = "realtime"
 priority = 0
+compute_nice = -3
 
 [record]
 directory = "recordings"
@@ -404,7 +405,7 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
     ));
     assert_eq!((rig.run.threads, rig.run.queue_pings), (3, 9));
     assert_eq!(rig.run.clock, ClockSpec::RealTime);
-    assert_eq!(rig.run.priority, 0);
+    assert_eq!((rig.run.priority, rig.run.compute_nice), (0, -3));
     assert_eq!(rig.faults.len(), 1);
     let fault = rig.faults[0].checked().expect("checked");
     assert_eq!(

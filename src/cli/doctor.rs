@@ -14,6 +14,8 @@ const SOCKET_BUFFER_BYTES: u64 = 4 << 20;
 const OPEN_FILES: u64 = 1024;
 /// `run.priority` unless it is told otherwise.
 const PRIORITY: u64 = 40;
+/// `run.compute_nice` that is of use beside programs that only count.
+const COMPUTE_NICE: i64 = -10;
 
 #[derive(Args, Clone, Debug)]
 pub struct DoctorArgs {
@@ -104,6 +106,17 @@ fn findings(root: &Path) -> Vec<Finding> {
             (_, limit) => format!("limit {limit}"),
         },
         "LimitRTPRIO=50 in the service, or `@audio - rtprio 50` in /etc/security/limits.d",
+    ));
+    // 20 less the lowest nice value.
+    let lowest_nice = 20 - priority::limit(Limit::Nice).min(40) as i64;
+    all.push(Finding::of(
+        "nice values",
+        root_user || lowest_nice <= COMPUTE_NICE,
+        match root_user {
+            true => "root".to_owned(),
+            false => format!("{lowest_nice} and above"),
+        },
+        "LimitNICE=-10 in the service, or `- nice -10` in /etc/security/limits.d: for run.compute_nice, where other programs count beside it",
     ));
     let locked = priority::limit(Limit::LockedMemory);
     all.push(Finding::of(

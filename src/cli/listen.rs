@@ -1,5 +1,6 @@
 //! `echotank listen`: a small topside for people.
 
+mod pulses;
 mod verify;
 mod vita49;
 
@@ -14,6 +15,7 @@ use crate::io::sonar::client::SevenKClient;
 use crate::io::sonar::elements::{ElementClient, FrameTally};
 use crate::run::histograms::Spread;
 use crate::time::UtcNs;
+use pulses::{Pulses, TriggerTo};
 use verify::FamilyName;
 
 /// What is subscribed to when nothing is named: everything a ping makes.
@@ -58,7 +60,24 @@ pub struct ListenArgs {
     /// The address is where datagrams of VITA 49 come to (sonar.output.vita49.send_to), e.g. 127.0.0.1:4991: as --elements, of its packets
     #[arg(long, conflicts_with_all = ["records", "verify", "elements"])]
     pub vita49: bool,
+    /// Trigger the pings itself, at random instants (with --elements or --vita49), and tell how long after that their first samples came: where
+    /// [sonar.trigger] listens, udp=ADDRESS or tcp=ADDRESS; or ctl=ADDRESS of [control], for pings asked for by number
+    #[arg(long, value_name = "WAY=ADDRESS")]
+    pub trigger: Option<TriggerTo>,
+    /// Half to one and a half times so long from trigger to trigger, ms; longer than a ping's window
+    #[arg(long, value_name = "MS", default_value_t = 200.0, requires = "trigger")]
+    pub every_ms: f64,
 }
+
+impl ListenArgs {
+    fn pulses(&self) -> Result<Option<Pulses>, Failure> {
+        let every = Duration::from_secs_f64(self.every_ms.clamp(1.0, 1e9) * 1e-3);
+        self.trigger.map(|to| Pulses::start(to, every)).transpose()
+    }
+}
+
+/// Of the histograms printed: fine where pings are prompt, and there are few bins where they are.
+const BIN_US: u64 = 100;
 
 /// A histogram in a line of percentiles and a line of how many were no later than so many milliseconds.
 fn print_spread(what: &str, spread: &Spread) {
@@ -68,9 +87,9 @@ fn print_spread(what: &str, spread: &Spread) {
         "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} of them)",
         ms[0], ms[1], ms[2], ms[3], f.count
     );
-    let bins = spread.bins();
+    let bins = spread.bins_of(BIN_US);
     let bins = bins.iter().filter(|(_, count)| *count > 0);
-    let bins = bins.map(|(end_us, count)| format!("{:.3} ms {count}", *end_us as f64 / 1e3));
+    let bins = bins.map(|(end_us, count)| format!("{:.1} ms {count}", *end_us as f64 / 1e3));
     println!("  no later than: {}", bins.collect::<Vec<_>>().join(", "));
 }
 
@@ -83,6 +102,7 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
     let mut tally = FrameTally::default();
     let (first_sample, frames) = (Spread::new(), Spread::new());
     let mut bytes = 0;
+    let pulses = args.pulses()?;
     loop {
         let left = end.map_or(Duration::from_secs(1), |end| {
             end.saturating_duration_since(Instant::now())
@@ -98,6 +118,9 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
                     let us = |ns: i64| (ns.max(0) / 1000) as u64;
                     if tally.note(frame) {
                         first_sample.note(us(since_ns(head.first_moment_s)));
+                        if let Some(pulses) = &pulses {
+                            pulses.first_sample(now.0);
+                        }
                     }
                     let last = head.first_moment + frame.moments.saturating_sub(1);
                     let heard_s = head.first_moment_s + f64::from(last) / head.moments_per_s;
@@ -116,6 +139,9 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
         tally.lost_frames,
         client.skipped_bytes()
     );
+    if let Some(pulses) = &pulses {
+        pulses.print();
+    }
     print_spread("first sample after the pulse", &first_sample);
     print_spread("frame after its last sample", &frames);
     match tally.lost_frames {
@@ -125,6 +151,10 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
 }
 
 pub fn main(args: &ListenArgs) -> Result<(), Failure> {
+    if args.trigger.is_some() && !(args.elements || args.vita49) {
+        let rule = "--trigger: only with --elements or --vita49";
+        return Err(Failure::Configuration(rule.into()));
+    }
     if args.elements {
         return elements(args);
     }

@@ -411,6 +411,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
             _ => ClockSpec::RealTime,
         },
         priority: u8::try_from(table.integer("priority")?).ok()?,
+        compute_nice: i8::try_from(table.integer("compute_nice")?).ok()?,
         fault_directory: table.path("fault_directory"),
         costs: table.path("costs"),
         threads: table.count("threads")?,

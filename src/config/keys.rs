@@ -967,7 +967,7 @@ static RUN: Table = Table {
             "stream_tiles",
             Kind::Bool,
             Default("false"),
-            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\" or \"direct\", without certificates, further pulses and passband samples.",
+            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone, and that for none of the scene where nothing is near enough to be heard in it: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\" or \"direct\", without certificates, further pulses and passband samples.",
         ),
         key(
             "ahead_ms",
@@ -1010,6 +1010,12 @@ static RUN: Table = Table {
             Kind::Integer(0, 99),
             Default("40"),
             "SCHED_FIFO priority of the threads that hand pings over, and memory locked, where the system allows it (echotank doctor); 0: neither.",
+        ),
+        key(
+            "compute_nice",
+            Kind::Integer(-20, 0),
+            Default("0"),
+            "Nice value of the threads that compute pings, where the system allows it (echotank doctor): the lower, the larger their share of the processors beside other programs that only count; -20 leaves those a hundredth. 0: as any other program.",
         ),
         key(
             "fault_directory",

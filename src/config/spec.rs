@@ -803,6 +803,8 @@ pub struct RunSpec {
     pub clock: ClockSpec,
     /// SCHED_FIFO, 1 to 99; 0: ordinary scheduling, and memory is not locked.
     pub priority: u8,
+    /// Of the threads that compute pings, -20 to 0.
+    pub compute_nice: i8,
     /// Where the log of injected faults goes, if not beside the records.
     pub fault_directory: Option<PathBuf>,
     /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.

@@ -58,7 +58,7 @@ use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
 use crate::run::overload::{Backlog, Ladder, Strained};
 use crate::run::page::PageSource;
-use crate::run::rig::{PingSlot, Rig, RigError, pool};
+use crate::run::rig::{PingSlot, Rig, RigError, pool_of};
 use crate::run::settings::SettingsStore;
 use crate::run::tiles::tile_ends;
 use crate::run::triggers::TriggerCounts;
@@ -134,6 +134,10 @@ struct Due {
 struct Streamed {
     /// The first of them that have not.
     samples: usize,
+    /// Whole blocks that have.
+    blocks: u32,
+    /// Something can be heard in what has.
+    is_heard: bool,
     /// When the first tile was made.
     first_ready: Option<MonoNs>,
 }
@@ -280,7 +284,8 @@ impl Daemon {
             None => Vec::new(),
         };
         remarks.push(punctuality(spec.run.priority));
-        let pool = pool(threads)?;
+        remarks.extend(preference(spec.run.compute_nice));
+        let pool = pool_of(threads, spec.run.compute_nice)?;
         let rig = pool.install(|| {
             let mut rig = Rig::open(spec)?;
             if spec.run.overload == OverloadSpec::Degrade && !spec.run.clock.is_own() {
@@ -612,6 +617,22 @@ fn punctuality(priority: u8) -> String {
             )
         }
     }
+}
+
+/// Tries the nice value of the threads that compute, where one is asked for, and says what came of it.
+fn preference(nice: i8) -> Option<String> {
+    if nice == 0 {
+        return None;
+    }
+    // On a thread of its own: this one stays ordinary.
+    let tried = thread::spawn(move || priority::nice(nice)).join();
+    Some(match tried {
+        Ok(Ok(())) => format!("pings are computed at nice {nice}"),
+        Ok(Err(error)) => format!(
+            "warning: pings are computed like any other program: nice {nice}: {error} (echotank doctor says more)"
+        ),
+        Err(_) => "warning: pings are computed like any other program".to_owned(),
+    })
 }
 
 /// The clock of a mode, and the gate that stops it.
@@ -992,23 +1013,36 @@ impl Pacer {
         due.ready_by.plus_s(sample as f64 / rate_hz)
     }
 
-    /// Makes the tiles of a ping that is prepared and lets them leave, as long as they are in time and there is room.
-    fn send_tiles(&mut self, sonar: usize, slot: &mut PingSlot, due: Due) -> Streamed {
-        let mut streamed = Streamed::default();
+    /// Makes tiles of a ping and lets them leave, as long as they are in time and there is room: those in which nothing can be heard (`quiet`), of a
+    /// ping that is planned; the others of one that is prepared.
+    fn send_tiles(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        due: Due,
+        quiet: bool,
+        streamed: &mut Streamed,
+    ) {
         let DeliverySpec::Streaming { block_s, .. } = self.rig.spec.run.delivery else {
-            return streamed;
+            return;
         };
         let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
-        for end in tile_ends(slot.plan.sample_count, rate_hz, block_s) {
+        let samples = slot.plan.sample_count;
+        for (blocks, end) in tile_ends(streamed.blocks, samples, rate_hz, block_s) {
             let Some(mut tile) = self.lanes[sonar].tile() else {
-                return streamed;
+                return;
             };
-            let is_first = streamed.samples == 0;
-            let made = self.rig.begin(sonar, slot, (end, is_first), &mut tile);
+            let made = match quiet {
+                true => self.rig.begin_quiet(sonar, slot, end, &mut tile),
+                false => {
+                    let is_first = !std::mem::replace(&mut streamed.is_heard, true);
+                    self.rig.begin(sonar, slot, (end, is_first), &mut tile)
+                }
+            };
             let now = self.clock.mono();
             if !made || now > self.block_due(sonar, due, streamed.samples) {
                 self.lanes[sonar].spare_tile = Some(tile);
-                return streamed;
+                return;
             }
             streamed.first_ready.get_or_insert(now);
             let delivery = Delivery {
@@ -1019,9 +1053,8 @@ impl Pacer {
             };
             // The queue has room for every slot there is.
             let _ = self.lanes[sonar].to_delivery.try_send(delivery);
-            streamed.samples = end;
+            (streamed.samples, streamed.blocks) = (end, blocks);
         }
-        streamed
     }
 
     fn strained(&self, what: &'static str, sonar: usize, order: &PingOrder) {
@@ -1062,9 +1095,11 @@ impl Pacer {
         let mut streamed = Streamed::default();
         let made = match due.filter(|_| self.rig.spec.run.stream_tiles) {
             Some(due) => {
-                let prepared = self.rig.prepare(sonar, order, mode, host_utc, &mut slot);
-                prepared.map(|()| {
-                    streamed = self.send_tiles(sonar, &mut slot, due);
+                let planned = self.rig.plan(sonar, order, mode, host_utc, &mut slot);
+                planned.map(|()| {
+                    self.send_tiles(sonar, &mut slot, due, true, &mut streamed);
+                    self.rig.gather(sonar, &mut slot);
+                    self.send_tiles(sonar, &mut slot, due, false, &mut streamed);
                     self.first_ready = streamed.first_ready;
                     self.rig.finish(sonar, &mut slot);
                     slot.output.strain = Strain::NONE;
@@ -1116,7 +1151,8 @@ impl Pacer {
         if strain.put_off_s > 0.0 {
             self.strained_as("stretched", sonar, order, strain);
         }
-        if due.is_some_and(|due| self.clock.mono() > due.ready_by) {
+        let first_ready = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
+        if due.is_some_and(|due| first_ready > due.ready_by) {
             self.strained_as("late", sonar, order, strain);
         }
         let output = &slot.output;
@@ -1131,9 +1167,8 @@ impl Pacer {
         }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {
-            let now = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
-            histograms.margin_us(due.ready_by.0 - now.0);
-            histograms.nav_to_samples_us(now.0 - due.pulse.0);
+            histograms.margin_us(due.ready_by.0 - first_ready.0);
+            histograms.nav_to_samples_us(first_ready.0 - due.pulse.0);
         }
         // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
         if let Err(TrySendError::Disconnected(_)) =

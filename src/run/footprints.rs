@@ -58,6 +58,26 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
     }));
 }
 
+/// What lies farther than this from every transmitter, where it is when the pulse begins, is heard by nobody so many seconds after that. The elements
+/// may be elsewhere by then.
+pub fn heard_within_m(spec: &SonarSpec, plan: &PingPlan, after_s: f64) -> f64 {
+    let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+    let start = plan.trajectory.pose_at(0.0);
+    let (turn, moved_m) = motion(plan, &start, window_s);
+    let apart = spec.receive.iter().map(|array| {
+        let transmit = &spec.transmit[array.transmit];
+        let half_length_m = 0.5 * array.elements as f64 * array.spacing_m;
+        let arm_m = array.mounting.position_m.length() + half_length_m;
+        let apart_m = transmit
+            .mounting
+            .position_m
+            .distance(array.mounting.position_m);
+        apart_m + half_length_m + moved_m + turn * arm_m
+    });
+    // There and back, the way back shorter by as much as the element is nearer.
+    0.5 * (plan.sound_speed_m_per_s * after_s + apart.fold(0.0, f64::max))
+}
+
 /// How far the platform turns (radians) and moves (metres) from where it is at the start of the pulse.
 fn motion(plan: &PingPlan, start: &Pose, window_s: f64) -> (f64, f64) {
     let (mut turn, mut moved_m) = (0.0_f64, 0.0_f64);

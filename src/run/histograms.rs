@@ -52,11 +52,21 @@ impl Spread {
         bins.collect()
     }
 
+    /// The same in bins of so many microseconds.
+    pub fn bins_of(&self, step_us: u64) -> Vec<(u64, u64)> {
+        let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let bins = histogram.iter_linear(step_us);
+        let bins = bins.map(|bin| (bin.value_iterated_to(), bin.count_since_last_iteration()));
+        bins.collect()
+    }
+
     pub fn figures(&self) -> Figures {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Figures {
             count: histogram.len(),
             min_us: histogram.min(),
+            p01_us: histogram.value_at_quantile(0.001),
+            p1_us: histogram.value_at_quantile(0.01),
             p50_us: histogram.value_at_quantile(0.5),
             p99_us: histogram.value_at_quantile(0.99),
             p999_us: histogram.value_at_quantile(0.999),
@@ -70,6 +80,9 @@ impl Spread {
 pub struct Figures {
     pub count: u64,
     pub min_us: u64,
+    /// A thousandth and a hundredth are no more than this: the bad end of a margin.
+    pub p01_us: u64,
+    pub p1_us: u64,
     pub p50_us: u64,
     pub p99_us: u64,
     pub p999_us: u64,

@@ -37,7 +37,7 @@ use crate::image::bottom::BottomDetector;
 use crate::ping;
 use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, Made, engine_filter};
-use crate::run::footprints::footprints;
+use crate::run::footprints::{footprints, heard_within_m};
 use crate::run::line_engines::LineEngines;
 use crate::run::more_pulses::{Desk, MorePulse};
 
@@ -97,6 +97,8 @@ pub struct SonarPipeline {
     line_engines: Option<LineEngines>,
     /// This ping's engine is at hand.
     engine_ready: bool,
+    /// A tile without an echo is under way. It is soon made: another thread would have to be woken, and waited for.
+    is_quiet: bool,
     /// One per receive array, for `gridded-1d`: the Dopplers of this ping.
     spans: Vec<DopplerSpan>,
     /// The sampled pulse, for `nearest` and `linear`.
@@ -206,6 +208,7 @@ impl SonarPipeline {
                 spec.receive.len()
             ],
             engine_ready: false,
+            is_quiet: false,
             engines,
             line_engines,
             certifier: match spec.synthesis.certificate {
@@ -349,6 +352,15 @@ impl SonarPipeline {
         }
     }
 
+    /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
+    pub fn heard_within_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+        let samples = std::mem::replace(&mut plan.sample_count, end);
+        // As far as the receiver filter looks ahead.
+        let (first_s, rate_hz, len) = self.grid(plan);
+        plan.sample_count = samples;
+        heard_within_m(&self.spec, plan, first_s + len as f64 / rate_hz)
+    }
+
     /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing
     /// of this ping has been made before.
     pub fn begin_ping(
@@ -370,9 +382,11 @@ impl SonarPipeline {
         for lit in &mut self.lit {
             lit.hear(Window::of_samples(first_s, rate_hz, len));
         }
+        self.is_quiet = scatterers.is_empty();
         for (index, frame) in elements.iter_mut().enumerate() {
             self.synthesise(plan, scatterers, index, frame, &mut counts);
         }
+        self.is_quiet = false;
         plan.sample_count = samples;
     }
 
@@ -456,9 +470,11 @@ impl SonarPipeline {
         }
         let mut results = std::mem::take(&mut self.results);
         let this = &*self;
+        let together = if self.is_quiet { elements } else { 1 };
         frame
             .iq
             .par_chunks_mut(plan.sample_count)
+            .with_min_len(together)
             .zip(&mut results[..elements])
             .enumerate()
             .for_each(|(element, (iq, result))| {

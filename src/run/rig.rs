@@ -12,6 +12,7 @@ use crate::flow::{
     PingOutput, PingPlan, Scatterers, SonarSettings, Strain, Target, TimeVaryingGain,
 };
 use crate::io::nav::{NavInputs, NavOpenError};
+use crate::io::priority;
 use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::faults::{Faults, PingMark};
@@ -300,6 +301,40 @@ impl Rig {
         (end, is_first): (usize, bool),
         tile: &mut PingSlot,
     ) -> bool {
+        let scatterers = std::mem::take(&mut self.scatterers);
+        let made = self.begin_of(sonar, slot, (end, is_first), &scatterers, tile);
+        self.scatterers = scatterers;
+        made
+    }
+
+    /// The same of a ping that is only planned, as long as nothing is near enough to be heard; false where something may be.
+    pub fn begin_quiet(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        end: usize,
+        tile: &mut PingSlot,
+    ) -> bool {
+        let unit = &mut self.sonars[sonar];
+        if unit.simplify.is_some() {
+            // What stands for several may lie nearer than each of them.
+            return false;
+        }
+        let pipeline = &mut unit.pipeline;
+        let within_m = pipeline.heard_within_m(&mut slot.plan, end);
+        self.scene
+            .is_quiet(pipeline.footprints(&slot.plan), within_m)
+            && self.begin_of(sonar, slot, (end, true), &Scatterers::default(), tile)
+    }
+
+    fn begin_of(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        (end, is_first): (usize, bool),
+        scatterers: &Scatterers,
+        tile: &mut PingSlot,
+    ) -> bool {
         let unit = &mut self.sonars[sonar];
         if !unit.pipeline.faults_mut().is_empty() {
             return false;
@@ -307,7 +342,7 @@ impl Rig {
         let elements = &mut tile.output.elements;
         let plan = &mut slot.plan;
         unit.pipeline
-            .begin_ping(plan, end, is_first, &self.scatterers, elements);
+            .begin_ping(plan, end, is_first, scatterers, elements);
         tile.plan.clone_from(&slot.plan);
         true
     }
@@ -393,6 +428,20 @@ impl Rig {
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
+        self.plan(sonar, order, mode, host_utc, slot)?;
+        self.gather(sonar, slot);
+        Ok(())
+    }
+
+    /// The plan of a ping without its scatterers.
+    pub fn plan(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
         self.place_scene();
         let window_s = self.window_s(sonar, order);
         let nav = self.history.motion(
@@ -414,6 +463,12 @@ impl Rig {
         }
         self.faults.elements(mark, unit.pipeline.faults_mut());
         ping::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
+        Ok(())
+    }
+
+    /// The scatterers of a ping that is planned.
+    pub fn gather(&mut self, sonar: usize, slot: &mut PingSlot) {
+        let unit = &mut self.sonars[sonar];
         let footprints = unit.pipeline.footprints(&slot.plan);
         slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
         if let Some((stage, view)) = &mut unit.simplify {
@@ -422,14 +477,24 @@ impl Rig {
             let seabed = slot.output.scene.scatterers as usize;
             self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
         }
-        Ok(())
     }
 }
 
 /// The threads that compute pings; 0 means as many as there are cores.
 pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
+    pool_of(threads, 0)
+}
+
+/// The same, their nice value where the system allows it; 0: as whoever makes them.
+pub fn pool_of(threads: usize, nice: i8) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(|k| format!("ping {k}"))
+        .start_handler(move |_| {
+            if nice < 0 {
+                // What is not allowed was said when the daemon started.
+                let _ = priority::nice(nice);
+            }
+        })
         .build()
 }

@@ -247,6 +247,42 @@ impl Scene {
         }
     }
 
+    /// Whether nothing lies within this distance of the apex of any of the footprints that a gathering of any range would bring: false where
+    /// that is not known. It makes no tile.
+    pub fn is_quiet(&mut self, footprints: &[Footprint], within_m: f64) -> bool {
+        self.heard.clear();
+        let near = footprints.iter().filter(|f| f.is_finite());
+        self.heard.extend(near.map(|f| Footprint {
+            max_range_m: within_m.min(f.max_range_m),
+            ..*f
+        }));
+        if self.heard.is_empty() {
+            return false;
+        }
+        let anchor_m = self.anchor_m.extend(0.0);
+        let is_near = |at_m: glam::DVec3, radius_m: f64| {
+            let mut heard = self.heard.iter();
+            heard.any(|f| (f.apex_m - anchor_m).distance(at_m) - radius_m <= within_m)
+        };
+        let points = (0..self.points.len()).any(|k| is_near(self.points.position_m(k), 0.0));
+        let targets = (0..self.own_targets.len()).any(|k| {
+            let (center_m, radius_m) = self.own_targets.ball_m(k);
+            is_near(center_m, radius_m)
+        });
+        if points || targets {
+            return false;
+        }
+        match &self.seabed {
+            None => true,
+            Some((recipe, _)) => {
+                let mut counts = SceneCounts::default();
+                self.gatherer
+                    .find(recipe, anchor_m, &self.heard, &mut counts);
+                self.gatherer.boxes().next().is_none()
+            }
+        }
+    }
+
     /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
     /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
     /// ones), then the targets within range of any footprint.

@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::PATIENCE;
 use super::modes::{pings_of, rig, tell, wait_delivered};
+use super::scored::track;
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
 /// Struck with probability one half: three records each, so a hundred faults or so.
@@ -103,15 +104,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
     let folder = tempfile::tempdir().expect("folder");
     let record = tempfile::tempdir().expect("folder");
     let log = format!("run.fault_directory={:?}", folder.path());
-    // Long enough, and without a seam at which pings would be skipped.
-    let track = record.path().join("track.csv");
-    let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
-    for quarter in 0..300 {
-        let time_s = 1_793_611_200.0 + 0.25 * f64::from(quarter);
-        text += &format!("{time_s:.2},0,0,5,3,-2,35\n");
-    }
-    std::fs::write(&track, text).expect("written");
-    let track = format!("nav.source.path={track:?}");
+    let track = track(record.path());
     let mut daemon = rig(
         record.path(),
         &["run.clock=lockstep", "sonar.ping.range_m=15", &track, &log],

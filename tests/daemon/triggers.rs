@@ -174,10 +174,10 @@ fn in_lockstep_a_trigger_is_a_step_and_a_number_counts_once() {
 }
 
 /// Bodies by kind and ping number.
-type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
+pub type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
 
 /// Ping number and time stamp (of the record's frame) of every 7000 of a sonar's records, and all its records of pings.
-fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
+pub fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
     let files = std::fs::read_dir(folder).expect("folder");
     let mut paths = files.map(|e| e.expect("entry").path());
     let its = |path: &std::path::PathBuf| {
@@ -224,13 +224,13 @@ fn every_pulse_is_told_with_the_number_and_the_time_of_its_records() {
     }
 }
 
-/// The points' rig with a second and a third sonar, which follow the first at once and 40 ms later.
-fn three(folder: &Path) -> std::path::PathBuf {
+/// The points' rig with a second and a third sonar, which follow the first at once and 40 ms later. `model`: lines of [sonar.model]; `more`: tables.
+pub fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let text = std::fs::read_to_string(root.join("points.toml")).expect("readable");
     let text = text
         .replace("data/", &format!("{}/data/", root.display()))
-        .replace("synthesis = \"reference\"", "synthesis = \"direct\"")
+        .replace("synthesis = \"reference\"", model)
         .replace("range_m = 75.0", "range_m = 25.0")
         .replace("rate_hz = 2.0", "rate_hz = 10.0")
         .replace("127.0.0.1:7000", "127.0.0.1:0");
@@ -242,6 +242,7 @@ fn three(folder: &Path) -> std::path::PathBuf {
             "\n[[sonar]]{other}\n[sonar.trigger]\nsource = \"sonar\"\nfollow = \"points\"\ndelay_ms = {delay_ms:?}\n"
         );
     }
+    all += more;
     let path = folder.join("three.toml");
     std::fs::write(&path, all).expect("written");
     path
@@ -251,7 +252,7 @@ fn three(folder: &Path) -> std::path::PathBuf {
 fn sonars_of_one_daemon_ping_together_or_in_turn_each_on_its_own_port() {
     let folder = tempfile::tempdir().expect("folder");
     let [live, stepped, offline] = ["live", "stepped", "offline"].map(|n| folder.path().join(n));
-    let config = three(folder.path());
+    let config = three(folder.path(), "synthesis = \"direct\"", "");
     let config = config.to_str().expect("text");
     let [live_at, stepped_at] =
         [&live, &stepped].map(|folder| format!("record.directory={folder:?}"));

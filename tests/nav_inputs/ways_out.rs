@@ -10,11 +10,12 @@ use echotank::config::spec::{
     NavDialect, NavOutputSpec, NavSentence, NavTargetSpec, PulseSpec, SerialLine, VerticalSpec,
 };
 use echotank::flow::{FixQuality, NavQuantity, NavSample};
-use echotank::io::nav::output::{NavOutputs, OutputTime};
+use echotank::io::nav::output::{ClockFaults, NavOutputs, OutputTime};
 use echotank::nav::NavHistory;
 use echotank::nav::framing::{Checksum, Framing};
 use echotank::nav::reading::{Kind, Reading, When};
 use echotank::nav::sentence::decode_own;
+use echotank::run::faults::Faults;
 use echotank::time::{Clock, SystemClock, UtcNs};
 use serialport::TTYPort;
 
@@ -44,6 +45,10 @@ struct Bench {
 
 impl Bench {
     fn new(output: NavOutputSpec) -> Self {
+        Self::with(output, None)
+    }
+
+    fn with(output: NavOutputSpec, faults: Option<Arc<dyn ClockFaults>>) -> Self {
         let mut spec = nav_spec(vec![source("ins", udp())]);
         spec.sources[0].lever_arm_m = glam::DVec3::ZERO;
         spec.sources[0].provides.truncate(3);
@@ -55,7 +60,8 @@ impl Bench {
             let clock = clock.clone();
             Arc::new(move || clock.host_utc())
         };
-        let outputs = NavOutputs::open(&[output], &clock, &time).expect("opens");
+        let outputs = NavOutputs::open_with(&[output], &clock, &time, faults.as_ref());
+        let outputs = outputs.expect("opens");
         Self {
             history: NavHistory::new(&spec),
             outputs,
@@ -242,6 +248,50 @@ fn clients_of_a_tcp_output_hear_the_same_and_one_that_leaves_costs_only_itself()
         line.ends_with("0 ticks too late, 0 errors, 2 clients"),
         "{line}"
     );
+}
+
+#[test]
+fn lost_pulses_and_misnamed_seconds_are_those_of_the_log_and_no_others() {
+    const OFF_S: f64 = -3.0;
+    let listen = "127.0.0.1:0".parse().expect("an address");
+    let faults = Arc::new(Faults::new(&[], &[]));
+    let mut bench = Bench::with(
+        output(NavTargetSpec::TcpListen { listen }, PulseSpec::Byte),
+        Some(faults.clone()),
+    );
+    faults.begin(bench.begun);
+    // The first whole second from now on has no pulse, the second a name of its own.
+    for json in [
+        r#"{"kind": "pps-loss", "at_s": 0, "for_s": 1}"#,
+        r#"{"kind": "wrong-zda", "value": -3, "at_s": 1, "for_s": 1}"#,
+    ] {
+        let request = serde_json::from_str(json).expect("JSON");
+        faults.add(&request).expect("sound");
+    }
+    let mut client = TcpStream::connect(bench.address()).expect("listening");
+    client.set_nonblocking(true).expect("set");
+    let heard = bench.hear(&mut client, "client", |h| seconds(h) == 3);
+    let log = faults.take_injections();
+    let struck = |kind: &str, second: i64| {
+        let mut of_kind = log.iter().filter(|i| i.kind == kind);
+        of_kind.any(|i| i.utc_ns == second)
+    };
+    let (mut before, mut lost, mut misnamed) = (None, 0, 0);
+    for h in &heard {
+        if let Heard::Said(at, r) = h
+            && r.kind == Kind::Zda
+        {
+            let second = at.0 / 1_000_000_000 * 1_000_000_000;
+            let is_pulse = matches!(before, Some(Heard::Pulse(_)));
+            assert_eq!(is_pulse, !struck("pps-loss", second), "{second}");
+            let named = r.instant().expect("dated").seconds_since(UtcNs(second));
+            let is_off = struck("wrong-zda", second);
+            assert_eq!(named, if is_off { OFF_S } else { 0.0 }, "{second}");
+            (lost, misnamed) = (lost + u32::from(!is_pulse), misnamed + u32::from(is_off));
+        }
+        before = Some(h.clone());
+    }
+    assert_eq!((lost, misnamed), (1, 1), "{log:?}");
 }
 
 fn plug_in(name: &Path) -> (TTYPort, TTYPort) {

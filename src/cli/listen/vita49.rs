@@ -109,6 +109,7 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
     let (first_sample, packets) = (Spread::new(), Spread::new());
     let us = |ns: i64| (ns.max(0) / 1000) as u64;
     let mut buffer = vec![0; LONGEST_DATAGRAM];
+    let pulses = args.pulses()?;
     loop {
         let left = end.map_or(Duration::from_secs(1), |end| {
             end.saturating_duration_since(Instant::now())
@@ -123,9 +124,13 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
         let Ok(len) = socket.recv(&mut buffer) else {
             continue;
         };
-        let (first_ns, last_ns) = tally.note(&buffer[..len], clock.host_utc().0);
+        let now_ns = clock.host_utc().0;
+        let (first_ns, last_ns) = tally.note(&buffer[..len], now_ns);
         if let Some(ns) = first_ns {
             first_sample.note(us(ns));
+            if let Some(pulses) = &pulses {
+                pulses.first_sample(now_ns);
+            }
         }
         if let Some(ns) = last_ns {
             packets.note(us(ns));
@@ -140,6 +145,9 @@ pub fn main(args: &ListenArgs) -> Result<(), Failure> {
         tally.bytes,
         tally.odd
     );
+    if let Some(pulses) = &pulses {
+        pulses.print();
+    }
     print_spread("first sample after the pulse", &first_sample);
     print_spread("packet after its last sample", &packets);
     match tally.lost {

@@ -32,13 +32,14 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
-use tokio::time::{interval, sleep};
+use tokio::time::interval;
 
 pub use crate::emit::session::Transport;
 use crate::emit::session::{Outgoing, Protocol, Session, Wants};
 use crate::flow::Datagram;
 use crate::io::line::{Connection, Line};
 use crate::io::pace::Sending;
+use crate::io::priority::first_in_first_out_of;
 use crate::time::UtcNs;
 use paced::PacedSender;
 use queue::{Client, Offer};
@@ -68,9 +69,6 @@ pub enum OpenError {
     #[error("cannot start the server's thread: {0}")]
     Thread(std::io::Error),
 }
-
-/// How often a muted connection looks whether it still is.
-const MUTE_LOOK: Duration = Duration::from_millis(20);
 
 /// How often changes by others are looked for.
 const NOTICE_INTERVAL: Duration = Duration::from_millis(20);
@@ -222,7 +220,7 @@ impl SonarServer {
             local_addr,
             protocol,
             sending: OnceLock::new(),
-            mute: AtomicBool::new(false),
+            mute: watch::Sender::new(false),
             paces_tcp: AtomicBool::new(false),
             paced: OnceLock::new(),
         });
@@ -265,6 +263,14 @@ impl SonarServer {
     pub fn set_sending(&self, sending: Sending) {
         // Too late where the thread has started: then it stays as it is.
         let _ = self.shared.sending.set(sending);
+    }
+
+    /// Its thread runs under SCHED_FIFO from now on, where the system allows it; 0: as it is. For samples that stream: what clients ask for runs so too.
+    pub fn hurry(&self, priority: u8) {
+        if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
+            // What is not allowed was said when the daemon started.
+            let _ = first_in_first_out_of(thread, priority);
+        }
     }
 
     /// What is spread over time is so for TCP clients too, from now on.
@@ -429,7 +435,7 @@ struct Shared {
     times: ServerTimes,
     sending: OnceLock<Sending>,
     /// TCP clients stay, and nothing is written or read.
-    mute: AtomicBool,
+    mute: watch::Sender<bool>,
     /// TCP clients get what is spread over time so.
     paces_tcp: AtomicBool,
     /// Begun with the first datagram; none where there can be no thread.
@@ -481,8 +487,9 @@ impl Shared {
 
     /// How the connections are to be from now on.
     fn connect(&self, connection: Connection) {
+        let is_mute = connection == Connection::Mute;
         self.mute
-            .store(connection == Connection::Mute, Ordering::Release);
+            .send_if_modified(|mute| std::mem::replace(mute, is_mute) != is_mute);
         if connection == Connection::Reset {
             for client in &self.lock().clients {
                 if client.transport == Transport::Tcp {
@@ -494,9 +501,8 @@ impl Shared {
 
     /// Returns when something may be written and read.
     async fn unmuted(&self) {
-        while self.mute.load(Ordering::Acquire) {
-            sleep(MUTE_LOOK).await;
-        }
+        // An error means that the server is gone.
+        let _ = self.mute.subscribe().wait_for(|mute| !mute).await;
     }
 
     fn update_wanted(&self, roster: &Roster) {

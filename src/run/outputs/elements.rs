@@ -57,6 +57,10 @@ impl Elements {
             name: name.clone(),
             source,
         })?;
+        if spread.streaming.is_some() {
+            // Below those that hand it their frames.
+            server.hurry(opening.sending.priority.saturating_sub(1));
+        }
         let server = Arc::new(server);
         let (clock, sending) = (|| Arc::clone(opening.clock), || opening.sending.clone());
         let mut senders = vec![(

@@ -183,6 +183,17 @@ impl Ear {
         self.others
     }
 
+    /// What has begun will not be continued: its rest was given up, and the next question has been asked. Of an Imagenex 872; the others go on by
+    /// themselves.
+    pub fn give_up(&mut self) {
+        if let Inner::Imagenex872(stream) = &mut self.inner {
+            stream.finish();
+            stream.feed(&[], |item| self.errors += u64::from(item.is_err()));
+            // Anew: one that searches counts no second torn answer before it has found a whole one.
+            *stream = AnswerStream::new(AnswerFraming);
+        }
+    }
+
     /// Takes bytes of a connection, cut anywhere, or one whole datagram.
     pub fn hear(&mut self, bytes: &[u8], each: &mut dyn FnMut(&Sighting)) {
         let (errors, others) = (&mut self.errors, &mut self.others);

@@ -20,6 +20,8 @@ const AGAIN: Duration = Duration::from_millis(10);
 const PATIENCE: Duration = Duration::from_secs(2);
 /// A question that has no answer for so long is asked again: the answer was lost or torn.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
+/// After an answer it is listened so long before the next question, or a second one of the same ping would pass for its answer.
+const SETTLE: Duration = Duration::from_millis(10);
 /// Asked of the kernel for a socket of datagrams.
 const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 const READ_BYTES: usize = 256 * 1024;
@@ -154,14 +156,14 @@ impl Listener {
         let mut buffer = vec![0; READ_BYTES];
         let asks = self.what.family == Family::Imagenex872;
         if asks {
-            if let Link::Tcp(stream) = &mut self.link {
-                stream.write_all(&switch(self.what.range_m))?;
-            }
             self.asked += 1;
+            self.ask()?;
         }
         let mut heard_at = Instant::now();
+        let mut is_answered = false;
         loop {
             if stop() {
+                self.give_up();
                 return Ok(End::Stopped);
             }
             let read = match &mut self.link {
@@ -169,15 +171,21 @@ impl Listener {
                 Link::Udp(socket) => socket.recv(&mut buffer),
             };
             let len = match read {
-                Ok(0) if matches!(self.link, Link::Tcp(_)) => return Ok(End::Closed),
+                Ok(0) if matches!(self.link, Link::Tcp(_)) => {
+                    self.give_up();
+                    return Ok(End::Closed);
+                }
                 Ok(len) => len,
                 Err(error) => match error.kind() {
                     ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
-                        if let (true, Link::Tcp(stream)) =
-                            (asks && heard_at.elapsed() > ASK_AGAIN, &mut self.link)
-                        {
-                            stream.write_all(&switch(self.what.range_m))?;
+                        if asks && is_answered {
+                            is_answered = false;
+                            self.asked += 1;
+                            self.ask()?;
+                        } else if asks && heard_at.elapsed() > ASK_AGAIN {
                             heard_at = Instant::now();
+                            self.give_up();
+                            self.ask()?;
                         }
                         continue;
                     }
@@ -201,22 +209,46 @@ impl Listener {
                 accounts.note(sighting);
             });
             if asks {
-                for _ in errors..self.heard.ear.errors() {
-                    self.accounts.found("damaged", None, None);
-                }
+                self.damaged_since(errors);
                 self.answers += came;
                 // One answer to each question; those beyond are too many.
                 for _ in self.asked..self.answers {
                     self.accounts.found("duplicate", None, None);
                     self.asked += 1;
                 }
-                if came > 0
-                    && let Link::Tcp(stream) = &mut self.link
-                {
-                    stream.write_all(&switch(self.what.range_m))?;
-                    self.asked += 1;
+                if came > 0 {
+                    is_answered = true;
+                    self.wait_for(SETTLE)?;
                 }
             }
+        }
+    }
+
+    /// Asks an Imagenex 872, and waits for its answer.
+    fn ask(&mut self) -> std::io::Result<()> {
+        if let Link::Tcp(stream) = &mut self.link {
+            stream.write_all(&switch(self.what.range_m))?;
+        }
+        self.wait_for(LOOK)
+    }
+
+    fn wait_for(&self, patience: Duration) -> std::io::Result<()> {
+        match &self.link {
+            Link::Tcp(stream) => stream.set_read_timeout(Some(patience)),
+            Link::Udp(socket) => socket.set_read_timeout(Some(patience)),
+        }
+    }
+
+    /// An answer that has begun is torn: its rest will not come.
+    fn give_up(&mut self) {
+        let errors = self.heard.ear.errors();
+        self.heard.ear.give_up();
+        self.damaged_since(errors);
+    }
+
+    fn damaged_since(&mut self, errors: u64) {
+        for _ in errors..self.heard.ear.errors() {
+            self.accounts.found("damaged", None, None);
         }
     }
 }

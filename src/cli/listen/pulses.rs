@@ -1,0 +1,190 @@
+//! `echotank listen --trigger`: a listener that triggers the pings itself, and so knows how long after that their first samples are there.
+
+use std::io::Write;
+use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde_json::json;
+
+use crate::cli::Failure;
+use crate::io::control::client;
+use crate::run::histograms::Spread;
+use crate::time::{Clock, SystemClock};
+
+/// Nothing has been sent since a first sample came.
+const NONE: i64 = i64::MIN;
+
+/// How a trigger is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// `[sonar.trigger] source = "udp"`.
+    Udp,
+    /// `[sonar.trigger] source = "tcp"`.
+    Tcp,
+    /// A ping asked for by number, as `echotank ctl trigger` does: it comes on the sonar's beat.
+    Control,
+}
+
+/// Where triggers are sent, as `udp=127.0.0.1:7100`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TriggerTo {
+    way: Way,
+    address: SocketAddr,
+}
+
+impl FromStr for TriggerTo {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let rule = "must be udp=ADDRESS, tcp=ADDRESS or ctl=ADDRESS";
+        let (way, address) = text.split_once('=').ok_or(rule)?;
+        let way = match way {
+            "udp" => Way::Udp,
+            "tcp" => Way::Tcp,
+            "ctl" => Way::Control,
+            _ => return Err(rule.to_owned()),
+        };
+        let address = address
+            .parse()
+            .map_err(|why| format!("{address}: {why}; {rule}"))?;
+        Ok(Self { way, address })
+    }
+}
+
+/// Triggers at random instants until it is dropped.
+pub struct Pulses {
+    /// When the last was sent, host time, until a first sample has come.
+    sent_ns: Arc<AtomicI64>,
+    sent: Arc<AtomicI64>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    to_first_sample: Spread,
+}
+
+impl Pulses {
+    /// One every half to one and a half times `every`.
+    pub fn start(to: TriggerTo, every: Duration) -> Result<Self, Failure> {
+        let mut send = sender(to).map_err(Failure::running)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let sent_ns = Arc::new(AtomicI64::new(NONE));
+        let sent = Arc::new(AtomicI64::new(0));
+        let thread = thread::Builder::new().name("pulses".into()).spawn({
+            let (stop, sent_ns, sent) = (stop.clone(), sent_ns.clone(), sent.clone());
+            move || {
+                let clock = SystemClock::new();
+                let mut dice = ChaCha8Rng::seed_from_u64(1);
+                while !stop.load(Ordering::Acquire) {
+                    let part = 0.5 + f64::from(dice.next_u32()) / f64::from(u32::MAX);
+                    thread::sleep(every.mul_f64(part));
+                    sent_ns.store(clock.host_utc().0, Ordering::Release);
+                    // What fails makes no ping, and is seen by that.
+                    sent.fetch_add(i64::from(send().is_ok()), Ordering::Relaxed);
+                }
+            }
+        });
+        Ok(Self {
+            sent_ns,
+            sent,
+            stop,
+            thread: Some(thread.map_err(Failure::running)?),
+            to_first_sample: Spread::new(),
+        })
+    }
+
+    /// A ping's first sample was there at this instant of the host's time.
+    pub fn first_sample(&self, now_ns: i64) {
+        let sent_ns = self.sent_ns.swap(NONE, Ordering::AcqRel);
+        if sent_ns != NONE {
+            let us = (now_ns - sent_ns).max(0) / 1000;
+            self.to_first_sample.note(us as u64);
+        }
+    }
+
+    pub fn print(&self) {
+        println!("{} triggers sent", self.sent.load(Ordering::Relaxed));
+        super::print_spread("first sample after its trigger", &self.to_first_sample);
+    }
+}
+
+impl Drop for Pulses {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            // A panic in it was printed where it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Sends one.
+type Sender = Box<dyn FnMut() -> std::io::Result<()> + Send>;
+
+fn sender(to: TriggerTo) -> std::io::Result<Sender> {
+    let address = to.address;
+    Ok(match to.way {
+        Way::Udp => {
+            let any = match address {
+                SocketAddr::V4(_) => "0.0.0.0:0",
+                SocketAddr::V6(_) => "[::]:0",
+            };
+            let socket = UdpSocket::bind(any)?;
+            Box::new(move || socket.send_to(b"ping!", address).map(|_| ()))
+        }
+        Way::Tcp => {
+            let mut stream = TcpStream::connect(address)?;
+            stream.set_nodelay(true)?;
+            Box::new(move || stream.write_all(b"ping!\n"))
+        }
+        Way::Control => Box::new(move || {
+            let asked = json!({ "do": "trigger", "pings": 1 });
+            client::command(address, &asked, None).map(|_| ())
+        }),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trigger_is_sent_and_the_first_sample_after_it_is_its_own() {
+        let door = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let patience = Some(Duration::from_secs(30));
+        door.set_read_timeout(patience).expect("set");
+        let to = format!("udp={}", door.local_addr().expect("bound"));
+        let to: TriggerTo = to.parse().expect("an address");
+        let pulses = Pulses::start(to, Duration::from_millis(1)).expect("sends");
+        let mut buffer = [0; 16];
+        let len = door.recv(&mut buffer).expect("a trigger");
+        assert_eq!(&buffer[..len], b"ping!");
+        pulses.stop.store(true, Ordering::Release);
+        while pulses.thread.as_ref().is_some_and(|t| !t.is_finished()) {
+            thread::yield_now();
+        }
+        let sent_ns = pulses.sent_ns.load(Ordering::Acquire);
+        pulses.first_sample(sent_ns + 1_500_000);
+        // Nothing was sent for this one.
+        pulses.first_sample(sent_ns + 9_000_000);
+        let figures = pulses.to_first_sample.figures();
+        assert_eq!(figures.count, 1);
+        assert!(
+            (1490..=1520).contains(&figures.p50_us),
+            "{}",
+            figures.p50_us
+        );
+    }
+
+    #[test]
+    fn what_is_no_way_is_refused_with_the_ways_there_are() {
+        for text in ["7000", "pigeon=127.0.0.1:1", "udp=somewhere"] {
+            let said = TriggerTo::from_str(text).expect_err("refused");
+            assert!(said.contains("udp=ADDRESS"), "{said}");
+        }
+    }
+}
