@@ -18,7 +18,8 @@ use crate::config::spec::SonarSpec;
 use crate::echo::cards::{doppler_card, path_card};
 use crate::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
 use crate::flow::{
-    Certificate, Conditions, Edges, PingPlan, Pulse, ReceiverFilter, Scatterers, Synthesis,
+    Certificate, Conditions, Edges, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers,
+    Synthesis,
 };
 
 /// Samples that a certificate rests on, at most.
@@ -33,6 +34,34 @@ pub const FAULT: f64 = 1.3;
 pub const MOST_PER_PING: usize = 64;
 /// A window's rms is taken over a pulse, but over this many samples at least.
 const LEAST_WINDOW: usize = 32;
+
+fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
+    ((pulse_s * rate_hz).ceil() as usize).max(LEAST_WINDOW)
+}
+
+/// The worst window of any element of a whole ping, in the certificate's norm: rms of what is off over the truth's rms in the window or in the
+/// ping, whichever is larger. Infinite where something is heard and nothing is there, no number where a sample is none.
+pub fn worst_window(got: &PingOutput, truth: &PingOutput, pulse_s: f64, rate_hz: f64) -> f64 {
+    let window = window_samples(pulse_s, rate_hz);
+    let mut worst = 0.0f64;
+    for (got, truth) in got.elements.iter().zip(&truth.elements) {
+        for element in 0..truth.elements {
+            let (got, truth) = (got.element(element), truth.element(element));
+            let whole = mean_square(truth);
+            for (got, truth) in got.chunks(window).zip(truth.chunks(window)) {
+                let off = got.iter().zip(truth).map(|(g, t)| (g - t).norm_sqr());
+                let off = off.sum::<f64>() / truth.len() as f64;
+                if off.is_nan() {
+                    return f64::NAN;
+                }
+                if off > 0.0 {
+                    worst = worst.max((off / mean_square(truth).max(whole)).sqrt());
+                }
+            }
+        }
+    }
+    worst
+}
 
 /// Measured on one core: ns per scatterer to find those that are heard, per scatterer heard to solve it, and per point of its echo.
 const FIND_NS: f64 = 3.0;
@@ -187,7 +216,7 @@ impl Certifier {
                 continue;
             }
             let whole = *ping_square.get_or_insert_with(|| mean_square(iq));
-            let window = ((plan.pulse.duration_s * rate_hz).ceil() as usize).max(LEAST_WINDOW);
+            let window = window_samples(plan.pulse.duration_s, rate_hz);
             let first = probe.sample.saturating_sub(window / 2);
             let around = &iq[first..(first + window).min(iq.len())];
             probe.got = iq[probe.sample];

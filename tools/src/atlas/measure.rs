@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use echotank::config::spec::{AutoModel, SonarSpec};
 use echotank::echo::cards::{doppler_card, path_card};
 use echotank::flow::*;
+use echotank::run::certificate::worst_window;
 use echotank::run::chart::methods::Method;
 use echotank::run::conditions::{conditions, sum_card};
 use echotank::run::fidelity::costs::Costs;
@@ -13,9 +14,6 @@ use echotank::run::fidelity::{Scene, Swell, rank, with_choice};
 use echotank::run::pipeline::SonarPipeline;
 
 use super::spot::Spot;
-
-/// Windows are a pulse long, and so many samples at least.
-const LEAST_WINDOW: usize = 32;
 
 /// Sums, in the order of the pictures' panels.
 pub const SUMS: [Synthesis; 6] = [
@@ -433,32 +431,14 @@ fn held_against(
         return Outcome::Silence;
     }
     Outcome::Answer {
-        error: worst_window(spec, got, truth),
+        error: worst_window(
+            got,
+            truth,
+            spec.pulse.duration_s,
+            spec.receiver.sample_rate_hz,
+        ),
         said,
         claims,
         counted,
     }
-}
-
-/// As certificates have it. Infinite where something is heard and nothing is there.
-fn worst_window(spec: &SonarSpec, got: &PingOutput, truth: &PingOutput) -> f64 {
-    let samples = (spec.pulse.duration_s * spec.receiver.sample_rate_hz).ceil() as usize;
-    let window = samples.max(LEAST_WINDOW);
-    let mut worst = 0.0f64;
-    for (got, want) in got.elements.iter().zip(&truth.elements) {
-        for element in 0..want.elements {
-            let (got, want) = (got.element(element), want.element(element));
-            let squares: f64 = want.iter().map(|x| x.norm_sqr()).sum();
-            let whole = squares / want.len().max(1) as f64;
-            for (got, want) in got.chunks(window).zip(want.chunks(window)) {
-                let off: f64 = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr()).sum();
-                let loud: f64 = want.iter().map(|x| x.norm_sqr()).sum();
-                let against = loud.max(whole * want.len() as f64);
-                if off > 0.0 {
-                    worst = worst.max((off / against).sqrt());
-                }
-            }
-        }
-    }
-    worst
 }
