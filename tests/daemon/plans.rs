@@ -69,7 +69,7 @@ pulse_duration_ms = [0.5, 0.5]
 path = "auto"
 doppler = "auto"
 synthesis = "direct"
-tolerance = 1e-2
+tolerance = 2e-2
 certificate = true
 "#;
 
@@ -122,20 +122,20 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     let plan = said["sonars"][0]["fidelity"]["plan"].clone();
     assert_eq!(plan, 1, "made ahead of the first ping: {said}");
     assert_eq!(metric(control, "plans_given_up"), Some(0.0));
-    assert_eq!(metric(control, "plan_tolerance"), Some(1e-2));
+    assert_eq!(metric(control, "plan_tolerance"), Some(2e-2));
     let first_promise = metric(control, "plan_predicted_error").expect("a promise");
-    assert!(first_promise <= 1e-2, "{first_promise}");
+    assert!(first_promise <= 2e-2, "{first_promise}");
 
     while metric(control, "plans_given_up") == Some(0.0) && delivered < PATIENCE_PINGS {
-        delivered = step(1, delivered);
+        delivered = step(2, delivered);
     }
     let error = metric(control, "certificate_error").expect("certified");
     println!("given up at ping {delivered}: {error:.1e} measured, {first_promise:.1e} promised");
     assert_eq!(metric(control, "plans_given_up"), Some(1.0));
     assert!(metric(control, "certificate_faults") >= Some(1.0));
-    assert!(error > 1.3e-2, "{error}");
+    assert!(error > 2.6e-2, "{error}");
     let margin = metric(control, "plan_margin").expect("certified");
-    assert!((margin * error / 1e-2 - 1.0).abs() < 1e-6, "{margin}");
+    assert!((margin * error / 2e-2 - 1.0).abs() < 1e-6, "{margin}");
     let said = status(control)["sonars"][0]["fidelity"].clone();
     assert_eq!((&said["plan"], &said["given_up"]), (&json!(1), &json!(1)));
     assert!(said["margin"].as_f64().is_some_and(|m| m < 1.0), "{said}");
@@ -147,8 +147,8 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     );
     println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
     assert!(plan >= Some(2.0), "{plan:?}");
-    assert!(error < Some(1e-2), "{error:?}");
-    assert!(metric(control, "plan_predicted_error") <= Some(1e-2));
+    assert!(error < Some(2e-2), "{error:?}");
+    assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
     let printed = daemon.terminate();
     assert!(
         printed.contains("FAULT: 1 plans given up for their certificates, 0 not made"),

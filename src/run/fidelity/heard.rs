@@ -24,11 +24,14 @@ const SAMPLED: f64 = 1.1;
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;
 
+/// Quantities of [`Heard`] that are root mean squares.
+const QUANTITIES: usize = 7;
+
 /// What sounds in a part of a window: energy, and the weighted squares of [`Heard`]'s quantities.
 #[derive(Clone, Copy, Default)]
 struct Part {
     energy: f64,
-    squares: [f64; 6],
+    squares: [f64; QUANTITIES],
     /// Of the loudest echo, all of it.
     loudest: f64,
     /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
@@ -51,13 +54,13 @@ impl Part {
     }
 
     /// Of an echo what sounds here, `from` and `to` in pulses.
-    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), values: [f64; 6]) {
+    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), values: [f64; QUANTITIES]) {
         let share = energy * (to - from);
         self.energy += share;
         self.loudest = self.loudest.max(whole);
         // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more of them than its beginning.
         let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
-        let shares = [share, grown(3), grown(5), share, share, share];
+        let shares = [share, grown(3), grown(5), share, share, share, share];
         for ((sum, value), share) in self.squares.iter_mut().zip(values).zip(shares) {
             *sum += share * value * value;
         }
@@ -70,7 +73,7 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
     let window_s = plan.pulse.duration_s.max(LEAST_WINDOW as f64 / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let part_s = window_s / PARTS as f64;
-    let mut worst = [0.0f64; 6];
+    let mut worst = [0.0f64; QUANTITIES];
     let mut sounded = false;
     // Echoes in a loud window that count, at most; the loudest of a window; all of them.
     let mut crowd = 1.0f64;
@@ -104,11 +107,12 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
             }
         }
     }
-    let [hop, closing, bend, acceleration, turning, across] = worst;
+    let [hop, closing, bend, acceleration, turning, across, of_echoes] = worst;
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     sounded.then(|| Heard {
         hop_m: hop,
         closing_m_per_s: closing,
+        closing_of_echoes_m_per_s: of_echoes,
         bend_m_per_s2: bend,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
@@ -279,13 +283,15 @@ impl Ear {
                         back,
                         back_range_m,
                     ));
+            let closing = 0.5 * (closing_out + closing_back);
             let values = [
                 (here_m - self.at[0].position_m).dot(back),
-                0.5 * (closing_out + closing_back),
+                closing,
                 bend,
                 at.acceleration_m_per_s2.dot(back),
                 at.turning_m_per_s.dot(back),
                 v_back.dot(back) - v_back.dot(at.axis) * at.axis.dot(back),
+                closing,
             ];
             let first = &mut parts[begins as usize];
             first.echoes += weight;

@@ -17,7 +17,7 @@ use crate::array::filter::{Decimator, oversample};
 use crate::array::gridded::{Foreseen, Gridded1d};
 use crate::config::spec::{MediumSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
-use crate::echo::culling::left_out_share;
+use crate::echo::culling::{Ground, Rings, left_out_share};
 use crate::flow::{
     Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
     Scatterers, Synthesis,
@@ -44,7 +44,7 @@ const CULL_STEP_DB: f64 = 2.0;
 const LEAST_CULL_DB: f64 = -110.0;
 /// Where what is left out is looked at: from near the first bottom return to grazing.
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
-/// What a platform that is not level, over ground that is not flat, leaves out more.
+/// What a platform that turns, over ground that is neither flat nor Lambert's, leaves out more.
 const UNEVEN: f64 = 1.5;
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
 const NEARER: f64 = 0.7;
@@ -99,6 +99,7 @@ impl Swell {
         if let Some(heard) = &mut conditions.heard {
             heard.hop_m *= self.speed;
             heard.closing_m_per_s *= self.speed;
+            heard.closing_of_echoes_m_per_s *= self.speed;
             heard.across_m_per_s *= self.speed;
             heard.bend_m_per_s2 *= self.acceleration.max(self.speed * self.speed);
             heard.acceleration_m_per_s2 *= self.acceleration;
@@ -195,7 +196,7 @@ impl<'a> Maker<'a> {
             .swell
             .on(conditions(spec, scene.plan, scene.scatterers));
         conditions.scatterers = scene.count;
-        let floors = floors(spec, scene.plan);
+        let floors = floors(spec, scene.plan, scene.scatterers);
         let kept = kept_shares(
             spec,
             scene.plan,
@@ -502,7 +503,9 @@ impl<'a> Maker<'a> {
     fn doppler_share(&self) -> f64 {
         let speed = self.conditions.speed_m_per_s;
         let heard = self.conditions.heard;
-        let closing = heard.map_or(speed, |h| (EXTREMES * h.closing_m_per_s).min(speed));
+        let closing = heard.map_or(speed, |h| {
+            (EXTREMES * h.closing_of_echoes_m_per_s).min(speed)
+        });
         (closing / FASTEST_PLATFORM_M_PER_S).min(1.0)
     }
 
@@ -715,7 +718,7 @@ impl<'a> Maker<'a> {
         let pulse = &self.conditions.pulse;
         let speed = self.conditions.speed_m_per_s;
         let (hop_m, closing) = match self.conditions.heard {
-            Some(heard) => (heard.hop_m, heard.closing_m_per_s),
+            Some(heard) => (heard.hop_m, heard.closing_of_echoes_m_per_s),
             None => (speed * 2.0 * self.conditions.range_m.1 / c, speed),
         };
         let mut displaced = Displaced::default();
@@ -751,7 +754,7 @@ impl<'a> Maker<'a> {
 }
 
 /// Floors of the patterns with what they leave out, the configuration's own first.
-fn floors(spec: &SonarSpec, plan: &PingPlan) -> Vec<(Option<f64>, f64)> {
+fn floors(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<(Option<f64>, f64)> {
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
     let left_out = |db: f64| {
         let arrays = spec.receive.iter().flat_map(|array| {
@@ -766,7 +769,11 @@ fn floors(spec: &SonarSpec, plan: &PingPlan) -> Vec<(Option<f64>, f64)> {
         return vec![(None, 0.0)];
     };
     let mut floors = vec![(Some(own_db), left_out(own_db))];
-    if spec.synthesis.auto.cull {
+    if !spec.synthesis.auto.cull {
+        // High enough it leaves out the bottom under a sonar that looks aside, all of it.
+        let rings = UNEVEN * rings_left_out(spec, plan, scatterers, own_db);
+        floors[0].1 = floors[0].1.max(rings);
+    } else {
         for share in CULL_SHARES {
             let most = share * spec.synthesis.tolerance;
             let mut db = own_db;
@@ -779,4 +786,23 @@ fn floors(spec: &SonarSpec, plan: &PingPlan) -> Vec<(Option<f64>, f64)> {
         }
     }
     floors
+}
+
+/// In the ping's own attitude and range, from the first return on.
+fn rings_left_out(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers, cull_db: f64) -> f64 {
+    let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
+    let pose = plan.trajectory.pose_at(0.0);
+    let mean_down_m = scatterers.down_m.iter().sum::<f64>() / scatterers.len().max(1) as f64;
+    let farthest_m = 0.5 * plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
+    let arrays = spec.receive.iter().map(|array| {
+        let transmit = &spec.transmit[array.transmit];
+        let ground = Ground {
+            world_from_body: pose.world_from_body,
+            height_m: mean_down_m - pose.point_m(transmit.mounting.position_m).z,
+            farthest_m,
+            absorption_db_per_m: plan.absorption_db_per_m,
+        };
+        Rings::new(transmit, array, wavelength_m, &ground).left_out(cull_db)
+    });
+    arrays.fold(0.0, f64::max)
 }

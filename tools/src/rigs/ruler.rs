@@ -162,12 +162,27 @@ impl<'a> Ruler<'a> {
                 let indices = of_this.map(|(i, _)| *i as usize);
                 dense.fill(Complex64::ZERO);
                 let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense).with_edges(edges);
-                echoes_at(plan, tx, array, at, self.ping.everything, indices, &mut sink);
+                echoes_at(
+                    plan,
+                    tx,
+                    array,
+                    at,
+                    self.ping.everything,
+                    indices,
+                    &mut sink,
+                );
                 let mut sample = [dense[0]];
                 if let Some(d) = &self.decimator {
                     d.apply(&dense, &mut sample);
                 }
-                receive(plan, &spec.receiver, array, pick.array, pick.element, &mut sample);
+                receive(
+                    plan,
+                    &spec.receiver,
+                    array,
+                    pick.array,
+                    pick.element,
+                    &mut sample,
+                );
                 out.push(sample[0]);
             }
         }
