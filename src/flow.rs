@@ -632,8 +632,11 @@ pub struct Conditions {
 pub struct Heard {
     /// How far an element moves along the ray between the pulse and the echo.
     pub hop_m: f64,
-    /// Along the ray, the mean of transmitter and element.
+    /// Along the ray, the mean of transmitter and element. A window may hold the end of a pulse alone, where Doppler's phase has grown: as its root
+    /// mean square there would be that of a whole pulse, so much more than [`Self::closing_of_echoes_m_per_s`].
     pub closing_m_per_s: f64,
+    /// ... of whole echoes.
+    pub closing_of_echoes_m_per_s: f64,
     /// Second derivative of the range, the mean of both legs.
     pub bend_m_per_s2: f64,
     /// Of an element, along the ray.

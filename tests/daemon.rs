@@ -18,6 +18,8 @@ mod modes;
 mod nav_while_pinging;
 #[path = "daemon/overload.rs"]
 mod overload;
+#[path = "daemon/plans.rs"]
+mod plans;
 #[path = "daemon/scored.rs"]
 mod scored;
 #[path = "daemon/streaming.rs"]

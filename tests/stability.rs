@@ -3,6 +3,8 @@
 #[allow(dead_code, reason = "shared with tools/atlas")]
 #[path = "../tools/src/atlas/mod.rs"]
 mod atlas;
+#[path = "stability/charts.rs"]
+mod charts;
 #[path = "../tools/src/errors/images.rs"]
 mod images;
 mod plan;

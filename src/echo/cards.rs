@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use crate::flow::{Conditions, DopplerModel, MethodCard, MethodRefused, PathModel, ReceiverFilter};
 
-/// f64 delays of 0.3 s at 400 kHz and what follows from them.
+/// f64 delays of 0.3 s at 400 kHz and what follows from them, under way.
 const F64_FLOOR: f64 = 1e-9;
 /// Of the closed forms, ns per scatterer-element and leg visited.
 const LEG_NS: f64 = 8.0;
@@ -40,6 +40,14 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
         return 0.0;
     }
     (loudest / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
+}
+
+/// What no model is better than. At rest all models are the same sum of two lengths, and a delay is rounded twice: measured 0.2 to 1 of one.
+fn floor(conditions: &Conditions) -> f64 {
+    if conditions.speed_m_per_s > 0.0 || conditions.acceleration_m_per_s2 > 0.0 {
+        return F64_FLOOR;
+    }
+    2.0 * 0.5 * f64::EPSILON * conditions.wavenumber_per_m() * 2.0 * conditions.range_m.1
 }
 
 fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
@@ -82,7 +90,7 @@ fn moving(conditions: &Conditions) -> Moving {
 /// The phase by which a path model misplaces an echo.
 pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
-    let h = conditions.segment_s.min(window_s);
+    let h = conditions.segment_s;
     let Moving {
         hop_m,
         acceleration: a,
@@ -90,8 +98,10 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
         spread,
         ..
     } = moving(conditions);
-    // Of a chord, at its middle.
-    let sag_m = a * h * h / 8.0;
+    // Of a chord at its middle, or as far as anything is heard on it.
+    let until_s = window_s.min(0.5 * h);
+    let sag_m = 0.5 * a * until_s * (h - until_s);
+    let turned_m = turning * h.min(window_s);
     let (off_m, ns, why) = match path {
         PathModel::StopAndHop => (
             hop_m,
@@ -99,12 +109,9 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
             format!("the platform moves {hop_m:.1e} m while sound is under way"),
         ),
         PathModel::Polyline => (
-            sag_m + turning * h,
+            sag_m + turned_m,
             2.0 * LEG_NS,
-            format!(
-                "{sag_m:.1e} m from chords, {:.1e} m from attitude held on each",
-                turning * h
-            ),
+            format!("{sag_m:.1e} m from chords, {turned_m:.1e} m from attitude held on each"),
         ),
         PathModel::KSegment => (
             sag_m,
@@ -121,7 +128,7 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
     let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
     MethodCard {
         name: path.name(),
-        error: Conditions::error_of_phase(phase_rad + edges).max(F64_FLOOR),
+        error: Conditions::error_of_phase(phase_rad + edges).max(floor(conditions)),
         cost_ms: cost_ms(conditions, ns),
         why,
     }
@@ -195,7 +202,7 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
     let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
     MethodCard {
         name: doppler.name(),
-        error: Conditions::error_of_phase(phase_rad * spread + edges).max(F64_FLOOR),
+        error: Conditions::error_of_phase(phase_rad * spread + edges).max(floor(conditions)),
         cost_ms: cost_ms(conditions, ns),
         why,
     }

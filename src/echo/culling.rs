@@ -4,7 +4,7 @@
 //! incidence that lies in directions where the two-way pattern is below the floor. In a window of reverberation from that angle the relative
 //! error of the samples is the root of it. For what is stronger than the ground the floor lies lower (`Scatterers::loud`), so that it is not in this figure.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::flow::{ArrayGeometry, TransmitArray};
 
@@ -46,10 +46,141 @@ pub fn left_out_share(
     if all > 0.0 { left_out / all } else { 0.0 }
 }
 
+/// Rings of a flat Lambert bottom, evenly in time from the first return to the end of the window.
+const RINGS: usize = 24;
+/// Directions on each of them.
+const RING_AZIMUTHS: usize = 3600;
+/// Levels are counted in steps of this, dB, down to the least: what lies in the step that a floor cuts counts as left out.
+const LEVEL_STEP_DB: f64 = 0.5;
+const LEVELS: usize = 480;
+
+/// What floors leave out of one ping's windows over flat ground, each against its own level or the ping's mean, whichever is louder: as errors of samples
+/// are counted.
+pub struct Rings {
+    /// Energy of each ring by level below that of the axis.
+    below: Vec<[f64; LEVELS]>,
+    mean: f64,
+}
+
+/// Where a ping's ground lies.
+#[derive(Clone, Copy, Debug)]
+pub struct Ground {
+    /// The platform's attitude; its heading is of no consequence.
+    pub world_from_body: DQuat,
+    pub height_m: f64,
+    pub farthest_m: f64,
+    pub absorption_db_per_m: f64,
+}
+
+impl Rings {
+    pub fn new(
+        transmit: &TransmitArray,
+        array: &ArrayGeometry,
+        wavelength_m: f64,
+        ground: &Ground,
+    ) -> Self {
+        let lit = Directivity::new(&transmit.pattern, wavelength_m);
+        let element = Directivity::new(&array.element_pattern, wavelength_m);
+        let faces = [
+            (&lit, transmit.mounting.body_from_array),
+            (&element, array.mounting.body_from_array),
+        ]
+        .map(|(pattern, body)| (pattern, (ground.world_from_body * body).inverse()));
+        let height_m = ground.height_m.max(wavelength_m);
+        let farthest_m = ground.farthest_m.max(1.01 * height_m);
+        let mut below = Vec::with_capacity(RINGS);
+        for k in 0..RINGS {
+            let range_m = height_m + (farthest_m - height_m) * (k as f64 + 0.5) / RINGS as f64;
+            let cos = height_m / range_m;
+            let sin = (1.0 - cos * cos).sqrt();
+            // Area of a ring of even duration, Lambert's law, and both ways.
+            let weight = range_m
+                * (cos / (range_m * range_m)).powi(2)
+                * libm::exp10(-0.2 * ground.absorption_db_per_m * range_m);
+            let mut levels = [0.0; LEVELS];
+            for azimuth in 0..RING_AZIMUTHS {
+                let turn = std::f64::consts::TAU * azimuth as f64 / RING_AZIMUTHS as f64;
+                let (east, north) = libm::sincos(turn);
+                let ray = DVec3::new(sin * north, sin * east, cos);
+                let [out, back] = faces.map(|(pattern, array_from_world)| {
+                    let u = array_from_world * ray;
+                    pattern.towards(u.x, u.y, u.z)
+                });
+                let two_way = (out * back).powi(2);
+                if two_way > 0.0 {
+                    let step = -10.0 * libm::log10(two_way) / LEVEL_STEP_DB;
+                    levels[(step.max(0.0) as usize).min(LEVELS - 1)] += weight * two_way;
+                }
+            }
+            below.push(levels);
+        }
+        let mean = below.iter().flatten().sum::<f64>() / RINGS as f64;
+        Self { below, mean }
+    }
+
+    /// Relative error of the worst window's samples.
+    pub fn left_out(&self, cull_db: f64) -> f64 {
+        if self.mean == 0.0 {
+            return 0.0;
+        }
+        let first = ((-cull_db / LEVEL_STEP_DB).max(0.0) as usize).min(LEVELS);
+        let worst = self.below.iter().map(|levels| {
+            let all: f64 = levels.iter().sum();
+            levels[first..].iter().sum::<f64>() / all.max(self.mean)
+        });
+        worst.fold(0.0, f64::max).sqrt()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::flow::{Mounting, Pattern};
+
+    /// A ring may be silent where the ping is loud, and one that is all below the floor may be too weak to matter: never more than its own share.
+    #[test]
+    fn rings_leave_out_no_more_than_their_own_shares_and_all_of_it_above_the_axis() {
+        let mounting = Mounting {
+            position_m: DVec3::ZERO,
+            body_from_array: DQuat::from_rotation_x(f64::to_radians(-45.0)),
+        };
+        let transmit = TransmitArray {
+            mounting,
+            pattern: Pattern::Rectangle {
+                length_m: 0.1,
+                width_m: 0.01,
+                baffled: false,
+            },
+            level_offset_db: 0.0,
+        };
+        let array = ArrayGeometry {
+            mounting,
+            elements: 1,
+            spacing_m: 0.0,
+            element_pattern: Pattern::Omnidirectional,
+            sensitivity_db: 0.0,
+            transmit: 0,
+        };
+        let ground = Ground {
+            world_from_body: DQuat::IDENTITY,
+            height_m: 10.0,
+            farthest_m: 60.0,
+            absorption_db_per_m: 0.05,
+        };
+        let rings = Rings::new(&transmit, &array, 0.005, &ground);
+        assert!((rings.left_out(1.0) - 1.0).abs() < 1e-12);
+        assert_eq!(rings.left_out(-300.0), 0.0);
+        for db in [-50.0, -40.0, -30.0, -20.0] {
+            let of_each = (0..RINGS).map(|k| {
+                let range_m = 10.0 + 50.0 * (k as f64 + 0.5) / RINGS as f64;
+                let incidence_rad = libm::acos(10.0 / range_m);
+                left_out_share(&transmit, &array, 0.005, db + LEVEL_STEP_DB, incidence_rad).sqrt()
+            });
+            let (got, own) = (rings.left_out(db), of_each.fold(0.0, f64::max));
+            println!("{db} dB: {got:.2e}, the worst ring by itself {own:.2e}");
+            assert!(got > 0.0 && got <= own, "{db} dB: {got} {own}");
+        }
+    }
 
     #[test]
     fn the_share_of_a_line_is_that_of_its_side_lobes() {

@@ -13,9 +13,13 @@ const INSTANTS: usize = 64;
 const STILL_M_PER_S2: f64 = 1e-9;
 const STILL_M_PER_S: f64 = 1e-12;
 
-/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`.
+/// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`. An element's chord that is
+/// alone in its window reaches as far as it is told to, beyond the window's end.
 pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
-    window_s / (window_s / segment_s).ceil().max(1.0)
+    match (window_s / segment_s).ceil() {
+        count if count > 1.0 => window_s / count,
+        _ => segment_s,
+    }
 }
 
 /// The worst of every transmitter and of both ends of every line.
@@ -94,6 +98,9 @@ pub fn sum_card(
     conditions: &Conditions,
 ) -> MethodCard {
     let mut card = synthesis_card(synthesis, conditions);
+    if matches!(synthesis, Synthesis::Nearest | Synthesis::Linear) {
+        card.error *= ONE_END;
+    }
     if synthesis == Synthesis::Spectral
         && let Some(step_hz) = spec.synthesis.frequency_step_hz
     {
@@ -109,6 +116,10 @@ pub fn sum_card(
     }
     card
 }
+
+/// What `nearest` and `linear` leave of an echo is of its whole spectrum; of a window that holds one end of it alone it is more, 1.8 times at most in
+/// 200 random rigs.
+const ONE_END: f64 = 2.0;
 
 /// Of samples over which others of their kind are laid: as an echo turned upside down.
 const WRAPPED: f64 = 2.0;

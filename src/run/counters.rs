@@ -214,6 +214,9 @@ impl PingCounters {
             "tolerance": tolerance,
             "measured_error": measured,
             "margin": measured.map(|error| tolerance / error.max(f64::MIN_POSITIVE)),
+            "certificate_faults": read(&self.certificate_faults),
+            "given_up": read(&self.plans_given_up),
+            "failed": read(&self.plans_failed),
         })
     }
 

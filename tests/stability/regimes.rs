@@ -1,5 +1,5 @@
 //! Where methods fail, held on either side of the boundary: no number that is none, no panic, no wrong answer that was promised to be right, no plan
-//! inside a failing region. A short pulse and two elements, four regimes of twenty: each takes seconds. `tools/atlas` draws the long form.
+//! inside a failing region. A short pulse and two elements; `tools/atlas` draws the long form.
 
 use std::f64::consts::TAU;
 
@@ -15,27 +15,18 @@ use crate::atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
 use crate::atlas::regimes::{ALL, Regime};
 use crate::atlas::spot::{Base, Size};
 
-fn regime(name: &str) -> &'static Regime {
+/// All columns of the tests of one regime, by their values.
+struct Swept(&'static Regime, Vec<(f64, Column)>);
+
+/// Holds what holds everywhere.
+fn swept(bench: &mut Bench, name: &str) -> Swept {
     let found = ALL.iter().find(|regime| regime.name == name);
-    found.unwrap_or_else(|| panic!("no regime {name}"))
-}
-
-fn columns(regime: &Regime) -> Vec<(f64, Column)> {
+    let regime = found.unwrap_or_else(|| panic!("no regime {name}"));
     let base = Base::new(Size::SMALL);
-    let pool = pool(1).expect("threads");
-    let mut bench = Bench::default();
     let values = regime.few.iter();
-    pool.install(|| {
-        values
-            .map(|&v| (v, bench.column(&(regime.spot)(&base, v))))
-            .collect()
-    })
-}
-
-/// What holds everywhere. Hands on the columns for what holds here.
-fn swept(name: &str) -> Vec<(f64, Column)> {
-    let regime = regime(name);
-    let columns = columns(regime);
+    let columns: Vec<_> = values
+        .map(|&v| (v, bench.column(&(regime.spot)(&base, v))))
+        .collect();
     for (value, column) in &columns {
         let label = regime.label(*value);
         for (method, outcome) in column.named() {
@@ -55,20 +46,36 @@ fn swept(name: &str) -> Vec<(f64, Column)> {
         }
         if let Some(plan) = &column.plan {
             let said = format!("{name}, {label}: plan {}: {:?}", plan.text, plan.outcome);
-            assert!(
-                regime.is_blind() || plan.out_of_reach || plan.outcome.is_within(column.tolerance),
-                "{said}"
+            let answered = !matches!(
+                plan.outcome,
+                Outcome::Refused(_) | Outcome::NoNumber | Outcome::Panic(_)
             );
-            assert!(
-                !matches!(
-                    plan.outcome,
-                    Outcome::Refused(_) | Outcome::NoNumber | Outcome::Panic(_)
-                ),
-                "{said}"
-            );
+            assert!(answered, "{said}");
+            let within = plan.outcome.is_within(column.tolerance);
+            assert!(regime.is_blind() || plan.out_of_reach || within, "{said}");
         }
     }
-    columns
+    Swept(regime, columns)
+}
+
+impl Swept {
+    fn at(&self, value: f64) -> &Column {
+        let found = self.1.iter().find(|(v, _)| *v == value);
+        &found
+            .unwrap_or_else(|| panic!("{}: {value} is no column", self.0.name))
+            .1
+    }
+
+    /// All are silent there.
+    fn silent_at(&self, value: f64) {
+        for (method, outcome) in self.at(value).named() {
+            let quiet = matches!(
+                outcome,
+                Outcome::Silence | Outcome::NotTaken | Outcome::Refused(_)
+            );
+            assert!(quiet, "{}, {value}: {method}: {outcome:?}", self.0.name);
+        }
+    }
 }
 
 fn cell(column: &Column, synthesis: Synthesis, path: PathModel, doppler: DopplerModel) -> &Outcome {
@@ -96,59 +103,108 @@ fn error(outcome: &Outcome) -> f64 {
     }
 }
 
-fn at(columns: &[(f64, Column)], value: f64) -> &Column {
-    let found = columns.iter().find(|(v, _)| *v == value);
-    &found.unwrap_or_else(|| panic!("{value} is no column")).1
+/// In one pool, with engines shared from regime to regime.
+fn on_a_bench(whole_plans: bool, work: impl FnOnce(&mut Bench) + Send) {
+    let pool = pool(1).expect("threads");
+    pool.install(|| work(&mut Bench::new(whole_plans)));
 }
 
+/// Speed, range, grazing, endfire, ends of the window, steps of a grid, empty scenes, far places: one sonar.
 #[test]
-fn tolerance() {
-    assert!(!swept("tolerance").is_empty());
-}
+fn wherever_echoes_are_nothing_is_silently_wrong() {
+    on_a_bench(false, |bench| {
+        let speed = swept(bench, "speed");
+        let fast = best(speed.at(151.0));
+        assert!(matches!(fast, Outcome::Refused(why) if why.contains("151 m/s")));
+        assert!(speed.at(151.0).plan.is_none());
+        let cruise = speed.at(2.572);
+        let printed = cell(
+            cruise,
+            Synthesis::Spectral,
+            PathModel::Polyline,
+            DopplerModel::PaperEq21,
+        );
+        assert!(error(printed) > 0.5, "{printed:?}");
+        assert!(best(cruise).is_within(1e-3), "{:?}", best(cruise));
 
-#[test]
-fn speed() {
-    let columns = swept("speed");
-    assert!(matches!(best(at(&columns, 151.0)), Outcome::Refused(why) if why.contains("151 m/s")));
-    assert!(at(&columns, 151.0).plan.is_none());
-    let cruise = at(&columns, 2.572);
-    let printed = cell(
-        cruise,
-        Synthesis::Spectral,
-        PathModel::Polyline,
-        DopplerModel::PaperEq21,
-    );
-    assert!(error(printed) > 0.5, "{printed:?}");
-    assert!(best(cruise).is_within(1e-3), "{:?}", best(cruise));
-}
-
-#[test]
-fn navigation_faults() {
-    let columns = swept("navigation-faults");
-    // A jump of 500 m in a tenth of a second; a gap that is no gap; another clock.
-    for refused in [5.0, 8.0] {
-        let outcome = best(at(&columns, refused));
+        for (value, column) in &swept(bench, "range").1 {
+            // Nearer than a wavelength is counted.
+            if let Outcome::Answer { counted, .. } = *best(column) {
+                assert_eq!(
+                    counted > 0,
+                    *value < 3.7e-3,
+                    "{value} m: {:?}",
+                    best(column)
+                );
+            }
+        }
+        swept(bench, "grazing").silent_at(91.0);
+        swept(bench, "scatterers").silent_at(0.0);
+        for (away_m, column) in &swept(bench, "far-from-origin").1 {
+            assert!(
+                best(column).is_within(1e-3),
+                "{away_m} m: {:?}",
+                best(column)
+            );
+        }
+        let step = swept(bench, "frequency-step");
+        let hop = |share: f64| {
+            error(cell(
+                step.at(share),
+                Synthesis::Spectral,
+                PathModel::StopAndHop,
+                DopplerModel::None,
+            ))
+        };
         assert!(
-            matches!(outcome, Outcome::Refused(_)),
-            "{refused}: {outcome:?}"
+            hop(0.5) < 1e-3 && hop(2.0) > 0.5,
+            "{} {}",
+            hop(0.5),
+            hop(2.0)
         );
-    }
-    for answered in [0.0, 1.0, 2.0] {
-        let outcome = best(at(&columns, answered));
-        assert!(outcome.is_within(1e-2), "{answered}: {outcome:?}");
-    }
+        for name in ["endfire", "window-end", "window-start", "grid-edge"] {
+            swept(bench, name);
+        }
+    });
 }
 
+/// Manoeuvres, attitudes, and navigation that is coarse or wrong.
 #[test]
-fn scatterers() {
-    let columns = swept("scatterers");
-    for (method, outcome) in at(&columns, 0.0).named() {
-        let quiet = matches!(
-            outcome,
-            Outcome::Silence | Outcome::NotTaken | Outcome::Refused(_)
-        );
-        assert!(quiet, "{method}: {outcome:?}");
-    }
+fn however_it_moves_nothing_is_silently_wrong() {
+    on_a_bench(false, |bench| {
+        let faults = swept(bench, "navigation-faults");
+        // A jump of 500 m in a tenth of a second, and another clock.
+        for refused in [5.0, 8.0] {
+            let outcome = best(faults.at(refused));
+            assert!(
+                matches!(outcome, Outcome::Refused(_)),
+                "{refused}: {outcome:?}"
+            );
+        }
+        // Stamps that repeat and come late are put where they belong.
+        for answered in [0.0, 1.0, 2.0] {
+            let outcome = best(faults.at(answered));
+            assert!(outcome.is_within(1e-3), "{answered}: {outcome:?}");
+        }
+        for name in ["attitude", "navigation-rate", "segments", "manoeuvre"] {
+            swept(bench, name);
+        }
+    });
+}
+
+/// Spacings, pulses, sample rates, tolerances and floors.
+#[test]
+fn whatever_the_sonar_nothing_is_silently_wrong() {
+    on_a_bench(false, |bench| {
+        let rate = swept(bench, "sample-rate");
+        let low = best(rate.at(0.5));
+        assert!(matches!(low, Outcome::Refused(why) if why.contains("at least")));
+        assert!(best(rate.at(1.1)).is_within(1e-3));
+        assert!(error(best(swept(bench, "culling").at(-3.0))) > 1e-3);
+        for name in ["elements", "pulse-stretch", "tolerance"] {
+            swept(bench, name);
+        }
+    });
 }
 
 #[test]

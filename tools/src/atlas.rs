@@ -65,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let wanted = |name: &str| given.only.as_deref().is_none_or(|part| name.contains(part));
     let base = Base::new(size);
-    let mut bench = Bench::default();
+    let mut bench = Bench::new(true);
     let mut csv = String::from("map,value,method,outcome,error,said,counted\n");
     for regime in ALL.iter().filter(|r| wanted(r.name)) {
         let began = Instant::now();

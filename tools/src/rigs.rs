@@ -25,9 +25,10 @@ const LEAST_MS: f64 = 1.0;
     about = "The plan of methods on seeded random rigs and on configurations: promises, errors and costs, measured side by side on one thread",
     long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
 window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The ruler is the \
-direct sum on the trajectory itself with second-order Doppler; it is itself off by what stands under \"ruler\" (128 random samples by the reference's \
-equation): where it is off by more than a quarter of the tolerance, the \
-measured error is a certificate's over 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
+direct sum on the trajectory itself with second-order Doppler, as dense behind the filter as the reference; it is itself off by what stands under \
+\"ruler\" (128 random samples by the reference's equation). The plan's four windows that are the worst by the ruler are computed again by the \
+reference's equation, and that counts. Where the ruler is off by more than a tenth of the tolerance the \
+measured error is that of 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
 )]
 struct Arguments {
     /// Random rigs.

@@ -244,7 +244,7 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     );
     front(&mut svg, &main, chart);
     points(&mut svg, &main, chart, elements, LEAST_ERROR, 5.5);
-    let mut taken = taken(&main, chart, peers);
+    let mut taken = taken(&main, chart, peers, about.period_ms);
     labels(&mut svg, &main, chart, &mut taken);
     draw_peers(&mut svg, &main, chart, peers, &mut taken);
     type Metric = fn(&Measured) -> Option<f64>;
@@ -284,14 +284,21 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
 type Box4 = (f64, f64, f64, f64);
 
 /// What points and marks cover.
-fn taken(axes: &Axes, chart: &Chart, peers: &[Peer]) -> Vec<Box4> {
+fn taken(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4> {
     let ours = measured(chart).map(|(_, _, m)| (m.times.median_ms, m.errors.elements));
     let theirs = peers.iter().map(|peer| (peer.here_ms(chart), peer.error));
     let around = |(ms, error): (f64, f64)| {
         let (x, y) = axes.at(ms, error.max(LEAST_ERROR));
         (x - 5.0, y - 5.0, x + 5.0, y + 5.0)
     };
-    ours.chain(theirs).map(around).collect()
+    let (right, bottom) = (axes.left + axes.width, axes.top + axes.height);
+    let (_, tolerance_y) = axes.at(1.0, chart.tolerance);
+    let tolerance = (axes.left, tolerance_y - 2.0, right, tolerance_y + 2.0);
+    let words = (right - 100.0, tolerance_y - 18.0, right, tolerance_y);
+    let (period_x, _) = axes.at(period_ms, 1.0);
+    let period = (period_x - 2.0, axes.top, period_x + 2.0, bottom);
+    let lines = [tolerance, words, period];
+    ours.chain(theirs).map(around).chain(lines).collect()
 }
 
 /// Other people's software on its own points, as if it took this scene's pairs of scatterer and element as fast.
@@ -387,8 +394,11 @@ fn points(
 
 /// Names beside the front's points, the configured one and the plan's, where there is room.
 fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
-    let named = |row: &Row| row.pareto || row.configured || row.planned_ms.is_some();
-    for (_, row, m) in measured(chart).filter(|(_, row, _)| named(row)) {
+    // What is asked for and what is chosen have the first choice of places.
+    let chosen = |row: &Row| row.configured || row.planned_ms.is_some();
+    let first = measured(chart).filter(|(_, row, _)| chosen(row));
+    let rest = measured(chart).filter(|(_, row, _)| row.pareto && !chosen(row));
+    for (_, row, m) in first.chain(rest) {
         let at = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
         let text = match (row.configured, row.planned_ms.is_some()) {
             (true, true) => format!("{} (the plan's, as configured)", row.method),
@@ -411,6 +421,12 @@ fn label(svg: &mut Svg, axes: &Axes, (x, y): (f64, f64), text: &str, taken: &mut
         (x + 10.0, y + 28.0),
         (x - 10.0 - wide, y + 28.0),
         (x - 0.5 * wide, y - 22.0),
+        (x + 10.0, y + 42.0),
+        (x - 10.0 - wide, y + 42.0),
+        (x + 10.0, y - 36.0),
+        (x - 10.0 - wide, y - 36.0),
+        (x - 0.5 * wide, y + 44.0),
+        (x + 10.0, y + 58.0),
     ];
     let free = places.into_iter().find(|&(left, base)| {
         let this = (left, base - LABEL, left + wide, base + 3.0);

@@ -8,18 +8,24 @@ use serde_json::{Value, json};
 use crate::beam::sidescan::far_field_error;
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
-use crate::config::spec::{RigSpec, SonarSpec};
+use crate::config::spec::{OutputSpec, RigSpec, SonarSpec};
 use crate::ping::fidelity::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use crate::ping::period_ns;
 use crate::run::fidelity::calibrate::{self, Calibration};
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::first::{First, first};
+use crate::run::fidelity::{Scene, Swell, rank};
 use crate::run::rig::pool;
+
+/// A tenth of a cell in range: what a picture bears where nobody looks at samples.
+const PICTURE_CELLS: f64 = 0.1;
 
 /// What is said about one sonar.
 struct Told<'a> {
     sonar: &'a SonarSpec,
     first: First,
+    /// The plan for pictures, where no output carries element samples and the tolerance is asked of them all the same.
+    for_pictures: Option<Ranking>,
     period_ms: f64,
     threads: usize,
 }
@@ -31,14 +37,60 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
     let found = pool
         .install(|| first(spec, &costs))
         .map_err(|why| refuse(&why))?;
+    let for_pictures: Vec<_> = spec
+        .sonars
+        .iter()
+        .zip(&found)
+        .map(|(sonar, first)| pool.install(|| for_pictures(spec, sonar, first, &costs)))
+        .collect();
     let threads = pool.current_num_threads();
-    let told = spec.sonars.iter().zip(found).map(|(sonar, first)| Told {
+    let found = found.into_iter().zip(for_pictures);
+    let told = spec.sonars.iter().zip(found);
+    let told = told.map(|(sonar, (first, for_pictures))| Told {
+        for_pictures,
         period_ms: 1e-6 * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
         sonar,
         first,
         threads,
     });
     Ok((costs, told.collect()))
+}
+
+/// Which outputs carry samples of elements, or may on request.
+fn readers(sonar: &SonarSpec) -> Vec<&'static str> {
+    let of = |output: &OutputSpec| match output {
+        OutputSpec::SevenK(sevenk) => (!sevenk.arrays.is_empty()).then_some("7k (7038)"),
+        OutputSpec::Jsf(_) => Some("JSF"),
+        OutputSpec::Vita49(_) => Some("VITA 49"),
+        OutputSpec::Elements(_) => Some("elements"),
+        OutputSpec::Sigmf(_) => Some("SigMF"),
+        OutputSpec::Wav(_) => Some("WAV"),
+        OutputSpec::Xtf(_)
+        | OutputSpec::Imagenex872(_)
+        | OutputSpec::Ping(_)
+        | OutputSpec::Wbms(_) => None,
+    };
+    sonar.outputs.iter().filter_map(of).collect()
+}
+
+fn for_pictures(rig: &RigSpec, sonar: &SonarSpec, first: &First, costs: &Costs) -> Option<Ranking> {
+    let synthesis = &sonar.synthesis;
+    let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.certificate;
+    if !asked || !readers(sonar).is_empty() {
+        return None;
+    }
+    let mut spec = sonar.clone();
+    spec.synthesis.image_cells = Some(PICTURE_CELLS);
+    let scene = Scene {
+        spec: &spec,
+        medium: &rig.medium,
+        plan: &first.plan,
+        scatterers: &first.scatterers,
+        count: first.scatterers.len(),
+        costs,
+        swell: Swell::NONE,
+    };
+    rank(&scene, &[])
 }
 
 /// A few lines for each sonar.
@@ -181,10 +233,22 @@ fn output(told: &Told) -> String {
     let sonar = told.sonar;
     let lines = &sonar.beams.lines;
     let fans = usize::from(sonar.beams.fan.is_some());
+    let readers = match readers(sonar) {
+        of if of.is_empty() => "no output carries them".to_owned(),
+        of => format!("carried by {}", of.join(", ")),
+    };
     let mut text = format!(
-        "elements, {} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them",
+        "elements ({readers}), {} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them",
         lines.len()
     );
+    if let Some(ranking) = &told.for_pictures {
+        let _ = write!(
+            text,
+            "; for those who read pictures alone tolerance_image = {PICTURE_CELLS} would do with {}: {:.2} ms",
+            ranking.chosen().text(),
+            ranking.chosen().cost_ms()
+        );
+    }
     let arrays = lines.iter().map(|line| &sonar.receive[line.array]);
     let longest_m = arrays
         .filter(|array| array.elements > 1)
@@ -257,6 +321,8 @@ fn sonar_json(told: &Told) -> Value {
             "along_cells": candidate.displaced.along_cells,
         })
     };
+    value["element_readers"] = json!(readers(told.sonar));
+    value["for_pictures"] = json!(told.for_pictures.as_ref().map(|r| one(r.chosen())));
     value["tolerance"] = json!(ranking.goal.tolerance);
     value["tolerance_image"] = json!(ranking.goal.image_cells);
     value["within"] = json!(ranking.is_within());

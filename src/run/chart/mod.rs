@@ -187,6 +187,8 @@ pub fn run_method(
     let began = Instant::now();
     let mut pipeline = SonarPipeline::new(spec, medium).map_err(|why| why.to_string())?;
     let making_ms = began.elapsed().as_secs_f64() * 1e3;
+    // Only the ruler has any, and here they need not be cheap.
+    pipeline.allow_certificates(f64::INFINITY);
     let mut outputs = Vec::new();
     let mut times_ms = Vec::new();
     for scene in scenes {

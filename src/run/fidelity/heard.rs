@@ -21,16 +21,50 @@ const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
 const SAMPLED: f64 = 1.1;
 
-/// Energy and the weighted squares of [`Heard`]'s quantities, of one window.
+/// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
+const PARTS: usize = 4;
+
+/// Quantities of [`Heard`] that are root mean squares.
+const QUANTITIES: usize = 7;
+
+/// What sounds in a part of a window: energy, and the weighted squares of [`Heard`]'s quantities.
 #[derive(Clone, Copy, Default)]
-struct Sums {
+struct Part {
     energy: f64,
-    /// Of the loudest echo, and how many there are.
+    squares: [f64; QUANTITIES],
+    /// Of the loudest echo, all of it.
     loudest: f64,
+    /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
     echoes: f64,
-    /// Sum of the squares of energies.
-    energy2: f64,
-    squares: [f64; 6],
+    begun: f64,
+    begun2: f64,
+}
+
+impl Part {
+    fn and(mut self, other: &Self) -> Self {
+        self.energy += other.energy;
+        for (sum, square) in self.squares.iter_mut().zip(other.squares) {
+            *sum += square;
+        }
+        self.loudest = self.loudest.max(other.loudest);
+        self.echoes += other.echoes;
+        self.begun += other.begun;
+        self.begun2 += other.begun2;
+        self
+    }
+
+    /// Of an echo what sounds here, `from` and `to` in pulses.
+    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), values: [f64; QUANTITIES]) {
+        let share = energy * (to - from);
+        self.energy += share;
+        self.loudest = self.loudest.max(whole);
+        // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more of them than its beginning.
+        let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
+        let shares = [share, grown(3), grown(5), share, share, share, share];
+        for ((sum, value), share) in self.squares.iter_mut().zip(values).zip(shares) {
+            *sum += share * value * value;
+        }
+    }
 }
 
 /// None where nothing is heard.
@@ -38,45 +72,47 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
     let rate_hz = spec.receiver.sample_rate_hz;
     let window_s = plan.pulse.duration_s.max(LEAST_WINDOW as f64 / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
-    let mut worst = [0.0f64; 6];
+    let part_s = window_s / PARTS as f64;
+    let mut worst = [0.0f64; QUANTITIES];
     let mut sounded = false;
     // Echoes in a loud window that count, at most; the loudest of a window; all of them.
     let mut crowd = 1.0f64;
     let (mut loudest, mut echoes) = (0.0f64, 0.0);
-    let mut sums = vec![Sums::default(); windows];
+    let mut parts = vec![Part::default(); windows * PARTS];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
         let ends = [0, array.elements - 1];
         let ends = &ends[..array.elements.min(2)];
         let each = array.elements as f64 / ends.len() as f64;
         for &element in ends {
-            sums.fill(Sums::default());
+            parts.fill(Part::default());
             let ear = Ear::new(spec, plan, transmit, array, element);
-            ear.listen(plan, scatterers, window_s, &mut sums);
-            let mean = sums.iter().map(|s| s.energy).sum::<f64>() / windows as f64;
-            sounded |= mean > 0.0;
-            for of_window in &sums {
-                if of_window.energy > mean {
-                    crowd = crowd.max(of_window.energy.powi(2) / of_window.energy2);
+            ear.listen(plan, scatterers, part_s, &mut parts);
+            echoes += each * parts.iter().map(|part| part.echoes).sum::<f64>();
+            let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
+            if mean == 0.0 {
+                continue;
+            }
+            sounded = true;
+            for window in parts.windows(PARTS) {
+                let window = window.iter().fold(Part::default(), Part::and);
+                if window.energy > mean && window.begun > 0.0 {
+                    crowd = crowd.max(window.begun.powi(2) / window.begun2);
                 }
-                let against = of_window.energy.max(mean);
-                echoes += each * of_window.echoes;
-                if against > 0.0 {
-                    loudest = loudest.max(of_window.loudest / against);
-                }
-                for (worst, square) in worst.iter_mut().zip(of_window.squares) {
-                    if against > 0.0 {
-                        *worst = worst.max((square / against).sqrt());
-                    }
+                let against = window.energy.max(mean);
+                loudest = loudest.max(window.loudest / against);
+                for (worst, square) in worst.iter_mut().zip(window.squares) {
+                    *worst = worst.max((square / against).sqrt());
                 }
             }
         }
     }
-    let [hop, closing, bend, acceleration, turning, across] = worst;
+    let [hop, closing, bend, acceleration, turning, across, of_echoes] = worst;
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     sounded.then(|| Heard {
         hop_m: hop,
         closing_m_per_s: closing,
+        closing_of_echoes_m_per_s: of_echoes,
         bend_m_per_s2: bend,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
@@ -176,7 +212,9 @@ impl Ear {
         }
     }
 
-    fn listen(&self, plan: &PingPlan, scatterers: &Scatterers, window_s: f64, sums: &mut [Sums]) {
+    fn listen(&self, plan: &PingPlan, scatterers: &Scatterers, part_s: f64, parts: &mut [Part]) {
+        // Of a pulse, in parts.
+        let length = plan.pulse.duration_s / part_s;
         let stride = scatterers.len().div_ceil(LOOKED_AT).max(1);
         let floor = plan.model.cull_db.map_or(0.0, amplitude_from_db);
         let curve = scatterers.curve.as_deref();
@@ -201,8 +239,8 @@ impl Ear {
             let back_range_m = back_m.length().max(f64::MIN_POSITIVE);
             let back = back_m / back_range_m;
             let u_s = per_c * (out_range_m + back_range_m);
-            let window = (u_s / window_s) as usize;
-            if window >= sums.len() {
+            let begins = u_s / part_s;
+            if begins as usize >= parts.len() {
                 continue;
             }
             let towards = |d: &Directivity, m: &DMat3, ray: DVec3| {
@@ -245,20 +283,28 @@ impl Ear {
                         back,
                         back_range_m,
                     ));
-            let sums = &mut sums[window];
-            sums.energy += energy;
-            sums.loudest = sums.loudest.max(energy / weight);
-            sums.echoes += weight;
-            sums.energy2 += energy * energy;
-            for (sum, value) in sums.squares.iter_mut().zip([
+            let closing = 0.5 * (closing_out + closing_back);
+            let values = [
                 (here_m - self.at[0].position_m).dot(back),
-                0.5 * (closing_out + closing_back),
+                closing,
                 bend,
                 at.acceleration_m_per_s2.dot(back),
                 at.turning_m_per_s.dot(back),
                 v_back.dot(back) - v_back.dot(at.axis) * at.axis.dot(back),
-            ]) {
-                *sum += energy * value * value;
+                closing,
+            ];
+            let first = &mut parts[begins as usize];
+            first.echoes += weight;
+            first.begun += energy;
+            first.begun2 += energy * energy;
+            let mut from = 0.0;
+            for (k, part) in parts.iter_mut().enumerate().skip(begins as usize) {
+                if from >= 1.0 {
+                    break;
+                }
+                let to = (((k + 1) as f64 - begins) / length).min(1.0);
+                part.add(energy, energy / weight, (from, to), values);
+                from = to;
             }
         }
     }

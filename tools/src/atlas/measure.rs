@@ -126,20 +126,28 @@ impl Column {
 }
 
 /// Pipelines, kept from spot to spot as long as the sonar stays the same.
-#[derive(Default)]
 pub struct Bench {
+    /// Plans choose the sum too; making out what engines would do takes most of a column's time.
+    whole_plans: bool,
     made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
     costs: Option<Costs>,
 }
 
 impl Bench {
+    pub fn new(whole_plans: bool) -> Self {
+        Self {
+            whole_plans,
+            made: HashMap::new(),
+            costs: None,
+        }
+    }
+
     /// To be called inside one and the same pool.
     pub fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
-        let count = SUMS.len() * DOPPLERS.len() * PathModel::ALL.len();
         if let Some(why) = &spot.refused {
             return Column {
-                cells: vec![Outcome::Refused(why.clone()); count],
+                cells: all(&Outcome::Refused(why.clone())),
                 plan: None,
                 tolerance,
             };
@@ -152,14 +160,14 @@ impl Bench {
             Ok((truth, _)) => truth,
             Err(outcome) => {
                 return Column {
-                    cells: vec![outcome; count],
+                    cells: all(&outcome),
                     plan: None,
                     tolerance,
                 };
             }
         };
         let (plan, scatterers) = spot.asked();
-        let mut cells = Vec::with_capacity(count);
+        let mut cells = Vec::new();
         let cards = Cards::of(spot, &plan, &scatterers);
         for synthesis in SUMS {
             for doppler in DOPPLERS {
@@ -223,8 +231,8 @@ impl Bench {
             path: true,
             segment: true,
             doppler: true,
-            synthesis: true,
-            cull: true,
+            synthesis: self.whole_plans,
+            cull: self.whole_plans,
         };
         let scene = Scene {
             spec: &spec,
@@ -289,10 +297,14 @@ impl Bench {
         let mut plan = plan.clone();
         plan.model = spec.model;
         let key = (spec.model.synthesis.name(), spec.model.doppler.name());
-        // Path and floor go with the ping, all else with the pipeline.
+        // Path, segments and floor go with the ping, all else with the pipeline.
         let mut common = spec.clone();
         common.model.path = PathModel::KSegment;
         common.model.cull_db = None;
+        common.model.segment_s = 0.01;
+        if spec.model.synthesis != Synthesis::Spectral {
+            common.synthesis.frequency_step_hz = None;
+        }
         let about = format!("{common:?}");
         let fresh = self.made.get(&key).is_none_or(|(made, _)| *made != about);
         let medium = &spot.rig().medium;
@@ -322,6 +334,21 @@ impl Bench {
             }
         }
     }
+}
+
+/// The same of every method that there is.
+fn all(outcome: &Outcome) -> Vec<Outcome> {
+    let mut cells = Vec::new();
+    for sum in SUMS {
+        for doppler in DOPPLERS {
+            let of = match sum.takes(doppler) {
+                true => outcome,
+                false => &Outcome::NotTaken,
+            };
+            cells.extend(PathModel::ALL.map(|_| of.clone()));
+        }
+    }
+    cells
 }
 
 fn words(panic: Box<dyn std::any::Any + Send>) -> String {

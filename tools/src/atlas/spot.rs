@@ -44,7 +44,7 @@ impl Size {
     /// For tests of seconds.
     pub const SMALL: Self = Self {
         elements: 2,
-        duration_ms: 1.0,
+        duration_ms: 0.5,
         bandwidth_khz: 20.0,
     };
 }

@@ -4,24 +4,24 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use echotank::array::filter::FilterError;
 use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
-use echotank::flow::{DopplerModel, PathModel, PingOutput, PingPlan, Scatterers, Synthesis};
+use echotank::flow::{PingOutput, PingPlan, Scatterers, TimeVaryingGain};
 use echotank::ping::fidelity::{Candidate, Choice, Family, Ranking};
 use echotank::ping::polyline;
-use echotank::run::certificate::worst_window;
 use echotank::run::chart::bare;
 use echotank::run::fidelity::costs::Costs;
 use echotank::run::fidelity::first::{FirstError, first, pings};
 use echotank::run::fidelity::with_choice;
 use echotank::run::pipeline::{PipelineError, SonarPipeline};
 
+use super::ruler::Ruler;
+
 /// Timed runs of every choice, taken in turn; the least counts.
 const REPEATS: usize = 5;
 /// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
 /// A ruler that is off by more of the tolerance measures nothing.
-const FINE_RULER: f64 = 0.25;
+const FINE_RULER: f64 = 0.1;
 /// At most so many other choices.
 const OTHERS: usize = 12;
 
@@ -33,8 +33,8 @@ pub struct Did {
     pub parts: [f64; 4],
     pub predicted_error: f64,
     pub predicted_ms: f64,
-    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. Where
-    /// the ruler is too coarse for that, a certificate's own, over 128 random samples.
+    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. The plan's
+    /// worst windows are computed again by the reference's equation. Where the ruler is too coarse, a certificate's own, over 128 random samples.
     pub error: f64,
     pub by_certificate: bool,
     pub ms: f64,
@@ -96,8 +96,6 @@ pub enum MeasureError {
     First(#[from] FirstError),
     #[error("{0}")]
     Pipeline(#[from] PipelineError),
-    #[error("{0}")]
-    Filter(#[from] FilterError),
 }
 
 /// The first ping of every sonar that hears something. To be called inside the pool. `time`: other choices too.
@@ -120,6 +118,8 @@ pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>
         let mut spec = bare(spec);
         spec.beams = Default::default();
         spec.more_pulses.clear();
+        // Errors are counted ahead of the receiver.
+        spec.receiver.tvg = TimeVaryingGain::None;
         let ping = Ping {
             spec: &spec,
             medium: &rig.medium,
@@ -134,13 +134,13 @@ pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>
     Ok(all)
 }
 
-struct Ping<'a> {
-    spec: &'a SonarSpec,
-    medium: &'a MediumSpec,
-    plan: &'a PingPlan,
-    scatterers: &'a Scatterers,
+pub struct Ping<'a> {
+    pub spec: &'a SonarSpec,
+    pub medium: &'a MediumSpec,
+    pub plan: &'a PingPlan,
+    pub scatterers: &'a Scatterers,
     /// Not culled.
-    everything: &'a Scatterers,
+    pub everything: &'a Scatterers,
 }
 
 /// One choice's pipeline with its plan and output.
@@ -181,22 +181,21 @@ impl Runner {
 }
 
 fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, PipelineError> {
-    let (truth, ruler) = ruler(ping, time)?;
-    let silent = |output: &PingOutput| {
-        let mut samples = output.elements.iter().flat_map(|frame| &frame.iq);
-        samples.all(|x| x.norm_sqr() == 0.0)
-    };
-    if silent(&truth) {
+    let ruler = Ruler::new(ping)?;
+    if ruler.is_silent() {
         return Ok(None);
     }
+    let own_error = time.then(|| ruler.own_error());
     let mut looked_at: Vec<&Candidate> = vec![ranking.chosen()];
     if time {
         looked_at.extend(others(ranking));
     }
     let mut runners = Vec::new();
-    for candidate in looked_at {
-        if let Ok(runner) = Runner::new(ping, &with_choice(ping.spec, &candidate.choice)) {
-            runners.push((candidate, runner));
+    for (k, candidate) in looked_at.into_iter().enumerate() {
+        match Runner::new(ping, &with_choice(ping.spec, &candidate.choice)) {
+            Ok(runner) => runners.push((candidate, runner)),
+            Err(why) if k == 0 => return Err(why),
+            Err(_) => {}
         }
     }
     for _ in 0..=REPEATS {
@@ -207,31 +206,18 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
             break;
         }
     }
-    let coarse = ruler.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
-    if coarse {
-        for (candidate, runner) in &mut runners {
-            let mut spec = with_choice(ping.spec, &candidate.choice);
-            spec.synthesis.certificate = true;
-            *runner = Runner {
-                least_ms: runner.least_ms,
-                ..certified(ping, &spec)?
-            };
-        }
-    }
+    let coarse = own_error.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
+    let chosen = ranking.chosen();
     let mut did = runners.iter().map(|(candidate, runner)| Did {
-        by_certificate: runner.output.certificate.is_some(),
+        by_certificate: coarse,
         text: candidate.text(),
         parts: Family::ALL.map(|family| candidate.part(family).error),
         predicted_error: candidate.error(),
         predicted_ms: candidate.cost_ms(),
-        error: match runner.output.certificate {
-            Some(certificate) => certificate.error,
-            None => worst_window(
-                &runner.output,
-                &truth,
-                ping.plan.pulse.duration_s,
-                ping.spec.receiver.sample_rate_hz,
-            ),
+        error: match (coarse, candidate.choice == chosen.choice) {
+            (true, _) => ruler.certificate(&runner.output),
+            (false, true) => ruler.worst_by_reference(&runner.output),
+            (false, false) => ruler.worst(&runner.output),
         },
         ms: runner.least_ms,
         promised: ranking.goal.meets(candidate),
@@ -244,7 +230,7 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
         tolerance: ranking.goal.tolerance,
         scatterers: ping.scatterers.len(),
         elements: ping.spec.receive.iter().map(|a| a.elements).sum(),
-        ruler,
+        ruler: own_error,
         plan,
         others: did.collect(),
         out_of_reach: !ranking.is_within(),
@@ -273,34 +259,4 @@ fn others(ranking: &Ranking) -> Vec<&Candidate> {
         }
     }
     found
-}
-
-/// The direct sum on the trajectory itself, and what 128 random samples of it are off by.
-fn ruler(ping: &Ping, look: bool) -> Result<(PingOutput, Option<f64>), PipelineError> {
-    let mut spec = ping.spec.clone();
-    spec.model.path = PathModel::Continuous;
-    spec.model.doppler = DopplerModel::StretchQuadratic;
-    spec.model.synthesis = Synthesis::Direct;
-    spec.model.cull_db = None;
-    if !look {
-        let mut runner = Runner::new(ping, &spec)?;
-        runner.run(ping.everything);
-        return Ok((runner.output, None));
-    }
-    spec.synthesis.certificate = true;
-    let runner = certified(ping, &spec)?;
-    let error = runner.output.certificate.map(|c| c.error);
-    Ok((runner.output, error))
-}
-
-/// A ping of all scatterers with a certificate over 128 samples.
-fn certified(ping: &Ping, spec: &SonarSpec) -> Result<Runner, PipelineError> {
-    let mut runner = Runner::new(ping, spec)?;
-    runner.pipeline.allow_certificates(f64::INFINITY);
-    for number in 1..=2 {
-        // Other samples are drawn in another ping.
-        runner.plan.ping_number = number;
-        runner.run(ping.everything);
-    }
-    Ok(runner)
 }

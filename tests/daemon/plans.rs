@@ -1,0 +1,157 @@
+//! Plans of methods in the daemon: one that does not hold is seen in its certificate, counted, and given up for a dearer one.
+
+use std::fmt::Write;
+use std::net::SocketAddr;
+
+use echotank::io::control::client;
+use serde_json::json;
+
+use super::Daemon;
+use super::modes::{status, tell, wait_delivered};
+
+/// Points abeam, along the ray: as long as they are abeam nothing closes in, and a sonar that drifts by may stand still in its model. Nothing in its
+/// own motion says when that is over: only the certificate does.
+const POINTS: usize = 300;
+const SPEED_M_PER_S: f64 = 0.05;
+/// Three percent of such a ping are two samples: 64 of them take half of these.
+const PATIENCE_PINGS: u64 = 80;
+/// Until a plan made now is in effect, and 128 samples more, of which none is the old one's.
+const LEAD_PINGS: u64 = 8;
+const FLUSH_PINGS: u64 = 80;
+
+const RIG: &str = r#"
+[medium]
+sound_speed_m_per_s = 1500.0
+absorption = "none"
+[nav]
+origin = { latitude_deg = 54.0, longitude_deg = 10.0 }
+mode = "settle"
+vertical = "depth"
+[[nav.source]]
+name = "track"
+kind = "csv"
+path = "track.csv"
+provides = ["position", "heading", "roll-pitch"]
+[scene]
+anchor = "origin"
+points = "points.csv"
+[run]
+clock = "lockstep"
+latency_ms = 600.0
+[control]
+listen = "127.0.0.1:0"
+[[sonar]]
+name = "drifting"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 400.0
+bandwidth_khz = 20.0
+duration_ms = 0.5
+taper = 0.2
+[[sonar.transmit]]
+name = "tx"
+[[sonar.receive]]
+name = "rx"
+elements = 64
+spacing_m = 0.001875
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "none"
+tvg = "none"
+[sonar.ping]
+range_m = 10.0
+rate_hz = 2.0
+source_level_db = 180.0
+[sonar.limits]
+range_m = [1.0, 10.0]
+pulse_duration_ms = [0.5, 0.5]
+[sonar.model]
+path = "auto"
+doppler = "auto"
+synthesis = "direct"
+tolerance = 2e-2
+certificate = true
+"#;
+
+/// One of /metrics.
+fn metric(control: SocketAddr, name: &str) -> Option<f64> {
+    let (code, text) = client::get(control, "/metrics", None).expect("answers");
+    assert_eq!(code, 200, "{text}");
+    let begins = format!("echotank_{name}{{");
+    let line = text.lines().find(|line| line.starts_with(&begins))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[test]
+fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_place() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut points = String::from("north_m,east_m,down_m,amplitude\n");
+    for k in 0..POINTS {
+        // 3 to 9 m, a centimetre to either side.
+        let part = |step: f64| (k as f64 * step).fract();
+        let _ = writeln!(
+            points,
+            "{:.4},{:.4},5.0,1.0",
+            0.02 * (part(0.618_034) - 0.5),
+            3.0 + 6.0 * part(0.754_878)
+        );
+    }
+    std::fs::write(folder.path().join("points.csv"), points).expect("written");
+    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..1200 {
+        let t_s = 0.1 * f64::from(k);
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            SPEED_M_PER_S * t_s
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("written");
+    let path = folder.path().join("drift.toml");
+    std::fs::write(&path, RIG).expect("written");
+    let mut daemon = Daemon::start(&[path.to_str().expect("text")]);
+    let control = daemon.announced("control", "http");
+    let step = |pings: u64, before: u64| {
+        let (code, answer) = tell(control, &json!({ "do": "step", "pings": pings }));
+        assert_eq!(code, 200, "{answer}");
+        wait_delivered(control, before + pings)
+    };
+    let mut delivered = step(1, 0);
+    let said = status(control);
+    let plan = said["sonars"][0]["fidelity"]["plan"].clone();
+    assert_eq!(plan, 1, "made ahead of the first ping: {said}");
+    assert_eq!(metric(control, "plans_given_up"), Some(0.0));
+    assert_eq!(metric(control, "plan_tolerance"), Some(2e-2));
+    let first_promise = metric(control, "plan_predicted_error").expect("a promise");
+    assert!(first_promise <= 2e-2, "{first_promise}");
+
+    while metric(control, "plans_given_up") == Some(0.0) && delivered < PATIENCE_PINGS {
+        delivered = step(2, delivered);
+    }
+    let error = metric(control, "certificate_error").expect("certified");
+    println!("given up at ping {delivered}: {error:.1e} measured, {first_promise:.1e} promised");
+    assert_eq!(metric(control, "plans_given_up"), Some(1.0));
+    assert!(metric(control, "certificate_faults") >= Some(1.0));
+    assert!(error > 2.6e-2, "{error}");
+    let margin = metric(control, "plan_margin").expect("certified");
+    assert!((margin * error / 2e-2 - 1.0).abs() < 1e-6, "{margin}");
+    let said = status(control)["sonars"][0]["fidelity"].clone();
+    assert_eq!((&said["plan"], &said["given_up"]), (&json!(1), &json!(1)));
+    assert!(said["margin"].as_f64().is_some_and(|m| m < 1.0), "{said}");
+
+    delivered = step(LEAD_PINGS + FLUSH_PINGS, delivered);
+    let (plan, error) = (
+        metric(control, "plan"),
+        metric(control, "certificate_error"),
+    );
+    println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
+    assert!(plan >= Some(2.0), "{plan:?}");
+    assert!(error < Some(2e-2), "{error:?}");
+    assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
+    let printed = daemon.terminate();
+    assert!(
+        printed.contains("FAULT: 1 plans given up for their certificates, 0 not made"),
+        "{printed}"
+    );
+}

@@ -1,0 +1,298 @@
+//! What pings are held against: the direct sum on the trajectory itself with second-order Doppler, as dense behind the receiver filter as the reference;
+//! and, where it matters, the reference's own equation sample for sample.
+
+use num_complex::Complex64;
+
+use echotank::array::filter::{self, Decimator};
+use echotank::array::{Direct, receive};
+use echotank::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::flow::{
+    DopplerModel, Edges, PathModel, PingOutput, PingPlan, Pulse, ReceiverFilter, Synthesis,
+};
+use echotank::run::pipeline::{FASTEST_PLATFORM_M_PER_S, PipelineError};
+
+use super::case::Chance;
+use super::measure::Ping;
+
+/// Windows are a pulse long, and so many samples at least.
+const LEAST_WINDOW: usize = 32;
+/// Samples of a ping that are looked at by chance.
+const LOOKED_AT: usize = 128;
+/// Worst windows of a ping that are computed again by the reference, and how many of their samples, evenly.
+const WORST: usize = 4;
+const OF_EACH: usize = 256;
+/// Instants that the reference takes at a time.
+const AT_ONCE: usize = 64;
+
+/// A sample of an element.
+#[derive(Clone, Copy)]
+struct Pick {
+    array: usize,
+    element: usize,
+    sample: usize,
+}
+
+/// A window of an element, by what it is off.
+struct Off {
+    square: f64,
+    array: usize,
+    element: usize,
+    first: usize,
+    /// Energy it is held against, over its length.
+    against: f64,
+}
+
+pub struct Ruler<'a> {
+    ping: &'a Ping<'a>,
+    plan: PingPlan,
+    decimator: Option<Decimator>,
+    /// By array and element.
+    records: Vec<Vec<Vec<Complex64>>>,
+    window: usize,
+}
+
+impl<'a> Ruler<'a> {
+    pub fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
+        let spec = ping.spec;
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let c = ping.medium.sound_speed_m_per_s;
+        let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / c * spec.pulse.center_frequency_hz;
+        let shortest = Pulse {
+            duration_s: spec.limits.pulse_duration_s.0,
+            ..spec.pulse
+        };
+        let decimator = match spec.receiver.filter {
+            ReceiverFilter::None => None,
+            ReceiverFilter::Fir => {
+                let dense = filter::oversample(&shortest, rate_hz, Synthesis::Reference);
+                Some(Decimator::new(&shortest, rate_hz, doppler_hz, dense)?)
+            }
+        };
+        let mut plan = ping.plan.clone();
+        plan.model.path = PathModel::Continuous;
+        plan.model.doppler = DopplerModel::StretchQuadratic;
+        plan.model.synthesis = Synthesis::Direct;
+        plan.model.cull_db = None;
+        let window = (plan.pulse.duration_s * rate_hz).ceil() as usize;
+        let mut ruler = Self {
+            ping,
+            plan,
+            decimator,
+            records: Vec::new(),
+            window: window.max(LEAST_WINDOW),
+        };
+        ruler.records = ruler.sum();
+        Ok(ruler)
+    }
+
+    fn sum(&self) -> Vec<Vec<Vec<Complex64>>> {
+        let (plan, spec) = (&self.plan, self.ping.spec);
+        let (mut first_s, mut rate_hz) = (plan.first_sample_s, spec.receiver.sample_rate_hz);
+        let mut dense = vec![Complex64::ZERO; plan.sample_count];
+        let mut edges = Edges::Sampled;
+        if let Some(d) = &self.decimator {
+            (first_s, rate_hz) = (d.dense_first_s(first_s), d.dense_rate_hz());
+            dense.resize(d.dense_len(plan.sample_count), Complex64::ZERO);
+            edges = Edges::Weighted;
+        }
+        let heard = Window::of_samples(first_s, rate_hz, dense.len());
+        let (mut lit, mut walk) = (Illuminated::default(), Workspace::default());
+        let mut records = Vec::new();
+        for (index, array) in spec.receive.iter().enumerate() {
+            let tx = &spec.transmit[array.transmit];
+            illuminate(plan, tx, heard, self.ping.everything, &mut lit);
+            let of_array = (0..array.elements).map(|element| {
+                dense.fill(Complex64::ZERO);
+                let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense).with_edges(edges);
+                arrivals(plan, array, element, &lit, &mut walk, &mut sink);
+                let mut record = vec![Complex64::ZERO; plan.sample_count];
+                match &self.decimator {
+                    None => record.copy_from_slice(&dense),
+                    Some(d) => d.apply(&dense, &mut record),
+                }
+                receive(plan, &spec.receiver, array, index, element, &mut record);
+                record
+            });
+            records.push(of_array.collect());
+        }
+        records
+    }
+
+    pub fn is_silent(&self) -> bool {
+        let mut samples = self.records.iter().flatten().flatten();
+        samples.all(|x| x.norm_sqr() == 0.0)
+    }
+
+    /// What these samples are by the reference's equation.
+    fn by_reference(&self, picks: &[Pick]) -> Vec<Complex64> {
+        let (plan, spec) = (&self.plan, self.ping.spec);
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let points = self.decimator.as_ref().map_or(1, |d| d.dense_len(1));
+        let half_span_s = match &self.decimator {
+            Some(d) => d.half_s(),
+            None => 0.5 / rate_hz,
+        };
+        let mut dense = vec![Complex64::ZERO; points];
+        let (mut found, mut out) = (Vec::new(), Vec::new());
+        for picks in picks.chunks(AT_ONCE) {
+            let instant = |pick: &Pick| Instant {
+                element: pick.element,
+                time_s: plan.first_sample_s + pick.sample as f64 / rate_hz,
+                half_span_s,
+            };
+            let ranges = picks.iter().map(|pick| {
+                let array = &spec.receive[pick.array];
+                heard_ranges_m(plan, &spec.transmit[array.transmit], array, instant(pick))
+            });
+            let ranges: Vec<_> = ranges.collect();
+            heard(plan, self.ping.everything, &ranges, &mut found);
+            for (k, pick) in picks.iter().enumerate() {
+                let (array, at) = (&spec.receive[pick.array], instant(pick));
+                let tx = &spec.transmit[array.transmit];
+                let (edges, rate_hz, first_s) = match &self.decimator {
+                    None => (Edges::Sampled, rate_hz, at.time_s),
+                    Some(d) => (
+                        Edges::Weighted,
+                        d.dense_rate_hz(),
+                        d.dense_first_s(at.time_s),
+                    ),
+                };
+                let of_this = found.iter().filter(|(_, mask)| mask >> k & 1 == 1);
+                let indices = of_this.map(|(i, _)| *i as usize);
+                dense.fill(Complex64::ZERO);
+                let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense).with_edges(edges);
+                echoes_at(
+                    plan,
+                    tx,
+                    array,
+                    at,
+                    self.ping.everything,
+                    indices,
+                    &mut sink,
+                );
+                let mut sample = [dense[0]];
+                if let Some(d) = &self.decimator {
+                    d.apply(&dense, &mut sample);
+                }
+                receive(
+                    plan,
+                    &spec.receiver,
+                    array,
+                    pick.array,
+                    pick.element,
+                    &mut sample,
+                );
+                out.push(sample[0]);
+            }
+        }
+        out
+    }
+
+    /// Energy that a window of an element is held against, over its length: its own or the ping's mean, whichever is louder.
+    fn against(&self, array: usize, element: usize, first: usize) -> f64 {
+        let record = &self.records[array][element];
+        let whole: f64 = record.iter().map(|x| x.norm_sqr()).sum();
+        let window = &record[first..(first + self.window).min(record.len())];
+        let loud: f64 = window.iter().map(|x| x.norm_sqr()).sum();
+        loud.max(whole / record.len() as f64 * window.len() as f64)
+    }
+
+    /// Every window of every element, worst first.
+    fn offs(&self, got: &PingOutput) -> Vec<Off> {
+        let mut offs = Vec::new();
+        for (array, (frame, records)) in got.elements.iter().zip(&self.records).enumerate() {
+            for (element, want) in records.iter().enumerate() {
+                let got = frame.element(element).chunks(self.window);
+                let windows = got.zip(want.chunks(self.window)).enumerate();
+                for (k, (got, want)) in windows {
+                    let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
+                    let off: f64 = off.sum();
+                    let first = k * self.window;
+                    let against = self.against(array, element, first);
+                    if against > 0.0 {
+                        offs.push(Off {
+                            square: off / against,
+                            array,
+                            element,
+                            first,
+                            against,
+                        });
+                    }
+                }
+            }
+        }
+        // Where nothing tells them apart the louder one is looked at.
+        let louder = |a: &Off, b: &Off| b.against.total_cmp(&a.against);
+        offs.sort_by(|a, b| b.square.total_cmp(&a.square).then(louder(a, b)));
+        offs
+    }
+
+    /// The error of the worst window of any element, by this ruler.
+    pub fn worst(&self, got: &PingOutput) -> f64 {
+        self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
+    }
+
+    /// ... and by the reference's equation, of those windows that are the worst by this ruler and of samples by chance.
+    pub fn worst_by_reference(&self, got: &PingOutput) -> f64 {
+        let mut worst = self.certificate(got);
+        for off in self.offs(got).iter().take(WORST) {
+            let end = (off.first + self.window).min(self.plan.sample_count);
+            let stride = (end - off.first).div_ceil(OF_EACH);
+            let picks: Vec<Pick> = (off.first..end)
+                .step_by(stride)
+                .map(|sample| Pick {
+                    array: off.array,
+                    element: off.element,
+                    sample,
+                })
+                .collect();
+            let record = got.elements[off.array].element(off.element);
+            let want = self.by_reference(&picks);
+            let squares = picks.iter().zip(&want);
+            let sum: f64 = squares
+                .map(|(pick, want)| (record[pick.sample] - want).norm_sqr())
+                .sum();
+            let mean = sum / picks.len() as f64;
+            worst = worst.max((mean * (end - off.first) as f64 / off.against).sqrt());
+        }
+        worst
+    }
+
+    /// The error at samples by chance, by the reference's equation, root mean square: of what `of` has.
+    fn by_chance(&self, of: impl Fn(&Pick) -> Complex64) -> f64 {
+        let mut chance = Chance::new(u64::from(self.plan.ping_number));
+        let arrays = &self.ping.spec.receive;
+        let picks: Vec<Pick> = (0..LOOKED_AT)
+            .map(|_| {
+                let array = chance.of(arrays.len());
+                Pick {
+                    array,
+                    element: chance.of(arrays[array].elements),
+                    sample: chance.of(self.plan.sample_count),
+                }
+            })
+            .collect();
+        let want = self.by_reference(&picks);
+        let squares = picks.iter().zip(&want).map(|(pick, want)| {
+            let first = pick.sample.saturating_sub(self.window / 2);
+            let length = self.window.min(self.plan.sample_count - first);
+            let against = self.against(pick.array, pick.element, first) / length as f64;
+            match against > 0.0 {
+                true => (of(pick) - want).norm_sqr() / against,
+                false => 0.0,
+            }
+        });
+        (squares.sum::<f64>() / LOOKED_AT as f64).sqrt()
+    }
+
+    /// What this ruler itself is off by.
+    pub fn own_error(&self) -> f64 {
+        self.by_chance(|pick| self.records[pick.array][pick.element][pick.sample])
+    }
+
+    /// What a ping is off by at the same samples.
+    pub fn certificate(&self, got: &PingOutput) -> f64 {
+        self.by_chance(|pick| got.elements[pick.array].element(pick.element)[pick.sample])
+    }
+}
