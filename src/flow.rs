@@ -1141,6 +1141,9 @@ pub trait LineSource: Sync {
     /// Scatterers that may be heard.
     fn scatterers(&self) -> u64;
 
+    /// No echo begins before, anywhere on the line; infinite where there is none.
+    fn earliest_s(&self) -> f64;
+
     /// Points of amplitude 0 that span what [`Self::walk`] would hand on (all but a few of the echoes lie between them), and a sample of its
     /// echoes, with fade and curl.
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);

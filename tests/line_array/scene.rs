@@ -121,7 +121,6 @@ pub fn engine_in<T: Sample>(
         half_s: decimator.half_s(),
     };
     let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness, dialect);
-    engine.prepare(plan);
     let mut lit = Illuminated::new();
     illuminate(plan, tx, ALWAYS, scatterers, &mut lit);
     let walk = [Mutex::new(LineWorkspace::default())];
@@ -131,6 +130,7 @@ pub fn engine_in<T: Sample>(
         lit: &lit,
         work: &walk,
     };
+    engine.prepare_from(plan, echoes.earliest_s());
     let mut work = engine.work();
     let mut outputs = vec![Vec::new(); engine.tasks()];
     let mut reports = Vec::new();

@@ -1,7 +1,13 @@
 //! A platform at rest.
 
-use echotank::array::gridded2d::{Fineness, PulseMotion};
+use std::sync::Mutex;
 
+use echotank::array::gridded2d::{Fineness, PulseMotion};
+use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, illuminate};
+use echotank::flow::*;
+use glam::DVec3;
+
+use crate::rig::ALWAYS;
 use crate::scene::*;
 
 /// Nothing spared.
@@ -32,5 +38,67 @@ fn at_rest_the_engine_meets_the_direct_sum() {
             reports.iter().max_by_key(|r| r.columns)
         );
         assert!(got < 3e-7, "{elements}, +-{sector_deg} deg: {got:e}");
+    }
+}
+
+/// The least and the greatest delay that is handed on.
+struct Delays(f64, f64);
+
+impl LineSink for Delays {
+    fn accept(&mut self, chunk: &LineChunk) {
+        for &delay_s in &chunk.delay_s[..chunk.len] {
+            *self = Self(self.0.min(delay_s), self.1.max(delay_s));
+        }
+    }
+}
+
+#[test]
+fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
+    for velocity_m_per_s in [DVec3::ZERO, DVec3::new(5.0, 0.3, -0.3)] {
+        let mut scene = draw(Draw {
+            velocity_m_per_s,
+            ..SIDE_SCAN
+        });
+        // The record begins with the pulse, long before the first echo.
+        let before = (scene.plan.first_sample_s * RATE_HZ).round();
+        scene.plan.sample_count += before as usize;
+        scene.plan.first_sample_s = 0.0;
+        let mut lit = Illuminated::new();
+        illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        let echoes = LineEchoes {
+            plan: &scene.plan,
+            array: &scene.rx,
+            lit: &lit,
+            work: &[Mutex::new(LineWorkspace::default())],
+        };
+        let end_m = scene.rx.element_x_m(scene.rx.elements - 1);
+        let mut delays = Delays(f64::INFINITY, 0.0);
+        for middle_m in [-end_m, 0.0, end_m] {
+            let stretch = LineStretch {
+                middle_m,
+                half_m: 0.0,
+                fades: false,
+                elements: 1,
+                earliest_s: 0.0,
+                latest_s: 1.0,
+            };
+            echoes.walk(stretch, &mut delays);
+        }
+        let earliest_s = echoes.earliest_s();
+        println!("not before {earliest_s} s: from {} s on", delays.0);
+        assert!(earliest_s <= delays.0, "{earliest_s} {}", delays.0);
+        assert!(delays.0 - earliest_s < 1e-3, "{earliest_s} {}", delays.0);
+        let (got, reports) = error::<f64>(&scene, FINE, false);
+        let counts: Vec<usize> = reports.iter().map(|report| report.echoes).collect();
+        println!("{got:.2e}; echoes of the tasks: {counts:?}");
+        let tolerance = if velocity_m_per_s == DVec3::ZERO {
+            3e-7
+        } else {
+            1e-5
+        };
+        assert!(got < tolerance, "{got:e}");
+        // 36 m to 75 m are 52 ms, a slab at most 34 ms; two stretches.
+        assert_eq!(counts.len(), 4, "{counts:?}");
+        assert!(counts.iter().all(|count| *count > 100), "{counts:?}");
     }
 }

@@ -335,8 +335,13 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// Sets the engine to a ping: slabs, and the pulse's spectra if they are not those at hand.
+    /// [`Self::prepare_from`] the first instant that counts.
     pub fn prepare(&mut self, plan: &PingPlan) {
+        self.prepare_from(plan, f64::NEG_INFINITY);
+    }
+
+    /// Sets the engine to a ping none of whose echoes begin before `earliest_s`: slabs, and the pulse's spectra if they are not those at hand.
+    pub fn prepare_from(&mut self, plan: &PingPlan, earliest_s: f64) {
         let c = plan.sound_speed_m_per_s;
         let pulse = &plan.pulse;
         let speed = plan
@@ -361,19 +366,24 @@ impl<T: Sample> LineEngine<T> {
         }
         // An echo sounds from its leading edge on for T, give or take its stretch; the filter adds to both sides.
         let echo_s = pulse.duration_s * (1.0 + 3.0 * speed / c);
-        let slab_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * self.filter_half_s;
-        assert!(slab_s > 0.0, "slabs shorter than a filtered echo");
-        let first_edge_s = plan.first_sample_s - echo_s - self.filter_half_s;
+        let most_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * self.filter_half_s;
+        assert!(most_s > 0.0, "slabs shorter than a filtered echo");
         let last_edge_s = plan.window_s(self.rate_hz) + self.filter_half_s;
+        let first_edge_s = (plan.first_sample_s - echo_s - self.filter_half_s)
+            .max(earliest_s)
+            .min(last_edge_s);
+        // As even as can be: threads then have alike to do. No slab for what is rounding.
+        let all_s = (last_edge_s - first_edge_s).max(1e-3 * most_s);
+        let slabs = (all_s / most_s - 1e-9).ceil().max(1.0);
         self.ping = Ping {
             sound_speed_m_per_s: c,
             carrier_hz,
             duration_s: pulse.duration_s,
             nepers_per_m: plan.absorption_db_per_m * std::f64::consts::LN_10 / 20.0,
             first_sample_s: plan.first_sample_s,
-            slabs: ((last_edge_s - first_edge_s) / slab_s).ceil().max(1.0) as usize,
+            slabs: slabs as usize,
             first_edge_s,
-            slab_s,
+            slab_s: all_s / slabs,
         };
     }
 

@@ -199,7 +199,7 @@ impl<T: Sample> Tasks<T> {
         source: &impl LineSource,
         iq: &mut [Complex64],
     ) -> (EchoCounts, f64) {
-        self.engine.prepare(plan);
+        self.engine.prepare_from(plan, source.earliest_s());
         let tasks = self.engine.tasks();
         if self.outputs.len() < tasks {
             self.outputs.resize_with(tasks, Output::default);

@@ -17,6 +17,7 @@ use crate::flow::{
 use num_complex::Complex64;
 
 use super::engine::{Fineness, PulseMotion};
+use super::lanes::BLOCK;
 use super::series::terms_needed;
 use super::task::MOST_DILATION;
 
@@ -131,12 +132,59 @@ pub enum Refusal {
     SlabTooShort { rate_hz: f64, samples: usize },
 }
 
-/// Longest slab that is tried, samples.
+/// Slabs that are tried, samples.
+const LEAST_SLAB: usize = 256;
 const MOST_SLAB: usize = 1 << 16;
+/// A slab is at least so many times as long as what its last echo leaves beyond it.
+const MOST_SPENT: f64 = 3.0;
+/// What a slab costs whatever its length, in samples (templates, bases of channels; measured).
+const TASK_SAMPLES: f64 = 64.0;
+/// By how much dearer than the least slabs may be, so that there be as many tasks as a few threads share evenly.
+const SLAB_SLACK: f64 = 1.1;
+const TASKS: f64 = 8.0;
+/// Both halves of a receiver filter that is not known yet, seconds.
+const FILTER_S: f64 = 2e-3;
 
 /// Whether echoes are stretched at all.
 fn motion_matters(doppler: DopplerModel) -> bool {
     doppler != DopplerModel::None
+}
+
+/// How long slabs are, samples, and about how many have echoes: of what costs little more than the least, the most there are, so that no thread
+/// waits long for the last.
+fn slabs(spec: &Spec, stretches: usize) -> Result<(usize, f64), Refusal> {
+    let rate_hz = spec.sample_rate_hz;
+    // Echoes that begin near a slab's end last beyond it, and the filter adds to both.
+    let filter_s = spec.filter.map_or(FILTER_S, |filter| 2.0 * filter.half_s());
+    let spent = rate_hz * (spec.pulse.duration_s + filter_s) + 2.0;
+    let silent = rate_hz * 2.0 * spec.bounds.nearest_m / spec.sound_speed_m_per_s;
+    let heard = (spec.samples as f64 - silent).max(1.0) + spent;
+    let sizes = (LEAST_SLAB..=MOST_SLAB).step_by(BLOCK).filter(|size| {
+        let odd = size >> size.trailing_zeros();
+        [1, 3, 5].contains(&odd) && *size as f64 >= MOST_SPENT * spent
+    });
+    let sized = sizes.map(|size| {
+        let slabs = (heard / (size as f64 - spent)).ceil();
+        (size, slabs, slabs * (size as f64 + TASK_SAMPLES))
+    });
+    let least = sized
+        .clone()
+        .map(|(_, _, cost)| cost)
+        .fold(f64::INFINITY, f64::min);
+    let enough = |&(_, slabs, _): &(usize, f64, f64)| slabs * stretches as f64 >= TASKS;
+    let cheap = sized
+        .clone()
+        .filter(|(_, _, cost)| *cost <= SLAB_SLACK * least);
+    let best = cheap
+        .clone()
+        .filter(enough)
+        .min_by(|a, b| a.2.total_cmp(&b.2));
+    best.or_else(|| cheap.max_by(|a, b| a.1.total_cmp(&b.1)))
+        .map(|(size, slabs, _)| (size, slabs))
+        .ok_or(Refusal::SlabTooShort {
+            rate_hz,
+            samples: MOST_SLAB,
+        })
 }
 
 /// The cheapest fineness that keeps the tolerance.
@@ -236,22 +284,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     // Where the rest is not small either, the kernels leave it room.
     let kernel_share = if tolerance < 1e-4 { 0.42 } else { 0.78 };
-    // A third of a slab at most goes to echoes that begin near its end.
-    let mut slab_samples = 1024;
-    while (slab_samples as f64) < 3.0 * rate_hz * (pulse.duration_s + 2e-3) {
-        slab_samples *= 2;
-        if slab_samples > MOST_SLAB {
-            return Err(Refusal::SlabTooShort {
-                rate_hz,
-                samples: slab_samples,
-            });
-        }
-    }
     let stretches = array.elements.div_ceil(stretch);
-    let slabs = {
-        let spent = rate_hz * pulse.duration_s;
-        (spec.samples as f64 / (slab_samples as f64 - spent)).ceil()
-    };
+    let (slab_samples, slabs) = slabs(spec, stretches)?;
     let echoes = (spec.scatterers * stretches) as f64;
     let element_slabs = array.elements as f64 * slabs;
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.

@@ -192,6 +192,26 @@ impl LineSource for LineEchoes<'_> {
         self.lit.len() as u64
     }
 
+    fn earliest_s(&self) -> f64 {
+        let nearest_m = self.lit.batch_range_m.iter();
+        let nearest_m =
+            nearest_m.fold(f64::INFINITY, |least, &(nearest_m, _)| least.min(nearest_m));
+        if !nearest_m.is_finite() {
+            return f64::INFINITY;
+        }
+        let c = self.plan.sound_speed_m_per_s;
+        self.with_work(|work| {
+            let track = &mut work.track;
+            track
+                .middle
+                .lay_at(self.plan, &self.lit.transmit, self.array, 0.0);
+            let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
+            // What begins later than from the transmitter's place need not be looked at.
+            let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
+            (2.0 * nearest_m - reach_m * (1.0 + 1e-9)) * (1.0 - 1e-9) / c
+        })
+    }
+
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink) {
         self.with_work(|work| line_survey(self.plan, self.array, stretch, self.lit, work, sink));
     }
