@@ -2,7 +2,6 @@
 
 use std::sync::LazyLock;
 
-use super::abreast::lanes_for;
 use super::band::LEAST_WINDOW;
 use super::doppler::{DopplerGrid, DopplerSpan, MAX_ORDER, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
@@ -69,8 +68,8 @@ pub const NS_PER_LANE_VALUE: f64 = 2.0;
 /// Error that the grid of Dopplers may leave at any instant of the echo that it serves worst, as a share of the tolerance.
 const WORST_SHARE: f64 = 0.5;
 
-/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 17 degrees to either hand, from a platform at full speed.
-const TYPICAL_SPAN: f64 = 0.3;
+/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 16 degrees to either hand, from a platform at full speed.
+const TYPICAL_SPAN: f64 = 0.275;
 
 /// Of the tolerance, what each term of the series in the curvature may leave.
 const TERM_SHARE: f64 = 0.1;
@@ -105,9 +104,10 @@ pub fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
 }
 
 /// Cells of the grids that are tried.
-const TRIAL_CELLS: [usize; 28] = [
-    1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128,
-    160, 200, 256,
+const TRIAL_CELLS: [usize; 52] = [
+    1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 32, 34,
+    35, 36, 37, 38, 39, 40, 42, 44, 46, 48, 52, 56, 60, 64, 72, 80, 88, 96, 112, 128, 144, 160,
+    184, 208, 232, 256,
 ];
 
 /// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.
@@ -162,9 +162,8 @@ impl Trials<'_> {
     }
 
     fn cost(&self, grid: &DopplerGrid) -> f64 {
-        let columns = grid.columns_of(TYPICAL_SPAN);
         // What is saved where a ping's Dopplers take up less counts a little.
-        let lanes = lanes_for(columns) as f64 + 0.1 * columns as f64;
+        let lanes = grid.typical_lanes(TYPICAL_SPAN) + 0.1 * grid.columns_of(TYPICAL_SPAN) as f64;
         lanes * NS_PER_LANE_VALUE * self.grid as f64
     }
 

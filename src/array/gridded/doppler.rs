@@ -31,6 +31,7 @@
 
 use num_complex::Complex64;
 
+use super::abreast::lanes_for;
 use super::dialect::{Dialect, Kind};
 use super::kernel::Kernel;
 use super::least_squares::Matrix;
@@ -195,6 +196,14 @@ impl DopplerGrid {
     pub fn columns_of(&self, share: f64) -> usize {
         let cells = (share * self.cells as f64).ceil() as usize + 1;
         cells.min(self.cells) + self.taps - 1
+    }
+
+    /// Lanes that echoes take whose Dopplers take up this share of the span, on the average of where it lies.
+    pub fn typical_lanes(&self, share: f64) -> f64 {
+        let touched = share * self.cells as f64;
+        let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
+        let least = touched as usize + 1;
+        lanes_of(least) + touched.fract() * (lanes_of(least + 1) - lanes_of(least))
     }
 
     /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
