@@ -26,6 +26,9 @@ pub const LANES: usize = 8;
 /// Neighbouring rows transformed together, at most: 32 KB of 16 columns in f32.
 const SHORT: usize = 256;
 
+/// Lanes that are transformed together, at most: in f32 a vector full, and tables of twenty thousand rows in the second cache.
+pub const MOST_TOGETHER: usize = 16;
+
 /// Columns to lanes.
 pub fn lanes_for(columns: usize) -> usize {
     columns.next_multiple_of(LANES)
@@ -60,8 +63,10 @@ pub struct Job<'a, T> {
     pub table: &'a mut [T],
     pub lanes: usize,
     pub places: &'a [Place],
-    /// `[place][2 * lanes]`
+    /// `[place][2 * template_lanes]`; the table's are those from `first_template` on.
     pub templates: &'a [T],
+    pub template_lanes: usize,
+    pub first_template: usize,
     pub spectrum: &'a mut [Complex<T>],
     pub scratch: &'a mut [T],
 }
@@ -142,7 +147,16 @@ impl<T: Real> Abreast<T> {
         );
         let width = 2 * job.lanes;
         assert!(job.table.len() >= self.size * width, "rows");
-        assert_eq!(job.templates.len(), job.places.len() * width, "templates");
+        let of_templates = 2 * job.template_lanes;
+        assert_eq!(
+            job.templates.len(),
+            job.places.len() * of_templates,
+            "templates"
+        );
+        assert!(
+            job.first_template + job.lanes <= job.template_lanes,
+            "templates' lanes"
+        );
         assert!(job.scratch.len() >= self.scratch_len(), "scratch");
         assert!(
             job.places.is_sorted_by_key(|place| place.row)
@@ -182,7 +196,11 @@ impl<T: Real> Abreast<T> {
                 let turns = self.turns.get_unchecked(j * long..(j + 1) * long);
                 self.long.run_turned::<V>(rows, scratch, turns);
             }
-            let templates = job.templates.as_ptr().add(first);
+            let templates = job
+                .templates
+                .as_ptr()
+                .wrapping_add(job.first_template + first);
+            let of_templates = 2 * job.template_lanes;
             let zero = Pair::<V>::splat(Complex::new(T::zero(), T::zero()));
             let mut place = 0;
             for block in (0..self.size).step_by(short) {
@@ -191,10 +209,9 @@ impl<T: Real> Abreast<T> {
                 while let Some(Place { row, to }) = job.places.get(place)
                     && (*row as usize) < block + short
                 {
-                    let template = templates.add(place * width);
-                    let product = table
-                        .at::<V>(*row as usize)
-                        .times(Pair::load(template, template.add(job.lanes)));
+                    let template = templates.add(place * of_templates);
+                    let template = Pair::load(template, template.add(job.template_lanes));
+                    let product = table.at::<V>(*row as usize).times(template);
                     let to = &mut job.spectrum[*to as usize];
                     *to = *to + V::sums(product.re, product.im);
                     place += 1;
@@ -757,6 +774,8 @@ mod tests {
                         lanes,
                         places: &places,
                         templates: &templates,
+                        template_lanes: lanes,
+                        first_template: 0,
                         spectrum: &mut spectrum,
                         scratch: &mut vec![T::zero(); abreast.scratch_len()],
                     };

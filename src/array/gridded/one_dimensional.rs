@@ -25,7 +25,7 @@ use num_complex::{Complex, Complex64};
 use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
-use super::abreast::{Abreast, Job, LANES, Place, lanes_for};
+use super::abreast::{Abreast, Job, LANES, MOST_TOGETHER, Place, lanes_for};
 use super::band::{band, widest};
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, SHARE,
@@ -562,7 +562,7 @@ struct Work<M: Real, G: Real> {
     column: Vec<Complex<G>>,
     spectrum: Vec<Complex<G>>,
     scratch: Vec<Complex<G>>,
-    /// Several columns as they are transformed, where moments are something else.
+    /// Several columns as they are transformed, where moments are something else or there are many.
     wide: Vec<G::Row>,
     wide_scratch: Vec<G::Row>,
     /// Of this element.
@@ -622,11 +622,14 @@ impl<M: Real, G: Real> Work<M, G> {
             .max(plan.inverse.get_inplace_scratch_len());
         let one = plan.terms.iter().any(|t| t.columns.grid.columns == 1);
         let widest = terms.iter().map(|term| term.lanes).fold(0, usize::max);
-        let apart = TypeId::of::<M>() != TypeId::of::<G>();
+        let apart = TypeId::of::<M>() != TypeId::of::<G>() || widest > together::<G>();
         let (wide, wide_scratch) = match &plan.columnwise {
             None => (0, 0),
             Some(columnwise) => (
-                if apart { 2 * widest * plan.grid } else { 0 },
+                match apart {
+                    true => 2 * together::<G>() * plan.grid,
+                    false => 0,
+                },
                 columnwise.transform.scratch_len(),
             ),
         };
@@ -649,6 +652,11 @@ impl<M: Real, G: Real> Work<M, G> {
             plan,
         }
     }
+}
+
+/// Lanes that are laid together to be transformed.
+fn together<G: Real>() -> usize {
+    MOST_TOGETHER * size_of::<f32>() / size_of::<G>()
 }
 
 /// Rows of storage that hold so many numbers.
@@ -802,31 +810,44 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 *value = *value + *beyond;
             }
             rest.fill(M::zero());
-            let table = match same::<M, G>(table) {
-                Some(table) => table,
-                None => {
-                    let wide = &mut G::numbers(&mut self.wide)[..width * plan.grid];
-                    for (wide, value) in wide.iter_mut().zip(M::numbers(&mut term.table)) {
-                        *wide = G::narrow((*value).into());
-                        *value = M::zero();
-                    }
-                    wide
-                }
-            };
             let templates = &G::numbers(&mut term.templates)[..width * columnwise.places.len()];
-            G::transform(
-                plan.dialect,
-                &columnwise.transform,
-                Job {
+            let mut transform = |table: &mut [G], lanes: usize, first_template: usize| {
+                let job = Job {
                     table,
-                    lanes: term.lanes,
+                    lanes,
                     places: &columnwise.places,
                     templates,
+                    template_lanes: term.lanes,
+                    first_template,
                     spectrum: &mut self.spectrum,
                     scratch: G::numbers(&mut self.wide_scratch),
-                },
-            );
-            // The transform has emptied the table.
+                };
+                G::transform(plan.dialect, &columnwise.transform, job);
+            };
+            let most = together::<G>();
+            let direct = TypeId::of::<M>() == TypeId::of::<G>() && term.lanes <= most;
+            if direct && let Some(table) = same::<M, G>(table) {
+                transform(table, term.lanes, 0);
+            } else {
+                // Some at a time, closer together.
+                for first in (0..term.lanes).step_by(most) {
+                    let lanes = most.min(term.lanes - first);
+                    let wide = &mut G::numbers(&mut self.wide)[..2 * lanes * plan.grid];
+                    let rows = wide.chunks_exact_mut(2 * lanes);
+                    for (wide, row) in rows.zip(table.chunks_exact(width)) {
+                        let (re, im) = wide.split_at_mut(lanes);
+                        for (wide, value) in re.iter_mut().zip(&row[first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                        for (wide, value) in im.iter_mut().zip(&row[term.lanes + first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                    }
+                    transform(wide, lanes, first);
+                }
+                table.fill(M::zero());
+            }
+            // The table is empty again.
             term.used = false;
         }
         plan.inverse
