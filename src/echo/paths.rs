@@ -314,6 +314,34 @@ impl ElementTrack {
         }
     }
 
+    /// The element's motion when each of up to [`CHUNK`] echoes arrives, as Doppler sees it: velocity and acceleration, axis by axis.
+    pub fn motions_at(&self, plan: &PingPlan, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
+        let n = times_s.len().min(CHUNK);
+        let (least_s, greatest_s) = ends(&times_s[..n]);
+        let (first, leg) = self.leg_at(least_s);
+        let (last, _) = self.leg_at(greatest_s);
+        if plan.model.path != PathModel::Continuous && first == last {
+            let (v, a) = (
+                leg.doppler.velocity_m_per_s.to_array(),
+                leg.doppler.acceleration_m_per_s2.to_array(),
+            );
+            for axis in 0..3 {
+                for (moving, time_s) in moving[axis][..n].iter_mut().zip(times_s) {
+                    *moving = v[axis] + a[axis] * (time_s - leg.start_s);
+                }
+                moving[3 + axis][..n].fill(a[axis]);
+            }
+            return;
+        }
+        for (i, &time_s) in times_s[..n].iter().enumerate() {
+            let motion = self.motion_at(plan, time_s);
+            let (v, a) = (motion.velocity_m_per_s, motion.acceleration_m_per_s2);
+            for (axis, value) in [v.x, v.y, v.z, a.x, a.y, a.z].into_iter().enumerate() {
+                moving[axis][i] = value;
+            }
+        }
+    }
+
     /// The element's motion when an echo arrives, as Doppler sees it.
     pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {
@@ -330,6 +358,26 @@ impl ElementTrack {
             acceleration_m_per_s2,
         }
     }
+}
+
+/// Least and greatest, several at a time. What is no number is neither.
+fn ends(values: &[f64]) -> (f64, f64) {
+    const SIDE_BY_SIDE: usize = 8;
+    let mut least = [f64::INFINITY; SIDE_BY_SIDE];
+    let mut greatest = [f64::NEG_INFINITY; SIDE_BY_SIDE];
+    let mut look = |values: &[f64]| {
+        for ((least, greatest), &value) in least.iter_mut().zip(&mut greatest).zip(values) {
+            *least = if value < *least { value } else { *least };
+            *greatest = if value > *greatest { value } else { *greatest };
+        }
+    };
+    let (eights, rest) = values.as_chunks::<SIDE_BY_SIDE>();
+    eights.iter().for_each(|eight| look(eight));
+    look(rest);
+    (
+        least.into_iter().fold(f64::INFINITY, f64::min),
+        greatest.into_iter().fold(f64::NEG_INFINITY, f64::max),
+    )
 }
 
 /// Up to [`CHUNK`] scatterers relative to the transmit position, metres; `range_m` is their distance from it.

@@ -592,14 +592,7 @@ fn stretch_twice(
     heard: &mut Heard,
 ) {
     let n = batch.range_m.len().min(CHUNK);
-    let moving = &mut heard.moving;
-    for (i, &delay_s) in rays.delay_s[..n].iter().enumerate() {
-        let motion = track.motion_at(plan, delay_s);
-        let (v, a) = (motion.velocity_m_per_s, motion.acceleration_m_per_s2);
-        for (axis, value) in [v.x, v.y, v.z, a.x, a.y, a.z].into_iter().enumerate() {
-            moving[axis][i] = value;
-        }
-    }
+    track.motions_at(plan, &rays.delay_s[..n], &mut heard.moving);
     let middle = Middle {
         c: plan.sound_speed_m_per_s,
         half_s: 0.5 * plan.pulse.duration_s,

@@ -144,6 +144,8 @@ fn random(given: &Arguments) -> String {
         method: Method,
         cell: Cell,
         about: String,
+        /// By what the reference half as dense is off, in noise.
+        doubt: f64,
     }
     // f32 and f64, sharp and smooth; the truth itself is good to 4e-8.
     let tolerances = &TOLERANCES[..6];
@@ -153,6 +155,7 @@ fn random(given: &Arguments) -> String {
             let case = case::random(seed);
             let truth = measure::truth(&case);
             let about = case::describe(&case);
+            let doubt = measure::doubt(&case, &truth).in_noise;
             let mut found = Vec::new();
             for method in Method::of(&case).filter(|m| asked(*m, given)) {
                 for cell in Row::of(method, &case, &truth, tolerances).cells {
@@ -160,6 +163,7 @@ fn random(given: &Arguments) -> String {
                         method,
                         cell,
                         about: about.clone(),
+                        doubt,
                     });
                 }
             }
@@ -171,26 +175,43 @@ fn random(given: &Arguments) -> String {
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);
-    text += "\nabove in noise, the worst of each:\n";
+    // What the reference half as dense is off by is not known of the truth either.
+    let misses = |method| {
+        let of = move |one: &&One| one.method == method && !one.cell.holds(|e| e.in_noise);
+        all.iter()
+            .filter(of)
+            .filter_map(|one| Some((one.cell.outcome.as_ref().ok()?, one)))
+    };
+    let beyond = |(m, one): &(&Measured, &One)| m.error.in_noise - one.doubt > one.cell.tolerance;
+    text += "\nabove in noise by more than the reference half as dense is off:";
+    for method in Method::ALL {
+        let (above, of) = (
+            misses(method).filter(beyond).count(),
+            misses(method).count(),
+        );
+        if of > 0 {
+            text += &format!(" {} {above} of {of};", method.name());
+        }
+    }
+    text += "\nthe worst of each, beyond that if any is:\n";
     for method in Method::ALL {
         for &tolerance in tolerances {
-            let misses = all.iter().filter(|one| {
-                let here = one.method == method && one.cell.tolerance == tolerance;
-                here && !one.cell.holds(|e| e.in_noise)
-            });
-            let misses: Vec<(&Measured, &One)> = misses
-                .filter_map(|one| Some((one.cell.outcome.as_ref().ok()?, one)))
-                .collect();
+            let here = |found: &(&Measured, &One)| found.1.cell.tolerance == tolerance;
+            let mut misses: Vec<(&Measured, &One)> = misses(method).filter(here).collect();
+            let count = misses.len();
+            if misses.iter().any(beyond) {
+                misses.retain(beyond);
+            }
             let in_noise = |m: &Measured| m.error.in_noise;
             let worst = misses
                 .iter()
                 .max_by(|a, b| in_noise(a.0).total_cmp(&in_noise(b.0)));
             if let Some((m, one)) = worst {
                 text += &format!(
-                    "{} at {tolerance:.0e}, {} answers: {:.1e} in noise, {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
+                    "{} at {tolerance:.0e}, {count} answers: {:.1e} in noise (the reference {:.1e}), {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
                     method.name(),
-                    misses.len(),
                     m.error.in_noise,
+                    one.doubt,
                     m.error.beside,
                     m.predicted,
                     m.chosen.text(),

@@ -4,10 +4,7 @@ use std::arch::x86_64::*;
 
 use num_complex::{Complex32, Complex64};
 
-use super::kernel::MAX_WIDTH;
-use super::moments::{
-    Across, BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, STRIP, Shared, along,
-};
+use super::moments::{BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, Shared};
 use super::prepare::Sharing;
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
@@ -190,86 +187,6 @@ pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [C
                 }
             }
             row = row.add(24);
-        }
-    }
-}
-
-/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
-#[target_feature(enable = "avx2,fma")]
-pub unsafe fn spread_32(
-    points: Points<f32>,
-    across: Across<f32>,
-    weights: &FlushWeights<f32>,
-    rows: &mut [Row32],
-) {
-    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
-    // next value's rows. All slices have a value per point, at most BLOCK.
-    unsafe {
-        let mut values = [[0f32; STRIP]; MAX_WIDTH];
-        let table = rows.as_mut_ptr().cast::<f32>();
-        let step = 2 * across.stride;
-        for j in 0..points.cell.len() {
-            if j % STRIP == 0 {
-                let end = points.x.len().min(j + STRIP);
-                along(points.x.get_unchecked(j..end), weights, &mut values);
-            }
-            let lane = 2 * *across.column.get_unchecked(j) as usize;
-            let shares = across.value.as_ptr().add(j).cast::<f32>();
-            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let (re, im) = (_mm256_loadu_ps(shares), _mm256_loadu_ps(shares.add(8)));
-            let (low, high) = (_mm256_unpacklo_ps(re, im), _mm256_unpackhi_ps(re, im));
-            let row = [
-                _mm256_permute2f128_ps::<0x20>(low, high),
-                _mm256_permute2f128_ps::<0x31>(low, high),
-            ];
-            for value in values.get_unchecked(..weights.width) {
-                let value = _mm256_set1_ps(*value.get_unchecked(j % STRIP));
-                for (h, row) in row.iter().enumerate() {
-                    let at = at.add(8 * h);
-                    _mm256_storeu_ps(at, _mm256_fmadd_ps(*row, value, _mm256_loadu_ps(at)));
-                }
-                at = at.wrapping_add(step);
-            }
-        }
-    }
-}
-
-/// SAFETY: the processor must have the features; shapes as `Real::spread` checks them.
-#[target_feature(enable = "avx2,fma")]
-pub unsafe fn spread_64(
-    points: Points<f64>,
-    across: Across<f64>,
-    weights: &FlushWeights<f64>,
-    rows: &mut [Row64],
-) {
-    // SAFETY: the caller vouches for features and shapes: from lane `column` of value cell + i on 8 complex numbers exist, if need be in the
-    // next value's rows. All slices have a value per point, at most BLOCK.
-    unsafe {
-        let mut values = [[0f64; STRIP]; MAX_WIDTH];
-        let table = rows.as_mut_ptr().cast::<f64>();
-        let step = 2 * across.stride;
-        for j in 0..points.cell.len() {
-            if j % STRIP == 0 {
-                let end = points.x.len().min(j + STRIP);
-                along(points.x.get_unchecked(j..end), weights, &mut values);
-            }
-            let lane = 2 * *across.column.get_unchecked(j) as usize;
-            let shares = across.value.as_ptr().add(j).cast::<f64>();
-            let mut at = table.add(*points.cell.get_unchecked(j) as usize * step + lane);
-            let row: [_; MAX_TAPS / 2] = std::array::from_fn(|h| {
-                let at = shares.add(2 * h);
-                let (re, im) = (_mm_loadu_pd(at), _mm_loadu_pd(at.add(MAX_TAPS)));
-                _mm256_set_m128d(_mm_unpackhi_pd(re, im), _mm_unpacklo_pd(re, im))
-            });
-            let row = &row[..across.taps.div_ceil(2)];
-            for value in values.get_unchecked(..weights.width) {
-                let value = _mm256_set1_pd(*value.get_unchecked(j % STRIP));
-                for (h, row) in row.iter().enumerate() {
-                    let at = at.add(4 * h);
-                    _mm256_storeu_pd(at, _mm256_fmadd_pd(*row, value, _mm256_loadu_pd(at)));
-                }
-                at = at.wrapping_add(step);
-            }
         }
     }
 }

@@ -20,7 +20,7 @@ use super::transform::grid_size;
 pub const MOST_BANDS: usize = 8;
 
 /// Least samples of a window.
-const LEAST_WINDOW: f64 = 32.0;
+pub const LEAST_WINDOW: f64 = 32.0;
 
 /// Windows that are weaker than the strongest by more than this are counted against it: a sharp pulse fills every band to that depth.
 const DEEPEST_DB: f64 = 60.0;

@@ -2,11 +2,31 @@
 
 use std::sync::LazyLock;
 
+use super::band::LEAST_WINDOW;
 use super::doppler::{DopplerGrid, DopplerSpan, MAX_ORDER, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
 use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
+
+/// Share of all windows that may be weaker than [`weakening`] says: a ping has some thousands.
+const WEAKEST_WINDOWS: f64 = 1e-4;
+
+/// Part of that weakness which the shares below leave room for.
+const ROOM: f64 = 0.6;
+
+/// By how much echoes that sound together may weaken one another in a window, and with it what errors are measured by: of pulses with many
+/// degrees of freedom (their band times the window) no window is much weaker than the echoes in it, of a pure tone some are. 1 or more.
+///
+/// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power.
+pub fn weakening(spec: &Spec) -> f64 {
+    let pulse = spec.pulse;
+    let window_s = pulse.duration_s.max(LEAST_WINDOW / spec.sample_rate_hz);
+    let freedom = 1.0 + pulse.bandwidth_hz.max(1.0 / pulse.duration_s) * window_s;
+    let weakest =
+        libm::exp((WEAKEST_WINDOWS.ln() + libm::lgamma(freedom + 1.0)) / freedom) / freedom;
+    (ROOM / weakest.sqrt()).max(1.0)
+}
 
 /// What the band leaves out may take this share of the tolerance in the worst window.
 pub const SHARE: f64 = 0.25;
@@ -38,17 +58,18 @@ pub fn delay_kernel<M: Real>(
 
 // Nanoseconds of one core, rough: measured on two processors, within a factor of two.
 pub const NS_PER_ARRIVAL: f64 = 6.0;
-/// Of an arrival on all its values of the grids, per row that a value has.
-pub const NS_PER_ROW: f64 = 6.0;
-/// Of an arrival, per weight on the columns that it goes to.
-const NS_PER_TAP: f64 = 0.2;
+/// Of an arrival that goes to several columns, more.
+pub const NS_PER_SPREAD: f64 = 14.0;
+/// One column.
 pub const NS_PER_GRID_VALUE: f64 = 3.0;
+/// Several, each of the lanes that they take.
+pub const NS_PER_LANE_VALUE: f64 = 2.0;
 
 /// Error that the grid of Dopplers may leave at any instant of the echo that it serves worst, as a share of the tolerance.
-const WORST_SHARE: f64 = 0.35;
+const WORST_SHARE: f64 = 0.5;
 
-/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 17 degrees to either hand, from a platform at full speed.
-const TYPICAL_SPAN: f64 = 0.3;
+/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 16 degrees to either hand, from a platform at full speed.
+const TYPICAL_SPAN: f64 = 0.275;
 
 /// Of the tolerance, what each term of the series in the curvature may leave.
 const TERM_SHARE: f64 = 0.1;
@@ -83,9 +104,10 @@ pub fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
 }
 
 /// Cells of the grids that are tried.
-const TRIAL_CELLS: [usize; 28] = [
-    1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128,
-    160, 200, 256,
+const TRIAL_CELLS: [usize; 52] = [
+    1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 32, 34,
+    35, 36, 37, 38, 39, 40, 42, 44, 46, 48, 52, 56, 60, 64, 72, 80, 88, 96, 112, 128, 144, 160,
+    184, 208, 232, 256,
 ];
 
 /// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.
@@ -112,17 +134,17 @@ pub struct Trials<'a> {
 
 impl Trials<'_> {
     /// The grid for echoes without curvature, or with as much as turns the ends of pulses by `bend_rad`; and its error.
-    pub fn doppler<M: Real>(&self, bend_rad: f64) -> Option<(DopplerGrid, f64)> {
+    pub fn doppler(&self, bend_rad: f64) -> Option<(DopplerGrid, f64)> {
         if self.span.greatest == self.span.least && bend_rad == 0.0 {
             return Some((DopplerGrid::common(self.span), 0.0));
         }
-        self.cheapest::<M>(&self.trial(bend_rad), WORST_SHARE * self.spec.tolerance)
+        self.cheapest(&self.trial(bend_rad), WORST_SHARE * self.spec.tolerance)
     }
 
     /// The grid for a term of the series in the curvature that amounts to `size` at the ends of pulses.
-    pub fn term<M: Real>(&self, size: f64) -> Option<(DopplerGrid, f64)> {
+    pub fn term(&self, size: f64) -> Option<(DopplerGrid, f64)> {
         let (grid, error) =
-            self.cheapest::<M>(&self.trial(0.0), TERM_SHARE * self.spec.tolerance / size)?;
+            self.cheapest(&self.trial(0.0), TERM_SHARE * self.spec.tolerance / size)?;
         Some((grid, error * size))
     }
 
@@ -139,15 +161,14 @@ impl Trials<'_> {
         }
     }
 
-    fn cost<M: Real>(&self, grid: &DopplerGrid) -> f64 {
-        let columns = grid.columns_of(TYPICAL_SPAN);
-        let rows = columns.div_ceil(M::MOMENTS);
-        (rows as f64 * NS_PER_ROW + grid.taps as f64 * NS_PER_TAP) * self.spec.arrivals as f64
-            + columns as f64 * NS_PER_GRID_VALUE * self.grid as f64
+    fn cost(&self, grid: &DopplerGrid) -> f64 {
+        // What is saved where a ping's Dopplers take up less counts a little.
+        let lanes = grid.typical_lanes(TYPICAL_SPAN) + 0.1 * grid.columns_of(TYPICAL_SPAN) as f64;
+        lanes * NS_PER_LANE_VALUE * self.grid as f64
     }
 
     /// The cheapest grid that leaves no instant of an echo more than `share`, and what it leaves.
-    fn cheapest<M: Real>(&self, trial: &Trial, share: f64) -> Option<(DopplerGrid, f64)> {
+    fn cheapest(&self, trial: &Trial, share: f64) -> Option<(DopplerGrid, f64)> {
         let common = DopplerGrid::common(self.span);
         let alone = trial.worst(&common);
         if alone <= share {
@@ -159,10 +180,10 @@ impl Trials<'_> {
         for kernel in &*TRIAL_KERNELS {
             // The finer the better, give or take: the coarsest that is enough is found by halving.
             let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(self.span, cells, kernel));
-            let affordable = grids.partition_point(|g| self.cost::<M>(g) < held);
+            let affordable = grids.partition_point(|g| self.cost(g) < held);
             let first = grids[..affordable].partition_point(|g| !enough(g));
             if first < affordable {
-                held = self.cost::<M>(&grids[first]);
+                held = self.cost(&grids[first]);
                 best = Some((grids[first].clone(), trial.worst(&grids[first])));
             }
         }

@@ -31,6 +31,7 @@
 
 use num_complex::Complex64;
 
+use super::abreast::lanes_for;
 use super::dialect::{Dialect, Kind};
 use super::kernel::Kernel;
 use super::least_squares::Matrix;
@@ -197,10 +198,25 @@ impl DopplerGrid {
         cells.min(self.cells) + self.taps - 1
     }
 
+    /// Lanes that echoes take whose Dopplers take up this share of the span, on the average of where it lies.
+    pub fn typical_lanes(&self, share: f64) -> f64 {
+        let touched = share * self.cells as f64;
+        let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
+        let least = touched as usize + 1;
+        lanes_of(least) + touched.fract() * (lanes_of(least + 1) - lanes_of(least))
+    }
+
     /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
     #[inline(always)]
     pub fn place(&self, doppler: f64) -> (usize, f64) {
         let position = (doppler * self.per_doppler + self.offset).clamp(0.0, self.cells as f64);
+        let cell = (position as usize).min(self.cells - 1);
+        (cell, 2.0 * (position - cell as f64) - 1.0)
+    }
+
+    /// Cell and place across it of what lies at `share` of the span.
+    fn cell_of(&self, share: f64) -> (usize, f64) {
+        let position = share * self.cells as f64;
         let cell = (position as usize).min(self.cells - 1);
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
@@ -213,12 +229,9 @@ impl DopplerGrid {
     /// The same of weights whose powers are `polynomials`.
     fn matrix(&self, shares: &[f64], polynomials: &Polynomials) -> Matrix {
         Matrix::from_fn(shares.len(), self.columns, |s, column| {
-            let position = shares[s] * self.cells as f64;
-            let cell = position as usize;
+            let (cell, x) = self.cell_of(shares[s]);
             match column.checked_sub(cell) {
-                Some(tap) if tap < self.taps => {
-                    value_of(polynomials, tap, 2.0 * (position - cell as f64) - 1.0)
-                }
+                Some(tap) if tap < self.taps => value_of(polynomials, tap, x),
                 _ => 0.0,
             }
         })
@@ -250,11 +263,17 @@ impl DopplerGrid {
     }
 }
 
-/// Where `count` Dopplers evenly over a span lie, half a step from its ends.
-fn even_shares(count: usize) -> Vec<f64> {
+/// Where `count` Dopplers lie over a span, its ends among them and closest there: a fit is worst at ends.
+fn fitted_shares(count: usize) -> Vec<f64> {
+    let step_rad = std::f64::consts::PI / (count - 1) as f64;
     (0..count)
-        .map(|s| (s as f64 + 0.5) / count as f64)
+        .map(|s| 0.5 - 0.5 * libm::cos(s as f64 * step_rad))
         .collect()
+}
+
+/// As many evenly, ends included: where a fit is looked at.
+fn even_shares(count: usize) -> Vec<f64> {
+    (0..count).map(|s| s as f64 / (count - 1) as f64).collect()
 }
 
 /// The Dopplers there.
@@ -291,11 +310,12 @@ impl Trial {
             };
             return fewer.worst(&grid.with_cells(MOST_TRIAL_CELLS));
         }
-        // As many Dopplers as the fit has.
+        // As many Dopplers as the fit has, and twice as many to look at.
         let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
-        let shares = even_shares(count);
+        let fitted = fitted_shares(count);
+        let fit = grid.weights_at(&fitted).pseudo_inverse();
+        let shares = even_shares(2 * count);
         let weights = grid.weights_at(&shares);
-        let fit = weights.pseudo_inverse();
         let theta = std::f64::consts::PI * self.turns / grid.cells as f64;
         let bent = (self.bend_rad > 0.0 && theta > 0.0).then(|| grid.bent(theta, self.sweep));
         let parts: Vec<(Matrix, f64)> = match &bent {
@@ -311,15 +331,15 @@ impl Trial {
             let wave = |share: &f64| {
                 Complex64::cis(std::f64::consts::TAU * self.turns * u * (share - 0.5))
             };
-            let wanted: Vec<Complex64> = shares.iter().map(wave).collect();
+            let wanted: Vec<Complex64> = fitted.iter().map(wave).collect();
             let columns: Vec<Complex64> = (0..grid.columns)
                 .map(|column| {
                     let pairs = fit.row(column).iter().zip(&wanted);
                     pairs.fold(Complex64::ZERO, |sum, (p, s)| sum + s * p)
                 })
                 .collect();
-            for (s, want) in wanted.iter().enumerate() {
-                let cell = ((shares[s] * grid.cells as f64) as usize).min(grid.cells - 1);
+            for (s, share) in shares.iter().enumerate() {
+                let (want, cell) = (wave(share), grid.cell_of(*share).0);
                 let through = |weights: &Matrix| -> Complex64 {
                     (cell..cell + grid.taps)
                         .map(|column| columns[column] * weights.at(s, column))
@@ -365,7 +385,7 @@ pub fn templates(
 ) -> Vec<Complex64> {
     let bins = frequency_hz.len();
     let count = grid.sample_count(received.carrier_hz, received.duration_s);
-    let shares = even_shares(count);
+    let shares = fitted_shares(count);
     let fitting = Fitting {
         dopplers: dopplers(grid.span, &shares),
         fit: grid.weights_at(&shares).pseudo_inverse(),

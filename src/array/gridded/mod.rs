@@ -1,7 +1,8 @@
 //! Fast synthesis on a grid: a nonuniform Fourier transform per element.
 //!
 //! Read [`kernel`] (the idea), [`moments`] (the loops), [`transform`] (both joined), then [`one_dimensional`], the engine itself, with
-//! [`doppler`] and [`pulse_spectrum`] beside it; `choose` and `band` turn a tolerance into sizes.
+//! [`doppler`], `abreast` and [`pulse_spectrum`] beside it; `choose` and `band` turn a tolerance into sizes.
+mod abreast;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -12,6 +13,7 @@ pub mod dialect;
 pub mod doppler;
 pub mod foreseen;
 pub mod kernel;
+mod lanes;
 mod least_squares;
 pub mod moments;
 pub mod one_dimensional;

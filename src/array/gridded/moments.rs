@@ -3,8 +3,8 @@
 //! In: points located in cells. Per point one aligned row of a table of moments gets c x^k added, whatever the kernel's width; nothing is
 //! sorted ([`Real::accumulate`]). Out: grid values, by a (width x moments) matrix per cell ([`Real::flush`]).
 //! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
-//! ([`Real::spread`]), with the columns of the second dimension side by side, so that a point's share of all of them is one addition per
-//! tap of the first.
+//! ([`Real::spread`]), with the columns of the second dimension side by side, so that a point's share of all of them is two additions per
+//! tap of the first ([`super::abreast`]).
 //!
 //! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
@@ -12,6 +12,7 @@
 use echotank_fft::Planned;
 use num_complex::{Complex, Complex32, Complex64};
 
+use super::abreast::{Abreast, Job};
 use super::dialect::{Dialect, Kind};
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::prepare::{Sharing, share_plain};
@@ -49,8 +50,8 @@ pub struct Across<'a, T> {
     pub column: &'a [u32],
     pub value: &'a [Shared<T>],
     pub taps: usize,
-    /// Lanes from one value of the first dimension to the next: column q of value v is lane `v * stride + q` of all, [`Real::MOMENTS`] to a row.
-    pub stride: usize,
+    /// Columns of a table: of row v the real part of column q is number `2 v lanes + q`, the imaginary one `lanes` on.
+    pub lanes: usize,
 }
 
 /// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
@@ -82,17 +83,21 @@ pub trait Real: Planned + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds every point's values across to a few of many grids: tap i of column q to lane q of value `cell + i`. May add zeros to the next
-    /// [`MAX_TAPS`] lanes. Panics where the rows end before that. The points' amplitudes are not looked at.
+    /// Adds every point's values across to a few of many grids: tap i of column q to row `cell + i` of the table. May add zeros to the next
+    /// [`MAX_TAPS`] numbers. Panics where the table ends before that. The points' amplitudes are not looked at.
     fn spread(
         dialect: Dialect,
         points: Points<Self>,
         across: Across<Self>,
         weights: &FlushWeights<Self>,
-        rows: &mut [Self::Row],
+        table: &mut [Self],
     );
 
-    fn lane(row: &Self::Row, lane: usize) -> Complex<Self>;
+    /// What rows are made of, one number after another.
+    fn numbers(rows: &mut [Self::Row]) -> &mut [Self];
+
+    /// All columns of a table into a spectrum; the table is empty afterwards.
+    fn transform(dialect: Dialect, abreast: &Abreast<Self>, job: Job<Self>);
 
     /// The values of points across: their amplitudes times weights read from a table. Panics where entries are missing.
     fn share<const BENT: bool>(
@@ -109,12 +114,6 @@ pub struct FlushWeights<T> {
     /// `[k][2 i]` and `[k][2 i + 1]`: of tap i for moment k.
     pub doubled: Vec<[T; 2 * MAX_WIDTH]>,
 }
-
-/// Points whose weights on the values of the first dimension are worked out together.
-pub const STRIP: usize = 64;
-
-/// Those weights: `[i][point]`.
-pub type Along<T> = [[T; STRIP]; MAX_WIDTH];
 
 impl<T: Real> FlushWeights<T> {
     pub fn new(kernel: &Kernel) -> Self {
@@ -228,34 +227,8 @@ fn check_weights<T: Real>(weights: &FlushWeights<T>) {
     assert_eq!(weights.doubled.len(), T::MOMENTS, "weights for each moment");
 }
 
-/// What the vector loops rely on: every lane that any point adds to, and up to [`MAX_TAPS`] from its first column on, exists.
-fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, rows: usize) {
-    let len = points.cell.len();
-    assert_eq!(across.column.len(), len, "columns");
-    assert_eq!(across.value.len(), len, "values");
-    assert!(
-        (1..=MAX_TAPS).contains(&across.taps),
-        "{} taps",
-        across.taps
-    );
-    let greatest = |v: &[u32]| v.iter().fold(0, |a, &b| a.max(b)) as usize;
-    let last_column = greatest(across.column) + across.taps;
-    assert!(
-        last_column <= across.stride,
-        "column {last_column} of {}",
-        across.stride
-    );
-    let last_cell = greatest(points.cell) + width;
-    // One value more: what reaches past the last column lies in the next one's lanes.
-    assert!(
-        (last_cell + 1) * across.stride + MAX_TAPS <= rows * T::MOMENTS,
-        "value {last_cell}, {} lanes each, in {rows} rows",
-        across.stride
-    );
-}
-
 macro_rules! real {
-    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident, $share:ident) => {
+    ($real:ty, $row:ty, $complex:ty, $moments:literal, $accumulate:ident, $flush:ident, $spread:ident, $transform:ident, $share:ident) => {
         impl Real for $real {
             type Row = $row;
             const MOMENTS: usize = $moments;
@@ -297,31 +270,26 @@ macro_rules! real {
                 }
             }
 
-            #[inline(always)]
-            fn lane(row: &$row, lane: usize) -> $complex {
-                Complex::new(row.0[2 * lane], row.0[2 * lane + 1])
-            }
-
             fn spread(
                 dialect: Dialect,
                 points: Points<Self>,
                 across: Across<Self>,
                 weights: &FlushWeights<Self>,
-                rows: &mut [$row],
+                table: &mut [Self],
             ) {
                 check_points(&points);
                 check_weights(weights);
-                check_spread(&points, &across, weights.width, rows.len());
-                match dialect.kind() {
-                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; all checked above.
-                    #[cfg(target_arch = "x86_64")]
-                    Kind::Avx512 => unsafe {
-                        super::avx512::$spread(points, across, weights, rows)
-                    },
-                    #[cfg(target_arch = "x86_64")]
-                    Kind::Avx2 => unsafe { super::avx2::$spread(points, across, weights, rows) },
-                    _ => spread_plain(points, across, weights, rows),
-                }
+                super::abreast::$spread(dialect, points, across, weights, table);
+            }
+
+            fn numbers(rows: &mut [$row]) -> &mut [Self] {
+                let len = 2 * $moments * rows.len();
+                // SAFETY: a row is so many numbers and, its length being a multiple of its alignment, nothing else.
+                unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), len) }
+            }
+
+            fn transform(dialect: Dialect, abreast: &Abreast<Self>, job: Job<Self>) {
+                super::abreast::$transform(dialect, abreast, job);
             }
 
             fn share<const BENT: bool>(
@@ -344,6 +312,7 @@ real!(
     accumulate_32,
     flush_32,
     spread_32,
+    transform_32,
     share_32
 );
 real!(
@@ -354,6 +323,7 @@ real!(
     accumulate_64,
     flush_64,
     spread_64,
+    transform_64,
     share_64
 );
 
@@ -414,50 +384,6 @@ fn flush_plain<T: Real, const N: usize>(
     }
 }
 
-/// Weights of all points on the values of the first dimension, by Horner's rule, one tap after another.
-#[inline(always)]
-pub fn along<T: Real>(x: &[T], weights: &FlushWeights<T>, out: &mut Along<T>) {
-    for (i, out) in out[..weights.width].iter_mut().enumerate() {
-        let out = &mut out[..x.len()];
-        out.fill(weights.doubled[T::MOMENTS - 1][2 * i]);
-        for k in (0..T::MOMENTS - 1).rev() {
-            let weight = weights.doubled[k][2 * i];
-            for (sum, &x) in out.iter_mut().zip(x) {
-                *sum = *sum * x + weight;
-            }
-        }
-    }
-}
-
-/// The portable twin of the vector loops.
-fn spread_plain<T: Real, const N: usize>(
-    points: Points<T>,
-    across: Across<T>,
-    weights: &FlushWeights<T>,
-    rows: &mut [Row<T, N>],
-) {
-    let mut values = [[T::default(); STRIP]; MAX_WIDTH];
-    for j in 0..points.cell.len() {
-        if j % STRIP == 0 {
-            let end = points.x.len().min(j + STRIP);
-            along(&points.x[j..end], weights, &mut values);
-        }
-        let column = across.column[j] as usize;
-        let mut first = points.cell[j] as usize * across.stride;
-        for value in &values[..weights.width] {
-            let value = value[j % STRIP];
-            let (re, im) = across.value[j].split_at(MAX_TAPS);
-            for (t, (&re, &im)) in re.iter().zip(im).take(across.taps).enumerate() {
-                let at = 2 * (first + column + t);
-                let row = &mut rows[at / N].0[at % N..][..2];
-                row[0] = row[0] + re * value;
-                row[1] = row[1] + im * value;
-            }
-            first += across.stride;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -470,14 +396,9 @@ mod tests {
         (x >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    type Block<T> = (
-        Located<T>,
-        [Complex<T>; BLOCK],
-        [u32; BLOCK],
-        [Shared<T>; BLOCK],
-    );
+    type Block<T> = (Located<T>, [Complex<T>; BLOCK]);
 
-    /// Points in all cells but the last of `cells`, in columns 0..4.
+    /// Points in all cells but the last of `cells`.
     fn block<T: Real>(cells: usize) -> Block<T> {
         let number = |i: usize| T::narrow(chance(i));
         let below = |i: usize, end: usize| (chance(i).abs() * end as f64) as u32;
@@ -489,8 +410,6 @@ mod tests {
         (
             located,
             std::array::from_fn(|j| Complex::new(number(7 * j + 2), number(7 * j + 3))),
-            std::array::from_fn(|j| below(7 * j + 4, 4)),
-            std::array::from_fn(|j| std::array::from_fn(|t| number(97 * j + t + 5))),
         )
     }
 
@@ -509,7 +428,7 @@ mod tests {
         })
     }
 
-    /// Accumulate and flush, and spread, against their portable twins.
+    /// Accumulate and flush against their portable twins.
     fn every_dialect_agrees<T: Real<Row = Row<T, N>> + Into<f64>, const N: usize>(limit: f64) {
         const CELLS: usize = 23;
         let one = Complex::new(T::one(), T::one());
@@ -532,43 +451,6 @@ mod tests {
                     error < limit,
                     "{dialect:?}, flush, width {width}: {error:e}"
                 );
-
-                for taps in 1..=MAX_TAPS {
-                    let mut value = block.3;
-                    for value in &mut value {
-                        value[taps..MAX_TAPS].fill(T::zero());
-                        value[MAX_TAPS + taps..].fill(T::zero());
-                    }
-                    for stride in [8, T::MOMENTS, 17] {
-                        if 3 + taps > stride {
-                            continue;
-                        }
-                        let across = Across {
-                            column: &block.2,
-                            value: &value,
-                            taps,
-                            stride,
-                        };
-                        let ones = Row([T::one(); N]);
-                        let count = (stride * (CELLS + width) + MAX_TAPS).div_ceil(T::MOMENTS);
-                        let mut want_rows = vec![ones; count];
-                        let mut rows = want_rows.clone();
-                        let points = points(&block, BLOCK);
-                        spread_plain(points, across, &weights, &mut want_rows);
-                        T::spread(dialect, points, across, &weights, &mut rows);
-                        let lanes = |rows: &[Row<T, N>]| -> Vec<Complex<T>> {
-                            rows.iter()
-                                .flat_map(|row| (0..N / 2).map(|lane| T::lane(row, lane)))
-                                .collect()
-                        };
-                        let (grids, want_grids) = (lanes(&rows), lanes(&want_rows));
-                        let error = worst(&grids, &want_grids);
-                        assert!(
-                            error < limit,
-                            "{dialect:?}, {width} x {taps} of {stride}: {error:e}"
-                        );
-                    }
-                }
             }
         }
     }

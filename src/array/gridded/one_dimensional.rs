@@ -25,16 +25,17 @@ use num_complex::{Complex, Complex64};
 use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
+use super::abreast::{Abreast, Job, LANES, MOST_TOGETHER, Place, lanes_for};
 use super::band::{band, widest};
 use super::choose::{
-    NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_ROW, SERIES_SHARE, SHARE, Trials, delay_kernel,
-    series_terms, sweep, weights_bend,
+    NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, SHARE,
+    Trials, delay_kernel, series_terms, sweep, weakening, weights_bend,
 };
 use super::dialect::{Dialect, Kind};
 use super::doppler::{DopplerSpan, Received, templates};
 use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
-use super::moments::{Across, Axis, FlushWeights, Located, MAX_TAPS, Points, Real, locate};
+use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
@@ -52,6 +53,7 @@ const LEAST_TOLERANCE: f64 = 1e-10;
 const MOST_CURVATURE_TIMES_PULSE: f64 = 0.05;
 
 /// What the engine is to be made for.
+#[derive(Clone, Copy)]
 pub struct Spec<'a> {
     pub pulse: &'a Pulse,
     pub sample_rate_hz: f64,
@@ -129,22 +131,25 @@ impl Gridded1d {
             });
         }
         let spread_error = F32_TRANSFORM * 10f64.powf(spec.level_range_db / 20.0);
-        if spec.tolerance < LEAST_F32_MOMENTS {
-            Self::of::<f64, f64>(spec, 0.0, "f64")
-        } else if spread_error > SHARE * spec.tolerance {
-            Self::of::<f32, f64>(spec, 0.0, "f32 moments, f64 transforms")
+        let weakening = weakening(spec);
+        let needed = spec.tolerance / weakening;
+        if needed < LEAST_F32_MOMENTS {
+            Self::of::<f64, f64>(spec, weakening, 0.0, "f64")
+        } else if spread_error > SHARE * needed {
+            Self::of::<f32, f64>(spec, weakening, 0.0, "f32 moments, f64 transforms")
         } else {
-            Self::of::<f32, f32>(spec, spread_error, "f32")
+            Self::of::<f32, f32>(spec, weakening, spread_error, "f32")
         }
     }
 
     fn of<M: Real + Into<f64>, G: Real + Into<f64>>(
         spec: &Spec,
+        weakening: f64,
         spread_error: f64,
         precision: &str,
     ) -> Result<Self, GriddedError> {
-        let plan = Arc::new(Plan::<M, G>::new(spec)?);
-        let error = (plan.error.powi(2) + spread_error.powi(2)).sqrt();
+        let plan = Arc::new(Plan::<M, G>::new(spec, weakening)?);
+        let error = weakening * (plan.error.powi(2) + spread_error.powi(2)).sqrt();
         let bent = match plan.terms.len() {
             1 if plan.frame.bent => ", which carry curvature".into(),
             1 => String::new(),
@@ -234,6 +239,8 @@ struct Plan<M: Real, G: Real> {
     frame: Frame,
     /// Of the series in the curvature; the first is the echo without.
     terms: Vec<Term<M, G>>,
+    /// None where every term has one column.
+    columnwise: Option<Columnwise<G>>,
     /// By which Dopplers of middles may lie outside those of leading edges.
     beside: f64,
     forward: Arc<dyn Fft<G>>,
@@ -243,19 +250,78 @@ struct Plan<M: Real, G: Real> {
 
 struct Term<M: Real, G: Real> {
     columns: Columns<M>,
-    /// `[column * bins + bin]`, lowest frequency first.
-    templates: Vec<Complex<G>>,
+    templates: Templates<G>,
     /// Chunks whose greatest |p| over the plan's is below this do without.
     least_bend: f64,
 }
 
+/// What each column sounds like, and what undoes the kernel.
+enum Templates<G> {
+    /// One column: `[bin]`, lowest frequency first.
+    One(Vec<Complex<G>>),
+    /// `[place][2 * lanes]`, real parts and then imaginary ones; [`LANES`] more than there are columns.
+    Abreast { lanes: usize, numbers: Vec<G> },
+}
+
+/// What the terms of several columns have in common.
+struct Columnwise<G> {
+    transform: Abreast<G>,
+    places: Vec<Place>,
+    /// Of every place.
+    bins: Vec<u32>,
+}
+
+impl<G: Real> Columnwise<G> {
+    fn new(grid: usize, bins: usize, period: usize) -> Self {
+        let transform = Abreast::new(grid);
+        let (mut places, mut of_place) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
+        for (row, frequency) in transform.frequencies().enumerate() {
+            let bin = (frequency + bins / 2) % grid;
+            if bin < bins {
+                // A period more than the band has multiples of: no difference below 0.
+                let to = (bin + bins * period - bins / 2) % period;
+                places.push(Place {
+                    row: row as u32,
+                    to: to as u32,
+                });
+                of_place.push(bin as u32);
+            }
+        }
+        Self {
+            transform,
+            places,
+            bins: of_place,
+        }
+    }
+
+    /// `fitted`: `[column * bins + bin]`, `undo`: `[bin]`.
+    fn templates(&self, fitted: &[Complex64], undo: &[Complex64]) -> Templates<G> {
+        let (bins, columns) = (undo.len(), fitted.len() / undo.len());
+        let lanes = columns + LANES;
+        let mut numbers = vec![G::zero(); self.places.len() * 2 * lanes];
+        for (row, &bin) in numbers.chunks_exact_mut(2 * lanes).zip(&self.bins) {
+            for column in 0..columns {
+                let value = fitted[column * bins + bin as usize] * undo[bin as usize];
+                row[column] = G::narrow(value.re);
+                row[lanes + column] = G::narrow(value.im);
+            }
+        }
+        Templates::Abreast { lanes, numbers }
+    }
+}
+
 impl<M: Real, G: Real> Plan<M, G> {
-    fn new(spec: &Spec) -> Result<Self, GriddedError> {
+    /// `weakening`: see [`weakening()`].
+    fn new(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
+        let spec = &Spec {
+            tolerance: asked.tolerance / weakening,
+            ..*asked
+        };
         let pulse = spec.pulse;
         let rate_hz = spec.sample_rate_hz;
         let carrier_hz = pulse.center_frequency_hz;
         let unreachable = |least| GriddedError::Tolerance {
-            tolerance: spec.tolerance,
+            tolerance: asked.tolerance,
             least,
         };
         let (still, greatest_q) = match spec.doppler {
@@ -292,12 +358,13 @@ impl<M: Real, G: Real> Plan<M, G> {
         let count = terms.ok_or(GriddedError::Curvature {
             curvature_per_s: greatest_q,
             turned_rad: bend_rad,
-            tolerance: spec.tolerance,
+            tolerance: asked.tolerance,
         })?;
         let highest_hz = ((widest(spec.filter.is_some()) + 0.25) * rate_hz + fastest * carrier_hz)
             / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
-        let kept = band(spec, span, &spectrum)?;
+        // There echoes are looked at one by one, in every window.
+        let kept = band(asked, span, &spectrum)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
         // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
@@ -317,13 +384,13 @@ impl<M: Real, G: Real> Plan<M, G> {
         };
         // Of the highest frequency; of the carrier, which weights and templates know, it is a little less.
         let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
-            true => trials.doppler::<M>(bend_rad),
+            true => trials.doppler(bend_rad),
             false => None,
         };
         let weights_carry = bent.is_some();
         let count = if weights_carry { 0 } else { count };
         let doppler = bent
-            .or_else(|| trials.doppler::<M>(0.0))
+            .or_else(|| trials.doppler(0.0))
             .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
         let received = |order| Received {
             spectrum: &spectrum,
@@ -336,7 +403,7 @@ impl<M: Real, G: Real> Plan<M, G> {
         let mut term_rad = 1.0;
         for order in 1..=count {
             term_rad *= bend_rad / order as f64;
-            let grid = trials.term::<M>(term_rad);
+            let grid = trials.term(term_rad);
             grids.push(grid.ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?);
         }
         // The ends of bent pulses move by p (T/2)^2.
@@ -371,6 +438,7 @@ impl<M: Real, G: Real> Plan<M, G> {
                 Complex64::from_polar(1.0 / (kernel.window_gain(nu) * period_s), TAU * turns)
             })
             .collect();
+        let columnwise = (!one_column).then(|| Columnwise::new(grid, bins, period));
         let mut fit_error2 = 0.0;
         let mut terms = Vec::with_capacity(grids.len());
         let mut term_rad = 1.0;
@@ -380,18 +448,20 @@ impl<M: Real, G: Real> Plan<M, G> {
                 term_rad *= bend_rad / order as f64;
             }
             fit_error2 += error * error;
-            let templates = fitted.chunks(bins).flat_map(|column| {
-                column.iter().zip(&undo).map(|(value, undo)| {
-                    let value = value * undo;
-                    Complex::new(G::narrow(value.re), G::narrow(value.im))
-                })
-            });
+            let templates = match &columnwise {
+                Some(columnwise) if doppler.columns > 1 => columnwise.templates(&fitted, &undo),
+                _ => {
+                    let values = fitted.iter().zip(&undo).map(|(value, undo)| value * undo);
+                    let narrow = |v: Complex64| Complex::new(G::narrow(v.re), G::narrow(v.im));
+                    Templates::One(values.map(narrow).collect())
+                }
+            };
             let bent = weights_carry.then(|| {
                 let bent = doppler.bent(doppler.theta(carrier_hz, pulse.duration_s), sweep(spec));
                 (bent, TAU * carrier_hz * greatest_p * half_s * half_s)
             });
             terms.push(Term {
-                templates: templates.collect(),
+                templates,
                 columns: Columns::new(doppler, bent),
                 least_bend: match order {
                     0 => 0.0,
@@ -407,7 +477,7 @@ impl<M: Real, G: Real> Plan<M, G> {
         let error = [
             kernel.error,
             fit_error2.sqrt(),
-            kept.outside,
+            kept.outside / weakening,
             rounding,
             series,
         ]
@@ -438,6 +508,7 @@ impl<M: Real, G: Real> Plan<M, G> {
                 sweep_hz_per_s: pulse.sweep_hz_per_s(),
             },
             terms,
+            columnwise,
             beside,
             forward: G::plan_forward(grid),
             inverse: G::plan_inverse(period),
@@ -450,6 +521,11 @@ impl<M: Real, G: Real> Plan<M, G> {
         self.grid + MAX_WIDTH
     }
 
+    /// Of a table of several columns: up to the drain, and what it reaches.
+    fn rows(&self) -> usize {
+        self.grid + 2 * MAX_WIDTH + 2
+    }
+
     fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
         let mut ns = Foreseen {
             echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
@@ -460,14 +536,16 @@ impl<M: Real, G: Real> Plan<M, G> {
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         for term in self.terms.iter().filter(|term| term.least_bend <= bend) {
             let grid = &term.columns.grid;
-            let columns = match grid.columns {
-                1 => 1,
-                all => grid.columns_of(share).min(all),
-            };
-            if columns > 1 {
-                ns.echoes_ns += (arrivals * columns.div_ceil(M::MOMENTS)) as f64 * NS_PER_ROW;
-            }
-            ns.grids_ns += (columns * self.grid) as f64 * NS_PER_GRID_VALUE * words;
+            ns.grids_ns += self.grid as f64
+                * words
+                * match grid.columns {
+                    1 => NS_PER_GRID_VALUE,
+                    all => {
+                        ns.echoes_ns += arrivals as f64 * NS_PER_SPREAD;
+                        let lanes = lanes_for(grid.columns_of(share).min(all));
+                        lanes as f64 * NS_PER_LANE_VALUE
+                    }
+                };
         }
         ns
     }
@@ -476,15 +554,17 @@ impl<M: Real, G: Real> Plan<M, G> {
 struct Work<M: Real, G: Real> {
     plan: Arc<Plan<M, G>>,
     /// One for each of the plan's terms.
-    terms: Vec<TermWork<M>>,
+    terms: Vec<TermWork<M, G>>,
     prepared: Box<Prepared<M>>,
     located: Box<Located<M>>,
     /// One column, flushed.
     values: Vec<Complex<M>>,
-    /// The columns of one row, one after another.
-    columns: Vec<Complex<G>>,
+    column: Vec<Complex<G>>,
     spectrum: Vec<Complex<G>>,
     scratch: Vec<Complex<G>>,
+    /// Several columns as they are transformed, where moments are something else or there are many.
+    wide: Vec<G::Row>,
+    wide_scratch: Vec<G::Row>,
     /// Of this element.
     origin_s: f64,
     /// Of its echoes' middles.
@@ -493,48 +573,76 @@ struct Work<M: Real, G: Real> {
 }
 
 /// Where one term of an element is added up.
-struct TermWork<M: Real> {
-    /// Moments for one column; for several their grids side by side.
+struct TermWork<M: Real, G: Real> {
+    /// Moments for one column; for several their grids abreast.
     table: Vec<M::Row>,
     first_column: usize,
     columns: usize,
-    /// Lanes per grid value: a row where that is enough, so that a value lies in one line of the cache; else as many as there are columns.
-    stride: usize,
+    lanes: usize,
+    /// Of these columns alone, `[place][2 * lanes]`.
+    templates: Vec<G::Row>,
+    /// First column and lanes that those are of.
+    kept: (usize, usize),
     /// Something was added since the element began.
     used: bool,
 }
 
 impl<M: Real, G: Real> Work<M, G> {
     fn new(plan: Arc<Plan<M, G>>) -> Self {
-        // Up to the drain, and what it reaches.
-        let length = plan.grid + 2 * MAX_WIDTH + 1;
-        let terms = plan.terms.iter().map(|term| {
-            let columns = term.columns.grid.columns;
-            TermWork {
-                table: vec![M::EMPTY; rows_of::<M>(columns.max(M::MOMENTS), length)],
-                first_column: 0,
-                columns,
-                stride: M::MOMENTS,
-                used: true,
-            }
-        });
-        let most = plan
+        let places = plan.columnwise.as_ref().map_or(0, |c| c.places.len());
+        let terms: Vec<_> = plan
             .terms
             .iter()
-            .map(|term| term.columns.grid.columns)
-            .fold(1, usize::max);
+            .map(|term| {
+                let columns = term.columns.grid.columns;
+                let (rows, template_rows) = match columns {
+                    1 => (plan.grid + 2 * MAX_WIDTH + 1, 0),
+                    _ => {
+                        let numbers = 2 * lanes_for(columns);
+                        (
+                            rows_of::<M>(numbers * plan.rows()),
+                            rows_of::<G>(numbers * places),
+                        )
+                    }
+                };
+                TermWork {
+                    table: vec![M::EMPTY; rows],
+                    first_column: 0,
+                    columns,
+                    lanes: lanes_for(columns),
+                    templates: vec![G::EMPTY; template_rows],
+                    kept: (0, 0),
+                    used: false,
+                }
+            })
+            .collect();
         let scratch = plan
             .forward
             .get_inplace_scratch_len()
             .max(plan.inverse.get_inplace_scratch_len());
+        let one = plan.terms.iter().any(|t| t.columns.grid.columns == 1);
+        let widest = terms.iter().map(|term| term.lanes).fold(0, usize::max);
+        let apart = TypeId::of::<M>() != TypeId::of::<G>() || widest > together::<G>();
+        let (wide, wide_scratch) = match &plan.columnwise {
+            None => (0, 0),
+            Some(columnwise) => (
+                match apart {
+                    true => 2 * together::<G>() * plan.grid,
+                    false => 0,
+                },
+                columnwise.transform.scratch_len(),
+            ),
+        };
         Self {
-            terms: terms.collect(),
+            terms,
             prepared: Box::new(Prepared::new()),
             located: Box::default(),
-            values: vec![zero::<M>(); plan.grid + plan.flush.width],
-            columns: vec![zero::<G>(); most.min(M::MOMENTS) * plan.grid],
+            values: vec![zero::<M>(); if one { plan.grid + plan.flush.width } else { 0 }],
+            column: vec![zero::<G>(); if one { plan.grid } else { 0 }],
             spectrum: vec![zero::<G>(); plan.period],
             scratch: vec![zero::<G>(); scratch],
+            wide: vec![G::EMPTY; rows_of::<G>(wide)],
+            wide_scratch: vec![G::EMPTY; rows_of::<G>(wide_scratch)],
             origin_s: 0.0,
             span: DopplerSpan {
                 least: 0.0,
@@ -546,9 +654,43 @@ impl<M: Real, G: Real> Work<M, G> {
     }
 }
 
-/// Rows that hold `values` of so many lanes each, and what points at the last of them may add zeros to.
-fn rows_of<M: Real>(stride: usize, values: usize) -> usize {
-    (stride * values + MAX_TAPS).div_ceil(M::MOMENTS)
+/// Lanes that are laid together to be transformed.
+fn together<G: Real>() -> usize {
+    MOST_TOGETHER * size_of::<f32>() / size_of::<G>()
+}
+
+/// Rows of storage that hold so many numbers.
+fn rows_of<T: Real>(numbers: usize) -> usize {
+    numbers.div_ceil(2 * T::MOMENTS)
+}
+
+impl<M: Real, G: Real> TermWork<M, G> {
+    /// Has the templates of the columns at hand that the element's echoes go to.
+    fn keep(&mut self, planned: &Templates<G>) {
+        let Templates::Abreast { lanes, numbers } = planned else {
+            return;
+        };
+        let wanted = (self.first_column, self.lanes);
+        if self.kept == wanted {
+            return;
+        }
+        let kept = G::numbers(&mut self.templates).chunks_exact_mut(2 * self.lanes);
+        for (kept, row) in kept.zip(numbers.chunks_exact(2 * lanes)) {
+            let (re, im) = kept.split_at_mut(self.lanes);
+            re.copy_from_slice(&row[self.first_column..][..self.lanes]);
+            im.copy_from_slice(&row[lanes + self.first_column..][..self.lanes]);
+        }
+        self.kept = wanted;
+    }
+}
+
+/// The same numbers, where M is G.
+fn same<M: Real, G: Real>(numbers: &mut [M]) -> Option<&mut [G]> {
+    if TypeId::of::<M>() != TypeId::of::<G>() {
+        return None;
+    }
+    // SAFETY: M is G.
+    Some(unsafe { std::slice::from_raw_parts_mut(numbers.as_mut_ptr().cast(), numbers.len()) })
 }
 
 fn zero<T: Real>() -> Complex<T> {
@@ -567,14 +709,14 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         for (term, planned) in self.terms.iter_mut().zip(&plan.terms) {
             let grid = &planned.columns.grid;
             if term.used {
-                let used = rows_of::<M>(term.stride, plan.grid + 2 * MAX_WIDTH + 1);
-                term.table[..used].fill(M::EMPTY);
+                term.table.fill(M::EMPTY);
                 term.used = false;
             }
             term.first_column = grid.place(self.span.least).0;
             let last = grid.place(self.span.greatest).0;
             term.columns = last - term.first_column + grid.taps;
-            term.stride = term.columns.max(M::MOMENTS);
+            term.lanes = lanes_for(term.columns);
+            term.keep(&planned.templates);
         }
     }
 
@@ -620,9 +762,10 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 column: &prepared.column[..n],
                 value: &prepared.value[..n],
                 taps: columns.grid.taps,
-                stride: term.stride,
+                lanes: term.lanes,
             };
-            M::spread(plan.dialect, points, across, &plan.flush, &mut term.table);
+            let table = &mut M::numbers(&mut term.table)[..2 * term.lanes * plan.rows()];
+            M::spread(plan.dialect, points, across, &plan.flush, table);
         }
     }
 
@@ -635,41 +778,77 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             plan.samples
         );
         self.spectrum.fill(zero());
-        for (term, planned) in self.terms.iter().zip(&plan.terms) {
+        for (term, planned) in self.terms.iter_mut().zip(&plan.terms) {
             if !term.used {
                 continue;
             }
-            for first in (0..term.columns).step_by(M::MOMENTS) {
-                let count = (term.columns - first).min(M::MOMENTS);
-                let columns = &mut self.columns[..count * plan.grid];
+            if let Templates::One(templates) = &planned.templates {
+                // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
+                let cells = &term.table[..plan.grid + 2];
+                M::flush(plan.dialect, cells, &plan.flush, &mut self.values);
                 // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
-                if planned.columns.grid.columns == 1 {
-                    // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
-                    let cells = &term.table[..plan.grid + 2];
-                    M::flush(plan.dialect, cells, &plan.flush, &mut self.values);
-                    let (period, beyond) = self.values.split_at(plan.grid);
-                    for (value, v) in columns.iter_mut().zip(period) {
-                        *value = widen(*v);
-                    }
-                    for (value, v) in columns.iter_mut().zip(beyond) {
-                        *value = *value + widen(*v);
-                    }
-                } else {
-                    let rows = Rows {
-                        table: &term.table,
-                        first,
-                        stride: term.stride,
-                        beyond: plan.flush.width,
-                    };
-                    apart::<M, G>(plan.dialect, rows, plan.grid, columns);
+                let (period, beyond) = self.values.split_at(plan.grid);
+                for (value, v) in self.column.iter_mut().zip(period) {
+                    *value = widen(*v);
                 }
-                for (q, column) in columns.chunks_exact_mut(plan.grid).enumerate() {
-                    plan.forward.process_with_scratch(column, &mut self.scratch);
-                    let at = (term.first_column + first + q) * plan.bins;
-                    let template = &planned.templates[at..][..plan.bins];
-                    add_folded(plan.dialect, &mut self.spectrum, column, template);
+                for (value, v) in self.column.iter_mut().zip(beyond) {
+                    *value = *value + widen(*v);
                 }
+                plan.forward
+                    .process_with_scratch(&mut self.column, &mut self.scratch);
+                add_folded(plan.dialect, &mut self.spectrum, &self.column, templates);
+                continue;
             }
+            let Some(columnwise) = &plan.columnwise else {
+                continue;
+            };
+            let width = 2 * term.lanes;
+            let (table, rest) =
+                M::numbers(&mut term.table)[..width * plan.rows()].split_at_mut(width * plan.grid);
+            // It closes, as above.
+            for (value, beyond) in table.iter_mut().zip(&rest[..width * plan.flush.width]) {
+                *value = *value + *beyond;
+            }
+            rest.fill(M::zero());
+            let templates = &G::numbers(&mut term.templates)[..width * columnwise.places.len()];
+            let mut transform = |table: &mut [G], lanes: usize, first_template: usize| {
+                let job = Job {
+                    table,
+                    lanes,
+                    places: &columnwise.places,
+                    templates,
+                    template_lanes: term.lanes,
+                    first_template,
+                    spectrum: &mut self.spectrum,
+                    scratch: G::numbers(&mut self.wide_scratch),
+                };
+                G::transform(plan.dialect, &columnwise.transform, job);
+            };
+            let most = together::<G>();
+            let direct = TypeId::of::<M>() == TypeId::of::<G>() && term.lanes <= most;
+            if direct && let Some(table) = same::<M, G>(table) {
+                transform(table, term.lanes, 0);
+            } else {
+                // Some at a time, closer together.
+                for first in (0..term.lanes).step_by(most) {
+                    let lanes = most.min(term.lanes - first);
+                    let wide = &mut G::numbers(&mut self.wide)[..2 * lanes * plan.grid];
+                    let rows = wide.chunks_exact_mut(2 * lanes);
+                    for (wide, row) in rows.zip(table.chunks_exact(width)) {
+                        let (re, im) = wide.split_at_mut(lanes);
+                        for (wide, value) in re.iter_mut().zip(&row[first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                        for (wide, value) in im.iter_mut().zip(&row[term.lanes + first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                    }
+                    transform(wide, lanes, first);
+                }
+                table.fill(M::zero());
+            }
+            // The table is empty again.
+            term.used = false;
         }
         plan.inverse
             .process_with_scratch(&mut self.spectrum, &mut self.scratch);
@@ -682,67 +861,6 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
 
 fn widen<M: Real + Into<f64>, G: Real>(v: Complex<M>) -> Complex<G> {
     Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()))
-}
-
-/// Columns that lie side by side from lane `first` on of every grid value; `beyond` values lie past the last.
-struct Rows<'a, R> {
-    table: &'a [R],
-    first: usize,
-    stride: usize,
-    beyond: usize,
-}
-
-/// The columns that lie side by side in rows, one after another in `columns`, `grid` values each.
-fn apart<M: Real + Into<f64>, G: Real>(
-    dialect: Dialect,
-    rows: Rows<M::Row>,
-    grid: usize,
-    columns: &mut [Complex<G>],
-) {
-    let done = apart_by_eights::<M, G>(dialect, &rows, grid, columns);
-    // Values of all columns worked on while their rows are in the innermost cache.
-    const STRETCH: usize = 128;
-    let at = |value: usize, lane: usize| {
-        let lane = value * rows.stride + rows.first + lane;
-        widen::<M, G>(M::lane(&rows.table[lane / M::MOMENTS], lane % M::MOMENTS))
-    };
-    for first in (done..grid).step_by(STRETCH) {
-        let end = grid.min(first + STRETCH);
-        for (lane, column) in columns.chunks_exact_mut(grid).enumerate() {
-            for (value, out) in (first..end).zip(&mut column[first..end]) {
-                *out = at(value, lane);
-            }
-        }
-    }
-    for (lane, column) in columns.chunks_exact_mut(grid).enumerate() {
-        for (beyond, out) in (grid..grid + rows.beyond).zip(column) {
-            *out = *out + at(beyond, lane);
-        }
-    }
-}
-
-/// The values that there is a fast way for; returns how many those are, from the first on.
-fn apart_by_eights<M: Real, G: Real>(
-    dialect: Dialect,
-    rows: &Rows<M::Row>,
-    grid: usize,
-    columns: &mut [Complex<G>],
-) -> usize {
-    #[cfg(target_arch = "x86_64")]
-    if dialect.kind() == Kind::Avx512 && TypeId::of::<(M, G)>() == TypeId::of::<(f32, f32)>() {
-        // SAFETY: M and G are f32, so rows and columns are what they are taken for; a `Dialect` of this kind exists only where the processor has the
-        // features.
-        return unsafe {
-            super::avx512::apart_32(
-                std::slice::from_raw_parts(rows.table.as_ptr().cast(), rows.table.len()),
-                rows.first,
-                rows.stride,
-                grid,
-                std::slice::from_raw_parts_mut(columns.as_mut_ptr().cast(), columns.len()),
-            )
-        };
-    }
-    0
 }
 
 /// Adds transform times template, bin for bin, to the spectrum that repeats every sample rate.
@@ -1024,38 +1142,6 @@ mod tests {
             why.contains("which carry curvature")
         };
         assert!(carried(1e-2) && !carried(1e-5));
-    }
-
-    #[test]
-    fn columns_are_laid_apart_with_the_same_bits_in_every_dialect() {
-        const GRID: usize = 43;
-        let number = |i: usize| ((i * 7919) % 1009) as f32 - 500.0;
-        for (first, stride) in [(0, 8), (0, 17), (8, 17)] {
-            let table: Vec<_> = (0..rows_of::<f32>(stride, GRID + 5))
-                .map(|r| super::super::moments::Row(std::array::from_fn(|i| number(16 * r + i))))
-                .collect();
-            for count in 1..=8 {
-                let laid = |dialect| {
-                    let mut columns = vec![zero::<f32>(); count * GRID];
-                    let rows = Rows {
-                        table: &table,
-                        first,
-                        stride,
-                        beyond: 4,
-                    };
-                    apart::<f32, f32>(dialect, rows, GRID, &mut columns);
-                    columns
-                };
-                let want = laid(Dialect::PORTABLE);
-                for dialect in Dialect::available() {
-                    assert_eq!(
-                        laid(dialect),
-                        want,
-                        "{dialect:?}, {count} columns, {stride}"
-                    );
-                }
-            }
-        }
     }
 
     /// The paper's pulse has edges: the direct sum at 48 samples per output sample converges because their points are weighted.

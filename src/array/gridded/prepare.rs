@@ -222,7 +222,8 @@ impl Frame {
             ),
             false => (0.0, 0.0),
         };
-        let (mut outside, mut most) = (0, 0.0f64);
+        // The greatest |bend| by its bits, whose order is the same: compilers put the greatest of integers into vectors.
+        let (mut outside, mut most) = (0, 0u64);
         for j in 0..n {
             let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
             outside += u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
@@ -257,9 +258,9 @@ impl Frame {
                 false => p * per_greatest,
             };
             points.bend[j] = T::narrow(bend);
-            most = most.max(bend.abs());
+            most = most.max(bend.abs().to_bits());
         }
-        points.most_bent = most;
+        points.most_bent = f64::from_bits(most);
         outside
     }
 }

@@ -11,8 +11,8 @@ use super::case::Case;
 /// Points of the truth over max(B, 4/T): twice the reference's own density, which leaves 4e-8 of sharp edges and 1e-9 of long flanks.
 const TRUTH_DENSITY: f64 = 64.0;
 
-/// ... and at least so many per sample, where a pulse is narrow.
-const LEAST_OVERSAMPLE: usize = 16;
+/// ... and at least so many per sample, where a pulse is narrow: its edges are as sharp as the receiver's band lets them be.
+const LEAST_OVERSAMPLE: f64 = 64.0;
 
 /// What the engines are told of the range of levels, and where the noise is put that the contract may count a weak window against.
 pub const LEVEL_RANGE_DB: f64 = 55.0;
@@ -33,9 +33,14 @@ pub fn filter(case: &Case, density: f64) -> Option<Decimator> {
         return None;
     }
     let pulse = &case.plan.pulse;
-    let oversample = (density * occupied_hz(pulse) / case.rate_hz).ceil() as usize;
-    let oversample = oversample.max(LEAST_OVERSAMPLE);
-    let filter = Decimator::new(pulse, case.rate_hz, case.doppler_hz, oversample);
+    let least = LEAST_OVERSAMPLE * density / TRUTH_DENSITY;
+    let oversample = (density * occupied_hz(pulse) / case.rate_hz).max(least);
+    let filter = Decimator::new(
+        pulse,
+        case.rate_hz,
+        case.doppler_hz,
+        oversample.ceil() as usize,
+    );
     Some(filter.expect("the case's sample rate holds its pulse"))
 }
 
