@@ -60,6 +60,8 @@ struct Lane {
     ahead: VecDeque<UtcNs>,
     /// Triggered a second time, then.
     again: Option<UtcNs>,
+    /// What happened last was that second time.
+    is_second: bool,
 }
 
 impl Lane {
@@ -95,6 +97,7 @@ impl Beats {
             },
             ahead: VecDeque::new(),
             again: None,
+            is_second: false,
         };
         Self {
             lanes: triggers.map(lane).collect(),
@@ -151,6 +154,7 @@ impl Beats {
         in_force: impl Fn(UtcNs) -> InForce,
     ) -> Option<Event> {
         let lane = &mut self.lanes[sonar];
+        lane.is_second = false;
         let queued = lane.schedule.queued_due(at, |at| {
             // A second trigger of a sonar with a beat of its own waits too.
             let InForce { settings, armed } = in_force(at);
@@ -161,7 +165,7 @@ impl Beats {
             return Some(Event::Trigger(triggered));
         }
         if let Some(again) = lane.again.filter(|again| *again <= at) {
-            lane.again = None;
+            (lane.again, lane.is_second) = (None, true);
             let InForce { settings, armed } = in_force(again);
             let armed = armed || settings.pinging;
             let triggered = self.trigger(sonar, again, InForce { settings, armed });
@@ -187,6 +191,11 @@ impl Beats {
     /// The sonar is triggered at `at` besides, whatever triggers it.
     pub fn again(&mut self, sonar: usize, at: UtcNs) {
         self.lanes[sonar].again = Some(at);
+    }
+
+    /// Whether what happened last with this sonar was [`Beats::again`].
+    pub fn is_second(&self, sonar: usize) -> bool {
+        self.lanes[sonar].is_second
     }
 
     /// The sonar's pulse went out at `at`: who follows it is triggered.

@@ -9,6 +9,7 @@ use crate::flow::SonarSettings;
 use crate::io::nav::NavInputs;
 use crate::ping::PingOrder;
 use crate::ping::beats::{Beats, InForce};
+use crate::run::faults::PingMark;
 use crate::run::faults::nav::NavSpoiler;
 use crate::run::rig::{Rig, RigError};
 use crate::run::waiting::lacking;
@@ -99,8 +100,13 @@ impl RecordedRig {
         }
     }
 
-    /// The order's pulse went out: no fault kept it from that.
+    /// The order's pulse went out: no fault kept it from that. One that has the sonar triggered twice does so.
     pub fn pulsed(&mut self, sonar: usize, order: &PingOrder) {
+        if !self.beats.is_second(sonar)
+            && let Some(after_s) = self.rig.faults.trigger_double_s(PingMark::of(sonar, order))
+        {
+            self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
+        }
         self.beats.pulsed(sonar, order.transmit_utc);
     }
 

@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use super::PATIENCE;
 use super::modes::{pings_of, rig, tell, wait_delivered};
 use super::scored::track;
+use super::triggers::records;
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
 /// Struck with probability one half: three records each, so a hundred faults or so.
@@ -260,4 +261,50 @@ fn what_cannot_be_injected_is_refused_live_and_before_the_start() {
     assert_eq!(done.status.code(), Some(2));
     let said = String::from_utf8_lossy(&done.stderr);
     assert!(said.contains("value") && said.contains("element"), "{said}");
+}
+
+#[test]
+fn a_wrong_second_moves_the_stamps_and_a_double_trigger_makes_a_second_pulse() {
+    let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
+    let scenario = r#"fault=[{kind="wrong-second", value=3600, at_s=1.0, for_s=0.45}, {kind="trigger-double", value=40, at_s=2.0, for_s=0.25}]"#;
+    let log = format!("run.fault_directory={:?}", folders[0].path().join("log"));
+    // A pulse 40 ms later is heard after the window of the one before.
+    let common = ["run.clock=fast", "sonar.ping.range_m=15"];
+    let mut faulty = rig(
+        folders[0].path(),
+        &[common[0], common[1], scenario, log.as_str()],
+    );
+    let mut plain = rig(folders[1].path(), &common);
+    for daemon in [&mut faulty, &mut plain] {
+        assert!(daemon.child.wait().expect("ended").success());
+    }
+    let [(got, _), (plain, _)] = [0, 1].map(|k| records(folders[k].path(), "points"));
+    let (mut want, mut wrong, mut double) = (Vec::new(), Vec::new(), Vec::new());
+    for (_, at_s) in &plain {
+        let since_s = at_s - plain[0].1;
+        let number = want.len() as u64 + 1;
+        let is_wrong = (0.999..1.44).contains(&since_s);
+        want.push(at_s + if is_wrong { 3600.0 } else { 0.0 });
+        if is_wrong {
+            wrong.push(number);
+        }
+        if (1.999..2.24).contains(&since_s) {
+            want.push(at_s + 0.04);
+            double.push(number);
+        }
+    }
+    assert_eq!((wrong.len(), double.len()), (5, 3));
+    let off = got.iter().zip(&want).map(|((_, got), want)| got - want);
+    let off: Vec<f64> = off.collect();
+    assert_eq!(got.len(), want.len());
+    assert!(off.iter().all(|off_s| off_s.abs() < 1e-5), "{off:?}");
+    let log = log_of(&folders[0].path().join("log"));
+    for (kind, pings) in [("wrong-second", wrong), ("trigger-double", double)] {
+        let struck: Vec<_> = log.iter().filter(|l| l["kind"] == kind).collect();
+        let struck: Vec<_> = struck
+            .iter()
+            .filter_map(|l| l["ping_number"].as_u64())
+            .collect();
+        assert_eq!(struck, pings, "{kind}");
+    }
 }

@@ -11,6 +11,7 @@ use echotank::io::control::client;
 use echotank_protocols::sevenk::file::FileReader;
 use serde_json::{Value, json};
 
+use super::triggers::{records, three};
 use super::{Daemon, PATIENCE};
 
 /// Records of pings by type and time stamp: what says when a file was begun stays out.
@@ -189,6 +190,132 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
         let records = assert_same(&got, &want, what);
         let pings = pings_in(&got);
         assert!(pings >= least, "{what}: {pings} pings, {records} records");
+    }
+}
+
+/// Faults of elements, of navigation and of pulses, the last of which those sonars hear of that follow.
+const SCENARIO: &str = r#"
+[[fault]]
+kind = "inverted"
+sonar = "bow"
+array = 2
+element = 3
+at_s = 0.2
+for_s = 0.8
+[[fault]]
+kind = "noise-burst"
+value = 1e-5
+at_s = 0.5
+probability = 0.4
+burst = 2
+seed = 3
+[[fault]]
+kind = "nav-wrong"
+quantity = "roll-pitch"
+value = 4.0
+at_s = 0.4
+ramp_s = 0.5
+[[fault]]
+kind = "nav-slow"
+quantity = "heading"
+value = 2.0
+[[fault]]
+kind = "trigger-missed"
+sonar = "points"
+at_s = 1.0
+for_s = 0.15
+[[fault]]
+kind = "trigger-double"
+sonar = "points"
+value = 45.0
+at_s = 1.4
+for_s = 0.25
+"#;
+
+/// Three sonars, two of which follow the first; methods left to the plan, an engine for a tolerance among them.
+#[test]
+fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
+    let config = three(folder.path(), model, SCENARIO);
+    let text = std::fs::read_to_string(&config).expect("readable");
+    // An engine for a tolerance wants the receiver's filter, and pulses without sharp edges.
+    let text = text
+        .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
+        .replace("taper = 0.0", "taper = 0.2");
+    let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
+    let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
+    std::fs::write(&config, format!("{first}name = \"bow\"{engine}")).expect("written");
+    let config = config.to_str().expect("text");
+    let at = |name: &str| folder.path().join(name);
+    let start = |name: &str, clock: &[&str]| {
+        let record = format!("record.directory={:?}", at(name));
+        let mut arguments = vec![config];
+        for set in clock
+            .iter()
+            .chain(&[record.as_str(), "control.listen=127.0.0.1:0"])
+        {
+            arguments.extend(["--set", set]);
+        }
+        Daemon::start(&arguments)
+    };
+    let mut stopped = start("stopped", &["run.clock=realtime"]);
+    let control = stopped.announced("control http", "http");
+    wait_delivered(control, 3);
+    signal(&stopped, "-STOP");
+    thread::sleep(Duration::from_millis(700));
+    signal(&stopped, "-CONT");
+    let ending = [
+        stopped,
+        start("fast", &["run.clock=fast"]),
+        start("scaled", &["run.clock=scaled", "run.clock_rate=10"]),
+        start("realtime", &["run.clock=realtime"]),
+    ];
+    let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
+    let control = lockstep.announced("control http", "http");
+    let (code, answer) = tell(control, &json!({ "do": "step", "pings": 70 }));
+    assert_eq!(code, 200, "{answer}");
+    // Missed pulses make none.
+    wait_delivered(control, 60);
+    lockstep.terminate();
+    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
+        .arg(at("replay"))
+        .output()
+        .expect("echotank runs");
+    assert!(replayed.status.success(), "{replayed:?}");
+    // To the end of the log.
+    for mut daemon in ending {
+        let ended = daemon.child.wait().expect("ended");
+        assert!(ended.success(), "{ended}");
+    }
+    for sonar in ["points", "bow", "stern"] {
+        let (pulses, want) = records(&at("fast"), sonar);
+        assert!(pulses.len() > 20, "{sonar}: {} pings", pulses.len());
+        for (name, least) in [
+            ("replay", pulses.len()),
+            ("lockstep", 20),
+            ("realtime", 5),
+            ("stopped", 2),
+            ("scaled", 1),
+        ] {
+            let folder = match name {
+                // A folder for each sonar.
+                "replay" => at(name).join(sonar),
+                _ => at(name),
+            };
+            let (pings, got) = records(&folder, sonar);
+            for (key, body) in &got {
+                let other = want.get(key);
+                assert!(
+                    other == Some(body),
+                    "{name} {sonar}: record {} of ping {} differs",
+                    key.0,
+                    key.1
+                );
+            }
+            assert!(pings.len() >= least, "{name} {sonar}: {}", pings.len());
+        }
     }
 }
 

@@ -16,6 +16,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::config::spec::{ModemLine, TriggerFrom};
+use crate::io::priority::first_in_first_out_of;
 use crate::io::stamp;
 use sentence::{MOST_BYTES, Said};
 use serial::{Edges, LOOK, Level, PortLine};
@@ -121,6 +122,15 @@ impl Door {
         let thread = thread::Builder::new().name("trigger".into()).spawn(serve);
         door.thread = Some(thread.map_err(refused("its thread".to_owned()))?);
         Ok(Some(door))
+    }
+
+    /// Whoever waits at it does so under SCHED_FIFO from now on, where the system allows it, clients that come later too; 0: as they are. What comes is
+    /// handed on at once, whatever else counts.
+    pub fn hurry(&self, priority: u8) {
+        if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
+            // What is not allowed was said when the daemon started.
+            let _ = first_in_first_out_of(thread, priority);
+        }
     }
 
     pub fn counts(&self) -> &Arc<DoorCounts> {

@@ -257,7 +257,11 @@ impl Beat {
             add(&self.control.sonars()[sonar].counters.triggers_missed, 1);
             return None;
         }
-        let again_s = self.faults.trigger_double_s(PingMark::of(sonar, &order));
+        let again_s = match self.beats.is_second(sonar) {
+            // Twice, not three times.
+            true => None,
+            false => self.faults.trigger_double_s(PingMark::of(sonar, &order)),
+        };
         if let Some(after_s) = again_s {
             self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
         }

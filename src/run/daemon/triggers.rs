@@ -73,6 +73,7 @@ impl Triggers {
             };
             let door = Door::open(&spec_of.trigger.from, sink)?;
             if let Some(door) = &door {
+                door.hurry(spec.run.priority);
                 let _ = counts.door.set(door.counts().clone());
             }
             doors.push(door);
