@@ -360,10 +360,9 @@ unsafe fn step<V: Lanes, S: Small<V, R>, const R: usize>(
         for j in 0..next {
             let out = S::of(std::array::from_fn(|m| from.at::<V>(j + m * next)));
             to.put::<V>(j, out[0]);
-            let turns = turns.as_ptr().add(j * (R - 1));
-            for m in 1..R {
-                let turn = Pair::splat(*turns.add(m - 1));
-                to.put::<V>(j + m * next, out[m].times(turn));
+            let turns = turns.get_unchecked(j * (R - 1)..(j + 1) * (R - 1));
+            for (m, (out, turn)) in out[1..].iter().zip(turns).enumerate() {
+                to.put::<V>(j + (m + 1) * next, out.times(Pair::splat(*turn)));
             }
         }
     }
@@ -810,14 +809,12 @@ mod tests {
     }
 
     /// Points on a table, a number at a time.
-    fn spread_plainly<T: Real>(
+    fn spread_plainly<T: Real + Into<f64>>(
         points: &Points<T>,
         across: &Across<T>,
         kernel: &Kernel,
         table: &mut [f64],
-    ) where
-        T: Into<f64>,
-    {
+    ) {
         for j in 0..points.cell.len() {
             let x: f64 = points.x[j].into();
             for i in 0..kernel.width {
