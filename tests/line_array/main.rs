@@ -1,5 +1,6 @@
 //! The line-array engine held to the direct sum and to the slow reference.
 
+mod alone;
 mod models;
 mod moving;
 #[path = "../echo_model/rig.rs"]

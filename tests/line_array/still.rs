@@ -41,6 +41,25 @@ fn at_rest_the_engine_meets_the_direct_sum() {
     }
 }
 
+#[test]
+fn what_ends_of_a_long_stretch_hear_sooner_and_later_stays_where_it_belongs() {
+    // From far to the side the line's ends hear 160 us before and after its middle; slabs of 20 ms begin and end all along the record.
+    let scene = draw(Draw {
+        elements: 128,
+        sector_deg: 60.0,
+        ..SIDE_SCAN
+    });
+    let fineness = Fineness {
+        stretch: 128,
+        slab_samples: 1024,
+        ..FINE
+    };
+    let (got, reports) = error::<f64>(&scene, fineness, false);
+    println!("{} tasks: {got:.2e}", reports.len());
+    // The delay's fourth order along half the line, at 36 m: 1e-6 of a radian.
+    assert!(reports.len() > 4 && got < 3e-6, "{got:e}");
+}
+
 /// The least and the greatest delay that is handed on.
 struct Delays(f64, f64);
 

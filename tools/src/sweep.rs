@@ -43,6 +43,9 @@ struct Arguments {
     /// Random scenes.
     #[arg(long, default_value_t = 200)]
     random: u64,
+    /// The first of them.
+    #[arg(long, default_value_t = 0, conflicts_with = "keep")]
+    first: u64,
     /// Write tests/stability/tolerances.txt.
     #[arg(long)]
     keep: bool,
@@ -149,7 +152,7 @@ fn random(given: &Arguments) -> String {
     }
     // f32 and f64, sharp and smooth; the truth itself is good to 4e-8.
     let tolerances = &TOLERANCES[..6];
-    let all: Vec<One> = (0..count)
+    let all: Vec<One> = (given.first..given.first + count)
         .into_par_iter()
         .flat_map_iter(|seed| {
             let case = case::random(seed);
@@ -206,7 +209,11 @@ fn random(given: &Arguments) -> String {
             let worst = misses
                 .iter()
                 .max_by(|a, b| in_noise(a.0).total_cmp(&in_noise(b.0)));
-            if let Some((m, one)) = worst {
+            let shown = match given.why {
+                true => &misses[..],
+                false => worst.map_or(&[][..], std::slice::from_ref),
+            };
+            for (m, one) in shown {
                 text += &format!(
                     "{} at {tolerance:.0e}, {count} answers: {:.1e} in noise (the reference {:.1e}), {:.1e} beside, predicted {:.1e}: {}\n    {}\n",
                     method.name(),

@@ -364,9 +364,17 @@ impl<T: Sample> Task<'_, T> {
         let (along, powers, heard_bins) = (orders.along, work.powers, self.heard());
         // Over a block everything smooth is a line.
         let (middle, x) = (self.middle_band(block), self.lanes());
+        let half = BLOCK as f64 / self.engine.bins() as f64;
         let [here, slope] = &mut work.here;
         let whole = work.entries.len().next_multiple_of(WHOLE);
-        tangent::<T, FUSED>(&work.template, whole, orders.band, middle, here, slope);
+        chord::<T, FUSED>(
+            &work.template,
+            whole,
+            orders.band,
+            [middle, half],
+            here,
+            slope,
+        );
         let first = column * self.channels() * heard_bins + block * BLOCK;
 
         let s = self.slope(column);
@@ -424,43 +432,56 @@ impl<T: Sample> Task<'_, T> {
     }
 }
 
-/// Polynomials `[power][entry]` at `x`: value and slope, each multiplied out from the highest power.
+/// Polynomials `[power][entry]` between `x - half` and `x + half`, as lines through their values there: from block to block they go on without a
+/// step, which would be heard all over the slab.
 #[inline(always)]
-fn tangent<T: Sample, const FUSED: bool>(
+fn chord<T: Sample, const FUSED: bool>(
     series: &Split<T>,
     entries: usize,
     powers: usize,
-    x: f64,
+    [x, half]: [f64; 2],
     value: &mut Split<T>,
     slope: &mut Split<T>,
 ) {
-    let x = T::narrow(x);
-    tangent_of::<T, FUSED>(&series.re, entries, powers, x, &mut value.re, &mut slope.re);
-    tangent_of::<T, FUSED>(&series.im, entries, powers, x, &mut value.im, &mut slope.im);
+    let ends = [x - half, x + half].map(T::narrow);
+    let rise = T::narrow(0.5 / half);
+    chord_of::<T, FUSED>(
+        (&series.re[..], entries, powers),
+        (ends, rise),
+        &mut value.re,
+        &mut slope.re,
+    );
+    chord_of::<T, FUSED>(
+        (&series.im[..], entries, powers),
+        (ends, rise),
+        &mut value.im,
+        &mut slope.im,
+    );
 }
 
 #[inline(always)]
-fn tangent_of<T: Sample, const FUSED: bool>(
-    series: &[T],
-    entries: usize,
-    powers: usize,
-    x: T,
+fn chord_of<T: Sample, const FUSED: bool>(
+    (series, entries, powers): (&[T], usize, usize),
+    ([low, high], rise): ([T; 2], T),
     value: &mut [T],
     slope: &mut [T],
 ) {
     let last = &series[(powers - 1) * entries..][..entries];
+    let middle = T::narrow(0.5);
     for at in (0..entries).step_by(WHOLE) {
         let part = |row: &[T]| -> [T; WHOLE] { row[at..][..WHOLE].try_into().expect("whole") };
-        let (mut sum, mut rise) = (part(last), [T::ZERO; WHOLE]);
+        let (mut below, mut above) = (part(last), part(last));
         for power in (0..powers - 1).rev() {
             let next = part(&series[power * entries..]);
             for e in 0..WHOLE {
-                rise[e] = rise[e].times_plus::<FUSED>(x, sum[e]);
-                sum[e] = sum[e].times_plus::<FUSED>(x, next[e]);
+                below[e] = below[e].times_plus::<FUSED>(low, next[e]);
+                above[e] = above[e].times_plus::<FUSED>(high, next[e]);
             }
         }
-        value[at..][..WHOLE].copy_from_slice(&sum);
-        slope[at..][..WHOLE].copy_from_slice(&rise);
+        for e in 0..WHOLE {
+            value[at + e] = (below[e] + above[e]) * middle;
+            slope[at + e] = (above[e] - below[e]) * rise;
+        }
     }
 }
 

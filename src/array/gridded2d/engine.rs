@@ -300,6 +300,12 @@ impl<T: Sample> LineEngine<T> {
         self.rows + 1
     }
 
+    /// How much sooner or later than at its middle something is heard at a stretch's ends, the filter included.
+    fn beside_s(&self, sound_speed_m_per_s: f64) -> f64 {
+        let halves_m = self.stretches.iter().map(|stretch| stretch.half_m);
+        self.filter_half_s + halves_m.fold(0.0, f64::max) / sound_speed_m_per_s
+    }
+
     pub(super) fn bins(&self) -> usize {
         self.fineness.slab_samples
     }
@@ -366,10 +372,11 @@ impl<T: Sample> LineEngine<T> {
         }
         // An echo sounds from its leading edge on for T, give or take its stretch; the filter adds to both sides.
         let echo_s = pulse.duration_s * (1.0 + 3.0 * speed / c);
-        let most_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * self.filter_half_s;
+        let beside_s = self.beside_s(c);
+        let most_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * beside_s;
         assert!(most_s > 0.0, "slabs shorter than a filtered echo");
-        let last_edge_s = plan.window_s(self.rate_hz) + self.filter_half_s;
-        let first_edge_s = (plan.first_sample_s - echo_s - self.filter_half_s)
+        let last_edge_s = plan.window_s(self.rate_hz) + beside_s;
+        let first_edge_s = (plan.first_sample_s - echo_s - beside_s)
             .max(earliest_s)
             .min(last_edge_s);
         // As even as can be: threads then have alike to do. No slab for what is rounding.
@@ -439,7 +446,8 @@ impl<T: Sample> LineEngine<T> {
     /// First sample of a slab's output, counted from the record's.
     fn slab_start(&self, slab: usize) -> isize {
         let ping = &self.ping;
-        let from_s = ping.first_edge_s + slab as f64 * ping.slab_s - self.filter_half_s;
+        let beside_s = self.beside_s(ping.sound_speed_m_per_s);
+        let from_s = ping.first_edge_s + slab as f64 * ping.slab_s - beside_s;
         ((from_s - ping.first_sample_s) * self.rate_hz).floor() as isize
     }
 

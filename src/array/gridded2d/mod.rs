@@ -25,6 +25,7 @@
 //!
 //! Not modelled: alias images of the filter's stop band (82 dB down).
 
+pub mod alone;
 mod columns;
 mod elements;
 #[cfg(target_arch = "x86_64")]
