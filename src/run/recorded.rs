@@ -61,6 +61,8 @@ impl RecordedRig {
         };
         // Known for long enough to foresee it.
         let first = first.plus_ns(spec.run.ahead_ns());
+        // Plans read ahead: a scenario strikes what they read as it does in a daemon.
+        rig.faults.begin(first);
         rig.plan_all(&mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);

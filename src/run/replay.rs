@@ -80,7 +80,6 @@ impl Replay {
         spec.nav.loop_log &= options.pings.is_some();
         let pool = pool(options.threads)?;
         let recorded = pool.install(|| RecordedRig::open(&spec))?;
-        recorded.rig.faults.begin(recorded.first);
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),
