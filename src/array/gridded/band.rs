@@ -5,7 +5,6 @@
 
 use std::sync::LazyLock;
 
-use echotank_fft::Planned;
 use num_complex::Complex64;
 
 use crate::array::filter::bessel_i0;
@@ -13,7 +12,7 @@ use crate::array::filter::bessel_i0;
 use super::choose::SHARE;
 use super::doppler::DopplerSpan;
 use super::one_dimensional::{GriddedError, Spec};
-use super::pulse_spectrum::PulseSpectrum;
+use super::pulse_spectrum::{PulseSpectrum, energies};
 use super::transform::grid_size;
 
 /// Multiples of the sample rate that the band may have, without a filter; with one half as many.
@@ -203,21 +202,4 @@ impl Echoes {
         }
         worst.sqrt()
     }
-}
-
-/// Energies of what a spectrum sounds like in windows of `length`, round its period.
-fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
-    let fft = f64::plan_inverse(spectrum.len());
-    fft.process(&mut spectrum);
-    let count = spectrum.len();
-    let mut sums = Vec::with_capacity(count + length + 1);
-    let mut sum = 0.0;
-    sums.push(sum);
-    for k in 0..count + length {
-        sum += spectrum[k % count].norm_sqr();
-        sums.push(sum);
-    }
-    (0..count)
-        .map(|k| (sums[k + length] - sums[k]).max(0.0))
-        .collect()
 }

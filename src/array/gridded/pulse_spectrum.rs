@@ -9,6 +9,7 @@
 
 use std::sync::LazyLock;
 
+use echotank_fft::Planned;
 use num_complex::Complex64;
 
 use crate::flow::Pulse;
@@ -186,6 +187,23 @@ fn gauss_legendre() -> ([f64; PANEL_NODES], [f64; PANEL_NODES]) {
         weights[i] = 2.0 / ((1.0 - x * x) * slope * slope);
     }
     (places, weights)
+}
+
+/// Energies of what a spectrum sounds like in windows of `length` samples, round its period.
+pub fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
+    f64::plan_inverse(spectrum.len()).process(&mut spectrum);
+    let count = spectrum.len();
+    let length = length.min(count);
+    let mut sums = Vec::with_capacity(count + length + 1);
+    let mut sum = 0.0;
+    sums.push(sum);
+    for k in 0..count + length {
+        sum += spectrum[k % count].norm_sqr();
+        sums.push(sum);
+    }
+    (0..count)
+        .map(|k| (sums[k + length] - sums[k]).max(0.0))
+        .collect()
 }
 
 #[cfg(test)]

@@ -4,12 +4,11 @@
 //! overlap that is lost among them. A window that holds no more than an echo's last samples, or what the receiver filter makes of its end, is held
 //! to a share of that little. So an echo is made with and without, and looked at as the contract does, down to the noise.
 
-use echotank_fft::Planned;
 use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
 use crate::array::gridded::kernel::Kernel;
-use crate::array::gridded::pulse_spectrum::PulseSpectrum;
+use crate::array::gridded::pulse_spectrum::{PulseSpectrum, energies};
 use crate::array::gridded::transform::grid_size;
 use crate::array::phasor::cis;
 use crate::flow::Pulse;
@@ -150,21 +149,4 @@ impl Alone {
 fn wave(turns: f64) -> Complex64 {
     let (cos, sin) = cis(-turns);
     Complex64::new(cos, sin)
-}
-
-/// Energies of what a spectrum sounds like in windows of `length`, round its period.
-fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
-    f64::plan_inverse(spectrum.len()).process(&mut spectrum);
-    let count = spectrum.len();
-    let length = length.min(count);
-    let mut sums = Vec::with_capacity(count + length + 1);
-    let mut sum = 0.0;
-    sums.push(sum);
-    for k in 0..count + length {
-        sum += spectrum[k % count].norm_sqr();
-        sums.push(sum);
-    }
-    (0..count)
-        .map(|k| (sums[k + length] - sums[k]).max(0.0))
-        .collect()
 }
