@@ -27,7 +27,7 @@ const CULL_STEP_DB: f64 = 2.0;
 const LEAST_CULL_DB: f64 = -110.0;
 /// Where what is left out is looked at: from near the first bottom return to grazing.
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
-/// What a platform that turns, over ground that is not flat, leaves out more of an angle's mean; the bound on windows has room for it.
+/// What a platform that turns on, over ground that is not flat, leaves out more.
 const UNEVEN: f64 = 1.5;
 /// A ping's mean energy is no less than this of what is foreseen.
 const LEAST_MEAN: f64 = 0.8;
@@ -53,9 +53,9 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
                 left_out_share(transmit, array, wavelength_m, db, deg.to_radians()).sqrt()
             })
         });
-        UNEVEN * arrays.fold(0.0, f64::max)
+        arrays.fold(0.0, f64::max)
     };
-    let left_out = |db: f64| level(db).max(seabed.worst(db));
+    let left_out = |db: f64| UNEVEN * level(db).max(seabed.worst(db));
     let mut dbs = vec![own_db];
     if spec.synthesis.auto.cull {
         for share in CULL_SHARES {
@@ -226,10 +226,10 @@ mod tests {
             ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
         };
         let mut gauss = || (-even().ln()).sqrt() * (std::f64::consts::TAU * even()).cos();
-        for (n, share) in [(4, 0.01), (15, 0.1), (15, 1e-4), (60, 0.5), (2, 1e-3)] {
+        for (n, share) in [(4, 0.01_f64), (15, 0.1), (15, 1e-4), (60, 0.5), (2, 1e-3)] {
             let mut worst = 0.0f64;
             for _ in 0..1000 {
-                let (mut short, mut whole) = (0.0, 0.0);
+                let (mut short, mut whole) = (0.0_f64, 0.0_f64);
                 for _ in 0..2 * n {
                     let (left, kept) = (share.sqrt() * gauss(), (1.0 - share).sqrt() * gauss());
                     short += left * left;
