@@ -321,7 +321,25 @@ impl Pulse {
         let (sin, cos) = libm::sincos(std::f64::consts::TAU * (turns - turns.round()));
         Complex64::new(level * cos, level * sin)
     }
+
+    /// How weak echoes that sound together may make a window of a pulse's length: its rms over theirs, in all windows but one in ten thousand. Of pulses
+    /// with many degrees of freedom (their band times the window) no window is much weaker than the echoes in it, of a pure tone some are.
+    ///
+    /// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power.
+    pub fn weakest_window(&self, sample_rate_hz: f64) -> f64 {
+        let window_s = self.duration_s.max(LEAST_WINDOW / sample_rate_hz);
+        let freedom = 1.0 + self.bandwidth_hz.max(1.0 / self.duration_s) * window_s;
+        let weakest =
+            libm::exp((WEAKEST_WINDOWS.ln() + libm::lgamma(freedom + 1.0)) / freedom) / freedom;
+        weakest.sqrt().min(1.0)
+    }
 }
+
+/// Least samples of a window over which errors are counted.
+pub const LEAST_WINDOW: f64 = 32.0;
+
+/// Share of all windows that may be weaker than [`Pulse::weakest_window`] says: a ping has some thousands.
+const WEAKEST_WINDOWS: f64 = 1e-4;
 
 /// How a sum over echoes is read at its points. An echo of a rectangular pulse begins and ends with a jump between two of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

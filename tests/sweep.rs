@@ -61,22 +61,19 @@ fn a_line_under_way_is_as_good_as_asked() {
     assert!(answers >= 4 + 1 + 3, "{answers}");
 }
 
-/// Error over tolerance of the worst answer below, beside its echoes (gridded-1d at 1e-4, seed 25: 1.7), and how many of the 36 answers are above their
-/// tolerance in noise, in windows that hold the end of an echo and little else. Both are to come down, to 1 and 0. Two to spare for other processors.
-const WORST_BESIDE: f64 = 2.0;
-const MISSES_IN_NOISE: usize = 16;
-
-/// Pulse, filter, arrays, ranges and motion by chance.
+/// Pulse, filter, arrays, ranges and motion by chance. Among them what was once above its tolerance: short flanks behind `direct`'s filter (2, 25), a
+/// pure tone without a filter and a sweep, which a model's phase at the ends of echoes spoilt (9, 32), tones laid on samples (16), edges that cross the
+/// end of the filter itself (12).
 #[test]
-fn chance_finds_nothing_worse_than_is_known() {
-    let (mut answers, mut misses) = (0, Vec::new());
-    for seed in [0, 2, 12, 25, 31, 40] {
+fn chance_finds_nothing_above_its_tolerance_in_noise() {
+    let mut answers = 0;
+    for seed in [0, 2, 9, 12, 16, 25, 32] {
         let mut case = case::random(seed);
         case.looked_at.truncate(1);
         let truth = measure::truth(&case);
         // gridded-2d: the next test.
         for method in Method::of(&case).filter(|&m| m != Method::Gridded2d) {
-            for cell in Row::of(method, &case, &truth, &TOLERANCES[..4]).cells {
+            for cell in Row::of(method, &case, &truth, &TOLERANCES[..5]).cells {
                 let said = format!(
                     "{}: {:?} asked for {:e}: {}",
                     method.name(),
@@ -85,21 +82,15 @@ fn chance_finds_nothing_worse_than_is_known() {
                     case::describe(&case)
                 );
                 answers += usize::from(cell.outcome.is_ok());
-                let beside = cell.outcome.as_ref().map_or(0.0, |m| m.error.beside);
-                assert!(beside <= WORST_BESIDE * cell.tolerance, "{said}");
-                if !cell.holds(|e| e.in_noise) {
-                    misses.push(said);
-                }
+                assert!(
+                    cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
+                    "{said}"
+                );
             }
         }
     }
     println!("{answers} answers");
     assert!(answers > 20, "{answers}");
-    assert!(
-        misses.len() <= MISSES_IN_NOISE,
-        "{}: {misses:#?}",
-        misses.len()
-    );
 }
 
 /// Error over tolerance of the worst line beside its echoes (at 1e-4: seed 142, at rest, 2.2; seed 25, `stretch`, 1.7; unexplained). To come down to 1.
@@ -131,20 +122,22 @@ fn chance_finds_no_line_worse_than_is_known_beside_its_echoes() {
 
 #[test]
 fn what_cannot_be_reached_is_refused_with_what_stands_in_the_way() {
-    let case = SCENES[0].case(&MOTIONS[2], 5);
-    let truth = measure::truth(&case);
-    let refused = |method: Method, tolerance| match method.within(tolerance, &case, &truth) {
-        Ok((chosen, _)) => panic!("{} answers: {}", method.name(), chosen.text()),
-        Err(refused) => refused,
+    let refused = |motion: usize, method: Method, tolerance| {
+        let case = SCENES[0].case(&MOTIONS[motion], 5);
+        let truth = measure::truth(&case);
+        match method.within(tolerance, &case, &truth) {
+            Ok((chosen, _)) => panic!("{} answers: {}", method.name(), chosen.text()),
+            Err(refused) => refused,
+        }
     };
-    let model = refused(Method::Linear, 1e-3);
+    let model = refused(2, Method::Linear, 1e-3);
     assert_eq!(model.by, Reason::Model);
     assert!(
         model.message.contains("none is off by"),
         "{}",
         model.message
     );
-    let sum = refused(Method::Direct, 1e-4);
+    let sum = refused(0, Method::Direct, 1e-4);
     assert_eq!(sum.by, Reason::Sum);
     assert!(sum.message.contains("direct is off by"), "{}", sum.message);
 }

@@ -20,6 +20,7 @@ mod phasor;
 pub mod receiver;
 pub mod replica;
 pub mod spectral;
+pub mod windows;
 
 pub use direct::Direct;
 pub use filter::{Decimator, FilterError, oversample};

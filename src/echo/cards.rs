@@ -208,6 +208,33 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
     }
 }
 
+/// The two cards as of the worst window of a pulse's length and not of whole echoes: one that holds no more than the ends of pulses, where phases are at
+/// their greatest, or echoes that weaken one another.
+pub fn window_cards(
+    path: PathModel,
+    doppler: DopplerModel,
+    conditions: &Conditions,
+) -> [MethodCard; 2] {
+    let weakening = 1.0
+        / conditions
+            .pulse
+            .weakest_window(conditions.sample_rate_hz);
+    // Of what grows with time, its square, its cube: at the end over the root mean square.
+    let end = match doppler {
+        DopplerModel::None | DopplerModel::PaperEq21 => 3f64.sqrt(),
+        DopplerModel::Stretch => 5f64.sqrt(),
+        DopplerModel::StretchQuadratic => 7f64.sqrt(),
+    };
+    let mut cards = [
+        path_card(path, conditions),
+        doppler_card(doppler, path, conditions),
+    ];
+    for (card, more) in cards.iter_mut().zip([weakening, weakening.max(end)]) {
+        card.error = Conditions::error_of_phase(card.error * more);
+    }
+    cards
+}
+
 /// The cheapest Doppler model that reaches `tolerance` on this path model, or why the best does not. Eq. 21 is never it.
 pub fn doppler_within(
     tolerance: f64,

@@ -37,9 +37,9 @@ struct Arguments {
     /// Only scenes whose name or motion contains this.
     #[arg(long)]
     only: Option<String>,
-    /// Only this method.
-    #[arg(long, conflicts_with = "keep")]
-    method: Option<String>,
+    /// Only these methods.
+    #[arg(long, value_delimiter = ',', conflicts_with = "keep")]
+    method: Vec<String>,
     /// Random scenes.
     #[arg(long, default_value_t = 200)]
     random: u64,
@@ -116,10 +116,7 @@ fn main() -> std::io::Result<()> {
 }
 
 fn asked(method: Method, given: &Arguments) -> bool {
-    given
-        .method
-        .as_deref()
-        .is_none_or(|name| name == method.name())
+    given.method.is_empty() || given.method.iter().any(|name| name == method.name())
 }
 
 fn reasons(row: &Row) -> String {

@@ -8,6 +8,7 @@ use std::sync::LazyLock;
 use num_complex::Complex64;
 
 use crate::array::filter::bessel_i0;
+use crate::flow::LEAST_WINDOW;
 
 use super::choose::SHARE;
 use super::doppler::DopplerSpan;
@@ -17,9 +18,6 @@ use super::transform::grid_size;
 
 /// Multiples of the sample rate that the band may have, without a filter; with one half as many.
 pub const MOST_BANDS: usize = 8;
-
-/// Least samples of a window.
-pub const LEAST_WINDOW: f64 = 32.0;
 
 /// Windows that are weaker than the strongest by more than this are counted against it: a sharp pulse fills every band to that depth.
 const DEEPEST_DB: f64 = 60.0;

@@ -2,30 +2,18 @@
 
 use std::sync::LazyLock;
 
-use super::band::LEAST_WINDOW;
 use super::doppler::{DopplerGrid, DopplerSpan, MAX_ORDER, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
 use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
 
-/// Share of all windows that may be weaker than [`weakening`] says: a ping has some thousands.
-const WEAKEST_WINDOWS: f64 = 1e-4;
-
-/// Part of that weakness which the shares below leave room for.
+/// Part of [`Pulse::weakest_window`](crate::flow::Pulse::weakest_window) which the shares below leave room for.
 const ROOM: f64 = 0.6;
 
-/// By how much echoes that sound together may weaken one another in a window, and with it what errors are measured by: of pulses with many
-/// degrees of freedom (their band times the window) no window is much weaker than the echoes in it, of a pure tone some are. 1 or more.
-///
-/// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power.
+/// By how much echoes that sound together may weaken one another in a window, and with it what errors are measured by: 1 or more.
 pub fn weakening(spec: &Spec) -> f64 {
-    let pulse = spec.pulse;
-    let window_s = pulse.duration_s.max(LEAST_WINDOW / spec.sample_rate_hz);
-    let freedom = 1.0 + pulse.bandwidth_hz.max(1.0 / pulse.duration_s) * window_s;
-    let weakest =
-        libm::exp((WEAKEST_WINDOWS.ln() + libm::lgamma(freedom + 1.0)) / freedom) / freedom;
-    (ROOM / weakest.sqrt()).max(1.0)
+    (ROOM / spec.pulse.weakest_window(spec.sample_rate_hz)).max(1.0)
 }
 
 /// What the band leaves out may take this share of the tolerance in the worst window.

@@ -311,8 +311,8 @@ fn conditions(
 impl Case {
     /// Error that path and Doppler model make together, as their cards have it.
     pub fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
-        cards::path_card(path, &self.conditions).error
-            + cards::doppler_card(doppler, path, &self.conditions).error
+        let cards = cards::window_cards(path, doppler, &self.conditions);
+        cards.iter().map(|card| card.error).sum()
     }
 
     /// What an engine for the whole line must be made for: angles and speeds as they occur.

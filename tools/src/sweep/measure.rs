@@ -1,7 +1,10 @@
 //! Truth and the norm of the contract: error by element and window against the reference through the receiver filter.
 
+use std::sync::Mutex;
+
 use echotank::array::Decimator;
 use echotank::array::filter::occupied_hz;
+use echotank::array::windows::window_card;
 use echotank::echo::reference::reference_with;
 use echotank::flow::*;
 use num_complex::Complex64;
@@ -25,6 +28,28 @@ pub struct Truth {
     pub filter: Option<Decimator>,
     /// Of the elements looked at.
     pub records: Vec<Vec<Complex64>>,
+    /// Of the sums without a tolerance of their own, as they were asked for: none depends on what is asked.
+    cards: Mutex<Vec<(Synthesis, MethodCard)>>,
+}
+
+impl Truth {
+    /// The card of `synthesis` in every window in noise.
+    pub fn card(&self, synthesis: Synthesis, case: &Case) -> MethodCard {
+        let mut cards = self.cards.lock().expect("nobody panics with it");
+        if let Some((_, card)) = cards.iter().find(|(of, _)| *of == synthesis) {
+            return card.clone();
+        }
+        let card = window_card(
+            synthesis,
+            &case.conditions,
+            &case.plan,
+            case.doppler_hz,
+            LEVEL_RANGE_DB,
+        )
+        .expect("the case's sample rate holds its pulse");
+        cards.push((synthesis, card.clone()));
+        card
+    }
 }
 
 /// The receiver filter of a case with `density` points over the occupied band.
@@ -56,6 +81,7 @@ fn truth_of(case: &Case, density: f64) -> Truth {
             .map(|&element| reference_record(case, filter.as_ref(), element))
             .collect(),
         filter,
+        cards: Mutex::default(),
     }
 }
 

@@ -2,12 +2,11 @@
 
 use std::sync::Mutex;
 
-use echotank::array::cards::synthesis_card;
 use echotank::array::filter::oversample;
 use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, one_dimensional};
 use echotank::array::gridded2d::{self, Gridded2d};
 use echotank::array::{Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
-use echotank::echo::cards::{doppler_card, path_card};
+use echotank::echo::cards::window_cards;
 use echotank::echo::{
     Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate,
 };
@@ -213,7 +212,7 @@ impl Method {
                 return Ok((engine.card().clone(), Ready::Line(Box::new(engine))));
             }
         };
-        let card = synthesis_card(synthesis, &case.conditions);
+        let card = truth.card(synthesis, case);
         let card = card.within(tolerance).map_err(|e| e.to_string())?;
         Ok((card, Ready::Sum))
     }
@@ -233,8 +232,7 @@ impl Method {
 }
 
 fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerModel) -> Refused {
-    let path_card = path_card(path, &case.conditions);
-    let doppler_card = doppler_card(doppler, path, &case.conditions);
+    let [path_card, doppler_card] = window_cards(path, doppler, &case.conditions);
     let worse = if path_card.error > doppler_card.error {
         path_card
     } else {
