@@ -34,6 +34,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         time_width: 4,
         slope_width: 4,
         time_oversampling: 2.0,
+        time_core: 1.0,
         slope_oversampling: 2.0,
         moments: 8,
         series: 2e-4,

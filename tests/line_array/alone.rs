@@ -29,7 +29,7 @@ fn a_kernel_errs_by_more_beside_an_echo_than_in_the_mean_and_less_so_the_wider_i
     let mut last = [f64::INFINITY; 2];
     for width in [4, 5, 6, 7] {
         let kernel = Kernel::new(width, 2.0, 8);
-        let [of_sharp, of_soft] = [&sharp, &soft].map(|alone| alone.kernel(&kernel));
+        let [of_sharp, of_soft] = [&sharp, &soft].map(|alone| alone.kernel(&kernel, 1.0)[1]);
         println!(
             "width {width}: rms {:.1e}, sharp {of_sharp:.1e}, soft {of_soft:.1e}",
             kernel.error
@@ -42,5 +42,29 @@ fn a_kernel_errs_by_more_beside_an_echo_than_in_the_mean_and_less_so_the_wider_i
     for alone in [sharp, soft] {
         // The filter's stop band lies 80 dB down and little of a pulse beyond it, a twentieth at most: in noise 40 dB down that is 5e-4.
         assert!(alone.beyond_band() < 5e-4, "{:e}", alone.beyond_band());
+    }
+}
+
+#[test]
+fn a_kernel_made_for_the_part_of_the_band_where_the_pulse_is_errs_by_a_third_and_no_more_beside() {
+    let pulse = Pulse {
+        kind: PulseKind::LfmUp,
+        center_frequency_hz: 400e3,
+        bandwidth_hz: 30e3,
+        duration_s: 5e-3,
+        taper: 0.1,
+    };
+    let rate_hz = 52e3;
+    let decimator = Decimator::new(&pulse, rate_hz, 2700.0, 8).expect("fits");
+    let alone = Alone::new(&pulse, rate_hz, &decimator, 6.7e-3, 60.0);
+    let core = alone.core();
+    // The chirp's own band, its Doppler of 2.7 kHz to either side, and a little for its ends.
+    assert!((0.62..0.85).contains(&core), "{core}");
+    for width in [4, 5, 6] {
+        let of_band = alone.kernel(&Kernel::new(width, 1.5, 8), 1.0);
+        let of_core = alone.kernel(&Kernel::new(width, 1.5 / core, 8), core);
+        println!("width {width}, core {core:.2}: {of_band:.1e?}, {of_core:.1e?}");
+        assert!(of_core[0] < 0.33 * of_band[0], "{of_core:?}, {of_band:?}");
+        assert!(of_core[1] < 1.5 * of_band[1], "{of_core:?}, {of_band:?}");
     }
 }

@@ -17,6 +17,7 @@ pub const FINE: Fineness = Fineness {
     time_width: 12,
     slope_width: 12,
     time_oversampling: 2.0,
+    time_core: 1.0,
     slope_oversampling: 2.0,
     moments: 12,
     series: 1e-8,

@@ -1,7 +1,7 @@
 //! The tolerance asked for is the tolerance kept, in every window.
 
 use echotank::array::gridded::dialect::Dialect;
-use echotank::array::gridded2d::{Bounds, Choice, Precision, Refusal, Spec, choose};
+use echotank::array::gridded2d::{Bounds, Choice, Fineness, Precision, Refusal, Spec, choose};
 use glam::DVec3;
 
 use crate::rig::C;
@@ -128,6 +128,19 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
         for (e, (got, want)) in forward.iter().zip(&plain).enumerate() {
             let worst = worst_window(got, want, scene.plan.pulse.duration_s);
             assert!(worst < 2e-6, "{dialect:?}, element {e}: {worst:e}");
+        }
+    }
+    // Kernels over time of other widths, of which some have code of their own.
+    for time_width in [3, 4, 6, 7, 8, 9] {
+        let fineness = Fineness {
+            time_width,
+            ..fineness
+        };
+        let plain = engine_in::<f32>(&scene, fineness, Dialect::PORTABLE, false).0;
+        let best = engine_in::<f32>(&scene, fineness, Dialect::best(), false).0;
+        for (e, (got, want)) in best.iter().zip(&plain).enumerate() {
+            let worst = worst_window(got, want, scene.plan.pulse.duration_s);
+            assert!(worst < 2e-6, "{time_width} rows, element {e}: {worst:e}");
         }
     }
 }

@@ -21,6 +21,9 @@ const KERNEL_NOISE_DB: f64 = 55.0;
 const BAND_NOISE_DB: f64 = 40.0;
 /// Of the sample rate, what is looked at: as much again lies beyond the sampled band, where the receiver filter stops.
 const DENSE: f64 = 2.0;
+/// Of an echo's energy, what may lie beyond the part of the band that kernels are made for; and the least such part.
+const CORE_REST: f64 = 1e-5;
+const LEAST_CORE: f64 = 0.3;
 /// Places across a cell at which a kernel is tried.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
@@ -92,51 +95,89 @@ impl Alone {
 
     /// Error in the worst window of what lies beyond the sampled band.
     pub fn beyond_band(&self) -> f64 {
-        self.worst(BAND_NOISE_DB, |f_hz| match self.sampled(f_hz) {
+        let off = |&f_hz: &f64| match self.sampled(f_hz) {
             true => Complex64::ZERO,
             false => Complex64::ONE,
-        })
+        };
+        let off: Vec<Complex64> = self.frequency_hz.iter().map(off).collect();
+        self.worst(BAND_NOISE_DB, &off)
     }
 
-    /// Error in the worst window that a kernel makes at the places that suit it least.
-    pub fn kernel(&self, kernel: &Kernel) -> f64 {
-        PLACES
-            .iter()
-            .map(|&x| {
-                let weight = |i: usize| {
-                    (0..kernel.moments)
-                        .rev()
-                        .fold(0.0, |sum, k| sum * x + kernel.weight(k, i))
-                };
-                let weights: Vec<f64> = (0..kernel.width).map(weight).collect();
-                let middle = 0.5 * (kernel.width - 1) as f64;
-                // Frequencies in cycles per row of the grid.
-                let per_hz = 1.0 / (kernel.oversampling * self.sample_rate_hz);
-                self.worst(KERNEL_NOISE_DB, |f_hz| {
-                    if !self.sampled(f_hz) {
-                        return Complex64::ZERO;
-                    }
-                    let nu = f_hz * per_hz;
-                    let taps = weights.iter().enumerate();
-                    let sum: Complex64 =
-                        taps.map(|(i, &w)| wave(nu * (i as f64 - middle)) * w).sum();
-                    sum / kernel.window_gain(nu) - wave(0.5 * nu * x)
-                })
-            })
-            .fold(0.0, f64::max)
+    /// Error of the whole echo, and in the worst window, that a kernel makes at the places that suit it least; it was made for so much of the
+    /// band about its middle.
+    pub fn kernel(&self, kernel: &Kernel, core: f64) -> [f64; 2] {
+        let mut most = [0.0f64; 2];
+        for x in PLACES {
+            let weight = |i: usize| {
+                (0..kernel.moments)
+                    .rev()
+                    .fold(0.0, |sum, k| sum * x + kernel.weight(k, i))
+            };
+            let weights: Vec<f64> = (0..kernel.width).map(weight).collect();
+            let middle = 0.5 * (kernel.width - 1) as f64;
+            // Frequencies in cycles per row of the grid.
+            let per_hz = 1.0 / (kernel.oversampling * core * self.sample_rate_hz);
+            let off = |&f_hz: &f64| {
+                if !self.sampled(f_hz) {
+                    return Complex64::ZERO;
+                }
+                let nu = f_hz * per_hz;
+                let taps = weights.iter().enumerate();
+                let sum: Complex64 = taps.map(|(i, &w)| wave(nu * (i as f64 - middle)) * w).sum();
+                sum / kernel.window_gain(nu) - wave(0.5 * nu * x)
+            };
+            let off: Vec<Complex64> = self.frequency_hz.iter().map(off).collect();
+            most[0] = most[0].max(self.whole(&off));
+            most[1] = most[1].max(self.worst(KERNEL_NOISE_DB, &off));
+        }
+        most
+    }
+
+    /// The part of the band about its middle beyond which next to nothing of an echo lies.
+    pub fn core(&self) -> f64 {
+        let reach = |spectrum: &Vec<Complex64>| {
+            let all: f64 = spectrum.iter().map(|s| s.norm_sqr()).sum();
+            // From the edges inwards: bins of both signs lie evenly about the middle of the list.
+            let (half, mut beyond) = (spectrum.len() / 2, 0.0);
+            for k in 0..half {
+                beyond += spectrum[half - k].norm_sqr()
+                    + spectrum[(half + k) % spectrum.len()].norm_sqr();
+                if beyond > CORE_REST * all {
+                    return (half - k) as f64 * DENSE / half as f64;
+                }
+            }
+            0.0
+        };
+        let most = self.spectra.iter().map(reach).fold(0.0, f64::max);
+        most.clamp(LEAST_CORE, 1.0)
     }
 
     fn sampled(&self, f_hz: f64) -> bool {
         f_hz.abs() <= 0.5 * self.sample_rate_hz
     }
 
+    /// Error of an echo as a whole where `off` of each frequency is amiss.
+    fn whole(&self, off: &[Complex64]) -> f64 {
+        let energy = |s: Complex64| s.norm_sqr();
+        let error = |spectrum: &Vec<Complex64>| {
+            let all: f64 = spectrum.iter().map(|s| energy(*s)).sum();
+            let rest: f64 = spectrum
+                .iter()
+                .zip(off)
+                .map(|(s, off)| energy(s * off))
+                .sum();
+            rest / all.max(f64::MIN_POSITIVE)
+        };
+        let errors = self.spectra.iter().map(error);
+        errors.fold(0.0, f64::max).sqrt()
+    }
+
     /// Error in the worst window where `off` of each frequency is amiss, in noise.
-    fn worst(&self, noise_db: f64, off: impl Fn(f64) -> Complex64) -> f64 {
+    fn worst(&self, noise_db: f64, off: &[Complex64]) -> f64 {
         let noise = 10f64.powf(-noise_db.min(self.level_range_db) / 10.0);
-        let off: Vec<Complex64> = self.frequency_hz.iter().map(|&f_hz| off(f_hz)).collect();
         let mut worst: f64 = 0.0;
         for (spectrum, (windows, strongest)) in self.spectra.iter().zip(&self.windows) {
-            let rest = spectrum.iter().zip(&off).map(|(s, off)| s * off).collect();
+            let rest = spectrum.iter().zip(off).map(|(s, off)| s * off).collect();
             for (off, size) in energies(rest, self.length).iter().zip(windows) {
                 worst = worst.max(off / size.max(noise * strongest));
             }

@@ -8,14 +8,14 @@ use num_complex::Complex64;
 use super::engine::{Orders, Work};
 use super::lanes::{Apart, BLOCK, Lanes, Split};
 use super::merge::Merge;
-use super::panel::{PANEL, transposed};
-use super::pulse::{Instants, MOST_INSTANTS, chebyshev, chebyshev_nodes};
+use super::panel::{PANEL, Row, transposed};
+use super::pulse::{chebyshev, chebyshev_nodes};
 use super::sample::Sample;
 use super::stages::Stage;
-use super::task::{MOST_ALONG, MOST_TURN, Ray, Task};
+use super::task::{Ray, Task};
 
-/// Of what a series may leave out, what powers along the stretch that are left out of single products may.
-const TRIMMED: f64 = 0.1;
+/// Of what a series may leave out, what coefficients that are left out may together.
+const TRIMMED: f64 = 1.0;
 
 /// Of what may be left all over a slab, a coefficient that is no more.
 const NOTHING: f64 = 1e-3;
@@ -26,8 +26,8 @@ const WHOLE: usize = 16;
 /// One coefficient of the templates.
 #[derive(Clone, Copy)]
 pub struct Entry {
-    /// Which sound it is of: instant times channels and channel.
-    pub source: usize,
+    /// Which sound it is of.
+    pub sound: usize,
     /// Along the stretch.
     pub power: usize,
 }
@@ -38,42 +38,38 @@ impl<T: Sample> Task<'_, T> {
         self.engine.blocks.len() * BLOCK
     }
 
-    /// Instants, channels, powers along the stretch: entries of a template per power of the frequency.
+    /// Terms of the emission, channels, powers along the stretch: entries of a template per power of the frequency.
     fn entries(&self) -> usize {
         self.orders.instants * self.channels() * self.orders.along
     }
 
-    /// Each column to frequency, and there into the powers along the stretch.
+    /// Each column to frequency, and what makes powers along the stretch of it.
     #[inline(always)]
-    pub fn to_moments<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let instants = &self.engine.instants[self.orders.instants - 1];
+    pub fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
         let mut since = Instant::now();
         self.dilation_series(work);
-        self.shapes(work, instants);
-        work.stages.lap(Stage::Templates, &mut since);
-        let channels = self.channels();
-        work.spectrum.resize(self.columns * channels * self.heard());
-        work.moments
-            .resize(self.heard() * self.columns * work.powers);
-        work.sounds.resize(instants.len() * channels, Lanes::ZERO);
-        for split in &mut work.here {
-            split.resize(work.entries.len().next_multiple_of(WHOLE));
+        self.shapes(work);
+        self.shares_of_nodes(work);
+        work.sounds.resize(work.sources.len(), Lanes::ZERO);
+        work.pulses.resize(self.orders.instants, Lanes::ZERO);
+        for powers in &mut work.of_powers {
+            powers.resize(work.powers, Lanes::ZERO);
         }
-        // A column follows its channels at once, while they are in the cache.
-        let mut column = 0;
+        let whole = work.entries.len().next_multiple_of(WHOLE);
+        for split in &mut work.chords {
+            split.resize(self.nodes * whole);
+        }
+        for split in &mut work.here {
+            split.resize(whole);
+        }
+        work.stages.lap(Stage::Templates, &mut since);
+        let lanes = self.columns * self.channels();
+        work.spectrum.resize(lanes * self.heard());
         for panel in 0..self.panels() {
             self.spectra::<FUSED>(work, panel);
-            work.stages.lap(Stage::Transform, &mut since);
-            let ready = (panel + 1) * PANEL;
-            while column < self.columns && (column + 1) * channels <= ready {
-                self.template(work, column);
-                for block in 0..self.engine.blocks.len() {
-                    self.block::<FUSED>(work, column, block, instants);
-                }
-                column += 1;
-            }
-            work.stages.lap(Stage::Combine, &mut since);
         }
+        work.cleared = true;
+        work.stages.lap(Stage::Transform, &mut since);
     }
 
     /// One panel of channels and columns to frequency.
@@ -85,12 +81,11 @@ impl<T: Sample> Task<'_, T> {
         let [a, b] = &mut work.panel;
         // The first bin that is heard lies below the centre: at the transform's end.
         let first = (rows + self.engine.blocks.start * BLOCK - bins / 2) % rows;
-        let grid = &work.grid[panel * self.engine.panel_rows()..][..rows];
+        let grid = &mut work.grid[panel * self.engine.panel_rows()..][..rows];
         let forward = &self.engine.forward;
         let from = forward.run::<FUSED>(grid, [a, b]);
         let lanes = PANEL.min(all - panel * PANEL);
-        let re = &mut work.spectrum.re[panel * PANEL * heard..][..lanes * heard];
-        let im = &mut work.spectrum.im[panel * PANEL * heard..][..lanes * heard];
+        let Split { re, im } = &mut work.spectrum;
         // Squares of 16 by 16 stay in the cache.
         for q in (0..heard).step_by(PANEL) {
             let mut square = [&from[0]; PANEL];
@@ -102,12 +97,15 @@ impl<T: Sample> Task<'_, T> {
                 (of_re[k], of_im[k]) = (square[k].re, square[k].im);
             }
             let (of_re, of_im) = (transposed(of_re), transposed(of_im));
+            let first = (q / BLOCK * all + panel * PANEL) * BLOCK + q % BLOCK;
             for lane in 0..lanes {
-                let to = lane * heard + q;
+                let to = first + lane * BLOCK;
                 re[to..][..PANEL].copy_from_slice(&of_re[lane]);
                 im[to..][..PANEL].copy_from_slice(&of_im[lane]);
             }
         }
+        // For the next task, while it is near.
+        grid.fill(Row::ZERO);
     }
 
     /// exp(-j psi w d) at each instant w as a series of T_r(d), at a few frequencies: `[instant][dilation][frequency]`.
@@ -140,7 +138,7 @@ impl<T: Sample> Task<'_, T> {
     }
 
     /// The shape at a few slopes, as series of bend and twist, powers along the stretch and powers of the frequency.
-    fn shapes(&self, work: &mut Work<T>, instants: &Instants) {
+    fn shapes(&self, work: &mut Work<T>) {
         let orders = self.orders;
         let (along, band) = (orders.along, orders.band);
         let slopes = self.slopes();
@@ -151,10 +149,8 @@ impl<T: Sample> Task<'_, T> {
             let (values, next) = (&mut work.values, &mut work.values_next);
             values.clear();
             let kinds = self.kinds();
-            let each = instants
-                .x
-                .iter()
-                .flat_map(|&w| kinds.iter().map(move |&kind| (w, kind)));
+            let each = chebyshev_nodes(orders.instants)
+                .flat_map(|w| kinds.iter().map(move |&kind| (w, kind)));
             for (w, kind) in each {
                 for b in chebyshev_nodes(orders.bend) {
                     for twist in chebyshev_nodes(orders.twist) {
@@ -188,14 +184,23 @@ impl<T: Sample> Task<'_, T> {
                 work.all_shapes.extend(of_power);
             }
         }
+        self.most_of_powers(work);
+        // From instants to terms of the emission.
+        let inner = self.channels() * along;
+        along_dimension(
+            &engine.series[orders.instants - 1],
+            &work.all_shapes,
+            &mut work.values,
+            inner,
+        );
         self.choose_entries(work);
         let all = self.entries();
         let kept = work.entries.len().next_multiple_of(WHOLE);
         work.shapes.clear_to(self.nodes * band * kept);
-        let rows = work.all_shapes.chunks_exact(all).enumerate();
+        let rows = work.values.chunks_exact(all).enumerate();
         for (row, values) in rows {
             for (e, entry) in work.entries.iter().enumerate() {
-                let value = values[entry.source * along + entry.power];
+                let value = values[work.sources[entry.sound] * along + entry.power];
                 work.shapes.re[row * kept + e] = T::narrow(value.re);
                 work.shapes.im[row * kept + e] = T::narrow(value.im);
             }
@@ -237,19 +242,10 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Of every channel, the highest powers along the stretch that together are next to nothing are left out; and of those that the turn
-    /// inside a block adds.
-    fn choose_entries(&self, work: &mut Work<T>) {
-        let Orders {
-            instants,
-            along,
-            turn,
-            band,
-            ..
-        } = self.orders;
-        let channels = self.channels();
-        let all = self.entries();
-        // Of each channel and power: the most that it is at any slope, instant and frequency.
+    /// The most that each channel's templates are of each power along the stretch, at any slope, instant and frequency.
+    fn most_of_powers(&self, work: &mut Work<T>) {
+        let Orders { along, band, .. } = self.orders;
+        let (channels, all) = (self.channels(), self.entries());
         work.most.clear();
         work.most.resize(channels * along, 0.0);
         for node in work.all_shapes.chunks_exact(all * band) {
@@ -260,31 +256,61 @@ impl<T: Sample> Task<'_, T> {
                 *most = most.max(size * work.merge.peak[at / along]);
             }
         }
-        let share = TRIMMED * self.engine.fineness.series / channels as f64;
-        // No more than rounding, and products of such come near the least numbers there are, which processors are slow with.
-        let nothing = NOTHING * self.engine.fineness.far;
-        work.entries.clear();
-        let powers_of = |most: &[f64]| {
-            let (mut powers, mut rest) = (along, 0.0);
-            while powers > 0 && rest + most[powers - 1] <= share {
-                rest += most[powers - 1];
-                powers -= 1;
-            }
-            powers
-        };
-        for power in 0..along {
-            for source in 0..instants * channels {
-                let most = &work.most[source % channels * along..][..along];
-                if power < powers_of(most) && most[power] > nothing {
-                    work.entries.push(Entry { source, power });
-                }
+    }
+
+    /// The smallest coefficients that together are next to nothing are left out; and of the powers that the turn inside a block adds, the
+    /// highest.
+    fn choose_entries(&self, work: &mut Work<T>) {
+        let Orders {
+            along, turn, band, ..
+        } = self.orders;
+        let channels = self.channels();
+        let all = self.entries();
+        // Of each: the most that it is at any slope and frequency.
+        work.sizes.clear();
+        work.sizes.extend((0..all).map(|entry| (0.0, entry)));
+        for node in work.values.chunks_exact(all * band) {
+            for (most, entry) in &mut work.sizes {
+                let of_entry = node[*entry..].iter().step_by(all);
+                let size: f64 = of_entry.map(|c| c.norm()).sum();
+                *most = f64::max(*most, size * work.merge.peak[*entry / along % channels]);
             }
         }
+        let order = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        work.sizes.sort_unstable_by(order);
+        let share = TRIMMED * self.engine.fineness.series;
+        // No more than rounding, and products of such come near the least numbers there are, which processors are slow with.
+        let nothing = NOTHING * self.engine.fineness.far;
+        let mut rest = 0.0;
+        let small = work.sizes.iter().take_while(|(size, _)| {
+            rest += size;
+            rest <= share || *size <= nothing
+        });
+        let small = small.count();
+        let kept = &mut work.sizes[small..];
+        // By sound, then by power.
+        kept.sort_unstable_by_key(|(_, entry)| *entry);
+        work.sources.clear();
+        work.entries.clear();
+        for (_, entry) in kept.iter() {
+            let source = *entry / along;
+            if work.sources.last() != Some(&source) {
+                work.sources.push(source);
+            }
+            work.entries.push(Entry {
+                sound: work.sources.len() - 1,
+                power: *entry % along,
+            });
+        }
+        work.entries
+            .sort_unstable_by_key(|entry| (entry.power, entry.sound));
+        let used = work.entries.last().map_or(1, |entry| entry.power + 1);
+        work.along = used;
         // What is left out of the turn jumps from block to block.
         let theta = self.turn_rad(0, self.greatest_slope()).abs();
         let turned = |m: usize| (1..=m).fold(1.0, |term, k| term * theta / k as f64);
         let left_out = |powers: usize| -> f64 {
-            (0..along)
+            (0..used)
                 .flat_map(|q| (0..turn).map(move |m| (q, m)))
                 .filter(|(q, m)| q + m >= powers)
                 .map(|(q, m)| {
@@ -293,54 +319,91 @@ impl<T: Sample> Task<'_, T> {
                 })
                 .sum()
         };
-        work.powers = (along..self.most_powers())
+        let most = used + turn - 1;
+        work.powers = (used..most)
             .find(|&powers| left_out(powers) <= self.engine.fineness.far)
-            .unwrap_or(self.most_powers());
+            .unwrap_or(most);
     }
 
-    /// A column's template, from those at the few slopes.
-    #[inline(always)]
-    fn template(&self, work: &mut Work<T>, column: usize) {
-        let len = self.orders.band * work.entries.len().next_multiple_of(WHOLE);
-        let x = self.slopes().unit(self.slope(column));
+    /// How much of the template at each of the few slopes a column has: `[column][node]`.
+    fn shares_of_nodes(&self, work: &mut Work<T>) {
         let series = &self.engine.series[self.nodes - 1];
-        work.template.clear_to(len);
-        for node in 0..self.nodes {
-            let share: f64 = (0..self.nodes)
-                .map(|n| series[n * self.nodes + node] * chebyshev(n, x))
-                .sum();
-            let share = T::narrow(share);
-            let at = node * len..(node + 1) * len;
-            add_scaled(&mut work.template.re, &work.shapes.re[at.clone()], share);
-            add_scaled(&mut work.template.im, &work.shapes.im[at], share);
+        let slopes = self.slopes();
+        work.shares.clear();
+        for column in 0..self.columns {
+            let x = slopes.unit(self.slope(column));
+            let share = |node: usize| -> f64 {
+                (0..self.nodes)
+                    .map(|n| series[n * self.nodes + node] * chebyshev(n, x))
+                    .sum()
+            };
+            work.shares
+                .extend((0..self.nodes).map(|node| T::narrow(share(node))));
         }
     }
 
-    /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of Lagrange's polynomials of the instants.
+    /// The templates at the few slopes in one block: over it everything smooth is a line.
     #[inline(always)]
-    fn pulses<const FUSED: bool>(
-        &self,
-        s: f64,
-        block: usize,
-        nodes: &Instants,
-    ) -> [Lanes<T>; MOST_INSTANTS] {
-        let mut pulses = [Lanes::ZERO; MOST_INSTANTS];
+    pub fn chords<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
+        let middle = self.middle_band(block);
+        let half = BLOCK as f64 / self.engine.bins() as f64;
+        let whole = work.entries.len().next_multiple_of(WHOLE);
+        let band = self.orders.band;
+        let Work { shapes, chords, .. } = work;
+        let [value, slope] = chords;
+        let ends = [middle - half, middle + half].map(T::narrow);
+        let rise = T::narrow(0.5 / half);
+        for node in 0..self.nodes {
+            let (from, to) = (node * band * whole, node * whole);
+            chord::<T, FUSED>(
+                (&shapes.re[from..], whole, band),
+                (ends, rise),
+                &mut value.re[to..][..whole],
+                &mut slope.re[to..][..whole],
+            );
+            chord::<T, FUSED>(
+                (&shapes.im[from..], whole, band),
+                (ends, rise),
+                &mut value.im[to..][..whole],
+                &mut slope.im[to..][..whole],
+            );
+        }
+    }
+
+    /// A column's template in one block, from those at the few slopes.
+    #[inline(always)]
+    fn template<const FUSED: bool>(&self, work: &mut Work<T>, column: usize) {
+        let whole = work.entries.len().next_multiple_of(WHOLE);
+        let shares = &work.shares[column * self.nodes..][..self.nodes];
+        for (from, to) in work.chords.iter().zip(&mut work.here) {
+            for (from, to) in [(&from.re, &mut to.re), (&from.im, &mut to.im)] {
+                let (first, others) = from[..shares.len() * whole].split_at(whole);
+                for (to, &from) in to[..whole].iter_mut().zip(first) {
+                    *to = from * shares[0];
+                }
+                for (from, &share) in others.chunks_exact(whole).zip(&shares[1..]) {
+                    for (to, &from) in to[..whole].iter_mut().zip(from) {
+                        *to = from.times_plus::<FUSED>(share, *to);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of the terms of the emission.
+    #[inline(always)]
+    fn pulses<const FUSED: bool>(&self, s: f64, block: usize, pulses: &mut [Lanes<T>]) {
+        pulses.fill(Lanes::ZERO);
         let f_hz = self.middle_hz(block);
         let dilation = self.smooth.dilation(s);
         let g_hz = f_hz + (self.engine.ping.carrier_hz + f_hz) * dilation;
         let Some(place) = self.pulse.place::<BLOCK>(g_hz, 1.0 + dilation) else {
-            return pulses;
+            return;
         };
-        let count = nodes.len();
-        for j in 0..count {
-            let mut term = Lanes::<T>::ZERO;
+        for (j, pulse) in pulses.iter_mut().enumerate() {
             self.pulse
-                .read::<BLOCK, FUSED>(j, &place, &mut term.re, &mut term.im);
-            for (n, pulse) in pulses[..count].iter_mut().enumerate() {
-                pulse.add_real::<FUSED>(&term, T::narrow(nodes.share[n * count + j]));
-            }
+                .read::<BLOCK, FUSED>(j, &place, &mut pulse.re, &mut pulse.im);
         }
-        pulses
     }
 
     /// Middle of one of the blocks that are heard, Hz from the centre.
@@ -351,43 +414,28 @@ impl<T: Sample> Task<'_, T> {
         middle * self.engine.rate_hz / bins as f64
     }
 
-    /// One block of one column: channels, pulse and shape into powers along the stretch.
+    /// One block of one column: channels, pulse and shape into powers along the stretch, the `near`-th of those at hand.
     #[inline(always)]
-    fn block<const FUSED: bool>(
+    pub fn block<const FUSED: bool>(
         &self,
         work: &mut Work<T>,
         column: usize,
         block: usize,
-        nodes: &Instants,
+        near: usize,
     ) {
-        let orders = self.orders;
-        let (along, powers, heard_bins) = (orders.along, work.powers, self.heard());
-        // Over a block everything smooth is a line.
-        let (middle, x) = (self.middle_band(block), self.lanes());
-        let half = BLOCK as f64 / self.engine.bins() as f64;
-        let [here, slope] = &mut work.here;
-        let whole = work.entries.len().next_multiple_of(WHOLE);
-        chord::<T, FUSED>(
-            &work.template,
-            whole,
-            orders.band,
-            [middle, half],
-            here,
-            slope,
-        );
-        let first = column * self.channels() * heard_bins + block * BLOCK;
-
+        self.template::<FUSED>(work, column);
+        let (along, powers, channels) = (work.along, work.powers, self.channels());
+        let first = (block * self.columns + column) * channels * BLOCK;
         let s = self.slope(column);
-        let pulses = self.pulses::<FUSED>(s, block, nodes);
-        // Of each instant, every channel as the pulse then has it.
-        let channels = self.channels();
-        for channel in 0..channels {
-            let heard = Lanes::load(&work.spectrum, first + channel * heard_bins);
-            for (n, pulse) in pulses[..orders.instants].iter().enumerate() {
-                work.sounds[n * channels + channel] = heard.times::<FUSED>(pulse);
-            }
+        self.pulses::<FUSED>(s, block, &mut work.pulses);
+        // Of each term of the emission, every channel as the pulse then has it.
+        for (sound, source) in work.sounds.iter_mut().zip(&work.sources) {
+            let heard = Lanes::load(&work.spectrum, first + source % channels * BLOCK);
+            *sound = heard.times::<FUSED>(&work.pulses[source / channels]);
         }
-        let mut sums = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
+        let x = self.lanes();
+        let [here, slope] = &work.here;
+        let [sums, total] = &mut work.of_powers;
         let mut e = 0;
         for (q, sum) in sums[..along].iter_mut().enumerate() {
             let mut total = Apart::<T>::ZERO;
@@ -400,7 +448,7 @@ impl<T: Sample> Task<'_, T> {
             let slopes = slope.re[at.clone()].iter().zip(&slope.im[at.clone()]);
             for ((entry, value), slope) in work.entries[at].iter().zip(values).zip(slopes) {
                 let shape = Lanes::line::<FUSED>([*value.0, *value.1], [*slope.0, *slope.1], &x);
-                total.add_product::<FUSED>(&work.sounds[entry.source], &shape);
+                total.add_product::<FUSED>(&work.sounds[entry.sound], &shape);
             }
             *sum = total.sum();
         }
@@ -409,18 +457,18 @@ impl<T: Sample> Task<'_, T> {
         for (lane, theta) in theta.iter_mut().enumerate() {
             *theta = T::narrow(self.turn_rad(lane, s));
         }
-        let mut total = [Lanes::<T>::ZERO; MOST_ALONG + MOST_TURN];
-        for m in 0..orders.turn {
+        total[along..powers].fill(Lanes::ZERO);
+        total[..along].copy_from_slice(&sums[..along]);
+        for m in 1..self.orders.turn {
             let left = along.min(powers.saturating_sub(m));
-            for q in 0..left {
-                total[q + m].add(&sums[q]);
-            }
-            for sum in &mut sums[..left] {
-                sum.turn(&theta, T::narrow(1.0 / (m + 1) as f64));
+            let scale = T::narrow(1.0 / m as f64);
+            for (sum, total) in sums[..left].iter_mut().zip(&mut total[m..]) {
+                sum.turn(&theta, scale);
+                total.add(sum);
             }
         }
         for (q, lanes) in total[..powers].iter().enumerate() {
-            let at = ((block * self.columns + column) * powers + q) * BLOCK;
+            let at = (near * powers + q) * BLOCK;
             work.moments.re[at..][..BLOCK].copy_from_slice(&lanes.re);
             work.moments.im[at..][..BLOCK].copy_from_slice(&lanes.im);
         }
@@ -432,35 +480,10 @@ impl<T: Sample> Task<'_, T> {
     }
 }
 
-/// Polynomials `[power][entry]` between `x - half` and `x + half`, as lines through their values there: from block to block they go on without a
-/// step, which would be heard all over the slab.
+/// Polynomials `[power][entry]`, given with the number of entries and of powers, between two places, as lines through their values there: from
+/// block to block they go on without a step, which would be heard all over the slab.
 #[inline(always)]
 fn chord<T: Sample, const FUSED: bool>(
-    series: &Split<T>,
-    entries: usize,
-    powers: usize,
-    [x, half]: [f64; 2],
-    value: &mut Split<T>,
-    slope: &mut Split<T>,
-) {
-    let ends = [x - half, x + half].map(T::narrow);
-    let rise = T::narrow(0.5 / half);
-    chord_of::<T, FUSED>(
-        (&series.re[..], entries, powers),
-        (ends, rise),
-        &mut value.re,
-        &mut slope.re,
-    );
-    chord_of::<T, FUSED>(
-        (&series.im[..], entries, powers),
-        (ends, rise),
-        &mut value.im,
-        &mut slope.im,
-    );
-}
-
-#[inline(always)]
-fn chord_of<T: Sample, const FUSED: bool>(
     (series, entries, powers): (&[T], usize, usize),
     ([low, high], rise): ([T; 2], T),
     value: &mut [T],
@@ -482,13 +505,6 @@ fn chord_of<T: Sample, const FUSED: bool>(
             value[at + e] = (below[e] + above[e]) * middle;
             slope[at + e] = (above[e] - below[e]) * rise;
         }
-    }
-}
-
-#[inline(always)]
-fn add_scaled<T: Sample>(to: &mut [T], from: &[T], share: T) {
-    for (sum, value) in to.iter_mut().zip(from) {
-        *sum = *sum + share * *value;
     }
 }
 

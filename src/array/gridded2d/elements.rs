@@ -69,15 +69,15 @@ impl<T: Sample> Task<'_, T> {
 
     #[inline(always)]
     fn run_plain<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
-        self.to_moments::<FUSED>(work);
-        let mut since = Instant::now();
+        self.to_spectra::<FUSED>(work);
         self.to_elements::<FUSED>(work);
-        work.stages.lap(Stage::Elements, &mut since);
+        let mut since = Instant::now();
         self.to_time::<FUSED>(work, output);
         work.stages.lap(Stage::Return, &mut since);
     }
 
-    /// All columns to all elements, block by block, a few columns at a time.
+    /// All columns to all elements, block by block, a few columns at a time: the pulse's tables of a block and the powers of those columns stay
+    /// near.
     #[inline(always)]
     fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
         let elements = self.stretch.along_m.len();
@@ -89,7 +89,12 @@ impl<T: Sample> Task<'_, T> {
         let places = self.stretch.along_m[..pairs].iter();
         work.places.clear();
         work.places.extend(places.map(|&y| T::narrow(y / half_m)));
+        let near = NEAR.min(self.columns) * work.powers * BLOCK;
+        work.moments.resize(near);
+        let mut since = Instant::now();
         for block in 0..self.engine.blocks.len() {
+            self.chords::<FUSED>(work, block);
+            work.stages.lap(Stage::Combine, &mut since);
             for (rotors, &y) in work
                 .rotors
                 .chunks_exact_mut(room)
@@ -101,11 +106,15 @@ impl<T: Sample> Task<'_, T> {
             work.sums.resize(pairs, [[T::ZERO; BLOCK]; 4]);
             for first in (0..self.columns).step_by(NEAR) {
                 let count = NEAR.min(self.columns - first);
-                let at = (block * self.columns + first) * work.powers * BLOCK;
+                work.stages.lap(Stage::Elements, &mut since);
+                for near in 0..count {
+                    self.block::<FUSED>(work, first + near, block, near);
+                }
+                work.stages.lap(Stage::Combine, &mut since);
                 let len = count * work.powers * BLOCK;
                 let columns = Columns {
-                    re: &work.moments.re[at..][..len],
-                    im: &work.moments.im[at..][..len],
+                    re: &work.moments.re[..len],
+                    im: &work.moments.im[..len],
                     powers: work.powers,
                     first,
                     count,
@@ -121,6 +130,7 @@ impl<T: Sample> Task<'_, T> {
                 }
             }
             self.part_of_elements::<FUSED>(work, block);
+            work.stages.lap(Stage::Elements, &mut since);
         }
     }
 

@@ -16,7 +16,7 @@ use super::elements::PairSums;
 use super::lanes::{BLOCK, Lanes, Split};
 use super::merge::Merge;
 use super::panel::{PanelFft, Row};
-use super::pulse::{Instants, MOST_INSTANTS, PulseSpectra};
+use super::pulse::{MOST_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{powers_from_nodes, series_from_nodes};
 use super::smooth::{Echoes, Smooth};
@@ -52,6 +52,8 @@ pub struct Fineness {
     pub slope_width: usize,
     /// Rows per bin that is heard, at least; columns per cycle of the aperture, over the least that sampling asks for.
     pub time_oversampling: f64,
+    /// Of the band, the part about its middle that the kernel over time is made for: beyond it there is next to nothing of the pulse.
+    pub time_core: f64,
     pub slope_oversampling: f64,
     /// Of the kernels.
     pub moments: usize,
@@ -141,7 +143,6 @@ pub struct LineEngine<T: Sample> {
     pub(super) blocks: std::ops::Range<usize>,
     /// Per bin, from -rate/2: filter, time kernel, bin width.
     pub(super) band: Vec<f64>,
-    pub(super) instants: Vec<Instants>,
     pub(super) powers: Vec<Vec<f64>>,
     pub(super) series: Vec<Vec<f64>>,
     pub(super) pulse: Option<PulseSpectra<T>>,
@@ -171,33 +172,45 @@ pub struct Work<T: Sample> {
     pub(super) mixing: Mixing<T>,
     /// `[panel][row]`, a panel's lanes from `[column][channel]` as they come.
     pub(super) grid: Vec<Row<T>>,
+    /// Whether all of it is zeros.
+    pub(super) cleared: bool,
     /// Two buffers of one panel.
     pub(super) panel: [Vec<Row<T>>; 2],
     pub(super) scratch: Vec<Complex<T>>,
-    /// `[column][channel][bin]`.
+    /// `[block][column][channel][lane]`.
     pub(super) spectrum: Split<T>,
-    /// `[block][column][power][lane]`.
+    /// Of one block and the columns at hand: `[column][power][lane]`.
     pub(super) moments: Split<T>,
     /// `[instant][kind][bend][twist]`, then `[instant][channel]`; `[power along][power of frequency]`.
     pub(super) values: Vec<Complex64>,
     pub(super) values_next: Vec<Complex64>,
-    /// `[slope][power of frequency][instant][channel][power along]`.
+    /// `[slope][power of frequency][instant][channel][power along]`; then with terms of the emission for instants, in `values`.
     pub(super) all_shapes: Vec<Complex64>,
     /// Of each channel and power along the stretch, the most that it is.
     pub(super) most: Vec<f64>,
+    /// Of every coefficient the most that it is, and its place.
+    pub(super) sizes: Vec<(f64, usize)>,
+    /// The sounds that any is of: term of the emission times channels and channel.
+    pub(super) sources: Vec<usize>,
     /// Those of the shapes that count, power by power.
     pub(super) entries: Vec<Entry>,
-    /// Powers along the stretch, with those that the turn inside a block adds.
+    /// Powers along the stretch that there are entries of, and with those that the turn inside a block adds.
+    pub(super) along: usize,
     pub(super) powers: usize,
     /// `[slope][power of frequency][entry]`.
     pub(super) shapes: Split<T>,
-    /// Of one column: `[power of frequency][entry]`.
-    pub(super) template: Split<T>,
-    /// Of one block: value at its middle, and slope.
+    /// `[column][slope]`
+    pub(super) shares: Vec<T>,
+    /// Of one block, at each slope: value at its middle, and rise.
+    pub(super) chords: [Split<T>; 2],
+    /// The same of one column.
     pub(super) here: [Split<T>; 2],
     /// What is left of the dilation: `[instant][dilation][frequency]`.
     pub(super) dilation: Vec<Complex64>,
-    /// Of one block of one column: `[instant][channel]`.
+    /// The pulse as a column hears it in one block, by terms of the emission; and its powers along the stretch, without and with the turn.
+    pub(super) pulses: Vec<Lanes<T>>,
+    pub(super) of_powers: [Vec<Lanes<T>>; 2],
+    /// Of one block of one column: each of the sources.
     pub(super) sounds: Vec<Lanes<T>>,
     /// Of one block, by pair of elements and column: cosine and sine.
     pub(super) rotors: Vec<[T; 2]>,
@@ -228,7 +241,7 @@ impl<T: Sample> LineEngine<T> {
         let rows = grid_size((heard as f64 * fineness.time_oversampling).ceil() as usize).max(bins);
         let time_kernel = Kernel::new(
             fineness.time_width,
-            rows as f64 / heard as f64,
+            rows as f64 / heard as f64 / fineness.time_core,
             fineness.moments,
         );
         let slope_kernel = Kernel::new(
@@ -281,7 +294,6 @@ impl<T: Sample> LineEngine<T> {
             blocks,
             inverse: T::plan_inverse(bins),
             band,
-            instants: (1..=MOST_INSTANTS).map(Instants::new).collect(),
             powers: (1..=most).map(powers_from_nodes).collect(),
             series: (1..=most).map(series_from_nodes).collect(),
             pulse: None,
@@ -319,6 +331,7 @@ impl<T: Sample> LineEngine<T> {
             prepared: Box::default(),
             mixing: Mixing::default(),
             grid: Vec::new(),
+            cleared: true,
             panel: std::array::from_fn(|_| vec![Row::ZERO; self.forward.room()]),
             scratch: vec![zero; self.inverse.get_inplace_scratch_len()],
             spectrum: Split::default(),
@@ -327,12 +340,18 @@ impl<T: Sample> LineEngine<T> {
             values_next: Vec::new(),
             all_shapes: Vec::new(),
             most: Vec::new(),
+            sizes: Vec::new(),
+            sources: Vec::new(),
             entries: Vec::new(),
+            along: 0,
             powers: 0,
             shapes: Split::default(),
-            template: Split::default(),
+            shares: Vec::new(),
+            chords: Default::default(),
             here: Default::default(),
             dilation: Vec::new(),
+            pulses: Vec::new(),
+            of_powers: Default::default(),
             sounds: Vec::new(),
             rotors: Vec::new(),
             sums: Vec::new(),

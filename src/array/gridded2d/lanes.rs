@@ -93,15 +93,6 @@ impl<T: Sample> Lanes<T> {
             (self.re[j], self.im[j]) = (T::ZERO - self.im[j] * angle, self.re[j] * angle);
         }
     }
-
-    /// Adds `a` times a real number.
-    #[inline(always)]
-    pub fn add_real<const FUSED: bool>(&mut self, a: &Self, by: T) {
-        for j in 0..BLOCK {
-            self.re[j] = a.re[j].times_plus::<FUSED>(by, self.re[j]);
-            self.im[j] = a.im[j].times_plus::<FUSED>(by, self.im[j]);
-        }
-    }
 }
 
 /// A sum of products of blocks, its four real products apart: no addition waits for the one before it.

@@ -12,9 +12,9 @@
 //! the platform is met without a model of the bottom. The channels of the grid are a few sums of the series' products, as the echoes of the
 //! task need them (`merge.rs`). What is smooth in the time of emission is taken
 //! at a few instants of it, so a ping's templates are values of functions that only the pulse decides ([`pulse`]), read where the motion
-//! puts them: they are made anew for every task. Then, column by column: FFT over time, templates, and the turn from the column to each
-//! element, as a polynomial in the element's place times one rotor per block of bins; element by element: inverse FFT. Slabs of delay are
-//! added up in order.
+//! puts them: they are made anew for every task. Then, column by column, FFT over time; block by block of bins, a few columns at a time,
+//! templates and the turn from the column to each element, as a polynomial in the element's place times one rotor per block; element by
+//! element, inverse FFT. Slabs of delay are added up in order.
 //!
 //! In: [`LineChunk`](crate::flow::LineChunk)s of one slab at the middle of one stretch. Out: samples of its elements, receiver filter
 //! included. f64 geometry and templates; grids and transforms in f32 or f64. A task is one thread's: no sum crosses threads.

@@ -4,7 +4,7 @@
 //! series (each task takes as many terms as its own echoes need, and reports what it left out), the delay's fourth order along a stretch,
 //! steps of the attitude between a polyline's segments, rounding.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
 use crate::array::filter::Decimator;
 use crate::array::gridded::Foreseen;
@@ -40,8 +40,10 @@ const SERIES_SHARE: f64 = 0.2;
 const MOST_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
 const FARTHEST_DB: f64 = 60.0;
-/// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried.
-const OVERSAMPLINGS: [f64; 3] = [1.5, 1.75, 2.0];
+/// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried. (Fewer columns take more powers along the
+/// stretch: 13 in place of 9 with 1.25, and longer altogether.)
+const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
+const COLUMNS: [f64; 3] = [1.5, 1.75, 2.0];
 /// Widest kernels.
 const MOST_WIDTH: usize = 14;
 /// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and for each of its values on the grid's columns and
@@ -154,6 +156,21 @@ const SLAB_SLACK: f64 = 1.1;
 const TASKS: f64 = 8.0;
 /// Both halves of a receiver filter that is not known yet, seconds.
 const FILTER_S: f64 = 2e-3;
+
+/// A kernel that was tried: its width, its grid, the part of the band that it is made for, and its error in the worst of many windows.
+#[derive(Clone, Copy)]
+struct Fit {
+    width: usize,
+    oversampling: f64,
+    core: f64,
+    error: f64,
+}
+
+/// The first that is fine enough, and the next one: which leaves the other kernel more.
+fn two_that(fits: impl Iterator<Item = Fit>, fine: impl Fn(&Fit) -> bool) -> [Option<Fit>; 2] {
+    let mut fine = fits.skip_while(|fit| !fine(fit));
+    [fine.next(), fine.next()]
+}
 
 /// Whether echoes are stretched at all.
 fn motion_matters(doppler: DopplerModel) -> bool {
@@ -317,17 +334,20 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let echoes = (spec.scatterers * stretches) as f64;
     let element_slabs = array.elements as f64 * slabs;
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
-    let kernel = |width: usize, oversampling: f64| {
-        let kernel = Kernel::new(width, oversampling, moments);
-        let error = kernel.error * KERNEL_FACTOR;
-        (kernel, (width, oversampling, error))
-    };
-    let kernels = OVERSAMPLINGS.map(|oversampling| {
-        (2..=MOST_WIDTH)
-            .map(|width| kernel(width, oversampling).1)
-            .find(|(_, _, error)| *error <= FRAC_1_SQRT_2 * kernel_share * tolerance)
+    let room = kernel_share * tolerance;
+    let slopes = COLUMNS.map(|oversampling| {
+        let fits = (2..=MOST_WIDTH).map(|width| {
+            let kernel = Kernel::new(width, oversampling, moments);
+            Fit {
+                width,
+                oversampling,
+                core: 1.0,
+                error: kernel.error * KERNEL_FACTOR,
+            }
+        });
+        two_that(fits, |fit| fit.error <= room)
     });
-    // Over time, beside echoes too.
+    // Over time, beside echoes too; exact where there is something of the pulse.
     let alone = spec.filter.map(|filter| {
         let doppler = match motion_matters(spec.model.doppler) {
             true => 2.0 * bounds.along_m_per_s.hypot(across) / sound_speed_m_per_s,
@@ -335,37 +355,52 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         };
         Alone::new(pulse, rate_hz, filter, doppler, spec.level_range_db)
     });
-    let times = kernels.map(|found| {
-        let (width, oversampling, _) = found?;
-        (width..=MOST_WIDTH)
-            .map(|width| kernel(width, oversampling))
-            .find(|(kernel, _)| {
-                let alone = alone.as_ref().map_or(0.0, |alone| alone.kernel(kernel));
-                alone <= ALONE_SHARE * tolerance
-            })
-            .map(|(_, found)| found)
+    let core = alone.as_ref().map_or(1.0, Alone::core);
+    let times = ROWS.map(|oversampling| {
+        let fits = (2..=MOST_WIDTH).map(|width| {
+            let kernel = Kernel::new(width, oversampling / core, moments);
+            let error = |alone: &Alone| {
+                let [whole, beside] = alone.kernel(&kernel, core);
+                (whole.max(kernel.error) * KERNEL_FACTOR)
+                    .max(beside * room / (ALONE_SHARE * tolerance))
+            };
+            Fit {
+                width,
+                oversampling,
+                core,
+                // Not looked at closely where it is too much anyway.
+                error: match kernel.error * KERNEL_FACTOR <= room {
+                    true => alone.as_ref().map_or(kernel.error * KERNEL_FACTOR, error),
+                    false => f64::INFINITY,
+                },
+            }
+        });
+        two_that(fits, |fit| fit.error <= room)
     });
     let share = alone.as_ref().map_or(0.0, Alone::beyond_band);
     if share > ALONE_SHARE * tolerance {
         return Err(Refusal::OutOfBand { tolerance, share });
     }
-    let cost = |time: (usize, f64, f64), slope: (usize, f64, f64)| {
-        let of_columns = COLUMN_SHARE + (1.0 - COLUMN_SHARE) * 0.5 * time.1;
+    let cost = |time: Fit, slope: Fit| {
+        let of_columns = COLUMN_SHARE + (1.0 - COLUMN_SHARE) * 0.5 * time.oversampling;
         Foreseen {
-            echoes_ns: echoes * (ECHO_NS + (time.0 * slope.0) as f64 * VALUE_NS),
-            grids_ns: element_slabs * (RETURN_NS + COLUMNS_NS * 0.5 * slope.1 * of_columns),
+            echoes_ns: echoes * (ECHO_NS + (time.width * slope.width) as f64 * VALUE_NS),
+            grids_ns: element_slabs
+                * (RETURN_NS + COLUMNS_NS * 0.5 * slope.oversampling * of_columns),
         }
     };
     let (cost, time, slope) = times
         .into_iter()
         .flatten()
+        .flatten()
         .flat_map(|time| {
-            let slopes = kernels.into_iter().flatten();
+            let slopes = slopes.into_iter().flatten().flatten();
             slopes.map(move |slope| (cost(time, slope), time, slope))
         })
+        .filter(|(_, time, slope)| time.error.hypot(slope.error) <= room)
         .min_by(|a, b| a.0.ms().total_cmp(&b.0.ms()))
         .ok_or(Refusal::TooFine { tolerance })?;
-    let kernel_error = time.2.hypot(slope.2);
+    let kernel_error = time.error.hypot(slope.error);
     let series = if tolerance < 1e-4 { 0.5 } else { 1.0 } * SERIES_SHARE * tolerance;
     if motion_matters(spec.model.doppler) {
         // Echoes from all sides: 2 v/c to either.
@@ -402,10 +437,11 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         fineness: Fineness {
             stretch,
             slab_samples,
-            time_width: time.0,
-            slope_width: slope.0,
-            time_oversampling: time.1,
-            slope_oversampling: slope.1,
+            time_width: time.width,
+            slope_width: slope.width,
+            time_oversampling: time.oversampling,
+            time_core: time.core,
+            slope_oversampling: slope.oversampling,
             moments,
             series,
             far: series * 10f64.powf(-spec.level_range_db.clamp(0.0, FARTHEST_DB) / 20.0),
@@ -417,11 +453,11 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             error,
             cost_ms: cost.ms(),
             why: format!(
-                "stretches of {stretch} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}), series to {series:.1e}, beyond them {:.1e}",
-                time.0,
-                slope.0,
-                time.1,
-                slope.1,
+                "stretches of {stretch} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}, core {core:.2}), series to {series:.1e}, beyond them {:.1e}",
+                time.width,
+                slope.width,
+                time.oversampling,
+                slope.oversampling,
                 beyond_series(stretch)
             ),
         },

@@ -3,7 +3,7 @@
 //! Whatever varies smoothly while the pulse is emitted is a short Chebyshev series in the time of emission x = 2w/T, w from mid-pulse. So
 //! all that the pulse contributes is S_n(g) = integral of a(w) T_n(x) exp(-j 2pi g w) dw, n = 0, 1, ... They depend on the pulse alone: a
 //! ping's motion only says where they are read (at the Doppler-shifted frequency), which is what makes templates cheap to make anew for
-//! every ping. [`Instants`] turns them into the spectra of Lagrange's polynomials of any number of instants.
+//! every ping.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,41 +22,8 @@ pub fn chebyshev_nodes(count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| -libm::cos(PI * (i as f64 + 0.5) / count as f64))
 }
 
-/// Terms in the tables, and so the most instants there can be.
+/// Terms in the tables, and so the most instants at which anything is looked at.
 pub const MOST_INSTANTS: usize = 24;
-
-/// A number of instants of the emission, and what turns Chebyshev's series into values at them.
-#[derive(Clone, Debug)]
-pub struct Instants {
-    /// 2w/T.
-    pub x: Vec<f64>,
-    /// L_n = sum_j share[n * count + j] T_j.
-    pub share: Vec<f64>,
-}
-
-impl Instants {
-    pub fn new(count: usize) -> Self {
-        let x: Vec<f64> = chebyshev_nodes(count).collect();
-        let share = x
-            .iter()
-            .flat_map(|&x| {
-                (0..count).map(move |j| {
-                    let scale = if j == 0 { 1.0 } else { 2.0 };
-                    scale / count as f64 * chebyshev(j, x)
-                })
-            })
-            .collect();
-        Self { x, share }
-    }
-
-    pub fn len(&self) -> usize {
-        self.x.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.x.is_empty()
-    }
-}
 
 /// T_n(x) for -1 <= x <= 1.
 pub fn chebyshev(n: usize, x: f64) -> f64 {

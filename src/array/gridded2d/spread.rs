@@ -401,9 +401,14 @@ pub struct Spread<'a, T: Sample> {
 impl<'a, T: Sample> Spread<'a, T> {
     pub fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
         let start = Instant::now();
-        work.grid.clear();
-        work.grid
-            .resize(task.panels() * task.engine.panel_rows(), Row::ZERO);
+        if !work.cleared {
+            work.grid.fill(Row::ZERO);
+        }
+        let rows = task.panels() * task.engine.panel_rows();
+        if work.grid.len() < rows {
+            work.grid.resize(rows, Row::ZERO);
+        }
+        work.cleared = false;
         let slope_width = task.engine.slope_kernel.width;
         work.mixing
             .set(&work.merge, task.products().count(), slope_width);
@@ -411,7 +416,7 @@ impl<'a, T: Sample> Spread<'a, T> {
             task,
             scales: Scales::new(task),
             centring,
-            grid: &mut work.grid,
+            grid: &mut work.grid[..rows],
             prepared: &mut work.prepared,
             mixing: &work.mixing,
             echoes: 0,

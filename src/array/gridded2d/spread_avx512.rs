@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::panel::PANEL;
+use super::panel::{PANEL, Row};
 use super::smooth::FADES;
 use super::spread::Wide;
 use super::task::{Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST};
@@ -67,9 +67,37 @@ fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MOST_CHANNEL
     }
 }
 
+/// A line of values, times real and imaginary parts, to a row.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn add_line(sum: &mut Row<f32>, line: __m512, [re, im]: [__m512; 2]) {
+    let (to_re, to_im) = (sum.re.as_mut_ptr(), sum.im.as_mut_ptr());
+    // SAFETY: both parts of a row are sixteen numbers, aligned to 64 bytes as the row is.
+    unsafe {
+        let now = _mm512_load_ps(to_re);
+        _mm512_store_ps(to_re, _mm512_fmadd_ps(line, re, now));
+        let now = _mm512_load_ps(to_im);
+        _mm512_store_ps(to_im, _mm512_fmadd_ps(line, im, now));
+    }
+}
+
 /// Echoes onto the grid; returns how many would lie outside, and are left out.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-pub fn add(mut wide: Wide<f32>) -> usize {
+pub fn add(wide: Wide<f32>) -> usize {
+    match wide.time_width {
+        3 => add_all::<3>(wide),
+        4 => add_all::<4>(wide),
+        5 => add_all::<5>(wide),
+        6 => add_all::<6>(wide),
+        7 => add_all::<7>(wide),
+        8 => add_all::<8>(wide),
+        _ => add_all::<0>(wide),
+    }
+}
+
+/// The same for kernels over so many rows; 0 for any number.
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+fn add_all<const ROWS: usize>(mut wide: Wide<f32>) -> usize {
     let grid = std::mem::take(&mut wide.grid);
     let &Wide {
         prepared: p,
@@ -114,11 +142,17 @@ pub fn add(mut wide: Wide<f32>) -> usize {
         let of_time = weights(time_taps, p.in_row[i]);
         let re = _mm512_mul_ps(of_time, _mm512_set1_ps(p.re[i]));
         let im = _mm512_mul_ps(of_time, _mm512_set1_ps(p.im[i]));
+        let each: [[__m512; 2]; ROWS] = std::array::from_fn(|k| {
+            let k = _mm512_set1_epi32(k as i32);
+            [_mm512_permutexvar_ps(k, re), _mm512_permutexvar_ps(k, im)]
+        });
         let mut of_rows = [[0.0f32; PANEL]; 2];
-        // SAFETY: both arrays are sixteen numbers.
-        unsafe {
-            _mm512_storeu_ps(of_rows[0].as_mut_ptr(), re);
-            _mm512_storeu_ps(of_rows[1].as_mut_ptr(), im);
+        if ROWS == 0 {
+            // SAFETY: both arrays are sixteen numbers.
+            unsafe {
+                _mm512_storeu_ps(of_rows[0].as_mut_ptr(), re);
+                _mm512_storeu_ps(of_rows[1].as_mut_ptr(), im);
+            }
         }
         let mut mixed = _mm512_setzero_ps();
         for (into, product) in mixing.into.iter().zip(&of_echoes) {
@@ -142,15 +176,15 @@ pub fn add(mut wide: Wide<f32>) -> usize {
                 _mm512_permutexvar_ps(tap, of_slope),
             );
             let rows = &mut grid[(first + v) * panel_rows + row..][..time_width];
-            let [of_re, of_im] = &of_rows;
-            for ((sum, &re), &im) in rows.iter_mut().zip(of_re).zip(of_im) {
-                let (to_re, to_im) = (sum.re.as_mut_ptr(), sum.im.as_mut_ptr());
-                // SAFETY: both parts of a row are sixteen numbers, aligned to 64 bytes as the row is.
-                unsafe {
-                    let now = _mm512_load_ps(to_re);
-                    _mm512_store_ps(to_re, _mm512_fmadd_ps(line, _mm512_set1_ps(re), now));
-                    let now = _mm512_load_ps(to_im);
-                    _mm512_store_ps(to_im, _mm512_fmadd_ps(line, _mm512_set1_ps(im), now));
+            if ROWS > 0 {
+                let rows: &mut [Row<f32>; ROWS] = rows.try_into().expect("so many rows");
+                for (sum, &by) in rows.iter_mut().zip(&each) {
+                    add_line(sum, line, by);
+                }
+            } else {
+                let by = of_rows[0].iter().zip(&of_rows[1]);
+                for (sum, (&re, &im)) in rows.iter_mut().zip(by) {
+                    add_line(sum, line, [_mm512_set1_ps(re), _mm512_set1_ps(im)]);
                 }
             }
         }

@@ -530,11 +530,6 @@ impl<'a, T: Sample> Task<'a, T> {
         self.merged
     }
 
-    /// Powers along the stretch, with those that the turn inside a block adds, at most.
-    pub fn most_powers(&self) -> usize {
-        self.orders.along + self.orders.turn - 1
-    }
-
     pub fn slope(&self, column: usize) -> f64 {
         (self.first + column as isize) as f64 * self.step
     }

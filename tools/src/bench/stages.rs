@@ -121,19 +121,19 @@ impl Work {
         let (flops, values) = match stage {
             Stage::Transform => (grid * fft(rows), grid * (rows + heard)),
             Stage::Combine => {
-                let pulses = instants * (4.0 * PULSE_POINTS + 4.0 * instants);
+                let pulses = instants * 4.0 * PULSE_POINTS;
                 let sounds = instants * channels * 6.0;
                 let shape = entries * 12.0;
                 let turned = along * turn * 6.0;
                 (
                     columns * heard * (pulses + sounds + shape + turned),
-                    heard * (grid + columns * powers),
+                    heard * grid,
                 )
             }
             Stage::Elements => (
                 // Two elements at a time: their even and odd powers, then two rotors' worth of sums.
                 columns * heard * 0.5 * elements * (4.0 * powers + 16.0),
-                heard * (columns * powers + elements),
+                heard * elements,
             ),
             Stage::Return => (elements * fft(rows / 1.5), elements * (heard + rows / 1.5)),
             Stage::Spread => (0.0, grid * rows),
