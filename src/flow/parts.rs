@@ -101,7 +101,10 @@ mod tests {
         };
         for of in [2, 3, 4, 6, 8, 12, 24] {
             let parts = line.in_parts(of).expect("even");
-            assert_eq!((parts.elements, parts.element_pattern.stands_for()), (24 / of, of));
+            assert_eq!(
+                (parts.elements, parts.element_pattern.stands_for()),
+                (24 / of, of)
+            );
             assert_eq!(parts.whole(), line);
             for part in 0..parts.elements {
                 let mean = (0..of).map(|j| line.element_body_m(part * of + j));
@@ -110,7 +113,9 @@ mod tests {
             }
             assert!(parts.in_parts(1).is_none() && parts.in_parts(2).is_none());
         }
-        assert!(line.in_parts(5).is_none() && line.in_parts(1).is_none() && line.in_parts(48).is_none());
+        assert!(
+            line.in_parts(5).is_none() && line.in_parts(1).is_none() && line.in_parts(48).is_none()
+        );
         assert_eq!(line.whole(), line);
     }
 }

@@ -227,9 +227,7 @@ impl Ranking {
             all.filter(move |c| (c.choice.part_elements == 1) != elements)
         };
         let within = others().find(|c| self.goal.meets(c));
-        within.or_else(|| {
-            others().min_by(|a, b| self.goal.share(a).total_cmp(&self.goal.share(b)))
-        })
+        within.or_else(|| others().min_by(|a, b| self.goal.share(a).total_cmp(&self.goal.share(b))))
     }
 
     /// Why this member of a family, in one sentence.

@@ -249,7 +249,15 @@ impl Certifier {
             let of = spec.receive[probe.array].element_pattern.stands_for();
             let ranges_m = [0, of - 1].map(|j| {
                 let element = probe.element * of + j;
-                heard_ranges_m(plan, tx, &array, Instant { element, ..instant(probe) })
+                heard_ranges_m(
+                    plan,
+                    tx,
+                    &array,
+                    Instant {
+                        element,
+                        ..instant(probe)
+                    },
+                )
             });
             let [(near_m, far_m), (also_near_m, also_far_m)] = ranges_m;
             self.ranges_m
@@ -321,11 +329,12 @@ impl Certifier {
         let of = spec.receive[array].element_pattern.stands_for();
         let array = &spec.receive[array].whole();
         let tx = &spec.transmit[array.transmit];
-        let indices = || self
-            .candidates
-            .iter()
-            .filter(|(_, mask)| mask >> k & 1 == 1)
-            .map(|(i, _)| *i as usize);
+        let indices = || {
+            self.candidates
+                .iter()
+                .filter(|(_, mask)| mask >> k & 1 == 1)
+                .map(|(i, _)| *i as usize)
+        };
         let mut sink = Direct::new(plan, rate_hz, first_s, dense).with_edges(edges);
         for j in 0..of {
             let element = at.element * of + j;

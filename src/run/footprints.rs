@@ -127,11 +127,13 @@ impl Radiator<'_> {
 
     fn face(&self, world_from_body: DQuat) -> BaffledFace {
         match *self.pattern {
-            Pattern::Rectangle { baffled: true, .. } | Pattern::Part { baffled: true, .. } => BaffledFace {
-                normal: world_from_body * (self.mounting.body_from_array * DVec3::Z),
-                turn: self.slack.turn,
-                shift_m: self.slack.shift_m,
-            },
+            Pattern::Rectangle { baffled: true, .. } | Pattern::Part { baffled: true, .. } => {
+                BaffledFace {
+                    normal: world_from_body * (self.mounting.body_from_array * DVec3::Z),
+                    turn: self.slack.turn,
+                    shift_m: self.slack.shift_m,
+                }
+            }
             _ => BaffledFace::OPEN,
         }
     }

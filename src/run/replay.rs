@@ -22,11 +22,10 @@ pub enum ReplayError {
     Recorded(#[from] RecordedError),
     #[error(transparent)]
     Record(#[from] RecordError),
-    #[error("sonar {sonar}: sonar.model.output = \"beams\": {format} holds elements, and none are made")]
-    Beams {
-        sonar: String,
-        format: &'static str,
-    },
+    #[error(
+        "sonar {sonar}: sonar.model.output = \"beams\": {format} holds elements, and none are made"
+    )]
+    Beams { sonar: String, format: &'static str },
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
@@ -58,7 +57,9 @@ impl Formats {
             (self.sigmf, "sigmf"),
             (self.wav, "wav"),
         ];
-        all.into_iter().find(|(asked, _)| *asked).map(|(_, name)| name)
+        all.into_iter()
+            .find(|(asked, _)| *asked)
+            .map(|(_, name)| name)
     }
 }
 

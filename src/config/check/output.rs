@@ -13,7 +13,10 @@ pub(super) fn who_needs_elements(
     problems: &mut Problems,
 ) {
     let of_elements = |request: &FaultRequest| {
-        let here = request.sonar.as_ref().is_none_or(|name| *name == sonar.name);
+        let here = request
+            .sonar
+            .as_ref()
+            .is_none_or(|name| *name == sonar.name);
         let kind = request.checked().map(|fault| fault.kind);
         here && matches!(kind, Ok(FaultKind::Element { .. }))
     };

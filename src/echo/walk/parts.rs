@@ -98,7 +98,10 @@ impl Elements {
     ) {
         out.len = n;
         // One velocity does for a batch: it moves the scatterer by half a pulse's worth, and is the smaller part of a delay.
-        let delay_s = rays.delay_s[..n].iter().copied().fold(f64::INFINITY, f64::min);
+        let delay_s = rays.delay_s[..n]
+            .iter()
+            .copied()
+            .fold(f64::INFINITY, f64::min);
         let (velocity, body_from_array) = track.velocity_at(plan, delay_s);
         let v = DMat3::from_quat(body_from_array.inverse()) * velocity;
         for i in 0..n {

@@ -13,6 +13,9 @@ pub mod live;
 pub mod parts;
 mod walked;
 
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use crate::array::cards::synthesis_card;
 use crate::array::filter::{Decimator, oversample};
 use crate::array::gridded::{Foreseen, Gridded1d};
@@ -161,7 +164,9 @@ pub fn goal(spec: &SonarSpec) -> Goal {
 
 /// The plan for this ping's conditions; what the configuration fixes has one member.
 pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
-    let maker = Maker::new(scene, None);
+    // An element's engine is a part's too.
+    let sketches = Sketches::default();
+    let maker = Maker::new(scene, None, &sketches);
     let (mut candidates, mut refused) = maker.candidates();
     let partings = worth_trying(scene, &maker.conditions);
     for parting in &partings {
@@ -170,7 +175,7 @@ pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
             spec: &spec,
             ..*scene
         };
-        let (more, why) = Maker::new(&scene, Some(*parting)).candidates();
+        let (more, why) = Maker::new(&scene, Some(*parting), &sketches).candidates();
         candidates.extend(more);
         refused.extend(why);
     }
@@ -237,11 +242,18 @@ struct Maker<'a> {
     walked: Walked,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
+    sketches: &'a Sketches,
 }
+
+/// Engines of one element each that have been looked at: by Doppler model, and the bits of what they are made for.
+#[derive(Default)]
+struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
+
+type Sketch = Result<Rc<Gridded1d>, String>;
 
 /// What an engine promises and costs.
 enum Engine {
-    One(Gridded1d),
+    One(Rc<Gridded1d>),
     Lines {
         error: f64,
         cost: Foreseen,
@@ -251,7 +263,7 @@ enum Engine {
 }
 
 impl<'a> Maker<'a> {
-    fn new(scene: &'a Scene<'a>, parting: Option<Parting>) -> Self {
+    fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
         let spec = scene.spec;
         let mut conditions = scene
             .swell
@@ -267,6 +279,7 @@ impl<'a> Maker<'a> {
         Self {
             scene,
             parting,
+            sketches,
             walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: match spec.synthesis.is_planned() {
                 true => (NEARER * conditions.range_m.0).min(spec.synthesis.nearest_m.max(5.0)),
@@ -474,6 +487,14 @@ impl<'a> Maker<'a> {
                 "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
             ));
         }
+        let bits = engine_tolerance.map(f64::to_bits);
+        if synthesis == Synthesis::Gridded1d {
+            let seen = self.sketches.0.borrow();
+            let same = |of: &&(_, _, Sketch)| (of.0, of.1) == (doppler, bits);
+            if let Some((.., sketch)) = seen.iter().find(same) {
+                return sketch.clone().map(Engine::One);
+            }
+        }
         let mut spec = self.scene.spec.clone();
         spec.model.doppler = doppler;
         spec.model.synthesis = synthesis;
@@ -491,7 +512,10 @@ impl<'a> Maker<'a> {
         let fastest = FASTEST_PLATFORM_M_PER_S;
         if synthesis == Synthesis::Gridded1d {
             let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
-            return made.map(Engine::One).map_err(|why| why.to_string());
+            let made = made.map(Rc::new).map_err(|why| why.to_string());
+            let mut seen = self.sketches.0.borrow_mut();
+            seen.push((doppler, bits, made.clone()));
+            return made.map(Engine::One);
         }
         // As the engines are made; their echoes are then counted in those of this ping.
         let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;

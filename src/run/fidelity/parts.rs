@@ -217,7 +217,11 @@ impl<'a> Line<'a> {
         let arm_m = self.array.mounting.position_m;
         let turn = pose.world_from_body * self.array.mounting.body_from_array;
         let from_world = DMat3::from_quat(turn.inverse());
-        (pose.point_m(arm_m), pose.point_velocity_m_per_s(arm_m), from_world)
+        (
+            pose.point_m(arm_m),
+            pose.point_velocity_m_per_s(arm_m),
+            from_world,
+        )
     }
 
     /// Some of the echoes, drawn half by their energy and half evenly: always the same ones.
@@ -256,9 +260,7 @@ impl<'a> Line<'a> {
                 ScatterLaw::Point => 1.0,
                 ScatterLaw::Lambert => cosine.sqrt(),
                 ScatterLaw::LambertOneWay => cosine,
-                ScatterLaw::Curve => {
-                    curve.map_or(0.0, |curve| curve.half(cosine.sqrt().min(1.0)))
-                }
+                ScatterLaw::Curve => curve.map_or(0.0, |curve| curve.half(cosine.sqrt().min(1.0))),
             };
             let sent = sent
                 * law_out
@@ -448,8 +450,7 @@ impl<'a> Hearing<'a> {
             let echoes: Vec<Complex64> = self.x_m.iter().map(|&x_m| one(x_m)).collect();
             let whole = echoes.iter().sum::<Complex64>() / self.x_m.len() as f64;
             sums.line += echo.weight * energy_share * whole.norm_sqr();
-            for ((of, parts_m), sums) in self.divisors.iter().zip(&self.parts_m).zip(&mut sums.of)
-            {
+            for ((of, parts_m), sums) in self.divisors.iter().zip(&self.parts_m).zip(&mut sums.of) {
                 let (mut off, mut tilted) = (Complex64::ZERO, Complex64::ZERO);
                 let share = 1.0 / parts_m.len() as f64;
                 for (k, &x_m) in parts_m.iter().enumerate() {
