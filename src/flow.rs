@@ -8,6 +8,8 @@
 //! Inside: SI, radians, north-east-down, f64. Degrees, kHz and dB live in the configuration and on the wire.
 //! The starting point of "the start of the pulse" is `PingPlan::transmit_utc`; every `_s` inside a ping counts from there.
 
+mod parts;
+
 use std::net::SocketAddr;
 use std::sync::Arc;
 
@@ -393,6 +395,15 @@ pub enum Pattern {
     /// A rectangular piston: sinc(L u_x/lambda) sinc(W u_y/lambda), u the unit vector to the point in array axes; a side of 0 is omnidirectional.
     /// `baffled`: nothing behind the face (u_z < 0).
     Rectangle {
+        length_m: f64,
+        width_m: f64,
+        baffled: bool,
+    },
+    /// The mean of so many elements alike, `spacing_m` apart along x, each a rectangle as above: a part of a line, taken as one in its middle.
+    /// What its elements' places make of an echo depends on where the echo comes from and is the walk's; levels and culling are one element's.
+    Part {
+        elements: usize,
+        spacing_m: f64,
         length_m: f64,
         width_m: f64,
         baffled: bool,
@@ -1393,6 +1404,8 @@ pub struct FidelityMark {
     pub predicted_error: f64,
     pub predicted_ms: f64,
     pub tolerance: f64,
+    /// Elements of a line that were made as one ([`Pattern::Part`]); 1 where elements themselves were made.
+    pub part_elements: usize,
 }
 
 // ---------------------------------------------------------------- out

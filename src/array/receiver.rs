@@ -10,11 +10,14 @@ use super::phasor::cis;
 
 /// Keeps these draws apart from everything else that is seeded with the same number.
 const NOISE_TAG: [u8; 8] = *b"elementn";
+/// ... and the draws of parts of lines from those of elements.
+const PART_TAG: [u8; 8] = *b"partnois";
 
 /// Takes the samples of one element through the receiver, in place, and returns how many I or Q values met the converter's ends.
 ///
 /// Noise: circular Gaussian of variance N_0 f_s, in volts after `array.sensitivity_db`; a stream of its own for every (seed, sonar, ping,
-/// array, element), so that no order of computation and no machine changes it.
+/// array, element), so that no order of computation and no machine changes it. A part of a line has the mean of its elements' noise, of another
+/// stream: the line made of parts has the same noise as of elements in level and spectrum, and not in samples.
 pub fn receive(
     plan: &PingPlan,
     receiver: &Receiver,
@@ -26,7 +29,11 @@ pub fn receive(
     if let Some(noise_db) = receiver.noise_db {
         let variance =
             10f64.powf((noise_db + array.sensitivity_db) / 10.0) * receiver.sample_rate_hz;
-        let rng = noise_stream(plan, receiver.seed, array_index, element);
+        let (variance, tag) = match array.element_pattern.stands_for() {
+            1 => (variance, NOISE_TAG),
+            of => (variance / of as f64, PART_TAG),
+        };
+        let rng = noise_stream(plan, receiver.seed, (array_index, element), tag);
         add_noise(variance.sqrt(), rng, samples);
     }
     amplify(plan, receiver, samples);
@@ -36,14 +43,19 @@ pub fn receive(
     }
 }
 
-fn noise_stream(plan: &PingPlan, seed: u64, array: usize, element: usize) -> ChaCha8Rng {
+fn noise_stream(
+    plan: &PingPlan,
+    seed: u64,
+    (array, element): (usize, usize),
+    tag: [u8; 8],
+) -> ChaCha8Rng {
     let mut key = [0; 32];
     key[..8].copy_from_slice(&seed.to_le_bytes());
     key[8..12].copy_from_slice(&plan.ping_number.to_le_bytes());
     key[12..16].copy_from_slice(&(plan.sonar as u32).to_le_bytes());
     key[16..20].copy_from_slice(&(array as u32).to_le_bytes());
     key[20..24].copy_from_slice(&(element as u32).to_le_bytes());
-    key[24..].copy_from_slice(&NOISE_TAG);
+    key[24..].copy_from_slice(&tag);
     ChaCha8Rng::from_seed(key)
 }
 

@@ -8,6 +8,7 @@ mod devices;
 mod families;
 mod faults;
 mod nav;
+mod output;
 mod overload;
 mod picture;
 mod samples;
@@ -255,6 +256,12 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
     if let (Some(nav), Some(t)) = (&nav, table.table("scene")) {
         refuse_place_without_earth(nav, t, problems);
     }
+    let faults = faults::faults(table.tables("fault"), problems);
+    for (sonar, t) in sonars.iter_mut().zip(tables) {
+        if let Some(sonar) = sonar {
+            output::who_needs_elements(sonar, t, control.as_ref(), &faults, problems);
+        }
+    }
     refuse_port_clashes(&listeners, problems);
     refuse_files_without_a_folder(table, problems);
 
@@ -271,7 +278,7 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
             false => None,
         },
         control: control?,
-        faults: faults::faults(table.tables("fault"), problems),
+        faults,
         sonars: all(sonars).filter(|s| !s.is_empty())?,
     })
 }

@@ -1452,6 +1452,12 @@ static MODEL: Table = Table {
             "Of what is \"auto\", where pictures are all that is looked at: path and doppler may displace things by so many cells of range, and by 2.5 times as many along the track, whatever the samples are off by. Left out: samples count.",
         ),
         key(
+            "output",
+            Kind::Choice(&["elements", "beams", "auto"], &[]),
+            Default("\"elements\""),
+            "What pings are made of. \"beams\": lines alone, each from parts of its array, several elements made as one, as coarse as the tolerance bears; only where nobody sees elements. \"auto\": so where it may be and is cheaper; `check` says what and why.",
+        ),
+        key(
             "nearest_m",
             Kind::Number(above(0.0, 20_000.0)),
             Optional("5.0"),

@@ -6,6 +6,7 @@ mod devices;
 mod families;
 mod faults;
 mod fidelity;
+mod output;
 mod overload;
 mod samples;
 mod trigger;
@@ -26,6 +27,7 @@ use crate::flow::{
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use fidelity::AutoModel;
+pub use output::MadeOutput;
 pub use overload::OverloadSpec;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
@@ -1026,6 +1028,9 @@ pub struct SynthesisSpec {
     pub auto: AutoModel,
     /// Pictures are all that is looked at: cells of range by which things may be displaced.
     pub image_cells: Option<f64>,
+    pub output: MadeOutput,
+    /// Why elements are made even so; none where lines are all that anybody sees.
+    pub elements_for: Option<&'static str>,
 }
 
 impl SynthesisSpec {
@@ -1044,6 +1049,8 @@ impl Default for SynthesisSpec {
             engine_tolerance: None,
             auto: AutoModel::default(),
             image_cells: None,
+            output: MadeOutput::Elements,
+            elements_for: None,
         }
     }
 }

@@ -326,6 +326,9 @@ fn pattern(pattern: &Pattern, wavelength_m: f64) -> String {
         Pattern::Omnidirectional => "omnidirectional".to_owned(),
         Pattern::Rectangle {
             length_m, width_m, ..
+        }
+        | Pattern::Part {
+            length_m, width_m, ..
         } => format!(
             "{:.1} x {:.1} deg",
             beamwidth_deg(wavelength_m, *length_m),

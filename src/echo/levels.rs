@@ -34,6 +34,12 @@ impl Directivity {
                 length_m,
                 width_m,
                 baffled,
+            }
+            | Pattern::Part {
+                length_m,
+                width_m,
+                baffled,
+                ..
             } => Self {
                 length: length_m / wavelength_m,
                 width: width_m / wavelength_m,

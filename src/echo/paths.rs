@@ -342,6 +342,13 @@ impl ElementTrack {
         }
     }
 
+    /// Velocity of the element on the trajectory itself, whatever the path model, and the turn that takes it out of array axes.
+    pub fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
+        let pose = plan.trajectory.pose_at(time_s);
+        let velocity = pose.point_velocity_m_per_s(self.element_m);
+        (velocity, pose.world_from_body * self.body_from_array)
+    }
+
     /// The element's motion when an echo arrives, as Doppler sees it.
     pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {

@@ -25,9 +25,11 @@ use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
 mod light;
 mod line;
+mod parts;
 
 use light::Light;
 pub use line::{LineEchoes, LineWorkspace, line_arrivals};
+use parts::{Answer, Elements};
 
 /// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,6 +107,7 @@ pub struct Workspace {
     pub(super) track: ElementTrack,
     rays: Rays,
     heard: Heard,
+    answer: Answer,
     chunk: ArrivalChunk,
 }
 
@@ -365,8 +368,10 @@ pub fn arrivals(
         track,
         rays,
         heard,
+        answer,
         chunk,
     } = work;
+    let part = Elements::of(plan, array);
     track.lay(plan, &lit.transmit, array, element);
     // u >= (2 r_T - reach)/c: batches wholly past the window need no solving. Eq. 21 may move an echo forward, by 3 v/c of its delay at most
     // and with v below 0.1 c.
@@ -430,6 +435,12 @@ pub fn arrivals(
             counts.beyond_track += u64::from(keep & (delay_s >= track.end_s()));
         }
         counts.used += kept;
+        if let Some(part) = &part {
+            part.answer(plan, track, rays, n, answer);
+            for (amplitude, answer) in heard.amplitude[..n].iter_mut().zip(answer.of_each()) {
+                *amplitude *= answer;
+            }
+        }
         // The usual case: a whole batch into an empty chunk.
         if kept == n as u64 && chunk.len == 0 {
             chunk.delay_s[..n].copy_from_slice(&rays.delay_s[..n]);

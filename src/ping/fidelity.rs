@@ -18,16 +18,25 @@ pub enum Family {
     /// The way to sum, with its array form, kernel and precision.
     Sum,
     Culling,
+    /// Whether lines are made from elements or from parts of them.
+    Output,
 }
 
 impl Family {
-    pub const ALL: [Self; 4] = [Self::Path, Self::Doppler, Self::Sum, Self::Culling];
+    pub const ALL: [Self; 5] = [
+        Self::Path,
+        Self::Doppler,
+        Self::Sum,
+        Self::Culling,
+        Self::Output,
+    ];
     pub fn name(self) -> &'static str {
         match self {
             Self::Path => "path",
             Self::Doppler => "doppler",
             Self::Sum => "synthesis",
             Self::Culling => "culling",
+            Self::Output => "output",
         }
     }
 }
@@ -37,7 +46,7 @@ impl Family {
 pub struct Part {
     pub family: Family,
     pub choice: String,
-    /// Of element samples, relative.
+    /// Of element samples, relative; where no elements are made, of the line's before it is compressed.
     pub error: f64,
     /// Of one core.
     pub cost_ms: f64,
@@ -62,13 +71,15 @@ pub struct Choice {
     pub engine_tolerance: Option<f64>,
     /// Nearest scatterer that engines are made for.
     pub nearest_m: f64,
+    /// Elements of a line that are made as one; 1 where elements are made.
+    pub part_elements: usize,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
     pub choice: Choice,
     /// In the order of [`Family::ALL`].
-    pub parts: [Part; 4],
+    pub parts: [Part; 5],
     pub displaced: Displaced,
 }
 
@@ -91,7 +102,10 @@ impl Candidate {
     }
     /// `k-segment 10 ms, stretch, gridded-1d 5e-4, culled at -40 dB`.
     pub fn text(&self) -> String {
-        let choices: Vec<&str> = self.parts.iter().map(|p| p.choice.as_str()).collect();
+        // Elements go without saying.
+        let said = |part: &&Part| part.family != Family::Output || self.choice.part_elements > 1;
+        let said = self.parts.iter().filter(said);
+        let choices: Vec<&str> = said.map(|part| part.choice.as_str()).collect();
         choices.join(", ")
     }
 }
@@ -115,7 +129,8 @@ impl Goal {
         let Some(cells) = self.image_cells else {
             return candidate.error() / self.tolerance;
         };
-        let samples = candidate.part(Family::Sum).error + candidate.part(Family::Culling).error;
+        let samples = [Family::Sum, Family::Culling, Family::Output];
+        let samples: f64 = samples.iter().map(|f| candidate.part(*f).error).sum();
         let Displaced {
             along_cells,
             range_cells,
@@ -203,6 +218,18 @@ impl Ranking {
             .find(|c| self.goal.share(c) <= share)
     }
 
+    /// Of those that make elements where the chosen one does not, or the other way round: the cheapest that keeps the goal, or else misses it by the
+    /// least.
+    pub fn other_output(&self) -> Option<&Candidate> {
+        let elements = self.chosen().choice.part_elements == 1;
+        let others = || {
+            let all = self.candidates.iter();
+            all.filter(move |c| (c.choice.part_elements == 1) != elements)
+        };
+        let within = others().find(|c| self.goal.meets(c));
+        within.or_else(|| others().min_by(|a, b| self.goal.share(a).total_cmp(&self.goal.share(b))))
+    }
+
     /// Why this member of a family, in one sentence.
     pub fn reason(&self, family: Family) -> String {
         let part = self.chosen().part(family);
@@ -277,6 +304,7 @@ mod tests {
                 },
                 engine_tolerance: None,
                 nearest_m: 1.0,
+                part_elements: 1,
             },
             parts: Family::ALL.map(part),
             displaced: Displaced {

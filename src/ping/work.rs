@@ -41,6 +41,7 @@ figures! {
     Pattern "pattern" "... where the element has a pattern";
     Chord "chord" "a lit scatterer at an element, for each leg of the path that is looked at";
     Newton "newton" "a lit scatterer at an element on the trajectory itself";
+    PartElement "part_element" "an element of a part of a line, for each lit scatterer";
     Quadratic "quadratic" "the second order of an echo's Doppler";
     DirectRun "direct_run" "a run of samples of an echo in `direct`: sines and cosines anew";
     DirectPoint "direct_point" "a point of an echo in `direct`";

@@ -159,7 +159,10 @@ impl Certifier {
         let window_s = plan.window_s(rate_hz);
         let span_s = plan.pulse.duration_s + self.span_s(rate_hz);
         let under_way = scatterers as f64 * (span_s / window_s).min(1.0);
-        let probe_ns = under_way * (SOLVE_NS + POINT_NS * self.points() as f64) + 1e3;
+        // Of a part every element is looked at.
+        let looks = spec.receive.iter().map(|a| a.element_pattern.stands_for());
+        let looks = looks.max().unwrap_or(1) as f64;
+        let probe_ns = looks * under_way * (SOLVE_NS + POINT_NS * self.points() as f64) + 1e3;
         let find_ns = FIND_NS * scatterers as f64;
         self.credit_ns += self.share * self.pair_ns * (scatterers * elements) as f64;
         // Nothing is saved up beyond a full ping's worth: scenes change.
@@ -241,10 +244,24 @@ impl Certifier {
         self.ranges_m.clear();
         for probe in &mut self.probes[..self.active] {
             let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
-            let array = &spec.receive[probe.array];
+            let array = spec.receive[probe.array].whole();
             let tx = &spec.transmit[array.transmit];
+            let of = spec.receive[probe.array].element_pattern.stands_for();
+            let ranges_m = [0, of - 1].map(|j| {
+                let element = probe.element * of + j;
+                heard_ranges_m(
+                    plan,
+                    tx,
+                    &array,
+                    Instant {
+                        element,
+                        ..instant(probe)
+                    },
+                )
+            });
+            let [(near_m, far_m), (also_near_m, also_far_m)] = ranges_m;
             self.ranges_m
-                .push(heard_ranges_m(plan, tx, array, instant(probe)));
+                .push((near_m.min(also_near_m), far_m.max(also_far_m)));
         }
         if self.active > 0 {
             heard(plan, scatterers, &self.ranges_m, &mut self.candidates);
@@ -309,21 +326,27 @@ impl Certifier {
                 d.dense_first_s(at.time_s),
             ),
         };
-        let array = &spec.receive[array];
+        let of = spec.receive[array].element_pattern.stands_for();
+        let array = &spec.receive[array].whole();
         let tx = &spec.transmit[array.transmit];
-        let indices = self
-            .candidates
-            .iter()
-            .filter(|(_, mask)| mask >> k & 1 == 1)
-            .map(|(i, _)| *i as usize);
+        let indices = || {
+            self.candidates
+                .iter()
+                .filter(|(_, mask)| mask >> k & 1 == 1)
+                .map(|(i, _)| *i as usize)
+        };
         let mut sink = Direct::new(plan, rate_hz, first_s, dense).with_edges(edges);
-        echoes_at(plan, tx, array, at, scatterers, indices, &mut sink);
+        for j in 0..of {
+            let element = at.element * of + j;
+            let at = Instant { element, ..at };
+            echoes_at(plan, tx, array, at, scatterers, indices(), &mut sink);
+        }
         let mut sample = [Complex64::ZERO];
         match &self.decimator {
             None => sample[0] = dense[0],
             Some(d) => d.apply(dense, &mut sample),
         }
-        sample[0]
+        sample[0] / of as f64
     }
 }
 

@@ -52,6 +52,8 @@ pub struct PingCounters {
     /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
     pub plan: AtomicU64,
     pub plan_promise: [AtomicU64; 2],
+    /// Elements of a line that it makes as one.
+    pub plan_part_elements: AtomicU64,
     /// Plans given up because a certificate was above their tolerance, and that could not be made.
     pub plans_given_up: AtomicU64,
     pub plans_failed: AtomicU64,
@@ -123,6 +125,8 @@ impl PingCounters {
             return;
         };
         self.plan.store(u64::from(mark.plan), Ordering::Relaxed);
+        self.plan_part_elements
+            .store(mark.part_elements as u64, Ordering::Relaxed);
         let promise = [mark.predicted_error, mark.tolerance];
         for (to, value) in self.plan_promise.iter().zip(promise) {
             to.store(value.to_bits(), Ordering::Relaxed);
@@ -159,8 +163,12 @@ impl PingCounters {
         if read(&self.plan) > 0 {
             let [error, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
             text += &format!(
-                ", plan {}: {error:.1e} of {tolerance:.1e} predicted",
-                read(&self.plan)
+                ", plan {}{}: {error:.1e} of {tolerance:.1e} predicted",
+                read(&self.plan),
+                match read(&self.plan_part_elements) > 1 {
+                    true => " (lines alone)",
+                    false => "",
+                }
             );
         }
         match (read(&self.degraded), read(&self.looser)) {
@@ -210,6 +218,8 @@ impl PingCounters {
             (read(&self.certified) > 0).then(|| f64::from_bits(read(&self.certificate[0])));
         serde_json::json!({
             "plan": read(&self.plan),
+            "output": if read(&self.plan_part_elements) > 1 { "beams" } else { "elements" },
+            "part_elements": read(&self.plan_part_elements),
             "predicted_error": predicted,
             "tolerance": tolerance,
             "measured_error": measured,

@@ -107,9 +107,12 @@ struct Radiator<'a> {
 impl Radiator<'_> {
     /// |sinc x| stays below 1/(pi x), x = L u / lambda.
     fn sides(&self, world_from_body: DQuat, wavelength_m: f64) -> [PatternSide; 2] {
-        let Pattern::Rectangle {
+        let (Pattern::Rectangle {
             length_m, width_m, ..
-        } = *self.pattern
+        }
+        | Pattern::Part {
+            length_m, width_m, ..
+        }) = *self.pattern
         else {
             return [PatternSide::OPEN; 2];
         };
@@ -124,11 +127,13 @@ impl Radiator<'_> {
 
     fn face(&self, world_from_body: DQuat) -> BaffledFace {
         match *self.pattern {
-            Pattern::Rectangle { baffled: true, .. } => BaffledFace {
-                normal: world_from_body * (self.mounting.body_from_array * DVec3::Z),
-                turn: self.slack.turn,
-                shift_m: self.slack.shift_m,
-            },
+            Pattern::Rectangle { baffled: true, .. } | Pattern::Part { baffled: true, .. } => {
+                BaffledFace {
+                    normal: world_from_body * (self.mounting.body_from_array * DVec3::Z),
+                    turn: self.slack.turn,
+                    shift_m: self.slack.shift_m,
+                }
+            }
             _ => BaffledFace::OPEN,
         }
     }

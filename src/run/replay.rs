@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::config::spec::{RigSpec, TriggerFrom};
+use crate::config::spec::{MadeOutput, RigSpec, TriggerFrom};
 use crate::io::record::RecordError;
 use crate::ping::PingOrder;
 use crate::run::counters::{PingCounters, add};
@@ -22,6 +22,10 @@ pub enum ReplayError {
     Recorded(#[from] RecordedError),
     #[error(transparent)]
     Record(#[from] RecordError),
+    #[error(
+        "sonar {sonar}: sonar.model.output = \"beams\": {format} holds elements, and none are made"
+    )]
+    Beams { sonar: String, format: &'static str },
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
@@ -40,6 +44,41 @@ pub struct Formats {
     pub masks: bool,
     pub sigmf: bool,
     pub wav: bool,
+}
+
+impl Formats {
+    /// The first of those asked for that holds elements, or is made of them.
+    fn of_elements(&self) -> Option<&'static str> {
+        let all = [
+            (self.s7k, "s7k"),
+            (self.jsf, "jsf"),
+            (self.npz, "npz"),
+            (self.sas, "sas"),
+            (self.sigmf, "sigmf"),
+            (self.wav, "wav"),
+        ];
+        all.into_iter()
+            .find(|(asked, _)| *asked)
+            .map(|(_, name)| name)
+    }
+}
+
+/// Files of elements need elements, whatever the configuration's outputs need.
+fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayError> {
+    let Some(format) = formats.of_elements() else {
+        return Ok(());
+    };
+    for sonar in &mut spec.sonars {
+        if sonar.synthesis.output == MadeOutput::Beams {
+            let sonar = sonar.name.clone();
+            return Err(ReplayError::Beams { sonar, format });
+        }
+        sonar
+            .synthesis
+            .elements_for
+            .get_or_insert("a file of this replay holds them");
+    }
+    Ok(())
 }
 
 #[derive(Clone, Debug)]
@@ -78,6 +117,7 @@ impl Replay {
     pub fn open(mut spec: RigSpec, options: ReplayOptions) -> Result<Self, ReplayError> {
         // A whole replay of a looped log would never end: the loop is for those who name the last ping.
         spec.nav.loop_log &= options.pings.is_some();
+        keep_elements(&mut spec, &options.formats)?;
         let pool = pool(options.threads)?;
         let recorded = pool.install(|| RecordedRig::open(&spec))?;
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;

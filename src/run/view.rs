@@ -21,6 +21,12 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
             length_m,
             width_m,
             baffled,
+        }
+        | Pattern::Part {
+            length_m,
+            width_m,
+            baffled,
+            ..
         } => (length_m / wavelength_m, width_m / wavelength_m, baffled),
     };
     view.apex_m = pose.position_m;
@@ -30,7 +36,7 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
         // Axes of the narrower of the two: an omnidirectional face has none of its own.
         let mounting = match transmit.pattern {
             Pattern::Omnidirectional => &array.mounting,
-            Pattern::Rectangle { .. } => &transmit.mounting,
+            Pattern::Rectangle { .. } | Pattern::Part { .. } => &transmit.mounting,
         };
         let turn = pose.world_from_body * mounting.body_from_array;
         let apart_rad = mounting

@@ -155,3 +155,100 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
         "{printed}"
     );
 }
+
+/// A line of 16 elements as XTF: its pings, behind the file's head, which says when it was begun.
+#[test]
+fn lines_without_elements_are_the_same_in_a_replay_and_in_every_clock_mode() {
+    const XTF_HEAD: usize = 1024;
+    const PINGS: u64 = 8;
+    let folder = tempfile::tempdir().expect("folder");
+    let mut points = String::from("north_m,east_m,down_m,amplitude\n");
+    for k in 0..60 {
+        let part = |step: f64| (k as f64 * step).fract();
+        let _ = writeln!(
+            points,
+            "{:.4},{:.4},5.0,1.0",
+            0.6 * (part(0.618_034) - 0.5),
+            -3.0 - 6.0 * part(0.754_878)
+        );
+    }
+    std::fs::write(folder.path().join("points.csv"), points).expect("written");
+    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    for k in 0..1200 {
+        let t_s = 0.1 * f64::from(k);
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,{:.4},0,{:.4}",
+            1_793_611_200.0 + t_s,
+            0.2 * t_s,
+            2.0 * (0.9 * t_s).sin(),
+            (0.7 * t_s).sin()
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("written");
+    let rig = RIG
+        .replace("[control]\nlisten = \"127.0.0.1:0\"\n", "")
+        .replace(
+            "vertical = \"depth\"",
+            "vertical = \"depth\"\nstamp = \"log\"",
+        )
+        .replace("elements = 64", "roll_deg = 90.0\nelements = 16")
+        .replace("[[sonar.transmit]]", "[[sonar.transmit]]\nroll_deg = 90.0")
+        .replace("rate_hz = 2.0", "rate_hz = 10.0")
+        .replace("clock = \"lockstep\"", "clock = \"realtime\"")
+        .replace(
+            "certificate = true",
+            "output = \"beams\"\n[sonar.beams]\nport = \"rx\"\n[sonar.output.xtf]",
+        );
+    let rig = format!("{rig}\n[record]\ndirectory = \"records\"\n");
+    let path = folder.path().join("lines.toml");
+    std::fs::write(&path, rig).expect("written");
+    let path = path.to_str().expect("text");
+    let xtf = |folder: &std::path::Path| {
+        let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let mut paths = files.map(|entry| entry.path());
+        let of = paths.find(|path| path.extension().is_some_and(|e| e == "xtf"))?;
+        std::fs::read(of).ok()
+    };
+    let replayed = folder.path().join("replayed");
+    let pings = format!("1..{PINGS}");
+    let told = std::process::Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args([
+            "replay",
+            path,
+            "--quiet",
+            "--formats",
+            "xtf",
+            "--pings",
+            &pings,
+            "--out",
+        ])
+        .arg(&replayed)
+        .output()
+        .expect("echotank runs");
+    assert!(
+        told.status.success(),
+        "{}",
+        String::from_utf8_lossy(&told.stderr)
+    );
+    let want = xtf(&replayed).expect("an XTF");
+    let each = (want.len() - XTF_HEAD) / PINGS as usize;
+    for clock in ["realtime", "scaled", "fast"] {
+        let records = folder.path().join(clock);
+        let set = format!("record.directory={records:?}");
+        let clock_set = format!("run.clock={clock}");
+        let daemon = Daemon::start(&[path, "--set", &set, "--set", &clock_set]);
+        let until = std::time::Instant::now() + super::PATIENCE;
+        while xtf(&records).is_none_or(|bytes| bytes.len() < XTF_HEAD + 5 * each) {
+            assert!(std::time::Instant::now() < until, "{clock}: no pings");
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        let printed = daemon.terminate();
+        assert!(printed.contains("(lines alone)"), "{clock}: {printed}");
+        let got = xtf(&records).expect("an XTF");
+        let same = (got.len().min(want.len()) - XTF_HEAD) / each;
+        assert!(same >= 5, "{clock}: {same} pings");
+        let span = XTF_HEAD..XTF_HEAD + same * each;
+        assert!(got[span.clone()] == want[span], "{clock}: {same} pings");
+    }
+}

@@ -1,5 +1,7 @@
 //! The plan of methods: where it crosses from one model to the next, what it promises on random rigs, and that time has no part in it.
 
+mod parts;
+
 use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::Path;

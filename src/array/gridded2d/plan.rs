@@ -283,6 +283,9 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         Pattern::Omnidirectional => 0.0,
         Pattern::Rectangle {
             length_m, width_m, ..
+        }
+        | Pattern::Part {
+            length_m, width_m, ..
         } => length_m.max(width_m) * pulse.center_frequency_hz / sound_speed_m_per_s,
     };
     let beyond_series = |stretch: usize| {

@@ -5,10 +5,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::beam::sidescan::far_field_error;
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
-use crate::config::spec::{OutputSpec, RigSpec, SonarSpec};
+use crate::config::spec::{MadeOutput, RigSpec, SonarSpec};
 use crate::ping::fidelity::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use crate::ping::period_ns;
 use crate::run::fidelity::calibrate::{self, Calibration};
@@ -56,27 +55,10 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
     Ok((costs, told.collect()))
 }
 
-/// Which outputs carry samples of elements, or may on request.
-fn readers(sonar: &SonarSpec) -> Vec<&'static str> {
-    let of = |output: &OutputSpec| match output {
-        OutputSpec::SevenK(sevenk) => (!sevenk.arrays.is_empty()).then_some("7k (7038)"),
-        OutputSpec::Jsf(_) => Some("JSF"),
-        OutputSpec::Vita49(_) => Some("VITA 49"),
-        OutputSpec::Elements(_) => Some("elements"),
-        OutputSpec::Sigmf(_) => Some("SigMF"),
-        OutputSpec::Wav(_) => Some("WAV"),
-        OutputSpec::Xtf(_)
-        | OutputSpec::Imagenex872(_)
-        | OutputSpec::Ping(_)
-        | OutputSpec::Wbms(_) => None,
-    };
-    sonar.outputs.iter().filter_map(of).collect()
-}
-
 fn for_pictures(rig: &RigSpec, sonar: &SonarSpec, first: &First, costs: &Costs) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;
     let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.certificate;
-    if !asked || !readers(sonar).is_empty() {
+    if !asked || !sonar.element_readers().is_empty() {
         return None;
     }
     let mut spec = sonar.clone();
@@ -129,7 +111,7 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
         let part = chosen.part(family);
         writeln!(
             out,
-            "  {:<10} {}{}: {:.1e}, {:.2} ms; {}",
+            "  {:<10} {}{}: {:.1e}, {:.2} ms; {}{}",
             family.name(),
             part.choice,
             if is_auto(told.sonar, family) {
@@ -142,10 +124,13 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
             match is_auto(told.sonar, family) {
                 true => ranking.reason(family),
                 false => part.why.clone(),
+            },
+            match family {
+                Family::Output => output(told),
+                _ => String::new(),
             }
         )?;
     }
-    writeln!(out, "  {:<10} {}", "output", output(told))?;
     let asked = match ranking.goal.image_cells {
         None => format!("tolerance {:.1e}", ranking.goal.tolerance),
         Some(cells) => format!(
@@ -182,6 +167,9 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
     if let Some(other) = ranking.next_dearer() {
         writeln!(out, "  {:<10} {}", "dearer", ranking.change(other))?;
     }
+    if let Some(other) = ranking.other_output() {
+        writeln!(out, "  {:<10} {}", "otherwise", ranking.change(other))?;
+    }
     for (what, why) in &ranking.refused {
         writeln!(out, "  {:<10} {what}: {why}", "refused")?;
     }
@@ -215,6 +203,7 @@ fn is_auto(sonar: &SonarSpec, family: Family) -> bool {
         Family::Doppler => auto.doppler,
         Family::Sum => auto.synthesis,
         Family::Culling => auto.cull,
+        Family::Output => sonar.synthesis.output != MadeOutput::Elements,
     }
 }
 
@@ -228,47 +217,25 @@ fn displaced(ranking: &Ranking, candidate: &Candidate) -> String {
     }
 }
 
-/// Who reads what is made, and what would come of making less.
+/// Who reads what is made, and what would come of making less; behind the reason.
 fn output(told: &Told) -> String {
     let sonar = told.sonar;
     let lines = &sonar.beams.lines;
     let fans = usize::from(sonar.beams.fan.is_some());
-    let readers = match readers(sonar) {
-        of if of.is_empty() => "no output carries them".to_owned(),
-        of => format!("carried by {}", of.join(", ")),
+    let readers = match sonar.element_readers() {
+        of if of.is_empty() => "no output carries elements".to_owned(),
+        of => format!("elements are carried by {}", of.join(", ")),
     };
-    let mut text = format!(
-        "elements ({readers}), {} lines, {fans} fans: lines and fans are formed from elements, so elements are made whoever reads them",
-        lines.len()
-    );
+    let mut text = format!("; {readers}; {} lines, {fans} fans", lines.len());
+    if sonar.synthesis.output == MadeOutput::Elements && sonar.synthesis.elements_for.is_none() {
+        text += "; output = \"auto\" would make lines alone where that is cheaper";
+    }
     if let Some(ranking) = &told.for_pictures {
         let _ = write!(
             text,
             "; for those who read pictures alone tolerance_image = {PICTURE_CELLS} would do with {}: {:.2} ms",
             ranking.chosen().text(),
             ranking.chosen().cost_ms()
-        );
-    }
-    let arrays = lines.iter().map(|line| &sonar.receive[line.array]);
-    let longest_m = arrays
-        .filter(|array| array.elements > 1)
-        .map(|array| array.elements as f64 * array.spacing_m)
-        .fold(0.0, f64::max);
-    if longest_m > 0.0 {
-        let plan = &told.first.plan;
-        let from_m = plan.trajectory.pose_at(0.0).position_m;
-        let scatterers = &told.first.scatterers;
-        let nearest_m = (0..scatterers.len())
-            .map(|i| from_m.distance(scatterers.position_m(i)))
-            .fold(f64::INFINITY, f64::min);
-        let highest_hz = plan.pulse.center_frequency_hz + 0.5 * plan.pulse.bandwidth_hz;
-        let wavenumber_per_m = std::f64::consts::TAU * highest_hz / plan.sound_speed_m_per_s;
-        let error = far_field_error(longest_m, wavenumber_per_m, nearest_m);
-        let enough_m =
-            far_field_error(longest_m, wavenumber_per_m, 1e6) * 1e6 / sonar.synthesis.tolerance;
-        let _ = write!(
-            text,
-            "; one element in place of a line's {longest_m:.2} m would be off by {error:.1e} at {nearest_m:.0} m, and within the tolerance from {enough_m:.0} m on"
         );
     }
     text
@@ -321,7 +288,8 @@ fn sonar_json(told: &Told) -> Value {
             "along_cells": candidate.displaced.along_cells,
         })
     };
-    value["element_readers"] = json!(readers(told.sonar));
+    value["element_readers"] = json!(told.sonar.element_readers());
+    value["elements_for"] = json!(told.sonar.synthesis.elements_for);
     value["for_pictures"] = json!(told.for_pictures.as_ref().map(|r| one(r.chosen())));
     value["tolerance"] = json!(ranking.goal.tolerance);
     value["tolerance_image"] = json!(ranking.goal.image_cells);
@@ -331,6 +299,7 @@ fn sonar_json(told: &Told) -> Value {
     value["margin"] = json!(told.period_ms * told.threads as f64 / ranking.chosen().cost_ms());
     value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
     value["next_dearer"] = json!(ranking.next_dearer().map(one));
+    value["other_output"] = json!(ranking.other_output().map(one));
     value["refused"] = json!(ranking.refused);
     value["candidates"] = json!(ranking.candidates.iter().map(one).collect::<Vec<_>>());
     value

@@ -71,8 +71,15 @@ fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
     };
     match *pattern {
         Pattern::Omnidirectional => 1.0,
-        Pattern::Rectangle { baffled, .. } if baffled && u.z < 0.0 => 0.0,
+        Pattern::Rectangle { baffled, .. } | Pattern::Part { baffled, .. }
+            if baffled && u.z < 0.0 =>
+        {
+            0.0
+        }
         Pattern::Rectangle {
+            length_m, width_m, ..
+        }
+        | Pattern::Part {
             length_m, width_m, ..
         } => sinc(length_m / wavelength_m * u.x) * sinc(width_m / wavelength_m * u.y),
     }

@@ -404,7 +404,9 @@ impl Rig<'_> {
 /// Sine off broadside beyond which a radiator's pattern stays below knee / sine; infinite for one without length.
 fn knee(pattern: &Pattern, wavelength_m: f64) -> f64 {
     match pattern {
-        Pattern::Rectangle { length_m, .. } => wavelength_m / (std::f64::consts::PI * length_m),
+        Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => {
+            wavelength_m / (std::f64::consts::PI * length_m)
+        }
         Pattern::Omnidirectional => f64::INFINITY,
     }
 }
@@ -441,7 +443,7 @@ fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
         let transmit = &sonar.transmit[array.transmit];
         let lit_m = match transmit.pattern {
             Pattern::Omnidirectional => 0.0,
-            Pattern::Rectangle { length_m, .. } => length_m,
+            Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => length_m,
         };
         let common = along(&transmit.mounting, &array.mounting);
         let heard_m = match common > ALONG || lit_m == 0.0 {

@@ -810,6 +810,12 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
             true => Some(table.number("tolerance_image")?),
             false => None,
         },
+        output: match table.text("output")? {
+            "beams" => MadeOutput::Beams,
+            AUTO => MadeOutput::Auto,
+            _ => MadeOutput::Elements,
+        },
+        elements_for: None,
     })
 }
 

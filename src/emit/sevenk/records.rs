@@ -360,6 +360,12 @@ impl DeviceSheet {
                 length_m,
                 width_m,
                 baffled,
+            }
+            | Pattern::Part {
+                length_m,
+                width_m,
+                baffled,
+                ..
             } => {
                 let wavelength_m = view.wavelength_m();
                 (

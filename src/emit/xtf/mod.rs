@@ -158,7 +158,7 @@ fn channel(
     let (_, pitch_rad, yaw_rad) = angles_from_rotation(array.mounting.body_from_array);
     let length_m = array.elements as f64 * array.spacing_m;
     let across_m = match array.element_pattern {
-        Pattern::Rectangle { width_m, .. } => width_m,
+        Pattern::Rectangle { width_m, .. } | Pattern::Part { width_m, .. } => width_m,
         Pattern::Omnidirectional => 0.0,
     };
     // 0.886 wavelengths over the length; 0 where it has none.

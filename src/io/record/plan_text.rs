@@ -120,6 +120,12 @@ fn pattern(p: &Pattern) -> Value {
             length_m,
             width_m,
             baffled,
+        }
+        | Pattern::Part {
+            length_m,
+            width_m,
+            baffled,
+            ..
         } => json!({ "length_m": length_m, "width_m": width_m, "baffled": baffled }),
     }
 }

@@ -10,7 +10,7 @@
 //! | `segments` | the polyline on which its echoes were computed |
 //! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
-//! | `fidelity` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, and, with a certificate, `margin` (tolerance over measured error) |
+//! | `fidelity` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where lines alone are made) with `part_elements` (elements of a line made as one), and, with a certificate, `margin` (tolerance over measured error) |
 //! | `soundings` | where the fan looks for the bottom and finds it: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
@@ -62,6 +62,8 @@ struct FidelityTruth {
     predicted_error: f64,
     predicted_ms: f64,
     tolerance: f64,
+    output: &'static str,
+    part_elements: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
     margin: Option<f64>,
 }
@@ -73,6 +75,8 @@ impl FidelityTruth {
             predicted_error: mark.predicted_error,
             predicted_ms: mark.predicted_ms,
             tolerance: mark.tolerance,
+            output: mark.output(),
+            part_elements: mark.part_elements,
             margin: certificate.map(|c| mark.tolerance / c.error.max(f64::MIN_POSITIVE)),
         }
     }

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use thiserror::Error;
 
-use crate::config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
+use crate::config::spec::{AutoModel, MadeOutput, MediumSpec, RigSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
 use crate::run::chart::methods::Method;
@@ -116,6 +116,7 @@ pub fn bare(spec: &SonarSpec) -> SonarSpec {
     spec.receiver.noise_db = None;
     spec.receiver.adc_bits = None;
     spec.synthesis.certificate = false;
+    spec.synthesis.output = MadeOutput::Elements;
     spec
 }
 
@@ -296,6 +297,8 @@ struct Planned {
 /// As the configuration asks for it; where that fixes its methods, as if it left everything to the plan.
 fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) -> Option<Planned> {
     let mut spec = sonar.clone();
+    // What is charted are errors of elements.
+    spec.synthesis.output = MadeOutput::Elements;
     if !spec.synthesis.auto.any() {
         spec.synthesis.auto = AutoModel {
             path: true,

@@ -85,6 +85,7 @@ fn bare(spec: &RigSpec) -> RigSpec {
         sonar.model.synthesis = Synthesis::Direct;
         sonar.synthesis.certificate = false;
         sonar.synthesis.auto = Default::default();
+        sonar.synthesis.output = Default::default();
         sonar.beams = Default::default();
         sonar.more_pulses.clear();
     }

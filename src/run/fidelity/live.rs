@@ -86,17 +86,19 @@ type Outcome = Option<(
 impl Planner {
     /// None where nothing is left to the plan.
     pub fn new(spec: &SonarSpec, medium: &MediumSpec, costs: Arc<Costs>) -> Option<Self> {
-        spec.synthesis.auto.any().then(|| Self {
+        spec.synthesis.is_planned().then(|| Self {
             choice: Choice {
                 model: spec.model,
                 engine_tolerance: spec.synthesis.engine_tolerance,
                 nearest_m: spec.synthesis.nearest_m,
+                part_elements: 1,
             },
             mark: FidelityMark {
                 plan: 0,
                 predicted_error: f64::NAN,
                 predicted_ms: f64::NAN,
                 tolerance: spec.synthesis.tolerance,
+                part_elements: 1,
             },
             spec: spec.clone(),
             medium: medium.clone(),
@@ -313,6 +315,7 @@ impl Job {
             predicted_error: candidate.error(),
             predicted_ms: candidate.cost_ms(),
             tolerance: self.spec.synthesis.tolerance,
+            part_elements: choice.part_elements,
         };
         if !is_new {
             return Some((choice, mark, Ok(None)));

@@ -11,12 +11,16 @@ mod culled;
 pub mod first;
 pub mod heard;
 pub mod live;
+pub mod parts;
 mod walked;
+
+use std::cell::RefCell;
+use std::rc::Rc;
 
 use crate::array::cards::synthesis_card;
 use crate::array::filter::{Decimator, oversample};
 use crate::array::gridded::{Foreseen, Gridded1d};
-use crate::config::spec::{MediumSpec, SonarSpec};
+use crate::config::spec::{MadeOutput, MediumSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{
     Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
@@ -29,6 +33,7 @@ use crate::run::engines::{HARDEST_M_PER_S2, sketch};
 use crate::run::fidelity::costs::Costs;
 use crate::run::fidelity::culled::floors;
 use crate::run::fidelity::heard::Shares;
+use crate::run::fidelity::parts::{Parting, partings};
 use crate::run::fidelity::walked::{Walked, direct_runs, flank_points};
 use crate::run::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
@@ -131,6 +136,16 @@ pub fn with_choice(spec: &SonarSpec, choice: &Choice) -> SonarSpec {
     spec.model = choice.model;
     spec.synthesis.engine_tolerance = choice.engine_tolerance;
     spec.synthesis.nearest_m = choice.nearest_m;
+    in_parts(spec, choice.part_elements)
+}
+
+/// The sonar with so many elements of every line made as one.
+fn in_parts(mut spec: SonarSpec, of: usize) -> SonarSpec {
+    for array in &mut spec.receive {
+        if let Some(parts) = array.in_parts(of) {
+            *array = parts;
+        }
+    }
     spec
 }
 
@@ -144,9 +159,58 @@ pub fn goal(spec: &SonarSpec) -> Goal {
 
 /// The plan for this ping's conditions; what the configuration fixes has one member.
 pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
-    let maker = Maker::new(scene);
-    let (candidates, refused) = maker.candidates();
+    // An element's engine is a part's too.
+    let sketches = Sketches::default();
+    let maker = Maker::new(scene, None, &sketches);
+    let (mut candidates, mut refused) = maker.candidates();
+    let partings = worth_trying(scene, &maker.conditions);
+    for parting in &partings {
+        let spec = in_parts(scene.spec.clone(), parting.of);
+        let scene = Scene {
+            spec: &spec,
+            ..*scene
+        };
+        let (more, why) = Maker::new(&scene, Some(*parting), &sketches).candidates();
+        candidates.extend(more);
+        refused.extend(why);
+    }
+    let of_parts = |c: &Candidate| c.choice.part_elements > 1;
+    if scene.spec.synthesis.output == MadeOutput::Beams && candidates.iter().any(of_parts) {
+        candidates.retain(of_parts);
+    }
     choose(goal(scene.spec), candidates, refused, barred)
+}
+
+/// What of the tolerance parts of lines may leave; models and the sum have the rest.
+const PART_SHARES: [f64; 3] = [0.6, 0.3, 0.1];
+
+/// The ways to part lines that may be chosen: for each share of the tolerance the coarsest within it. Where there is none the finest, to compare.
+fn worth_trying(scene: &Scene, conditions: &Conditions) -> Vec<Parting> {
+    let spec = scene.spec;
+    let synthesis = &spec.synthesis;
+    if synthesis.output == MadeOutput::Elements || synthesis.elements_for.is_some() {
+        return Vec::new();
+    }
+    let spread = conditions.heard.map_or(1.0, |heard| heard.spread);
+    let turning = scene.swell.turning;
+    let all = partings(spec, scene.plan, scene.scatterers, spread, turning);
+    let leaves = |parting: &Parting| {
+        let path = PathModel::Continuous;
+        parting.error(path, 0.0).unwrap_or(f64::INFINITY)
+    };
+    let mut tried: Vec<Parting> = Vec::new();
+    for share in PART_SHARES {
+        let within = |p: &&Parting| leaves(p) <= share * synthesis.tolerance;
+        if let Some(coarsest) = all.iter().rev().find(within)
+            && !tried.contains(coarsest)
+        {
+            tried.push(*coarsest);
+        }
+    }
+    if tried.is_empty() {
+        tried.extend(all.first());
+    }
+    tried
 }
 
 /// A path and a Doppler model, with their cards.
@@ -171,11 +235,20 @@ struct Maker<'a> {
     nearest_m: f64,
     cullings: Vec<Culling>,
     walked: Walked,
+    /// How lines are parted; none: elements are made.
+    parting: Option<Parting>,
+    sketches: &'a Sketches,
 }
+
+/// Engines of one element each that have been looked at: by Doppler model, and the bits of what they are made for.
+#[derive(Default)]
+struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
+
+type Sketch = Result<Rc<Gridded1d>, String>;
 
 /// What an engine promises and costs.
 enum Engine {
-    One(Gridded1d),
+    One(Rc<Gridded1d>),
     Lines {
         error: f64,
         cost: Foreseen,
@@ -185,7 +258,7 @@ enum Engine {
 }
 
 impl<'a> Maker<'a> {
-    fn new(scene: &'a Scene<'a>) -> Self {
+    fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
         let spec = scene.spec;
         let mut conditions = scene
             .swell
@@ -193,6 +266,8 @@ impl<'a> Maker<'a> {
         conditions.scatterers = scene.count;
         Self {
             scene,
+            parting,
+            sketches,
             walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
@@ -210,6 +285,9 @@ impl<'a> Maker<'a> {
         let mut paths = Vec::new();
         for path in PathModel::ALL {
             if !auto.path && path != spec.model.path {
+                continue;
+            }
+            if self.parting.is_some() && path == PathModel::Polyline {
                 continue;
             }
             match path {
@@ -247,7 +325,8 @@ impl<'a> Maker<'a> {
 
     fn sums(&self) -> Vec<Synthesis> {
         let spec = self.scene.spec;
-        let lines = spec.receive.iter().all(|array| array.elements > 1);
+        // Parts are walked one by one.
+        let lines = self.parting.is_none() && spec.receive.iter().all(|a| a.elements > 1);
         let one_by_one = |s: Synthesis| {
             matches!(
                 s,
@@ -389,6 +468,14 @@ impl<'a> Maker<'a> {
                 "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
             ));
         }
+        let bits = engine_tolerance.map(f64::to_bits);
+        if synthesis == Synthesis::Gridded1d {
+            let seen = self.sketches.0.borrow();
+            let same = |of: &&(_, _, Sketch)| (of.0, of.1) == (doppler, bits);
+            if let Some((.., sketch)) = seen.iter().find(same) {
+                return sketch.clone().map(Engine::One);
+            }
+        }
         let mut spec = self.scene.spec.clone();
         spec.model.doppler = doppler;
         spec.model.synthesis = synthesis;
@@ -406,7 +493,10 @@ impl<'a> Maker<'a> {
         let fastest = FASTEST_PLATFORM_M_PER_S;
         if synthesis == Synthesis::Gridded1d {
             let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
-            return made.map(Engine::One).map_err(|why| why.to_string());
+            let made = made.map(Rc::new).map_err(|why| why.to_string());
+            let mut seen = self.sketches.0.borrow_mut();
+            seen.push((doppler, bits, made.clone()));
+            return made.map(Engine::One);
         }
         // As the engines are made; their echoes are then counted in those of this ping.
         let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
@@ -652,7 +742,9 @@ impl<'a> Maker<'a> {
                 format!("culled at {db:.0} dB"),
                 match culling.of.kept {
                     kept if kept > 1.0 => {
-                        format!("{kept:.1} times as many scatterers as are at hand above their floor")
+                        format!(
+                            "{kept:.1} times as many scatterers as are at hand above their floor"
+                        )
                     }
                     kept => format!("{:.0} % of the scatterers at hand are kept", 100.0 * kept),
                 },
@@ -669,6 +761,7 @@ impl<'a> Maker<'a> {
                 model,
                 engine_tolerance,
                 nearest_m: self.nearest_m,
+                part_elements: self.parting.map_or(1, |parting| parting.of),
             },
             parts: [
                 part(
@@ -693,8 +786,40 @@ impl<'a> Maker<'a> {
                     Work::NONE,
                     &cull_why,
                 ),
+                self.output(motion, pairs),
             ],
             displaced: self.displaced(motion),
+        }
+    }
+
+    /// Of elements, or of parts of lines. `pairs`: of lit scatterers and records.
+    fn output(&self, motion: &Motion, pairs: f64) -> Part {
+        let (choice, error, work, why) = match self.parting {
+            None => {
+                let why = self.scene.spec.synthesis.elements_for.unwrap_or("");
+                ("elements".to_owned(), 0.0, Work::NONE, why.to_owned())
+            }
+            Some(parting) => {
+                let records = self.conditions.elements;
+                let error = parting.error(motion.path, motion.segment_s);
+                (
+                    format!("beams, {} elements as one", parting.of),
+                    error.unwrap_or(f64::INFINITY),
+                    Work::of(Figure::PartElement, pairs * parting.of as f64),
+                    format!(
+                        "nobody reads elements: {records} records in place of {}",
+                        records * parting.of
+                    ),
+                )
+            }
+        };
+        Part {
+            family: Family::Output,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why,
         }
     }
 
@@ -725,7 +850,7 @@ impl<'a> Maker<'a> {
     fn aperture_m(&self) -> f64 {
         let side_m = |pattern: &Pattern| match *pattern {
             Pattern::Omnidirectional => 0.0,
-            Pattern::Rectangle { length_m, .. } => length_m,
+            Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => length_m,
         };
         let spec = self.scene.spec;
         let pairs = spec.receive.iter().map(|array| {
@@ -745,7 +870,9 @@ impl<'a> Maker<'a> {
 fn nearest_m(spec: &SonarSpec, nearest_heard_m: f64) -> f64 {
     let said_m = spec.synthesis.nearest_m;
     let auto = spec.synthesis.auto;
-    match auto.any() && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d) {
+    match spec.synthesis.is_planned()
+        && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d)
+    {
         true => (NEARER * nearest_heard_m).min(said_m.max(5.0)),
         false => said_m,
     }

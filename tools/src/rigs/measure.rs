@@ -30,7 +30,7 @@ const OTHERS: usize = 12;
 pub struct Did {
     pub text: String,
     /// What each family promises.
-    pub parts: [f64; 4],
+    pub parts: [f64; 5],
     pub predicted_error: f64,
     pub predicted_ms: f64,
     /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. The plan's

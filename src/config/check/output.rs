@@ -1,0 +1,39 @@
+//! Whether a sonar's pings may be made without elements.
+
+use super::Problems;
+use crate::config::raw::RawTable;
+use crate::config::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
+
+/// Notes why elements are needed, and refuses to do without them there.
+pub(super) fn who_needs_elements(
+    sonar: &mut SonarSpec,
+    table: &RawTable,
+    control: Option<&ControlSpec>,
+    faults: &[FaultRequest],
+    problems: &mut Problems,
+) {
+    let of_elements = |request: &FaultRequest| {
+        let here = request
+            .sonar
+            .as_ref()
+            .is_none_or(|name| *name == sonar.name);
+        let kind = request.checked().map(|fault| fault.kind);
+        here && matches!(kind, Ok(FaultKind::Element { .. }))
+    };
+    let of_rig = if faults.iter().any(of_elements) {
+        Some("a fault of elements is in the scenario")
+    } else if control.is_some_and(|control| control.listen.is_some()) {
+        Some("[control] shows them and can break them")
+    } else {
+        None
+    };
+    sonar.synthesis.elements_for = sonar.needs_elements().or(of_rig);
+    if let (MadeOutput::Beams, Some(why)) = (sonar.synthesis.output, sonar.synthesis.elements_for)
+        && let Some(model) = table.table("model")
+    {
+        problems.refuse(
+            model.entry("output"),
+            format!("must be \"elements\" or \"auto\": {why}"),
+        );
+    }
+}

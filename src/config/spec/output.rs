@@ -1,0 +1,78 @@
+//! Whether elements have to be made, and who asks for them.
+
+use super::{OutputSpec, SonarSpec, SynthesisSpec};
+use crate::flow::{PathModel, Synthesis};
+
+/// What a sonar's pings are made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MadeOutput {
+    /// Every element of every array.
+    #[default]
+    Elements,
+    /// Lines alone, from parts of the arrays that the plan of methods chooses.
+    Beams,
+    /// Whichever is cheaper within the tolerance.
+    Auto,
+}
+
+impl SynthesisSpec {
+    /// Whether the plan of methods chooses anything.
+    pub fn is_planned(&self) -> bool {
+        self.auto.any() || self.output != MadeOutput::Elements
+    }
+}
+
+impl SonarSpec {
+    /// Which outputs carry samples of elements, or may on request.
+    pub fn element_readers(&self) -> Vec<&'static str> {
+        let of = |output: &OutputSpec| match output {
+            OutputSpec::SevenK(sevenk) => (!sevenk.arrays.is_empty()).then_some("7k (7038)"),
+            OutputSpec::Jsf(_) => Some("JSF"),
+            OutputSpec::Vita49(_) => Some("VITA 49"),
+            OutputSpec::Elements(_) => Some("elements"),
+            OutputSpec::Sigmf(_) => Some("SigMF"),
+            OutputSpec::Wav(_) => Some("WAV"),
+            OutputSpec::Xtf(_)
+            | OutputSpec::Imagenex872(_)
+            | OutputSpec::Ping(_)
+            | OutputSpec::Wbms(_) => None,
+        };
+        self.outputs.iter().filter_map(of).collect()
+    }
+
+    /// Why the sonar itself needs its elements; none: lines with fixed weights are all that anybody sees of it.
+    pub fn needs_elements(&self) -> Option<&'static str> {
+        let beams = &self.beams;
+        let lines = |array: usize| beams.lines.iter().any(|line| line.array == array);
+        let any = |elements: usize| self.receive.iter().any(|a| a.elements % elements != 0);
+        let least = self.receive.iter().map(|a| a.elements).min().unwrap_or(0);
+        let fixed = !self.synthesis.auto.synthesis;
+        let unsuited = matches!(
+            self.model.synthesis,
+            Synthesis::Reference | Synthesis::Gridded2d
+        );
+        Some(if !self.element_readers().is_empty() {
+            "an output carries them"
+        } else if beams.fan.is_some() {
+            "a fan is formed from them"
+        } else if beams.synthetic_aperture.is_some() {
+            "a synthetic aperture is made of them"
+        } else if !(0..self.receive.len()).all(lines) {
+            "an array has no line"
+        } else if beams.focused_lines {
+            "focused lines have other weights at every range"
+        } else if !self.more_pulses.is_empty() {
+            "each of several pulses is filtered for itself"
+        } else if self.receiver.adc_bits.is_some() {
+            "a converter stands behind each"
+        } else if (2..=least).all(any) {
+            "they do not come in equal parts"
+        } else if fixed && unsuited {
+            "the synthesis that is given makes whole lines, or the truth"
+        } else if !self.synthesis.auto.path && self.model.path == PathModel::Polyline {
+            "the polyline's steps of attitude would tear a part"
+        } else {
+            return None;
+        })
+    }
+}

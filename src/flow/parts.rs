@@ -1,0 +1,121 @@
+//! Lines in parts: some elements side by side taken as one, in their middle.
+
+use super::{ArrayGeometry, FidelityMark, Pattern};
+
+impl Pattern {
+    /// Elements that it is the mean of: 1 but for [`Pattern::Part`].
+    pub fn stands_for(&self) -> usize {
+        match *self {
+            Self::Part { elements, .. } => elements,
+            _ => 1,
+        }
+    }
+}
+
+impl ArrayGeometry {
+    /// The same line with every `of` elements taken as one. None where they do not come out even, and of a line that is in parts already.
+    pub fn in_parts(&self, of: usize) -> Option<Self> {
+        let (length_m, width_m, baffled) = match self.element_pattern {
+            Pattern::Omnidirectional => (0.0, 0.0, false),
+            Pattern::Rectangle {
+                length_m,
+                width_m,
+                baffled,
+            } => (length_m, width_m, baffled),
+            Pattern::Part { .. } => return None,
+        };
+        if of < 2 || !self.elements.is_multiple_of(of) {
+            return None;
+        }
+        Some(Self {
+            elements: self.elements / of,
+            spacing_m: self.spacing_m * of as f64,
+            element_pattern: Pattern::Part {
+                elements: of,
+                spacing_m: self.spacing_m,
+                length_m,
+                width_m,
+                baffled,
+            },
+            ..self.clone()
+        })
+    }
+
+    /// The elements that a line in parts stands for; any other line as it is.
+    pub fn whole(&self) -> Self {
+        let Pattern::Part {
+            elements,
+            spacing_m,
+            length_m,
+            width_m,
+            baffled,
+        } = self.element_pattern
+        else {
+            return self.clone();
+        };
+        Self {
+            elements: self.elements * elements,
+            spacing_m,
+            element_pattern: Pattern::Rectangle {
+                length_m,
+                width_m,
+                baffled,
+            },
+            ..self.clone()
+        }
+    }
+}
+
+impl FidelityMark {
+    /// As the configuration spells it.
+    pub fn output(&self) -> &'static str {
+        match self.part_elements {
+            1 => "elements",
+            _ => "beams",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::Mounting;
+    use glam::{DQuat, DVec3};
+
+    #[test]
+    fn a_part_lies_in_the_middle_of_its_elements_and_gives_them_back() {
+        let line = ArrayGeometry {
+            mounting: Mounting {
+                position_m: DVec3::new(1.0, -2.0, 0.5),
+                body_from_array: DQuat::from_rotation_z(0.3),
+            },
+            elements: 24,
+            spacing_m: 0.0125,
+            element_pattern: Pattern::Rectangle {
+                length_m: 0.01,
+                width_m: 0.02,
+                baffled: true,
+            },
+            sensitivity_db: -190.0,
+            transmit: 0,
+        };
+        for of in [2, 3, 4, 6, 8, 12, 24] {
+            let parts = line.in_parts(of).expect("even");
+            assert_eq!(
+                (parts.elements, parts.element_pattern.stands_for()),
+                (24 / of, of)
+            );
+            assert_eq!(parts.whole(), line);
+            for part in 0..parts.elements {
+                let mean = (0..of).map(|j| line.element_body_m(part * of + j));
+                let mean = mean.sum::<DVec3>() / of as f64;
+                assert!(mean.distance(parts.element_body_m(part)) < 1e-14);
+            }
+            assert!(parts.in_parts(1).is_none() && parts.in_parts(2).is_none());
+        }
+        assert!(
+            line.in_parts(5).is_none() && line.in_parts(1).is_none() && line.in_parts(48).is_none()
+        );
+        assert_eq!(line.whole(), line);
+    }
+}
