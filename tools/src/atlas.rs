@@ -48,6 +48,9 @@ struct Arguments {
     /// A short pulse and two elements: a quick look
     #[arg(long)]
     small: bool,
+    /// Draw nothing, write the page
+    #[arg(long)]
+    page: bool,
     #[arg(long, default_value_t = 2)]
     threads: usize,
 }
@@ -55,6 +58,10 @@ struct Arguments {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let given = Arguments::parse();
     std::fs::create_dir_all(&given.out)?;
+    let page = given.out.join("README.md");
+    if given.page {
+        return Ok(std::fs::write(page, page::page())?);
+    }
     // Panics are cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
     let pool = echotank::run::rig::pool(given.threads)?;
@@ -86,7 +93,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     if given.only.is_none() {
-        std::fs::write(given.out.join("README.md"), page::page())?;
+        std::fs::write(page, page::page())?;
     }
     if let Some(file) = &given.csv {
         std::fs::write(file, csv)?;

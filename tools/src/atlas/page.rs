@@ -13,7 +13,9 @@ with every path and Doppler model (rows): how far the samples are from the retar
 tolerance, orange does not; hatched is refused, in words. A ring is what the plan of methods chose for that column, the strip below what came of it. The frame is
 the paper's own formula, Eq. 21 of Meng et al. 2023 on the sum of Eq. 18, as printed.
 
-`tools/atlas` draws it all anew, an hour on a busy machine; `--only NAME` one of them.
+`tools/atlas` draws it all anew, an hour on a busy machine; `--only NAME` one of them, `--page` writes this page. `tests/stability/regimes.rs` holds the
+boundaries of every regime of the table's first part on a short pulse, two to six columns of each: no number that is none, no panic, no answer that its cards
+promised to be right and is not, no plan inside a failing region.
 
 ";
 

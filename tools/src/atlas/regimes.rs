@@ -427,7 +427,7 @@ pub const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "A floor costs what it leaves out of flat ground, and the cards say how much; above the pattern's own peak everything is left out and the ping is silent.",
+        says: "A floor costs what it leaves out of flat ground, and the cards say how much at most; a plan that may choose lowers it until the tolerance is kept, and never raises it.",
         paper: "keeps all",
         ours: "the left-out share of the energy is part of the promise; a plan may lower the floor, never raise it",
     },
@@ -471,7 +471,7 @@ pub const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "The kernel of the engines is as good between the points of its grid as on them; samples that lie nearest are only right on a sample, linear interpolation is worst in between.",
+        says: "The kernel of the engines is as good between the points of its grid as on them; `nearest` and `linear` are beyond the tolerance everywhere, and worst halfway between two samples.",
         paper: "Eq. 18 knows no grid of delays",
         ours: "kernel width follows the tolerance",
     },
