@@ -652,7 +652,9 @@ impl<'a> Maker<'a> {
                 format!("culled at {db:.0} dB"),
                 match culling.of.kept {
                     kept if kept > 1.0 => {
-                        format!("{kept:.1} times as many scatterers as are at hand above their floor")
+                        format!(
+                            "{kept:.1} times as many scatterers as are at hand above their floor"
+                        )
                     }
                     kept => format!("{:.0} % of the scatterers at hand are kept", 100.0 * kept),
                 },
