@@ -26,9 +26,10 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
         .iter_mut()
         .for_each(|seabed| seabed.density = Density::PerM2(0.5));
     for sonar in &mut spec.sonars {
-        if sonar.model.synthesis == Synthesis::Reference {
-            sonar.model.synthesis = Synthesis::Direct;
-        }
+        // Another plan is another pipeline, made beside the pings.
+        sonar.synthesis.auto = Default::default();
+        sonar.model.synthesis = Synthesis::Direct;
+        sonar.model.cull_db = Some(-24.0);
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {

@@ -37,6 +37,8 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
     let mut spec = config::load(&path).expect("a good configuration");
     spec.scene.seabed = None;
     spec.scene.targets = None;
+    spec.sonars[0].synthesis.auto = Default::default();
+    spec.sonars[0].model.cull_db = Some(-24.0);
     let sonar = spec.sonars[0].clone();
     pool(1).expect("thread").install(|| {
         let mut rig = Rig::open(&spec).expect("rig");

@@ -228,9 +228,11 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         .is_some_and(|t| t.given("seabed") && !t.given("points"));
     if let (Some(medium), true) = (&medium, ground_alone) {
         for sonar in sonars.iter_mut().flatten() {
-            if sonar.model.cull_db.is_none() && sonar.model.synthesis.keeps_tolerance() {
+            let auto = sonar.synthesis.auto.synthesis;
+            let keeps = auto || sonar.model.synthesis.keeps_tolerance();
+            if sonar.model.cull_db.is_none() && keeps {
                 sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
-                sonar.synthesis.auto.cull = sonar.synthesis.auto.synthesis;
+                sonar.synthesis.auto.cull = auto;
             }
         }
     }

@@ -138,6 +138,8 @@ mod tests {
             }
             for sonar in &mut spec.sonars {
                 sonar.settings.range_m = 90.0;
+                sonar.model.synthesis = Synthesis::Direct;
+                sonar.synthesis.auto = Default::default();
             }
         });
         assert!(quiet >= 8 && heard >= 32, "quickstart: {quiet} {heard}");

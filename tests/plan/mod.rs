@@ -5,16 +5,17 @@ use std::fmt::Write;
 use std::path::Path;
 
 use echotank::config;
-use echotank::config::spec::RigSpec;
+use echotank::config::spec::{Density, RigSpec};
 use echotank::flow::{Certificate, DopplerModel, PathModel, PingPlan, Scatterers};
 use echotank::frames::Trajectory;
 use echotank::run::fidelity::costs::Costs;
-use echotank::run::fidelity::first::pings;
+use echotank::run::fidelity::first::{first, pings};
 use echotank::run::fidelity::{Scene, Swell, rank};
 use echotank::run::recorded::RecordedRig;
 use echotank::run::rig::pool;
 use echotank::time::UtcNs;
 use glam::{DQuat, DVec3};
+use rayon::prelude::*;
 
 use crate::rigs::case;
 use crate::rigs::measure::measure;
@@ -280,6 +281,72 @@ fn on_small_random_rigs_plans_keep_their_promises() {
             assert!(of.plan.error <= of.plan.predicted_error, "{said}");
         }
     }
+}
+
+/// Floors that somebody gave: the promise holds in the worst window too, and is not ten times too high.
+#[test]
+fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much() {
+    let costs = Costs::committed();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
+    for (file, floor_db) in [("omniscan450", -40.0), ("board", -30.0)] {
+        let mut spec = config::load(&folder.join(format!("{file}.toml"))).expect("good");
+        spec.scene.seabed.as_mut().expect("a seabed").density = Density::PerM2(1.0);
+        for sonar in &mut spec.sonars {
+            sonar.synthesis.auto.cull = false;
+            sonar.model.cull_db = Some(floor_db);
+        }
+        let measured = pool(2)
+            .expect("threads")
+            .install(|| measure(&spec, &costs, false))
+            .unwrap_or_else(|why| panic!("{file}: {why}"));
+        for of in measured {
+            let said = format!("{file} at {floor_db} dB: {}", of.said());
+            println!("{said}");
+            assert!(of.out_of_reach, "{said}");
+            assert!(of.plan.error <= of.plan.predicted_error, "{said}");
+            assert!(of.plan.predicted_error <= 10.0 * of.plan.error, "{said}");
+        }
+    }
+}
+
+/// ... and what it costs by the committed table leaves two cores room.
+#[test]
+fn every_configuration_is_planned_within_its_tolerance() {
+    let costs = Costs::committed();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
+    let mut files: Vec<_> = std::fs::read_dir(&folder)
+        .expect("folder")
+        .map(|entry| entry.expect("entry").path())
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        // Its line takes the whole tolerance: no engine can be made for a share of it, and its certificates alone hold it.
+        .filter(|path| !path.ends_with("soak.toml"))
+        .collect();
+    files.sort();
+    assert!(files.len() >= 16, "{files:?}");
+    pool(2).expect("threads").install(|| {
+        files.par_iter().for_each(|file| {
+            let spec = config::load(file).unwrap_or_else(|why| panic!("{why}"));
+            let firsts = first(&spec, &costs).unwrap_or_else(|why| panic!("{file:?}: {why}"));
+            let mut each_ms = 0.0;
+            for (sonar, first) in spec.sonars.iter().zip(&firsts) {
+                let ranking = first.ranking.as_ref().expect("can be made");
+                let chosen = ranking.chosen();
+                let said = format!(
+                    "{file:?} {}: {}: {:.1e} of {:.1e}, {:.1} ms",
+                    sonar.name,
+                    chosen.text(),
+                    chosen.error(),
+                    ranking.goal.tolerance,
+                    chosen.cost_ms()
+                );
+                println!("{said}");
+                assert!(ranking.is_within(), "{said}");
+                // On two threads.
+                each_ms += 0.5 * chosen.cost_ms() * sonar.settings.max_ping_rate_hz;
+            }
+            assert!(each_ms < 900.0, "{file:?}: {each_ms:.0} ms of every second");
+        });
+    });
 }
 
 /// At rest, and from 4 s on under way: (ping number, plan) of every ping, and a sum over the bits of its samples.

@@ -2,6 +2,7 @@
 //! inside a failing region. A short pulse and two elements; `tools/atlas` draws the long form.
 
 use std::f64::consts::TAU;
+use std::path::Path;
 
 use echotank::flow::{DopplerModel, PathModel, ScatterLaw, Scatterers, Synthesis};
 use echotank::geodesy::LocalTangentPlane;
@@ -268,5 +269,18 @@ fn simplification_has_a_number_for_every_surface() {
             assert!(selection.gain.iter().all(|g| g.is_finite() && *g > 0.0));
             assert!(method == Method::Unbiased || selection.kept.len() == count.div_ceil(2));
         }
+    }
+}
+
+#[test]
+fn every_regime_is_drawn_and_stands_on_the_page_with_its_sentence() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/atlas");
+    let page = std::fs::read_to_string(folder.join("README.md")).expect("the page");
+    for regime in &ALL {
+        let picture = format!("{}.png", regime.name);
+        let bytes = std::fs::metadata(folder.join(&picture)).map_or(0, |m| m.len());
+        assert!(bytes > 10_000, "{picture}: {bytes} bytes");
+        let section = format!("![{}]({picture})\n\n{}", regime.title, regime.says);
+        assert!(page.contains(&section), "not on the page: {section}");
     }
 }

@@ -37,7 +37,7 @@ struct Arguments {
     /// The first seed.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Configurations, with path, doppler and synthesis = "auto".
+    /// Configurations; a sonar that leaves nothing to the plan with path, doppler and synthesis = "auto".
     configs: Vec<PathBuf>,
     /// What methods cost here.
     #[arg(long)]
@@ -141,6 +141,9 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
                 .or_insert_with(|| toml::Table::new().into())
                 .as_table_mut()
                 .ok_or("sonar.model is no table")?;
+            if model.values().any(|value| value.as_str() == Some("auto")) {
+                continue;
+            }
             for key in ["path", "doppler", "synthesis"] {
                 model.insert(key.into(), "auto".into());
             }

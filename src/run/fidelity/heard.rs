@@ -15,7 +15,7 @@ pub const LOOKED_AT: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 const INSTANTS: usize = 64;
 /// A window is a pulse long, but so many samples at least, as certificates have it.
-const LEAST_WINDOW: usize = 32;
+pub(super) const LEAST_WINDOW: usize = 32;
 /// Rounding of finite differences of velocities, m/s^2.
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.

@@ -108,7 +108,7 @@ pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>
     }
     let whole = pings(&whole)?;
     let firsts = rig.sonars.iter().zip(first(rig, costs)?);
-    for ((spec, first), (_, everything)) in firsts.zip(&whole) {
+    for (sonar, ((spec, first), (_, everything))) in firsts.zip(&whole).enumerate() {
         let Some(ranking) = &first.ranking else {
             continue;
         };
@@ -124,10 +124,14 @@ pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>
             spec: &spec,
             medium: &rig.medium,
             plan: &first.plan,
-            scatterers: &first.scatterers,
             everything,
         };
-        if let Some(measured) = one(&ping, ranking, time)? {
+        let mut gathered = Gathered {
+            rig,
+            sonar,
+            by_floor: vec![(rig.sonars[sonar].model.cull_db, first.scatterers)],
+        };
+        if let Some(measured) = one(&ping, &mut gathered, ranking, time)? {
             all.push(measured);
         }
     }
@@ -138,9 +142,29 @@ pub struct Ping<'a> {
     pub spec: &'a SonarSpec,
     pub medium: &'a MediumSpec,
     pub plan: &'a PingPlan,
-    pub scatterers: &'a Scatterers,
     /// Not culled.
     pub everything: &'a Scatterers,
+}
+
+/// What one sonar's ping hears, down to each floor that a choice has: a pipeline gathers no more.
+struct Gathered<'a> {
+    rig: &'a RigSpec,
+    sonar: usize,
+    by_floor: Vec<(Option<f64>, Scatterers)>,
+}
+
+impl Gathered<'_> {
+    /// Where it is found.
+    fn down_to(&mut self, cull_db: Option<f64>) -> Result<usize, FirstError> {
+        if let Some(k) = self.by_floor.iter().position(|(db, _)| *db == cull_db) {
+            return Ok(k);
+        }
+        let mut rig = self.rig.clone();
+        rig.sonars[self.sonar].model.cull_db = cull_db;
+        let (_, scatterers) = pings(&rig)?.swap_remove(self.sonar);
+        self.by_floor.push((cull_db, scatterers));
+        Ok(self.by_floor.len() - 1)
+    }
 }
 
 /// One choice's pipeline with its plan and output.
@@ -180,7 +204,12 @@ impl Runner {
     }
 }
 
-fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, PipelineError> {
+fn one(
+    ping: &Ping,
+    gathered: &mut Gathered,
+    ranking: &Ranking,
+    time: bool,
+) -> Result<Option<Measured>, MeasureError> {
     let ruler = Ruler::new(ping)?;
     if ruler.is_silent() {
         return Ok(None);
@@ -193,14 +222,17 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
     let mut runners = Vec::new();
     for (k, candidate) in looked_at.into_iter().enumerate() {
         match Runner::new(ping, &with_choice(ping.spec, &candidate.choice)) {
-            Ok(runner) => runners.push((candidate, runner)),
-            Err(why) if k == 0 => return Err(why),
+            Ok(runner) => {
+                let heard = gathered.down_to(candidate.choice.model.cull_db)?;
+                runners.push((candidate, heard, runner));
+            }
+            Err(why) if k == 0 => return Err(why.into()),
             Err(_) => {}
         }
     }
     for _ in 0..=REPEATS {
-        for (_, runner) in &mut runners {
-            runner.run(ping.scatterers);
+        for (_, heard, runner) in &mut runners {
+            runner.run(&gathered.by_floor[*heard].1);
         }
         if !time {
             break;
@@ -208,7 +240,7 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
     }
     let coarse = own_error.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
     let chosen = ranking.chosen();
-    let mut did = runners.iter().map(|(candidate, runner)| Did {
+    let mut did = runners.iter().map(|(candidate, _, runner)| Did {
         by_certificate: coarse,
         text: candidate.text(),
         parts: Family::ALL.map(|family| candidate.part(family).error),
@@ -228,7 +260,7 @@ fn one(ping: &Ping, ranking: &Ranking, time: bool) -> Result<Option<Measured>, P
     Ok(Some(Measured {
         sonar: ping.spec.name.clone(),
         tolerance: ranking.goal.tolerance,
-        scatterers: ping.scatterers.len(),
+        scatterers: gathered.by_floor[runners[0].1].1.len(),
         elements: ping.spec.receive.iter().map(|a| a.elements).sum(),
         ruler: own_error,
         plan,
