@@ -215,10 +215,7 @@ pub fn window_cards(
     doppler: DopplerModel,
     conditions: &Conditions,
 ) -> [MethodCard; 2] {
-    let weakening = 1.0
-        / conditions
-            .pulse
-            .weakest_window(conditions.sample_rate_hz);
+    let weakening = 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz);
     // Of what grows with time, its square, its cube: at the end over the root mean square.
     let end = match doppler {
         DopplerModel::None | DopplerModel::PaperEq21 => 3f64.sqrt(),
