@@ -796,7 +796,11 @@ impl<'a> Maker<'a> {
     fn output(&self, motion: &Motion, pairs: f64) -> Part {
         let (choice, error, work, why) = match self.parting {
             None => {
-                let why = self.scene.spec.synthesis.elements_for.unwrap_or("");
+                let synthesis = &self.scene.spec.synthesis;
+                let why = match synthesis.output {
+                    MadeOutput::Elements => "nothing else is asked for",
+                    _ => synthesis.elements_for.unwrap_or(""),
+                };
                 ("elements".to_owned(), 0.0, Work::NONE, why.to_owned())
             }
             Some(parting) => {
