@@ -206,3 +206,84 @@ impl<'a> Alone<'a> {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::testing::plan_at_rest;
+    use crate::flow::{Pulse, PulseKind};
+
+    fn conditions(pulse: Pulse, filter: ReceiverFilter) -> Conditions {
+        Conditions {
+            pulse,
+            sound_speed_m_per_s: 1500.0,
+            sample_rate_hz: 40e3,
+            filter,
+            speed_m_per_s: 0.0,
+            acceleration_m_per_s2: 0.0,
+            turning_m_per_s: 0.0,
+            range_m: (10.0, 50.0),
+            segment_s: 0.01,
+            scatterers: 1000,
+            elements: 1,
+            tolerance: 1e-3,
+            heard: None,
+        }
+    }
+
+    fn pulse(bandwidth_hz: f64, duration_s: f64, taper: f64) -> Pulse {
+        Pulse {
+            kind: match bandwidth_hz {
+                0.0 => PulseKind::Cw,
+                _ => PulseKind::LfmUp,
+            },
+            center_frequency_hz: 400e3,
+            bandwidth_hz,
+            duration_s,
+            taper,
+        }
+    }
+
+    #[test]
+    fn no_place_between_two_samples_is_worse_than_the_card() {
+        for (synthesis, filter) in [
+            (Synthesis::Direct, ReceiverFilter::Fir),
+            (Synthesis::Spectral, ReceiverFilter::Fir),
+            (Synthesis::Nearest, ReceiverFilter::Fir),
+            (Synthesis::Linear, ReceiverFilter::Fir),
+            (Synthesis::Spectral, ReceiverFilter::None),
+            (Synthesis::Linear, ReceiverFilter::None),
+        ] {
+            for pulse in [
+                pulse(24e3, 1e-3, 0.0),
+                pulse(24e3, 0.4e-3, 0.5),
+                pulse(0.0, 1e-3, 0.1),
+            ] {
+                let c = conditions(pulse, filter);
+                let plan = plan_at_rest(&pulse, 100, 1500.0);
+                let card = window_card(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+                let alone = Alone::new(synthesis, &c, &plan, 900.0).expect("fits");
+                let got = (0..24)
+                    .map(|k| (0.01 + 0.754_877_666 * f64::from(k)).fract())
+                    .map(|place| alone.at(place, 0.0, 55.0))
+                    .fold(0.0, f64::max);
+                println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {card:?}");
+                // Twice an echo is as much as a card says.
+                assert!(got.min(MOST) <= card.error, "{got:e}, {card:?}");
+            }
+        }
+    }
+
+    /// Flanks that rise as the square: half a sample is much of what little is heard of an echo where it comes out of the noise.
+    #[test]
+    fn the_worst_window_is_an_end_and_worse_than_the_whole_echo() {
+        let pulse = pulse(0.0, 1e-3, 1.0);
+        let c = conditions(pulse, ReceiverFilter::Fir);
+        let plan = plan_at_rest(&pulse, 100, 1500.0);
+        for synthesis in [Synthesis::Nearest, Synthesis::Linear] {
+            let whole = synthesis_card(synthesis, &c).error;
+            let worst = window_card(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+            assert!(worst.error > 2.0 * whole, "{whole:e}, {worst:?}");
+        }
+    }
+}
