@@ -63,7 +63,7 @@ fn a_kernel_made_for_the_part_of_the_band_where_the_pulse_is_errs_by_a_third_and
     for width in [4, 5, 6] {
         let of_band = alone.kernel(&Kernel::new(width, 1.5, 8), 1.0);
         let of_core = alone.kernel(&Kernel::new(width, 1.5 / core, 8), core);
-        println!("width {width}, core {core:.2}: {of_band:.1e?}, {of_core:.1e?}");
+        println!("width {width}, core {core:.2}: {of_band:?}, {of_core:?}");
         assert!(of_core[0] < 0.33 * of_band[0], "{of_core:?}, {of_band:?}");
         assert!(of_core[1] < 1.5 * of_band[1], "{of_core:?}, {of_band:?}");
     }
