@@ -600,7 +600,8 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     for (file, engine, cull_db, tolerance) in [
         ("certified.toml", Synthesis::Gridded1d, -34.0, 1e-3),
-        ("multibeam.toml", Synthesis::Gridded2d, -40.0, 2e-2),
+        // A line culls a stretch at a time, the direct sum an element: with a floor of -40 dB that alone is up to 2e-2.
+        ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
     ] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {

@@ -26,7 +26,7 @@ use super::task::MOST_DILATION;
 const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
 /// By how much more than a kernel's mean over the band the worst of many windows errs: elements hear some in which echoes cancel to a quarter of
 /// what the others hear (measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed).
-const KERNEL_FACTOR: f64 = 4.0;
+const KERNEL_FACTOR: f64 = 5.0;
 /// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it, and what lies beyond the band.
 const ALONE_SHARE: f64 = 0.6;
 /// Of f32 grids and transforms: 1e-7 of the strongest echo of a slab, over the weakest window of it, some 30 dB below.

@@ -411,9 +411,17 @@ impl<'a> Maker<'a> {
                     .map(|share| Some(share * goal.tolerance))
                     .collect(),
             };
-            for engine_tolerance in tolerances {
+            // A sum that is the operator's and cannot be made for a share is what it is for the whole, and said to be.
+            let whole = (!spec.synthesis.auto.synthesis && spec.synthesis.auto.any())
+                .then_some(Some(goal.tolerance));
+            let mut is_made = false;
+            for engine_tolerance in tolerances.into_iter().chain(whole) {
+                if is_made && engine_tolerance == Some(goal.tolerance) {
+                    continue;
+                }
                 match self.engine(synthesis, doppler, engine_tolerance) {
                     Ok(engine) => {
+                        is_made = true;
                         for motion in &of {
                             for &culling in &self.cullings {
                                 found.push(self.on_engine(
