@@ -141,6 +141,8 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
                 .or_insert_with(|| toml::Table::new().into())
                 .as_table_mut()
                 .ok_or("sonar.model is no table")?;
+            // Every element is looked at here; lines from parts are `tests/plan/parts.rs`'s.
+            model.insert("output".into(), "elements".into());
             if model.values().any(|value| value.as_str() == Some("auto")) {
                 continue;
             }

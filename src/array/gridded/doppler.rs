@@ -256,10 +256,12 @@ impl DopplerGrid {
         }
     }
 
-    /// How many Dopplers a fit of such a pulse needs.
+    /// How many Dopplers a fit of such a pulse needs: more than there are columns, of which a single wide cell has more than samples.
     fn sample_count(&self, carrier_hz: f64, duration_s: f64) -> usize {
         let cycles = (self.span.greatest - self.span.least) * carrier_hz * duration_s;
-        (SAMPLES_PER_CELL * self.cells).max((SAMPLES_PER_CYCLE * cycles).ceil() as usize)
+        (SAMPLES_PER_CELL * self.cells)
+            .max((SAMPLES_PER_CYCLE * cycles).ceil() as usize)
+            .max(2 * self.columns)
     }
 }
 
@@ -484,6 +486,48 @@ impl Fitting<'_> {
             let values = &mut out[column * bins + first..][..frequency_hz.len()];
             for (value, (re, im)) in values.iter_mut().zip(re.iter().zip(&im)) {
                 *value = Complex64::new(*re, *im);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::{Pulse, PulseKind};
+
+    /// Seven columns over a single cell were once fitted to six Dopplers.
+    #[test]
+    fn wide_kernels_over_few_cells_are_fitted_to_more_dopplers_than_they_have_columns() {
+        let pulse = Pulse {
+            kind: PulseKind::LfmUp,
+            center_frequency_hz: 20e3,
+            bandwidth_hz: 2e3,
+            duration_s: 0.3e-3,
+            taper: 0.2,
+        };
+        let spectrum = PulseSpectrum::new(&pulse, 4e3);
+        let span = DopplerSpan {
+            least: -1e-3,
+            greatest: 1e-3,
+        };
+        let frequency_hz: Vec<f64> = (-8..8).map(|k| 200.0 * f64::from(k)).collect();
+        let received = Received {
+            spectrum: &spectrum,
+            carrier_hz: pulse.center_frequency_hz,
+            duration_s: pulse.duration_s,
+            order: 0,
+            greatest_p: 0.0,
+        };
+        for cells in 1..=3 {
+            for width in 2..=MAX_TAPS {
+                let grid = DopplerGrid::new(span, cells, &Kernel::new(width, 2.0, POWERS));
+                let values = templates(&grid, received, &frequency_hz, &[1.0; 16]);
+                assert_eq!(values.len(), 16 * grid.columns);
+                assert!(
+                    values.iter().all(|value| value.is_finite()),
+                    "{cells}, {width}"
+                );
             }
         }
     }
