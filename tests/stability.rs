@@ -14,6 +14,8 @@ mod regimes;
 mod rigs;
 #[path = "../tools/src/errors/table.rs"]
 mod table;
+#[path = "../tools/src/track.rs"]
+mod track;
 
 use std::path::Path;
 

@@ -134,6 +134,9 @@ pub struct Leg {
     /// In the Doppler term: at `start_s`, and how it changes from there.
     pub doppler: Motion,
     array_from_world: DMat3,
+    /// What is so far off, there and back, falls on a later leg; what is nearer than the other, on an earlier one. Metres.
+    passed_m: f64,
+    begun_m: f64,
 }
 
 impl Leg {
@@ -201,6 +204,21 @@ impl ElementTrack {
             }
             _ => f64::INFINITY,
         };
+        self.bound_legs(plan.sound_speed_m_per_s);
+    }
+
+    /// c (t - t1) - |S - r(t)| grows along a leg, so its sign at the ends says whether the root lies between. Two triangle inequalities settle that
+    /// for all scatterers at once. Legs come in order, each bound at most the next one's.
+    fn bound_legs(&mut self, c: f64) {
+        let mut passed_m = f64::INFINITY;
+        for leg in self.legs.iter_mut().rev() {
+            if leg.end_s.is_finite() {
+                let end_m = leg.at_m(leg.end_s).length();
+                passed_m = passed_m.min(c * leg.end_s + end_m + BOUND_GUARD_M);
+            }
+            leg.passed_m = passed_m;
+            leg.begun_m = c * leg.start_s - leg.origin_m.length() - BOUND_GUARD_M;
+        }
     }
 
     /// The plan's own segments; the first alone, and still, for stop-and-hop.
@@ -218,6 +236,8 @@ impl ElementTrack {
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
                 doppler: heard_motion(plan, segment_motion(plan, k, arm_m)),
                 array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
+                passed_m: f64::INFINITY,
+                begun_m: 0.0,
             });
         }
     }
@@ -258,6 +278,8 @@ impl ElementTrack {
                     },
                 ),
                 array_from_world: array_from_world(middle.world_from_body, self.body_from_array),
+                passed_m: f64::INFINITY,
+                begun_m: 0.0,
             });
             here = next;
         }
@@ -265,6 +287,12 @@ impl ElementTrack {
 
     pub fn end_s(&self) -> f64 {
         self.end_s
+    }
+
+    /// From the first on whose end is not before every root of the batch.
+    fn not_passed(&self, batch: Batch) -> &[Leg] {
+        let passed = |leg: &Leg| 2.0 * batch.least_range_m > leg.passed_m;
+        &self.legs[self.legs.partition_point(passed)..]
     }
 
     /// The leg on which an echo arrives at `time_s`, and its number.
@@ -398,6 +426,23 @@ pub struct Batch<'a> {
     pub greatest_range_m: f64,
 }
 
+impl<'a> Batch<'a> {
+    /// Those from `first` on, [`PART`] at most.
+    fn part(self, first: usize) -> Self {
+        let span = first..(first + PART).min(self.range_m.len());
+        let range_m = &self.range_m[span.clone()];
+        let (least_range_m, greatest_range_m) = ends(range_m);
+        Self {
+            x_m: &self.x_m[span.clone()],
+            y_m: &self.y_m[span.clone()],
+            z_m: &self.z_m[span],
+            range_m,
+            least_range_m,
+            greatest_range_m,
+        }
+    }
+}
+
 /// How a batch meets one element: the delay, and the receive ray at reception.
 pub struct Rays {
     /// Leading edge, seconds after the start of the pulse.
@@ -465,17 +510,18 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     over / under
 }
 
-/// Solves one leg for a whole batch and keeps what falls on it. Returns how many were placed. `ALONE`: the leg has neither a start nor an
-/// end, so that everything falls on it and nothing needs to have been begun.
+/// Solves one leg for a whole batch, whose rays begin `at` some place, and keeps what falls on it. Returns how many were placed. `ALONE`: the leg has
+/// neither a start nor an end, so that everything falls on it and nothing needs to have been begun.
 #[inline(always)]
 fn solve_leg<const ALONE: bool>(
     leg: &Leg,
     c: f64,
     batch: Batch,
     rays: &mut Rays,
+    at: usize,
     odd: &mut Oddities,
 ) -> u64 {
-    let n = batch.range_m.len().min(CHUNK);
+    let n = batch.range_m.len().min(CHUNK - at);
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
     let range_m = &batch.range_m[..n];
     let (o, v) = (leg.origin_m, leg.velocity_m_per_s);
@@ -485,6 +531,14 @@ fn solve_leg<const ALONE: bool>(
     );
     let m = leg.array_from_world;
     let c2_minus_v2 = c * c - v.length_squared();
+    let to_delay_s = &mut rays.delay_s[at..][..n];
+    let to_x_m = &mut rays.x_m[at..][..n];
+    let to_y_m = &mut rays.y_m[at..][..n];
+    let to_z_m = &mut rays.z_m[at..][..n];
+    let to_array_x_m = &mut rays.array_x_m[at..][..n];
+    let to_array_y_m = &mut rays.array_y_m[at..][..n];
+    let to_array_z_m = &mut rays.array_z_m[at..][..n];
+    let to_closing_m2_per_s = &mut rays.closing_m2_per_s[at..][..n];
     let (mut placed, mut none, mut two) = (0, 0, 0);
     for i in 0..n {
         let (x, y, z) = (x_m[i] - o.x, y_m[i] - o.y, z_m[i] - o.z);
@@ -501,21 +555,21 @@ fn solve_leg<const ALONE: bool>(
         if ALONE {
             let after_s = root_s - leg.start_s;
             let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
-            rays.delay_s[i] = root_s;
-            (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = (x, y, z);
-            rays.array_x_m[i] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
-            rays.array_y_m[i] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
-            rays.array_z_m[i] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+            to_delay_s[i] = root_s;
+            (to_x_m[i], to_y_m[i], to_z_m[i]) = (x, y, z);
+            to_array_x_m[i] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
+            to_array_y_m[i] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
+            to_array_z_m[i] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
             let (wx, wy, wz) = (
                 w.x + dw.x * after_s,
                 w.y + dw.y * after_s,
                 w.z + dw.z * after_s,
             );
-            rays.closing_m2_per_s[i] = wx * x + wy * y + wz * z;
+            to_closing_m2_per_s[i] = wx * x + wy * y + wz * z;
             continue;
         }
 
-        let open = rays.delay_s[i] == f64::INFINITY;
+        let open = to_delay_s[i] == f64::INFINITY;
         let early = root_s < leg.start_s;
         let on_time = root_s < leg.end_s;
         let take = open & on_time;
@@ -531,19 +585,19 @@ fn solve_leg<const ALONE: bool>(
         // Each scatterer is placed once, on arrays that began as zeros: adding 0 or 1 times is a choice that still vectorises, where an
         // `if` would become a branch around the stores.
         let chosen = if take { 1.0 } else { 0.0 };
-        rays.delay_s[i] = rays.delay_s[i].min(if take { delay_s } else { f64::INFINITY });
-        rays.x_m[i] += chosen * x;
-        rays.y_m[i] += chosen * y;
-        rays.z_m[i] += chosen * z;
-        rays.array_x_m[i] += chosen * (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z);
-        rays.array_y_m[i] += chosen * (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z);
-        rays.array_z_m[i] += chosen * (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z);
+        to_delay_s[i] = to_delay_s[i].min(if take { delay_s } else { f64::INFINITY });
+        to_x_m[i] += chosen * x;
+        to_y_m[i] += chosen * y;
+        to_z_m[i] += chosen * z;
+        to_array_x_m[i] += chosen * (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z);
+        to_array_y_m[i] += chosen * (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z);
+        to_array_z_m[i] += chosen * (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z);
         let (wx, wy, wz) = (
             w.x + dw.x * after_s,
             w.y + dw.y * after_s,
             w.z + dw.z * after_s,
         );
-        rays.closing_m2_per_s[i] += chosen * (wx * x + wy * y + wz * z);
+        to_closing_m2_per_s[i] += chosen * (wx * x + wy * y + wz * z);
     }
     if ALONE {
         return n as u64;
@@ -561,9 +615,10 @@ fn solve_leg_avx2<const ALONE: bool>(
     c: f64,
     batch: Batch,
     rays: &mut Rays,
+    at: usize,
     odd: &mut Oddities,
 ) -> u64 {
-    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -573,9 +628,10 @@ fn solve_leg_avx512<const ALONE: bool>(
     c: f64,
     batch: Batch,
     rays: &mut Rays,
+    at: usize,
     odd: &mut Oddities,
 ) -> u64 {
-    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
 
 /// [`solve_leg`] in the widest registers that this processor has.
@@ -584,20 +640,21 @@ fn solve_widest<const ALONE: bool>(
     c: f64,
     batch: Batch,
     rays: &mut Rays,
+    at: usize,
     odd: &mut Oddities,
 ) -> u64 {
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
             // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, odd) };
+            return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, at, odd) };
         }
         if is_x86_feature_detected!("avx2") {
             // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, odd) };
+            return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, at, odd) };
         }
     }
-    solve_leg::<ALONE>(leg, c, batch, rays, odd)
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
 
 /// AVX-512 F, DQ and VL.
@@ -608,6 +665,11 @@ pub fn has_avx512() -> bool {
         && is_x86_feature_detected!("avx512vl")
 }
 
+/// Scatterers that look for their legs together, where those of a batch lie on many: neighbours on the bottom lie on few.
+pub const PART: usize = 32;
+/// So many legs are looked at by a whole batch.
+const FEW_LEGS: usize = 2;
+
 /// Delays and receive rays of a batch: per scatterer the first leg k with t_k <= u < t_{k+1}.
 pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
     let n = batch.range_m.len();
@@ -615,34 +677,38 @@ pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Odd
     if let [leg] = &track.legs[..]
         && leg.start_s == 0.0
     {
-        solve_widest::<true>(leg, c, batch, rays, &mut odd);
+        solve_widest::<true>(leg, c, batch, rays, 0, &mut odd);
         return odd;
     }
     rays.begin();
-    let mut placed = 0;
-    for leg in &track.legs {
-        // c (t - t1) - |S - r(t)| grows along a leg, so its sign at the ends says whether the root lies between. Two triangle
-        // inequalities settle that for the whole batch: here "every root is past the end" ...
-        if leg.end_s.is_finite() {
-            let end_m = leg.at_m(leg.end_s).length();
-            if 2.0 * batch.least_range_m > c * leg.end_s + end_m + BOUND_GUARD_M {
-                continue;
-            }
+    let legs = track.not_passed(batch);
+    let begun = legs.partition_point(|leg| leg.begun_m <= 2.0 * batch.greatest_range_m);
+    if begun <= FEW_LEGS {
+        solve_legs(legs, c, batch, rays, 0, &mut odd);
+    } else {
+        for first in (0..n).step_by(PART) {
+            let part = batch.part(first);
+            solve_legs(track.not_passed(part), c, part, rays, first, &mut odd);
         }
-        // ... and here "every root is before the start", where only scatterers not yet placed matter.
-        let before_all =
-            2.0 * batch.greatest_range_m + leg.origin_m.length() + BOUND_GUARD_M < c * leg.start_s;
-        if placed == n as u64 && before_all {
-            break;
-        }
-        placed += solve_widest::<false>(leg, c, batch, rays, &mut odd);
     }
-    debug_assert_eq!(placed, n as u64, "the last leg has no end");
     // Where legs meet, what falls between them fell there by rounding.
     if track.seamless {
         return Oddities::default();
     }
     odd
+}
+
+/// One leg after the other, until all scatterers are placed and none could be placed again.
+fn solve_legs(legs: &[Leg], c: f64, batch: Batch, rays: &mut Rays, at: usize, odd: &mut Oddities) {
+    let n = batch.range_m.len() as u64;
+    let mut placed = 0;
+    for leg in legs {
+        if placed == n && leg.begun_m > 2.0 * batch.greatest_range_m {
+            break;
+        }
+        placed += solve_widest::<false>(leg, c, batch, rays, at, odd);
+    }
+    debug_assert_eq!(placed, n, "the last leg has no end");
 }
 
 /// Newton steps at most. Chords leave microseconds, and each step squares what is left.
@@ -710,6 +776,8 @@ mod tests {
                 acceleration_m_per_s2: DVec3::new(0.1, 0.2, -0.5),
             },
             array_from_world: DMat3::from_quat(turn),
+            passed_m: f64::INFINITY,
+            begun_m: 0.0,
         };
         let place = |step: f64| -> Vec<f64> {
             (0..CHUNK)
@@ -728,13 +796,13 @@ mod tests {
             least_range_m: 0.0,
             greatest_range_m: 300.0,
         };
-        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, &mut Oddities) -> u64;
+        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut Oddities) -> u64;
         let run = |leg: &Leg, build: Build| {
             let mut rays = Rays::default();
             rays.begin();
             let mut odd = Oddities::default();
             // SAFETY: asked for before any build that needs it is run.
-            let placed = unsafe { build(leg, 1500.0, batch, &mut rays, &mut odd) };
+            let placed = unsafe { build(leg, 1500.0, batch, &mut rays, 0, &mut odd) };
             assert!(placed > 20, "{placed}");
             let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
             (

@@ -286,7 +286,7 @@ impl Recipe {
         })
     }
 
-    /// Fills `tile` with the scatterers of one tile, cell after cell eastward, then northward. Holes give none.
+    /// Fills `tile` with the scatterers of one tile, cells in the order of [`cell_at`]. Holes give none.
     pub fn make(&self, id: TileId, tile: &mut Tile) {
         tile.clear();
         let side_m = self.levels.tile_m(id.level);
@@ -299,37 +299,37 @@ impl Recipe {
         // Intensity goes with the area of the patch, not of its horizontal projection: a cosine to come.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
-        for north in first(id.row)..first(id.row + 1) {
-            for east in first(id.col)..first(id.col + 1) {
-                let (north, east) = self.speaker(id.level, north, east);
-                let [a, b, c, d] = draws::of_cell(self.seed, north, east);
-                let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
-                    ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
-                };
-                let north_m = from_middle(north, a, middle_m.x);
-                let east_m = from_middle(east, b, middle_m.y);
-                let (at_north_m, at_east_m) = (
-                    middle_m.x + f64::from(north_m),
-                    middle_m.y + f64::from(east_m),
-                );
-                let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
-                    continue;
-                };
-                let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
-                if let Some(mosaic) = &self.mosaic {
-                    let (north_m, east_m) = self.surface.own_place(at_north_m, at_east_m);
-                    amplitude *= mosaic.factor(north_m, east_m);
-                }
-                let reflectivity = match self.speckle {
-                    true => draws::circular_gaussian(c, d),
-                    false => Complex32::ONE,
-                };
-                tile.north_m.push(north_m);
-                tile.east_m.push(east_m);
-                tile.down_m.push((depth.down_m - down_m) as f32);
-                tile.normal.push(self.normal(&depth));
-                tile.strength.push(amplitude as f32 * reflectivity);
+        for place in 0..SCATTERERS_PER_TILE {
+            let (north, east) = cell_at(place);
+            let (north, east) = (first(id.row) + north, first(id.col) + east);
+            let (north, east) = self.speaker(id.level, north, east);
+            let [a, b, c, d] = draws::of_cell(self.seed, north, east);
+            let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
+                ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
+            };
+            let north_m = from_middle(north, a, middle_m.x);
+            let east_m = from_middle(east, b, middle_m.y);
+            let (at_north_m, at_east_m) = (
+                middle_m.x + f64::from(north_m),
+                middle_m.y + f64::from(east_m),
+            );
+            let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
+                continue;
+            };
+            let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
+            if let Some(mosaic) = &self.mosaic {
+                let (north_m, east_m) = self.surface.own_place(at_north_m, at_east_m);
+                amplitude *= mosaic.factor(north_m, east_m);
             }
+            let reflectivity = match self.speckle {
+                true => draws::circular_gaussian(c, d),
+                false => Complex32::ONE,
+            };
+            tile.north_m.push(north_m);
+            tile.east_m.push(east_m);
+            tile.down_m.push((depth.down_m - down_m) as f32);
+            tile.normal.push(self.normal(&depth));
+            tile.strength.push(amplitude as f32 * reflectivity);
         }
     }
 
@@ -353,6 +353,16 @@ impl Recipe {
         }
         (north, east)
     }
+}
+
+/// Row and column in a tile of the cell at a place of its list: along Morton's curve (1966), on which what is near in the list is near on the bottom.
+/// Whoever takes some of them at a time then finds their echoes close together.
+fn cell_at(place: usize) -> (i64, i64) {
+    let every_other = |bits: usize| {
+        let bit = |k: u32| (bits >> (2 * k) & 1) << k;
+        (0..CELLS_ON_SIDE.ilog2()).map(bit).sum::<usize>() as i64
+    };
+    (every_other(place >> 1), every_other(place))
 }
 
 /// A box that holds all scatterers of a tile.

@@ -8,6 +8,10 @@ use serde_json::json;
 
 use super::Daemon;
 use super::modes::{status, tell, wait_delivered};
+use track::{ALONG_TRACK, COLUMNS};
+
+#[path = "../../tools/src/track.rs"]
+mod track;
 
 /// Points abeam, along the ray: as long as they are abeam nothing closes in, and a sonar that drifts by may stand still in its model. Nothing in its
 /// own motion says when that is over: only the certificate does.
@@ -23,15 +27,6 @@ const RIG: &str = r#"
 [medium]
 sound_speed_m_per_s = 1500.0
 absorption = "none"
-[nav]
-origin = { latitude_deg = 54.0, longitude_deg = 10.0 }
-mode = "settle"
-vertical = "depth"
-[[nav.source]]
-name = "track"
-kind = "csv"
-path = "track.csv"
-provides = ["position", "heading", "roll-pitch"]
 [scene]
 anchor = "origin"
 points = "points.csv"
@@ -97,7 +92,7 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
         );
     }
     std::fs::write(folder.path().join("points.csv"), points).expect("written");
-    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut track = String::from(COLUMNS);
     for k in 0..1200 {
         let t_s = 0.1 * f64::from(k);
         let _ = writeln!(
@@ -109,7 +104,7 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     }
     std::fs::write(folder.path().join("track.csv"), track).expect("written");
     let path = folder.path().join("drift.toml");
-    std::fs::write(&path, RIG).expect("written");
+    std::fs::write(&path, format!("{ALONG_TRACK}{RIG}")).expect("written");
     let mut daemon = Daemon::start(&[path.to_str().expect("text")]);
     let control = daemon.announced("control", "http");
     let step = |pings: u64, before: u64| {

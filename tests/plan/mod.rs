@@ -21,6 +21,7 @@ use rayon::prelude::*;
 
 use crate::rigs::case;
 use crate::rigs::measure::measure;
+use crate::track::{ALONG_TRACK, COLUMNS};
 
 const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
@@ -38,7 +39,7 @@ fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
         RANGE_M * sin
     );
     std::fs::write(folder.join("points.csv"), point).expect("write");
-    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut track = String::from(COLUMNS);
     for k in 0..20 {
         let _ = writeln!(track, "{:.1},0,0,5,0,0,0", 1_793_611_200.0 + 0.1 * k as f64);
     }
@@ -54,16 +55,7 @@ fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
         r#"[medium]
 sound_speed_m_per_s = {C}
 absorption = "none"
-[nav]
-origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
-mode = "settle"
-vertical = "depth"
-[[nav.source]]
-name = "track"
-kind = "csv"
-path = "track.csv"
-provides = ["position", "heading", "roll-pitch"]
-[scene]
+{ALONG_TRACK}[scene]
 points = "points.csv"
 [run]
 latency_ms = 600.0
@@ -359,7 +351,7 @@ fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
-    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut track = String::from(COLUMNS);
     for k in 0..280 {
         let t_s = 0.1 * k as f64;
         let _ = writeln!(
@@ -410,7 +402,7 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
-    let mut track = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut track = String::from(COLUMNS);
     for k in 0..200 {
         let t_s = 0.1 * k as f64;
         let _ = writeln!(

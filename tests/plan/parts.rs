@@ -24,6 +24,8 @@ use echotank::time::UtcNs;
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::track::{ALONG_TRACK, COLUMNS};
+
 /// A side-scan with a line to either side, under way at 2 m/s, rolling and yawing.
 #[derive(Clone, Copy)]
 struct Rig {
@@ -99,16 +101,7 @@ sensitivity_db = 0.0
             r#"[medium]
 sound_speed_m_per_s = 1500.0
 absorption = {{ db_per_km = 80.0 }}
-[nav]
-origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
-mode = "settle"
-vertical = "depth"
-[[nav.source]]
-name = "track"
-kind = "csv"
-path = "track.csv"
-provides = ["position", "heading", "roll-pitch"]
-[scene]
+{ALONG_TRACK}[scene]
 anchor = "origin"
 points = "points.csv"
 [record]
@@ -154,8 +147,7 @@ starboard = "starboard"
 
     fn open(&self) -> (tempfile::TempDir, RigSpec) {
         let folder = tempfile::tempdir().expect("folder");
-        let mut track =
-            String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+        let mut track = String::from(COLUMNS);
         for k in 0..200 {
             let t_s = 0.1 * f64::from(k);
             let _ = writeln!(

@@ -15,6 +15,7 @@ mod page;
 mod picture;
 #[path = "atlas/small.rs"]
 mod small;
+mod track;
 
 use std::fmt::Write;
 use std::path::PathBuf;

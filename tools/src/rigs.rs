@@ -2,6 +2,7 @@
 
 #[path = "rigs/mod.rs"]
 mod rigs;
+mod track;
 
 use std::fmt::Write as _;
 use std::fs;

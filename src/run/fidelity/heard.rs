@@ -27,6 +27,17 @@ const PARTS: usize = 4;
 /// Quantities of [`Heard`] that are root mean squares.
 const QUANTITIES: usize = 7;
 
+/// All points and targets, and of the ground every so many, about `among` of them: each with how many it stands for.
+pub fn drawn(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usize, f64)> {
+    let stride = scatterers.len().div_ceil(among).max(1);
+    let laws = scatterers.law.iter().enumerate();
+    laws.filter_map(move |(i, law)| match law {
+        ScatterLaw::Point => Some((i, 1.0)),
+        _ if i.is_multiple_of(stride) => Some((i, stride as f64)),
+        _ => None,
+    })
+}
+
 /// What sounds in a part of a window: energy, and the weighted squares of [`Heard`]'s quantities.
 #[derive(Clone, Copy, Default)]
 struct Part {
@@ -215,16 +226,10 @@ impl Ear {
     fn listen(&self, plan: &PingPlan, scatterers: &Scatterers, part_s: f64, parts: &mut [Part]) {
         // Of a pulse, in parts.
         let length = plan.pulse.duration_s / part_s;
-        let stride = scatterers.len().div_ceil(LOOKED_AT).max(1);
         let floor = plan.model.cull_db.map_or(0.0, amplitude_from_db);
         let curve = scatterers.curve.as_deref();
-        for i in 0..scatterers.len() {
+        for (i, weight) in drawn(scatterers, LOOKED_AT) {
             let law = scatterers.law[i];
-            let weight = match law {
-                ScatterLaw::Point => 1.0,
-                _ if i.is_multiple_of(stride) => stride as f64,
-                _ => continue,
-            };
             let place_m = scatterers.position_m(i);
             let out_m = place_m - self.transmit_m;
             let out_range_m = out_m.length().max(f64::MIN_POSITIVE);

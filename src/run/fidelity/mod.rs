@@ -23,8 +23,8 @@ use crate::array::gridded::{Foreseen, Gridded1d};
 use crate::config::spec::{MadeOutput, MediumSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{
-    Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, ScatterLaw,
-    Scatterers, Synthesis,
+    Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, Scatterers,
+    Synthesis,
 };
 use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::ping::work::{Figure, Work};
@@ -111,20 +111,15 @@ impl Swell {
 
 /// All points and targets, and of the ground as many as the plan looks at, each for all those left out.
 pub fn sample(all: &Scatterers) -> Scatterers {
-    let stride = all.len().div_ceil(heard::LOOKED_AT).max(1);
     let mut some = Scatterers {
         curve: all.curve.clone(),
         ..Scatterers::default()
     };
-    for i in 0..all.len() {
-        let point = all.law[i] == ScatterLaw::Point;
-        if point || i.is_multiple_of(stride) {
-            let stands_for = if point { 1.0 } else { stride as f64 };
-            let strength = all.strength[i] * stands_for.sqrt();
-            some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
-            if let Some(loud) = some.loud.last_mut() {
-                *loud = all.loud[i];
-            }
+    for (i, stands_for) in heard::drawn(all, heard::LOOKED_AT) {
+        let strength = all.strength[i] * stands_for.sqrt();
+        some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
+        if let Some(loud) = some.loud.last_mut() {
+            *loud = all.loud[i];
         }
     }
     some

@@ -17,6 +17,7 @@ use num_complex::Complex64;
 use crate::config::spec::SonarSpec;
 use crate::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use crate::flow::{ArrayGeometry, LawCurve, PathModel, PingPlan, ScatterLaw, Scatterers};
+use crate::run::fidelity::heard::drawn;
 
 /// Pairs of an echo and an element that are looked at, and echoes at least and at most.
 const PAIRS: usize = 60_000;
@@ -227,16 +228,10 @@ impl<'a> Line<'a> {
     /// Some of the echoes, drawn half by their energy and half evenly: always the same ones.
     fn draw(&self, plan: &PingPlan, scatterers: &Scatterers) -> Vec<Echo> {
         let (here_m, _, from_world) = self.middle(plan, 0.0);
-        let stride = scatterers.len().div_ceil(AMONG).max(1);
         let curve = scatterers.curve.as_deref();
         let mut heard: Vec<(Echo, f64)> = Vec::new();
-        for i in 0..scatterers.len() {
+        for (i, weight) in drawn(scatterers, AMONG) {
             let law = scatterers.law[i];
-            let weight = match law {
-                ScatterLaw::Point => 1.0,
-                _ if i.is_multiple_of(stride) => stride as f64,
-                _ => continue,
-            };
             let place_m = scatterers.position_m(i);
             let out_m = place_m - self.transmit_m;
             let out_range_m = out_m.length().max(f64::MIN_POSITIVE);

@@ -1,7 +1,8 @@
 //! How much of the walk over the scatterers a ping asks for: what the closed forms of its costs want to know of scene and sonar.
 
 use crate::config::spec::SonarSpec;
-use crate::flow::{CHUNK, Conditions, DopplerModel, Pattern, PingPlan, Pulse, Scatterers};
+use crate::echo::paths::PART;
+use crate::flow::{Conditions, DopplerModel, Pattern, PingPlan, Pulse, Scatterers};
 
 /// Points of an echo that `direct` makes from one start, at most, and at a time.
 const LONGEST_RUN: f64 = 512.0;
@@ -10,7 +11,7 @@ const LANES: f64 = 8.0;
 const CUBIC_TURNS: f64 = 32.0 * 1e-7;
 
 pub struct Walked {
-    /// Two-way time from the nearest to the farthest scatterer of a batch, mean, and by how much bounds on where an element is stretch it.
+    /// Two-way time from the nearest to the farthest of the scatterers that look for their legs together, mean, and by how much bounds on where an element is stretch it.
     spread_s: f64,
     window_s: f64,
     /// Share of the elements that have a pattern.
@@ -21,7 +22,7 @@ impl Walked {
     /// `scatterers`: all `count` of them, or a sample in their order.
     pub fn of(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers, count: usize) -> Self {
         let stride = count.div_ceil(scatterers.len().max(1)).max(1);
-        let batch = (CHUNK / stride).max(2);
+        let batch = (PART / stride).max(2);
         let here = plan.trajectory.pose_at(0.0);
         let from_m = here.point_m(spec.transmit[0].mounting.position_m);
         let (mut sum_m, mut batches) = (0.0, 0.0f64);

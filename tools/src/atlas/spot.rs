@@ -10,6 +10,8 @@ use echotank::time::{NS_PER_S, UtcNs};
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::track::{ALONG_TRACK, COLUMNS};
+
 pub const C: f64 = 1500.0;
 /// Of the pulse, and of navigation.
 const T0: UtcNs = UtcNs(1_793_611_200 * NS_PER_S);
@@ -60,16 +62,7 @@ impl Base {
             r#"[medium]
 sound_speed_m_per_s = {C}
 absorption = "none"
-[nav]
-origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
-mode = "settle"
-vertical = "depth"
-[[nav.source]]
-name = "track"
-kind = "csv"
-path = "track.csv"
-provides = ["position", "heading", "roll-pitch"]
-[scene]
+{ALONG_TRACK}[scene]
 points = "points.csv"
 [run]
 latency_ms = 600.0
@@ -124,7 +117,7 @@ tolerance = 1e-3
         };
         write(
             "track.csv",
-            "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n",
+            &format!("{COLUMNS}0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n"),
         );
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
         let mut rig =

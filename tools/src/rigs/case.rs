@@ -6,6 +6,8 @@ use std::path::Path;
 use echotank::config;
 use echotank::config::spec::RigSpec;
 
+use crate::track::{ALONG_TRACK, COLUMNS};
+
 /// Evenly distributed numbers: splitmix64 (Steele, Lea and Flood 2014).
 pub struct Chance(u64);
 
@@ -136,16 +138,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         r#"[medium]
 sound_speed_m_per_s = {c:.2}
 absorption = "none"
-[nav]
-origin = {{ latitude_deg = 59.0, longitude_deg = 18.0 }}
-mode = "settle"
-vertical = "depth"
-[[nav.source]]
-name = "track"
-kind = "csv"
-path = "track.csv"
-provides = ["position", "heading", "roll-pitch"]
-[scene]
+{ALONG_TRACK}[scene]
 seed = 7
 {scene}
 [run]
@@ -231,7 +224,7 @@ fn track(
     period_s: f64,
     phase: f64,
 ) {
-    let mut text = String::from("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n");
+    let mut text = String::from(COLUMNS);
     for k in 0..400 {
         let t_s = k as f64 * 0.05;
         let wave = |shift: f64| (std::f64::consts::TAU * t_s / period_s + phase + shift).sin();

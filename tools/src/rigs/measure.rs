@@ -269,7 +269,7 @@ fn one(
     }))
 }
 
-/// One of every kind, cheapest first: those that promise to keep the goal, and a few that do not and may all the same.
+/// One of every kind, cheapest first: those that promise to keep the goal, and where there is room some that do not and may all the same.
 fn others(ranking: &Ranking) -> Vec<&Candidate> {
     let kind = |c: &Candidate| {
         let Choice { model, .. } = c.choice;
@@ -282,12 +282,15 @@ fn others(ranking: &Ranking) -> Vec<&Candidate> {
     };
     let limit_ms = WORTH_TIMING * ranking.chosen().cost_ms();
     let mut found: Vec<&Candidate> = Vec::new();
-    for candidate in &ranking.candidates {
-        let worth = candidate.cost_ms() <= limit_ms
-            && candidate.choice != ranking.chosen().choice
-            && ranking.goal.share(candidate) < 100.0;
-        if worth && found.len() < OTHERS && !found.iter().any(|c| kind(c) == kind(candidate)) {
-            found.push(candidate);
+    for keeps in [true, false] {
+        for candidate in &ranking.candidates {
+            let worth = ranking.goal.meets(candidate) == keeps
+                && candidate.cost_ms() <= limit_ms
+                && candidate.choice != ranking.chosen().choice
+                && ranking.goal.share(candidate) < 100.0;
+            if worth && found.len() < OTHERS && !found.iter().any(|c| kind(c) == kind(candidate)) {
+                found.push(candidate);
+            }
         }
     }
     found
