@@ -71,7 +71,7 @@ pub struct Spec<'a> {
     pub tolerance: f64,
     /// How much weaker than the strongest window the weakest may be, dB.
     pub level_range_db: f64,
-    /// Arrivals per element, roughly: decides only what is fastest.
+    /// Arrivals per element, roughly: decides what is fastest, and whether echoes may sound by themselves.
     pub arrivals: usize,
     pub dialect: Dialect,
 }
@@ -422,7 +422,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             (false, 8) => 8,
             _ => MAX_WIDTH,
         };
-        let (grid, kernel) = delay_kernel::<M>(spec.tolerance, bins, widest, |grid, kernel| {
+        let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
             alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
         })
         .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
