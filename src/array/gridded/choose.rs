@@ -22,12 +22,19 @@ pub const SHARE: f64 = 0.25;
 /// Root mean square error of the kernel over delay, as a share of the tolerance; single echoes do three times as ill at a band's ends, where a sweep ends.
 const KERNEL_SHARE: f64 = 0.1;
 
-/// The kernel over delay: the smallest grid on which `widest` reaches the share.
+/// The kernel over delay: the smallest grid on which `widest` reaches the shares. `alone`: what a kernel on a grid of so many values leaves of an echo
+/// alone in its worst window, by the same tolerance.
 pub fn delay_kernel<M: Real>(
-    tolerance: f64,
+    spec: &Spec,
     bins: usize,
     widest: usize,
+    alone: impl Fn(usize, &Kernel) -> f64,
 ) -> Option<(usize, Kernel)> {
+    let tolerance = spec.tolerance;
+    let alone_share = match few(spec) {
+        true => KERNEL_ALONE_SHARE,
+        false => KERNEL_ALONE_AMONG_MANY_SHARE,
+    };
     [1.25, 1.5, 2.0].into_iter().find_map(|oversampling| {
         let grid = grid_size((bins as f64 * oversampling) as usize);
         let oversampling = grid as f64 / bins as f64;
@@ -39,7 +46,10 @@ pub fn delay_kernel<M: Real>(
         (MIN_WIDTH..=widest)
             .filter(hopeful)
             .map(|width| Kernel::new(width, oversampling, M::MOMENTS))
-            .find(|kernel| kernel.error <= KERNEL_SHARE * tolerance)
+            .find(|kernel| {
+                kernel.error <= KERNEL_SHARE * tolerance
+                    && alone(grid, kernel) <= alone_share * tolerance
+            })
             .map(|kernel| (grid, kernel))
     })
 }
@@ -58,6 +68,24 @@ const WORST_SHARE: f64 = 0.5;
 
 /// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 16 degrees to either hand, from a platform at full speed.
 const TYPICAL_SPAN: f64 = 0.275;
+
+/// What it may leave of an echo alone in its worst window, likewise; and the kernel over delay. Two echoes that begin or end within a sample of each other
+/// sound there as two tones do, however wide their band, and may all but cancel, while what is left of them does not: so there is room for
+/// 10 to 14 dB where echoes are few.
+const ALONE_SHARE: f64 = 0.2;
+const KERNEL_ALONE_SHARE: f64 = 0.3;
+
+/// Likewise where they are many: what is left of those that end together adds up to less than the worst of them alone.
+const ALONE_AMONG_MANY_SHARE: f64 = 0.5;
+const KERNEL_ALONE_AMONG_MANY_SHARE: f64 = 0.6;
+
+/// Whether fewer than one echo begins in a sample.
+fn few(spec: &Spec) -> bool {
+    spec.arrivals < spec.samples
+}
+
+/// How often the former share is halved where a grid leaves more than the latter.
+const TRIES: usize = 6;
 
 /// Of the tolerance, what each term of the series in the curvature may leave.
 const TERM_SHARE: f64 = 0.1;
@@ -121,12 +149,30 @@ pub struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// The grid for echoes without curvature, or with as much as turns the ends of pulses by `bend_rad`; and its error.
-    pub fn doppler(&self, bend_rad: f64) -> Option<(DopplerGrid, f64)> {
+    /// The grid for echoes without curvature, or with as much as turns the ends of pulses by `bend_rad`; and its error. `alone`: what a grid
+    /// leaves of an echo without curvature, alone in its worst window.
+    pub fn doppler(
+        &self,
+        bend_rad: f64,
+        alone: impl Fn(&DopplerGrid) -> f64,
+    ) -> Option<(DopplerGrid, f64)> {
         if self.span.greatest == self.span.least && bend_rad == 0.0 {
             return Some((DopplerGrid::common(self.span), 0.0));
         }
-        self.cheapest(&self.trial(bend_rad), WORST_SHARE * self.spec.tolerance)
+        let trial = self.trial(bend_rad);
+        let alone_share = match few(self.spec) {
+            true => ALONE_SHARE,
+            false => ALONE_AMONG_MANY_SHARE,
+        };
+        let mut share = WORST_SHARE * self.spec.tolerance;
+        for _ in 0..TRIES {
+            let (grid, error) = self.cheapest(&trial, share)?;
+            if alone(&grid) <= alone_share * self.spec.tolerance {
+                return Some((grid, error));
+            }
+            share *= 0.5;
+        }
+        None
     }
 
     /// The grid for a term of the series in the curvature that amounts to `size` at the ends of pulses.

@@ -221,6 +221,17 @@ impl DopplerGrid {
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
+    /// The Doppler at `share` of the span, the first column of an echo that has it, and its weights.
+    pub fn at(&self, share: f64) -> (f64, usize, [f64; MAX_TAPS]) {
+        let (cell, x) = self.cell_of(share);
+        let DopplerSpan { least, greatest } = self.span;
+        (
+            least + share * (greatest - least),
+            cell,
+            std::array::from_fn(|tap| value_of(&self.weights, tap, x)),
+        )
+    }
+
     /// The columns' weights at Dopplers that lie at `shares` of the span.
     fn weights_at(&self, shares: &[f64]) -> Matrix {
         self.matrix(shares, &self.weights)

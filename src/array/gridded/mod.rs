@@ -1,8 +1,9 @@
 //! Fast synthesis on a grid: a nonuniform Fourier transform per element.
 //!
 //! Read [`kernel`] (the idea), [`moments`] (the loops), [`transform`] (both joined), then [`one_dimensional`], the engine itself, with
-//! [`doppler`], `abreast` and [`pulse_spectrum`] beside it; `choose` and `band` turn a tolerance into sizes.
+//! [`doppler`], `abreast` and [`pulse_spectrum`] beside it; `choose`, `band` and `alone` turn a tolerance into sizes.
 mod abreast;
+mod alone;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]

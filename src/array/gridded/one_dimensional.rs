@@ -26,13 +26,14 @@ use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
 use super::abreast::{Abreast, Job, LANES, MOST_TOGETHER, Place, lanes_for};
+use super::alone::Alone;
 use super::band::{band, widest};
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, SHARE,
     Trials, delay_kernel, series_terms, sweep, weakening, weights_bend,
 };
 use super::dialect::{Dialect, Kind};
-use super::doppler::{DopplerSpan, Received, templates};
+use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
 use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
@@ -70,7 +71,7 @@ pub struct Spec<'a> {
     pub tolerance: f64,
     /// How much weaker than the strongest window the weakest may be, dB.
     pub level_range_db: f64,
-    /// Arrivals per element, roughly: decides only what is fastest.
+    /// Arrivals per element, roughly: decides what is fastest, and whether echoes may sound by themselves.
     pub arrivals: usize,
     pub dialect: Dialect,
 }
@@ -360,11 +361,12 @@ impl<M: Real, G: Real> Plan<M, G> {
             turned_rad: bend_rad,
             tolerance: asked.tolerance,
         })?;
-        let highest_hz = ((widest(spec.filter.is_some()) + 0.25) * rate_hz + fastest * carrier_hz)
-            / (1.0 - fastest);
+        let highest_hz =
+            ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
         // There echoes are looked at one by one, in every window.
-        let kept = band(asked, span, &spectrum)?;
+        let alone = Alone::new(asked, span, &spectrum);
+        let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
         // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
@@ -383,15 +385,6 @@ impl<M: Real, G: Real> Plan<M, G> {
             grid: roughly,
         };
         // Of the highest frequency; of the carrier, which weights and templates know, it is a little less.
-        let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
-            true => trials.doppler(bend_rad),
-            false => None,
-        };
-        let weights_carry = bent.is_some();
-        let count = if weights_carry { 0 } else { count };
-        let doppler = bent
-            .or_else(|| trials.doppler(0.0))
-            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
         let received = |order| Received {
             spectrum: &spectrum,
             carrier_hz,
@@ -399,6 +392,16 @@ impl<M: Real, G: Real> Plan<M, G> {
             order,
             greatest_p,
         };
+        let of_dopplers = |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept) / weakening;
+        let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
+            true => trials.doppler(bend_rad, of_dopplers),
+            false => None,
+        };
+        let weights_carry = bent.is_some();
+        let count = if weights_carry { 0 } else { count };
+        let doppler = bent
+            .or_else(|| trials.doppler(0.0, of_dopplers))
+            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
         let mut grids = vec![doppler];
         let mut term_rad = 1.0;
         for order in 1..=count {
@@ -419,8 +422,10 @@ impl<M: Real, G: Real> Plan<M, G> {
             (false, 8) => 8,
             _ => MAX_WIDTH,
         };
-        let (grid, kernel) = delay_kernel::<M>(spec.tolerance, bins, widest)
-            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+        let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
+            alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
+        })
+        .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
 
         let frequency_hz: Vec<f64> = (0..bins)
             .map(|q| (q as f64 - (bins / 2) as f64) / period_s)

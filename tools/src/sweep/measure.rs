@@ -14,6 +14,9 @@ use super::case::Case;
 /// Points of the truth over max(B, 4/T): twice the reference's own density, which leaves 4e-8 of sharp edges and 1e-9 of long flanks.
 const TRUTH_DENSITY: f64 = 64.0;
 
+/// A truth that must be known better is made denser, up to here: points alone, without weights for edges, converge slowly on flanks of a few points.
+const DENSEST: f64 = 512.0;
+
 /// ... and at least so many per sample, where a pulse is narrow: its edges are as sharp as the receiver's band lets them be.
 const LEAST_OVERSAMPLE: f64 = 64.0;
 
@@ -83,6 +86,20 @@ fn truth_of(case: &Case, density: f64) -> Truth {
         filter,
         cards: Mutex::default(),
     }
+}
+
+/// One of which the next sparser, half as dense, is off by `most` in noise at most; and by what that is off.
+pub fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
+    let mut density = TRUTH_DENSITY;
+    let mut truth = truth(case);
+    let mut doubt = doubt(case, &truth);
+    while doubt.in_noise > most && density < DENSEST {
+        density *= 2.0;
+        let denser = truth_of(case, density);
+        doubt = error(case, &denser, &truth.records);
+        truth = denser;
+    }
+    (truth, doubt)
 }
 
 /// The reference and its filter half as dense, against the truth: what by each measure is not known. Without a filter nothing is summed
