@@ -92,12 +92,12 @@ fn chance_finds_nothing_above_its_tolerance_in_noise() {
 }
 
 /// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record, motion across the line, which is refused. Among them what was
-/// once above its tolerance: images of echoes that straight pieces of templates leave beside them (2, 81, 141, 149), dilation bowed over so narrow a
-/// span of slopes that it ran away beyond it (25, 68, 117), what lies beyond the band (32).
+/// once above its tolerance: images of echoes that straight pieces of templates leave beside them (2, 120, 141, 149), dilation bowed over so narrow a
+/// span of slopes that it ran away beyond it (68, 117), what lies beyond the band (32), tones that cancel (172).
 #[test]
 fn chance_finds_no_line_above_its_tolerance_in_noise() {
     let mut answers = 0;
-    for seed in [18, 32, 68, 81, 106, 117, 141, 142, 149, 154] {
+    for seed in [18, 32, 68, 106, 117, 120, 141, 142, 149, 172] {
         let mut case = case::random(seed);
         case.looked_at.truncate(1);
         let truth = measure::truth(&case);

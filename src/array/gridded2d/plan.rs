@@ -27,10 +27,12 @@ const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
 /// By how much more than a kernel's mean over the band the worst of many windows errs: elements hear some in which echoes cancel to a quarter of
 /// what the others hear (measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed).
 const KERNEL_FACTOR: f64 = 5.0;
+/// Of pulses with few degrees of freedom echoes cancel to less: part of [`Pulse::weakest_window`] which that factor leaves room for.
+const WEAKEST_WINDOW: f64 = 0.45;
 /// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it; and what lies beyond the band, of which
-/// no choice makes less.
+/// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.6 of theirs at most).
 const ALONE_SHARE: f64 = 0.6;
-const BAND_SHARE: f64 = 1.0;
+const BAND_SHARE: f64 = 1.25;
 /// Of f32 tables, grids and transforms: of the strongest echo of a slab, in any window of it (measured: 1e-7 to 2.5e-7).
 const F32_ERROR: f64 = 2.5e-7;
 /// They will do where that, against the noise, is so many times less than the tolerance.
@@ -44,6 +46,8 @@ const SERIES_SHARE: f64 = 0.2;
 const MOST_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
 const FARTHEST_DB: f64 = 60.0;
+/// Of the tolerance, what the delay's and the strength's changes along a stretch may leave, of which a shorter one makes less.
+const STRETCH_SHARE: f64 = 0.3;
 /// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried. (Fewer columns take more powers along the
 /// stretch: 13 in place of 9 with 1.25, and longer altogether.)
 const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
@@ -303,13 +307,15 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             length_m, width_m, ..
         } => length_m.max(width_m) * pulse.center_frequency_hz / sound_speed_m_per_s,
     };
-    let beyond_series = |stretch: usize| {
+    let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m
+        * bounds.along_m_per_s;
+    let along_stretch = |stretch: usize| {
         let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
         let quartic = per_m * half_m.powi(4) / (8.0 * bounds.nearest_m.powi(3));
         let turned = (1.0 + PI * sides) * half_m / bounds.nearest_m;
-        let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m;
-        quartic + turned.powi(3) / 6.0 + underway * bounds.along_m_per_s
+        quartic + turned.powi(3) / 6.0
     };
+    let beyond_series = |stretch: usize| along_stretch(stretch) + underway;
     // A polyline's attitude steps at its vertices: while the wave passes the stretch, part of it is on either side.
     let steps = |stretch: usize| match spec.model.path {
         PathModel::Polyline => {
@@ -325,7 +331,11 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let share = if tolerance < 1e-4 { 0.9 } else { 0.3 } * tolerance;
     let stretch = STRETCHES
         .into_iter()
-        .find(|&stretch| beyond_series(stretch) <= share && steps(stretch) <= share)
+        .find(|&stretch| {
+            along_stretch(stretch) <= STRETCH_SHARE * tolerance
+                && beyond_series(stretch) <= share
+                && steps(stretch) <= share
+        })
         .ok_or(Refusal::TooNear {
             tolerance,
             nearest_m: bounds.nearest_m,
@@ -350,6 +360,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         false => 0.0,
     };
     let echoes = (spec.scatterers * stretches) as f64;
+    let factor = KERNEL_FACTOR * (WEAKEST_WINDOW / pulse.weakest_window(rate_hz)).max(1.0);
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
     let room = kernel_share * tolerance;
     let slopes = COLUMNS.map(|oversampling| {
@@ -359,7 +370,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
                 width,
                 oversampling,
                 core: 1.0,
-                error: kernel.error * KERNEL_FACTOR,
+                error: kernel.error * factor,
             }
         });
         two_that(fits, |fit| fit.error <= room)
@@ -391,16 +402,15 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             let kernel = Kernel::new(width, oversampling / core, moments);
             let error = |alone: &Alone| {
                 let [whole, beside] = alone.kernel(&kernel, core);
-                (whole.max(kernel.error) * KERNEL_FACTOR)
-                    .max(beside * room / (ALONE_SHARE * tolerance))
+                (whole.max(kernel.error) * factor).max(beside * room / (ALONE_SHARE * tolerance))
             };
             Fit {
                 width,
                 oversampling,
                 core,
                 // Not looked at closely where it is too much anyway.
-                error: match kernel.error * KERNEL_FACTOR <= room {
-                    true => alone.as_ref().map_or(kernel.error * KERNEL_FACTOR, error),
+                error: match kernel.error * factor <= room {
+                    true => alone.as_ref().map_or(kernel.error * factor, error),
                     false => f64::INFINITY,
                 },
             }
