@@ -26,8 +26,7 @@ fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
     for method in Method::of(&case) {
         let row = Row::of(method, &case, &truth, &TOLERANCES);
         print!("{}", row.text(&case));
-        // gridded-2d misses its tolerances where patterns and levels change along a line: tests/stability/tolerances.txt.
-        for cell in row.cells.iter().filter(|_| method != Method::Gridded2d) {
+        for cell in &row.cells {
             let outcome = &cell.outcome;
             assert!(cell.holds(|e| e.beside), "beside its echoes: {outcome:?}");
         }
@@ -71,8 +70,7 @@ fn chance_finds_nothing_above_its_tolerance_in_noise() {
         let mut case = case::random(seed);
         case.looked_at.truncate(1);
         let truth = measure::truth(&case);
-        // gridded-2d: the next test.
-        for method in Method::of(&case).filter(|&m| m != Method::Gridded2d) {
+        for method in Method::of(&case) {
             for cell in Row::of(method, &case, &truth, &TOLERANCES[..5]).cells {
                 let said = format!(
                     "{}: {:?} asked for {:e}: {}",
@@ -115,22 +113,20 @@ fn ends_of_echoes_by_chance_are_as_good_as_asked() {
     assert_eq!(answers, 3);
 }
 
-/// Error over tolerance of the worst line beside its echoes (at 1e-4: seed 142, at rest, 2.2; seed 25, `stretch`, 1.7; unexplained). To come down to 1.
-const WORST_LINE_BESIDE: f64 = 2.5;
-
-/// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record; and motion across the line, which is refused.
+/// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record, motion across the line, which is refused. Among them what was
+/// once above its tolerance: images of echoes that straight pieces of templates leave beside them (2, 120, 141, 149), dilation bowed over so narrow a
+/// span of slopes that it ran away beyond it (68, 117), what lies beyond the band (32), tones that cancel (172).
 #[test]
-fn chance_finds_no_line_worse_than_is_known_beside_its_echoes() {
+fn chance_finds_no_line_above_its_tolerance_in_noise() {
     let mut answers = 0;
-    for seed in [2, 18, 25, 106, 142, 154] {
+    for seed in [18, 32, 68, 106, 117, 120, 141, 142, 149, 172] {
         let mut case = case::random(seed);
         case.looked_at.truncate(1);
         let truth = measure::truth(&case);
         for cell in Row::of(Method::Gridded2d, &case, &truth, &TOLERANCES[..4]).cells {
             answers += usize::from(cell.outcome.is_ok());
-            let beside = cell.outcome.as_ref().map_or(0.0, |m| m.error.beside);
             assert!(
-                beside <= WORST_LINE_BESIDE * cell.tolerance,
+                cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
                 "{:?} asked for {:e}: {}",
                 cell.outcome,
                 cell.tolerance,
@@ -139,7 +135,7 @@ fn chance_finds_no_line_worse_than_is_known_beside_its_echoes() {
         }
     }
     println!("{answers} answers");
-    assert!(answers >= 16, "{answers}");
+    assert!(answers >= 20, "{answers}");
 }
 
 #[test]

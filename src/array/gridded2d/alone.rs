@@ -15,15 +15,18 @@ use crate::flow::Pulse;
 
 /// Least samples of a window.
 const LEAST_WINDOW: f64 = 32.0;
-/// Noise is this far below the strongest window, dB, where the kernel is looked at; and where what lies beyond the band is, of which no choice
-/// makes less: windows weaker than that, of an echo's last ring alone, are given up.
-const KERNEL_NOISE_DB: f64 = 55.0;
-const BAND_NOISE_DB: f64 = 40.0;
+/// Noise is this far below the strongest window, dB: weaker ones are counted against it.
+const NOISE_DB: f64 = 55.0;
 /// Of the sample rate, what is looked at: as much again lies beyond the sampled band, where the receiver filter stops.
 const DENSE: f64 = 2.0;
 /// Of an echo's energy, what may lie beyond the part of the band that kernels are made for; and the least such part.
 const CORE_REST: f64 = 1e-5;
 const LEAST_CORE: f64 = 0.3;
+/// How far below the strongest window noise is, dB, where levels have such a range.
+pub fn noise_db(level_range_db: f64) -> f64 {
+    level_range_db.clamp(0.0, NOISE_DB)
+}
+
 /// Places across a cell at which a kernel is tried.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
@@ -100,7 +103,7 @@ impl Alone {
             false => Complex64::ONE,
         };
         let off: Vec<Complex64> = self.frequency_hz.iter().map(off).collect();
-        self.worst(BAND_NOISE_DB, &off)
+        self.worst(&off)
     }
 
     /// Error of the whole echo, and in the worst window, that a kernel makes at the places that suit it least; it was made for so much of the
@@ -128,7 +131,7 @@ impl Alone {
             };
             let off: Vec<Complex64> = self.frequency_hz.iter().map(off).collect();
             most[0] = most[0].max(self.whole(&off));
-            most[1] = most[1].max(self.worst(KERNEL_NOISE_DB, &off));
+            most[1] = most[1].max(self.worst(&off));
         }
         most
     }
@@ -173,8 +176,8 @@ impl Alone {
     }
 
     /// Error in the worst window where `off` of each frequency is amiss, in noise.
-    fn worst(&self, noise_db: f64, off: &[Complex64]) -> f64 {
-        let noise = 10f64.powf(-noise_db.min(self.level_range_db) / 10.0);
+    fn worst(&self, off: &[Complex64]) -> f64 {
+        let noise = 10f64.powf(-noise_db(self.level_range_db) / 10.0);
         let mut worst: f64 = 0.0;
         for (spectrum, (windows, strongest)) in self.spectra.iter().zip(&self.windows) {
             let rest = spectrum.iter().zip(off).map(|(s, off)| s * off).collect();

@@ -514,17 +514,25 @@ impl<T: Sample> LineEngine<T> {
         self.rows as f64 * self.rate_hz / self.bins() as f64
     }
 
+    /// Of a stretch at rest: in motion there are more.
+    fn columns_per_slope(&self, half_m: f64) -> f64 {
+        let ping = &self.ping;
+        let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
+        2.0 * self.fineness.slope_oversampling * reach_m * self.top_hz() / ping.sound_speed_m_per_s
+    }
+
+    /// Half of the span of slopes from which on dilation may be bowed. Columns reach half a kernel beyond the span: of a narrower one a square
+    /// would run away there, and turn templates by many radians from one end of a block of frequencies to the other.
+    fn least_bow(&self, half_m: f64) -> f64 {
+        0.5 * self.slope_kernel.width as f64 / self.columns_per_slope(half_m)
+    }
+
     /// The steepest that dilation beyond its line may become per slope: templates follow what changes from column to column to second order,
     /// so that the cube of the phase that is met from one to the next is left.
     fn steepest_bow(&self, half_m: f64) -> f64 {
-        let ping = &self.ping;
-        let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
-        let columns_per_slope = self.top_hz() / ping.sound_speed_m_per_s
-            * 2.0
-            * self.fineness.slope_oversampling
-            * reach_m;
         let turn_rad = (BOW_SHARE * self.fineness.series).cbrt();
-        turn_rad * columns_per_slope / (std::f64::consts::PI * self.top_hz() * ping.duration_s)
+        turn_rad * self.columns_per_slope(half_m)
+            / (std::f64::consts::PI * self.top_hz() * self.ping.duration_s)
     }
 
     /// One task: echoes from `source` to samples, element by element, slab-long. `output` is resized; empty where there are no echoes.
@@ -555,7 +563,13 @@ impl<T: Sample> LineEngine<T> {
         }
         let window_s = 0.5 * self.ping.duration_s;
         let half_m = self.stretch(task).half_m;
-        let surveyed = Smooth::of(&work.echoes, window_s, half_m, self.steepest_bow(half_m));
+        let surveyed = Smooth::of(
+            &work.echoes,
+            window_s,
+            half_m,
+            self.least_bow(half_m),
+            self.steepest_bow(half_m),
+        );
         work.stages.lap(Stage::Survey, &mut since);
         for margin in MARGINS {
             let numbers = Task::new(

@@ -16,7 +16,7 @@ use crate::flow::{
 
 use num_complex::Complex64;
 
-use super::alone::Alone;
+use super::alone::{Alone, noise_db};
 use super::engine::{Fineness, PulseMotion};
 use super::lanes::BLOCK;
 use super::series::terms_needed;
@@ -27,10 +27,16 @@ const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
 /// By how much more than a kernel's mean over the band the worst of many windows errs: elements hear some in which echoes cancel to a quarter of
 /// what the others hear (measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed).
 const KERNEL_FACTOR: f64 = 5.0;
-/// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it, and what lies beyond the band.
+/// Of pulses with few degrees of freedom echoes cancel to less: part of [`Pulse::weakest_window`] which that factor leaves room for.
+const WEAKEST_WINDOW: f64 = 0.45;
+/// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it; and what lies beyond the band, of which
+/// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.6 of theirs at most).
 const ALONE_SHARE: f64 = 0.6;
-/// Of f32 grids and transforms: 1e-7 of the strongest echo of a slab, over the weakest window of it, some 30 dB below.
-const F32_ERROR: f64 = 1e-5;
+const BAND_SHARE: f64 = 1.25;
+/// Of f32 tables, grids and transforms: of the strongest echo of a slab, in any window of it (measured: 1e-7 to 2.5e-7).
+const F32_ERROR: f64 = 2.5e-7;
+/// They will do where that, against the noise, is so many times less than the tolerance.
+const F32_ROOM: f64 = 2.5;
 /// Per m/s along the array, and Hz over metre of range (1.8e-6 of 400 kHz at 36 m): third orders in slope and motion that are taken at a
 /// column's own slope (measured).
 const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
@@ -40,6 +46,8 @@ const SERIES_SHARE: f64 = 0.2;
 const MOST_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
 const FARTHEST_DB: f64 = 60.0;
+/// Of the tolerance, what the delay's and the strength's changes along a stretch may leave, of which a shorter one makes less.
+const STRETCH_SHARE: f64 = 0.3;
 /// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried. (Fewer columns take more powers along the
 /// stretch: 13 in place of 9 with 1.25, and longer altogether.)
 const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
@@ -147,8 +155,10 @@ const LEAST_SLAB: usize = 256;
 const MOST_SLAB: usize = 1 << 16;
 /// A slab is at least so many times as long as what its last echo leaves beyond it.
 const MOST_SPENT: f64 = 3.0;
-/// Of the tolerance, what straight pieces of the templates may leave.
+/// Of the tolerance, what straight pieces of the templates may leave of an echo; and over the noise. What they leave are images of the echo, a
+/// block's worth of time and more to either side of it, where it may be silent.
 const STRAIGHT_SHARE: f64 = 0.1;
+const STRAIGHT_BESIDE: f64 = 5.6;
 /// What a slab costs whatever its length, in samples (templates, bases of channels; measured).
 const TASK_SAMPLES: f64 = 64.0;
 /// By how much dearer than the least slabs may be, so that there be as many tasks as a few threads share evenly.
@@ -172,6 +182,14 @@ fn two_that(fits: impl Iterator<Item = Fit>, fine: impl Fn(&Fit) -> bool) -> [Op
     [fine.next(), fine.next()]
 }
 
+/// As which power of the frequency the inverse of a kernel's spectrum grows at the end of its band.
+fn edge_power(kernel: &Kernel) -> f64 {
+    const STEP: f64 = 1e-3;
+    let edge = 0.5 / kernel.oversampling;
+    let log = |share: f64| libm::log(kernel.window_gain(edge * share));
+    (log(1.0 - STEP) - log(1.0 + STEP)) / (2.0 * STEP)
+}
+
 /// Whether echoes are stretched at all.
 fn motion_matters(doppler: DopplerModel) -> bool {
     doppler != DopplerModel::None
@@ -193,7 +211,8 @@ fn slabs(
     let beside_s = filter_s + 2.0 * half_m / spec.sound_speed_m_per_s;
     let spent = rate_hz * (spec.pulse.duration_s + beside_s) + 2.0;
     // Templates are lines over a block of frequencies: half of what they turn in half of one, squared, is left.
-    let straight_rad = (2.0 * STRAIGHT_SHARE * spec.tolerance).sqrt();
+    let beside = STRAIGHT_BESIDE * 10f64.powf(-noise_db(spec.level_range_db) / 20.0);
+    let straight_rad = (2.0 * beside.min(STRAIGHT_SHARE) * spec.tolerance).sqrt();
     let per_bin = 0.5 * BLOCK as f64 * rate_hz / spec.pulse.center_frequency_hz;
     let straight = per_bin * turned_rad / straight_rad;
     let silent = rate_hz * 2.0 * spec.bounds.nearest_m / spec.sound_speed_m_per_s;
@@ -288,13 +307,15 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             length_m, width_m, ..
         } => length_m.max(width_m) * pulse.center_frequency_hz / sound_speed_m_per_s,
     };
-    let beyond_series = |stretch: usize| {
+    let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m
+        * bounds.along_m_per_s;
+    let along_stretch = |stretch: usize| {
         let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
         let quartic = per_m * half_m.powi(4) / (8.0 * bounds.nearest_m.powi(3));
         let turned = (1.0 + PI * sides) * half_m / bounds.nearest_m;
-        let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m;
-        quartic + turned.powi(3) / 6.0 + underway * bounds.along_m_per_s
+        quartic + turned.powi(3) / 6.0
     };
+    let beyond_series = |stretch: usize| along_stretch(stretch) + underway;
     // A polyline's attitude steps at its vertices: while the wave passes the stretch, part of it is on either side.
     let steps = |stretch: usize| match spec.model.path {
         PathModel::Polyline => {
@@ -310,12 +331,17 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let share = if tolerance < 1e-4 { 0.9 } else { 0.3 } * tolerance;
     let stretch = STRETCHES
         .into_iter()
-        .find(|&stretch| beyond_series(stretch) <= share && steps(stretch) <= share)
+        .find(|&stretch| {
+            along_stretch(stretch) <= STRETCH_SHARE * tolerance
+                && beyond_series(stretch) <= share
+                && steps(stretch) <= share
+        })
         .ok_or(Refusal::TooNear {
             tolerance,
             nearest_m: bounds.nearest_m,
         })?;
-    let precision = if tolerance >= 4.0 * F32_ERROR {
+    let f32_error = F32_ERROR * 10f64.powf(noise_db(spec.level_range_db) / 20.0);
+    let precision = if tolerance >= F32_ROOM * f32_error {
         Precision::Single
     } else {
         Precision::Double
@@ -333,9 +359,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         true => per_m * half_s * 2.0 * across,
         false => 0.0,
     };
-    let (slab_samples, slabs) = slabs(spec, stretches, half_m, bend_rad + across_rad)?;
     let echoes = (spec.scatterers * stretches) as f64;
-    let element_slabs = array.elements as f64 * slabs;
+    let factor = KERNEL_FACTOR * (WEAKEST_WINDOW / pulse.weakest_window(rate_hz)).max(1.0);
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
     let room = kernel_share * tolerance;
     let slopes = COLUMNS.map(|oversampling| {
@@ -345,11 +370,24 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
                 width,
                 oversampling,
                 core: 1.0,
-                error: kernel.error * KERNEL_FACTOR,
+                error: kernel.error * factor,
             }
         });
         two_that(fits, |fit| fit.error <= room)
     });
+    // While the motion carries a stretch beyond its ends, a column's own spectrum is met at other places than at the end, where it is divided
+    // out: a power of the frequency, as far as that is.
+    let drift_m = match motion_matters(spec.model.doppler) {
+        true => pulse.duration_s * (bounds.along_m_per_s + across),
+        false => 0.0,
+    };
+    let reach_m = (half_m + drift_m).max(0.25 * sound_speed_m_per_s / pulse.center_frequency_hz);
+    let power = |fit: Fit| edge_power(&Kernel::new(fit.width, fit.oversampling, moments));
+    let power = slopes.into_iter().flatten().flatten().map(power);
+    let power = power.fold(0.0, f64::max) * drift_m / reach_m;
+    let turned_rad = (bend_rad + across_rad).hypot(power);
+    let (slab_samples, slabs) = slabs(spec, stretches, half_m, turned_rad)?;
+    let element_slabs = array.elements as f64 * slabs;
     // Over time, beside echoes too; exact where there is something of the pulse.
     let alone = spec.filter.map(|filter| {
         let doppler = match motion_matters(spec.model.doppler) {
@@ -364,16 +402,15 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             let kernel = Kernel::new(width, oversampling / core, moments);
             let error = |alone: &Alone| {
                 let [whole, beside] = alone.kernel(&kernel, core);
-                (whole.max(kernel.error) * KERNEL_FACTOR)
-                    .max(beside * room / (ALONE_SHARE * tolerance))
+                (whole.max(kernel.error) * factor).max(beside * room / (ALONE_SHARE * tolerance))
             };
             Fit {
                 width,
                 oversampling,
                 core,
                 // Not looked at closely where it is too much anyway.
-                error: match kernel.error * KERNEL_FACTOR <= room {
-                    true => alone.as_ref().map_or(kernel.error * KERNEL_FACTOR, error),
+                error: match kernel.error * factor <= room {
+                    true => alone.as_ref().map_or(kernel.error * factor, error),
                     false => f64::INFINITY,
                 },
             }
@@ -381,7 +418,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         two_that(fits, |fit| fit.error <= room)
     });
     let share = alone.as_ref().map_or(0.0, Alone::beyond_band);
-    if share > ALONE_SHARE * tolerance {
+    if share > BAND_SHARE * tolerance {
         return Err(Refusal::OutOfBand { tolerance, share });
     }
     let cost = |time: Fit, slope: Fit| {
@@ -419,7 +456,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         }
     }
     let rounding = match precision {
-        Precision::Single => F32_ERROR,
+        Precision::Single => f32_error,
         Precision::Double => 0.0,
     };
     let error = [

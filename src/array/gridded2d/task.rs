@@ -17,7 +17,7 @@ use super::smooth::{Echoes, FADES, Smooth, Span};
 
 /// Most terms of each series; what does not converge with them is reported as error.
 pub const MOST_ALONG: usize = 16;
-const MOST_BAND: usize = 6;
+const MOST_BAND: usize = 10;
 pub const MOST_DILATION: usize = MOST_INSTANTS;
 pub const MOST_BEND: usize = 8;
 pub const MOST_TURN: usize = 12;
