@@ -172,7 +172,7 @@ fn a_tile_equals_an_independent_calculation_from_the_counter_up() {
             -0.011515826882138631,
         ),
         (
-            7,
+            21, // the first row's eighth
             -47.90157032595016,
             83.89568225946277,
             28.430706515512426,
@@ -180,7 +180,7 @@ fn a_tile_equals_an_independent_calculation_from_the_counter_up() {
             -0.006073603458321611,
         ),
         (
-            100,
+            26, // the fourth row's fifth
             -46.25174694729503,
             82.4470168191474,
             28.88542194144102,
