@@ -1,8 +1,9 @@
 //! One echo by itself, in every window of a pulse's length, noise being there, as the contract looks at it.
 //!
 //! What the sum leaves amiss of an echo does not end where the echo does: what a band cuts off rings on, a kernel over delay errs by some grid
-//! values to either side, and what a fit over Dopplers leaves of a pulse is no such pulse to the receiver filter. A window that holds no more than the end of an echo, or of the receiver filter's tail, is held to a share of
-//! that little. So an echo is made as it should be and as it is amiss, and both are looked at window by window.
+//! values to either side, and what a fit over Dopplers leaves of a pulse is no such pulse to the receiver filter. A window that holds no more
+//! than the end of an echo, or of the receiver filter's tail, is held to a share of that little. So an echo is made as it should be and as it is
+//! amiss, and both are looked at window by window.
 
 use num_complex::Complex64;
 

@@ -30,7 +30,7 @@ const KERNEL_FACTOR: f64 = 5.0;
 /// Of pulses with few degrees of freedom echoes cancel to less: part of [`Pulse::weakest_window`] which that factor leaves room for.
 const WEAKEST_WINDOW: f64 = 0.45;
 /// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it; and what lies beyond the band, of which
-/// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.6 of theirs at most).
+/// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.63 of theirs at most).
 const ALONE_SHARE: f64 = 0.6;
 const BAND_SHARE: f64 = 1.25;
 /// Of f32 tables, grids and transforms: of the strongest echo of a slab, in any window of it (measured: 1e-7 to 2.5e-7).
