@@ -332,7 +332,7 @@ fn every_configuration_is_planned_within_its_tolerance() {
                     chosen.cost_ms()
                 );
                 println!("{said}");
-                // Its line stays alone with the whole tolerance, which its certificates keep: as near as 8 m no stretch of it is short enough for less.
+                // Its line stays alone with the whole tolerance, which its certificates keep: as near as 4 m no stretch of it is short enough for less.
                 let is_soak = file.ends_with("soak.toml");
                 assert!(ranking.is_within() != is_soak, "{said}");
                 if is_soak {
