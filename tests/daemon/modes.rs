@@ -242,7 +242,9 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
     // An engine for a tolerance wants the receiver's filter, and pulses without sharp edges.
     let text = text
         .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
-        .replace("taper = 0.0", "taper = 0.2");
+        .replace("taper = 0.0", "taper = 0.2")
+        // Headings that come twice a second settle later than the track's own.
+        .replace("latency_ms = 600.0", "latency_ms = 1500.0");
     let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
     let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
     std::fs::write(&config, format!("{first}name = \"bow\"{engine}")).expect("written");
@@ -259,18 +261,8 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
         }
         Daemon::start(&arguments)
     };
-    let mut stopped = start("stopped", &["run.clock=realtime"]);
-    let control = stopped.announced("control http", "http");
-    wait_delivered(control, 3);
-    signal(&stopped, "-STOP");
-    thread::sleep(Duration::from_millis(700));
-    signal(&stopped, "-CONT");
-    let ending = [
-        stopped,
-        start("fast", &["run.clock=fast"]),
-        start("scaled", &["run.clock=scaled", "run.clock_rate=10"]),
-        start("realtime", &["run.clock=realtime"]),
-    ];
+    // Those that take what time they need first: engines are made for seconds, and a clock that runs leaves out what is late.
+    let mut fast = start("fast", &["run.clock=fast"]);
     let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
     let control = lockstep.announced("control http", "http");
     let (code, answer) = tell(control, &json!({ "do": "step", "pings": 70 }));
@@ -278,14 +270,26 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
     // Missed pulses make none.
     wait_delivered(control, 60);
     lockstep.terminate();
+    let ended = fast.child.wait().expect("ended");
+    assert!(ended.success(), "{ended}");
     let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
         .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
         .arg(at("replay"))
         .output()
         .expect("echotank runs");
     assert!(replayed.status.success(), "{replayed:?}");
+    let mut stopped = start("stopped", &["run.clock=realtime"]);
+    let control = stopped.announced("control http", "http");
+    wait_delivered(control, 3);
+    signal(&stopped, "-STOP");
+    thread::sleep(Duration::from_millis(700));
+    signal(&stopped, "-CONT");
     // To the end of the log.
-    for mut daemon in ending {
+    for mut daemon in [
+        stopped,
+        start("scaled", &["run.clock=scaled", "run.clock_rate=2"]),
+        start("realtime", &["run.clock=realtime"]),
+    ] {
         let ended = daemon.child.wait().expect("ended");
         assert!(ended.success(), "{ended}");
     }
@@ -295,9 +299,9 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
         for (name, least) in [
             ("replay", pulses.len()),
             ("lockstep", 20),
-            ("realtime", 5),
-            ("stopped", 2),
-            ("scaled", 1),
+            ("realtime", 10),
+            ("stopped", 5),
+            ("scaled", 5),
         ] {
             let folder = match name {
                 // A folder for each sonar.
