@@ -121,14 +121,20 @@ impl Alone {
         let kept = self.frequency_hz.iter().zip(&self.gain);
         let kept: Vec<f64> = kept.map(|(&f_hz, gain)| band.gain(f_hz) * gain).collect();
         let bins = kept.len();
-        let columns = templates(grid, received, &self.frequency_hz, &kept);
+        // A fit is worst towards the span's ends.
+        let cells = [0, grid.cells / 2, grid.cells - 1];
+        let mut used: Vec<usize> = cells.iter().flat_map(|&c| c..c + grid.taps).collect();
+        used.sort_unstable();
+        used.dedup();
+        let columns = templates(grid, received, &used, &self.frequency_hz, &kept);
         let at = |share: f64| {
             let (doppler, first, weights) = grid.at(share);
             let echo = self.frequency_hz.iter();
             let echo: Vec<Complex64> = echo.map(|&f_hz| received.at(f_hz, doppler)).collect();
+            let from = used.partition_point(|&column| column < first);
             let fitted = |bin: usize| -> Complex64 {
                 let taps = weights[..grid.taps].iter().enumerate();
-                taps.map(|(tap, weight)| columns[(first + tap) * bins + bin] * weight)
+                taps.map(|(tap, weight)| columns[(from + tap) * bins + bin] * weight)
                     .sum()
             };
             let rest = (0..bins)
@@ -137,8 +143,6 @@ impl Alone {
             let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
             worst(rest, &sizes(&heard, self.length, self.noise), self.length)
         };
-        // A fit is worst towards the span's ends.
-        let cells = [0, grid.cells / 2, grid.cells - 1];
         let shares = cells.into_iter().flat_map(|cell| {
             ACROSS
                 .into_iter()

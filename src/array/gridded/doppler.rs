@@ -192,6 +192,11 @@ impl DopplerGrid {
         other
     }
 
+    /// Greatest |d|.
+    pub fn fastest(&self) -> f64 {
+        self.span.least.abs().max(self.span.greatest.abs())
+    }
+
     /// Columns that echoes go to whose Dopplers take up this share of the span.
     pub fn columns_of(&self, share: f64) -> usize {
         let cells = (share * self.cells as f64).ceil() as usize + 1;
@@ -378,34 +383,39 @@ impl Trial {
 /// Bins whose templates are worked out together.
 const BINS: usize = 64;
 
+/// Columns and bins whose sums are held in registers.
+const COLUMNS: usize = 4;
+const LANES: usize = 16;
+
 /// A fit to be made for many bins.
 struct Fitting<'a> {
-    grid: &'a DopplerGrid,
     received: Received<'a>,
     dopplers: Vec<f64>,
-    fit: Matrix,
+    /// Of each column that is wanted: by what it takes the pulse at each Doppler.
+    rows: Vec<&'a [f64]>,
 }
 
 /// Numbers of the bins of a block.
 type Lane = [f64; BINS];
 
-/// What each column sounds like: `[column * bins + bin]`. `frequency_hz` and `gain` give each bin's place and H there.
+/// What `columns` of the grid sound like: `[k * bins + bin]`, k counting them. `frequency_hz` and `gain` give each bin's place and H there.
 pub fn templates(
     grid: &DopplerGrid,
     received: Received,
+    columns: &[usize],
     frequency_hz: &[f64],
     gain: &[f64],
 ) -> Vec<Complex64> {
     let bins = frequency_hz.len();
     let count = grid.sample_count(received.carrier_hz, received.duration_s);
     let shares = fitted_shares(count);
+    let fit = grid.weights_at(&shares).pseudo_inverse();
     let fitting = Fitting {
         dopplers: dopplers(grid.span, &shares),
-        fit: grid.weights_at(&shares).pseudo_inverse(),
-        grid,
+        rows: columns.iter().map(|&column| fit.row(column)).collect(),
         received,
     };
-    let mut values = vec![Complex64::ZERO; grid.columns * bins];
+    let mut values = vec![Complex64::ZERO; columns.len() * bins];
     let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
     for first in (0..bins).step_by(BINS) {
         let end = bins.min(first + BINS);
@@ -486,17 +496,29 @@ impl Fitting<'_> {
                 (want.0[b], want.1[b]) = (value.re, value.im);
             }
         }
-        for column in 0..self.grid.columns {
-            let (mut re, mut im) = ([0.0; BINS], [0.0; BINS]);
-            for (p, want) in self.fit.row(column).iter().zip(&*wanted) {
-                for b in 0..BINS {
-                    re[b] += p * want.0[b];
-                    im[b] += p * want.1[b];
+        for (group, rows) in self.rows.chunks(COLUMNS).enumerate() {
+            // What is missing from a group is worked out twice.
+            let last = rows.len() - 1;
+            let of: [&[f64]; COLUMNS] = std::array::from_fn(|k| rows[k.min(last)]);
+            for lane in (0..frequency_hz.len()).step_by(LANES) {
+                let mut sums = [[[0.0; LANES]; 2]; COLUMNS];
+                for (s, want) in wanted.iter().enumerate() {
+                    let (re, im) = (&want.0[lane..lane + LANES], &want.1[lane..lane + LANES]);
+                    for (sums, row) in sums.iter_mut().zip(of) {
+                        let p = row[s];
+                        for b in 0..LANES {
+                            sums[0][b] += p * re[b];
+                            sums[1][b] += p * im[b];
+                        }
+                    }
                 }
-            }
-            let values = &mut out[column * bins + first..][..frequency_hz.len()];
-            for (value, (re, im)) in values.iter_mut().zip(re.iter().zip(&im)) {
-                *value = Complex64::new(*re, *im);
+                let heard = (frequency_hz.len() - lane).min(LANES);
+                for (k, sums) in sums[..=last].iter().enumerate() {
+                    let values = (group * COLUMNS + k) * bins + first + lane;
+                    for (b, value) in out[values..values + heard].iter_mut().enumerate() {
+                        *value = Complex64::new(sums[0][b], sums[1][b]);
+                    }
+                }
             }
         }
     }
@@ -533,7 +555,8 @@ mod tests {
         for cells in 1..=3 {
             for width in 2..=MAX_TAPS {
                 let grid = DopplerGrid::new(span, cells, &Kernel::new(width, 2.0, POWERS));
-                let values = templates(&grid, received, &frequency_hz, &[1.0; 16]);
+                let columns: Vec<usize> = (0..grid.columns).collect();
+                let values = templates(&grid, received, &columns, &frequency_hz, &[1.0; 16]);
                 assert_eq!(values.len(), 16 * grid.columns);
                 assert!(
                     values.iter().all(|value| value.is_finite()),

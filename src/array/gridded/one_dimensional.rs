@@ -33,7 +33,8 @@ use super::choose::{
     Trials, delay_kernel, series_terms, sweep, weakening, weights_bend,
 };
 use super::dialect::{Dialect, Kind};
-use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
+use super::doppler::{DopplerGrid, DopplerSpan, Received};
+use super::evenly::{beyond_hz, evenly};
 use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
@@ -363,7 +364,8 @@ impl<M: Real, G: Real> Plan<M, G> {
         })?;
         let highest_hz =
             ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
-        let spectrum = PulseSpectrum::with_powers(pulse, highest_hz, 2 * count);
+        let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
+        let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
         // There echoes are looked at one by one, in every window.
         let alone = Alone::new(asked, span, &spectrum);
         let kept = band(asked, &alone)?;
@@ -448,7 +450,12 @@ impl<M: Real, G: Real> Plan<M, G> {
         let mut terms = Vec::with_capacity(grids.len());
         let mut term_rad = 1.0;
         for (order, (doppler, error)) in grids.into_iter().enumerate() {
-            let fitted = templates(&doppler, received(order), &frequency_hz, &gain);
+            let fitted = evenly(
+                &doppler,
+                received(order),
+                (frequency_hz[0], 1.0 / period_s),
+                &gain,
+            );
             if order > 0 {
                 term_rad *= bend_rad / order as f64;
             }

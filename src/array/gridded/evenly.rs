@@ -1,0 +1,163 @@
+//! Templates at many evenly spaced frequencies: fitted at few, read between.
+//!
+//! A column sounds no longer than the longest pulse of its family, so its spectrum is band-limited over frequency: what it is every 1/(8 half a
+//! pulse) decides it. A record is as long as hundreds of pulses, and its bins lie as much closer. Between the few a sinc is used,
+//! tapered by exp(beta (sqrt(1 - x^2) - 1)) (Barnett, Magland and af Klinteberg 2019), which leaves some exp(-beta).
+//!
+//! In: a grid of Dopplers, what is received. Out: as [`templates`]. Error: 2e-11 of the greatest value, which is that of the pulse's table.
+
+use std::f64::consts::PI;
+
+use num_complex::Complex64;
+
+use super::doppler::{DopplerGrid, Received, templates};
+
+/// Frequencies per one that the pulse's length asks for.
+const OVERSAMPLING: f64 = 4.0;
+
+/// Frequencies between which one is read.
+const TAPS: usize = 24;
+
+/// The taper's spectrum has to stay between the pulse's end and that of its next image.
+const BETA: f64 = PI * TAPS as f64 * 0.5 * (1.0 - 1.0 / OVERSAMPLING);
+
+/// Bins whose templates are read together.
+const BLOCK: usize = 64;
+
+/// Half of the longest pulse of the family.
+fn reach_s(duration_s: f64, fastest: f64) -> f64 {
+    0.5 * duration_s / (1.0 - fastest)
+}
+
+/// Distance of the frequencies at which columns are fitted, for Dopplers up to `fastest`.
+fn step_hz(duration_s: f64, fastest: f64) -> f64 {
+    0.5 / (OVERSAMPLING * reach_s(duration_s, fastest))
+}
+
+/// By how much the spectrum received must be known beyond the bins.
+pub fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
+    (0.5 * TAPS as f64 + 1.0) * step_hz(duration_s, fastest)
+}
+
+/// What every column sounds like: `[column * bins + bin]`, where bin 0 lies at `first_hz`, the next `bin_hz` above it, and `gain` is H at
+/// each of them.
+pub fn evenly(
+    grid: &DopplerGrid,
+    received: Received,
+    (first_hz, bin_hz): (f64, f64),
+    gain: &[f64],
+) -> Vec<Complex64> {
+    let (bins, columns) = (gain.len(), grid.columns);
+    let all: Vec<usize> = (0..columns).collect();
+    let step_hz = step_hz(received.duration_s, grid.fastest());
+    let lowest = (first_hz / step_hz).floor() as isize - (TAPS / 2 - 1) as isize;
+    let highest_hz = first_hz + (bins - 1) as f64 * bin_hz;
+    let count = ((highest_hz / step_hz).floor() as isize - lowest) as usize + TAPS / 2 + 1;
+    if count >= bins {
+        let frequency_hz: Vec<f64> = (0..bins).map(|q| first_hz + q as f64 * bin_hz).collect();
+        return templates(grid, received, &all, &frequency_hz, gain);
+    }
+    let few_hz: Vec<f64> = (0..count)
+        .map(|k| (lowest + k as isize) as f64 * step_hz)
+        .collect();
+    let fitted = templates(grid, received, &all, &few_hz, &vec![1.0; count]);
+    // Columns abreast: [frequency][column].
+    let mut rows = vec![Complex64::ZERO; count * columns];
+    for (column, values) in fitted.chunks_exact(count).enumerate() {
+        for (k, value) in values.iter().enumerate() {
+            rows[k * columns + column] = *value;
+        }
+    }
+    let mut values = vec![Complex64::ZERO; columns * bins];
+    let mut block = vec![Complex64::ZERO; BLOCK * columns];
+    for begin in (0..bins).step_by(BLOCK) {
+        let end = bins.min(begin + BLOCK);
+        for (sums, q) in block.chunks_exact_mut(columns).zip(begin..end) {
+            sums.fill(Complex64::ZERO);
+            let position = (first_hz + q as f64 * bin_hz) / step_hz - lowest as f64;
+            // The TAPS/2 frequencies at or below it and as many above.
+            let first = position as usize + 1 - TAPS / 2;
+            let weights = weights(position - (position as usize) as f64);
+            for (weight, row) in weights.iter().zip(rows[first * columns..].chunks(columns)) {
+                let weight = weight * gain[q];
+                for (sum, value) in sums.iter_mut().zip(row) {
+                    *sum += value * weight;
+                }
+            }
+        }
+        for (column, values) in values.chunks_exact_mut(bins).enumerate() {
+            let from = block[column..].iter().step_by(columns);
+            for (value, sum) in values[begin..end].iter_mut().zip(from) {
+                *value = *sum;
+            }
+        }
+    }
+    values
+}
+
+/// Of the frequencies about what lies at `x`, 0..1, between the two in the middle.
+fn weights(x: f64) -> [f64; TAPS] {
+    let sine = libm::sin(PI * x) / PI;
+    std::array::from_fn(|i| {
+        let away = x + (TAPS / 2 - 1) as f64 - i as f64;
+        let share = away / (0.5 * TAPS as f64);
+        let taper = libm::exp(BETA * ((1.0 - share * share).max(0.0).sqrt() - 1.0));
+        let sinc = match away == 0.0 {
+            true => 1.0,
+            // sin(pi (x + n)) is sin(pi x) with a sign; tap TAPS/2 - 1 has n = 0.
+            false if (i + TAPS / 2 - 1) % 2 == 0 => sine / away,
+            false => -sine / away,
+        };
+        sinc * taper
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::array::gridded::doppler::{DopplerSpan, POWERS};
+    use crate::array::gridded::kernel::Kernel;
+    use crate::array::gridded::pulse_spectrum::PulseSpectrum;
+    use crate::flow::{Pulse, PulseKind};
+
+    /// Sharp and tapered pulses, with and without curvature, against the fit at every bin.
+    #[test]
+    fn templates_read_between_a_few_frequencies_are_those_fitted_at_every_bin() {
+        for (taper, order) in [(0.0, 0), (0.2, 0), (0.0, 1), (0.0, 3)] {
+            let pulse = Pulse {
+                kind: PulseKind::LfmUp,
+                center_frequency_hz: 100e3,
+                bandwidth_hz: 10e3,
+                duration_s: 2e-3,
+                taper,
+            };
+            let span = DopplerSpan {
+                least: -2e-3,
+                greatest: 3e-3,
+            };
+            let beyond_hz = beyond_hz(pulse.duration_s, 3e-3);
+            let spectrum = PulseSpectrum::with_powers(&pulse, 20e3 + beyond_hz, 2 * order);
+            let received = Received {
+                spectrum: &spectrum,
+                carrier_hz: pulse.center_frequency_hz,
+                duration_s: pulse.duration_s,
+                order,
+                greatest_p: 0.3,
+            };
+            let grid = DopplerGrid::new(span, 4, &Kernel::new(5, 2.0, POWERS));
+            let (first_hz, bin_hz) = (-17e3 + 0.3, 7.7);
+            let gain: Vec<f64> = (0..4400).map(|q| libm::cos(2e-4 * f64::from(q))).collect();
+            let got = evenly(&grid, received, (first_hz, bin_hz), &gain);
+            let columns: Vec<usize> = (0..grid.columns).collect();
+            let all_hz: Vec<f64> = (0..4400)
+                .map(|q| first_hz + f64::from(q) * bin_hz)
+                .collect();
+            let want = templates(&grid, received, &columns, &all_hz, &gain);
+            let most = want.iter().map(|v| v.norm()).fold(0.0, f64::max);
+            let off = got.iter().zip(&want).map(|(g, w)| (g - w).norm());
+            let off = off.fold(0.0, f64::max) / most;
+            println!("taper {taper}, term {order}: {off:.1e}");
+            assert!(off < 5e-11, "taper {taper}, term {order}: {off:e}");
+        }
+    }
+}
