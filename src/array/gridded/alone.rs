@@ -26,6 +26,9 @@ const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 /// Places across a cell of Dopplers at which a fit is looked at.
 const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 
+/// Cells at the end of a grid of Dopplers that a fit there knows: what lies further matters less and less.
+const END_CELLS: usize = 12;
+
 /// An echo at either end of the span of Dopplers.
 pub struct Alone {
     /// Of every bin, lowest first and then the negative ones, as transforms have them.
@@ -116,12 +119,22 @@ impl Alone {
         PLACES.into_iter().map(at).fold(0.0, f64::max)
     }
 
-    /// Error in the worst window that a fit over the Dopplers of `grid` makes of what `band` keeps.
+    /// Error in the worst window that a fit over the Dopplers of `grid` makes of what `band` keeps: worst towards the ends, so of a long grid
+    /// both ends are looked at, by themselves.
     pub fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+        if grid.cells <= 2 * END_CELLS {
+            return self.on_grid(grid, received, band);
+        }
+        [0, grid.cells - END_CELLS]
+            .map(|first| self.on_grid(&grid.part(first, END_CELLS), received, band))
+            .into_iter()
+            .fold(0.0, f64::max)
+    }
+
+    fn on_grid(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
         let kept = self.frequency_hz.iter().zip(&self.gain);
         let kept: Vec<f64> = kept.map(|(&f_hz, gain)| band.gain(f_hz) * gain).collect();
         let bins = kept.len();
-        // A fit is worst towards the span's ends.
         let cells = [0, grid.cells / 2, grid.cells - 1];
         let mut used: Vec<usize> = cells.iter().flat_map(|&c| c..c + grid.taps).collect();
         used.sort_unstable();

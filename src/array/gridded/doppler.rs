@@ -192,6 +192,16 @@ impl DopplerGrid {
         other
     }
 
+    /// So many cells of it from `first` on, by themselves.
+    pub fn part(&self, first: usize, cells: usize) -> Self {
+        let at = |cell: usize| self.span.least + cell as f64 / self.per_doppler;
+        let span = DopplerSpan {
+            least: at(first),
+            greatest: at(first + cells),
+        };
+        Self::with_weights(span, cells, self.taps, self.weights)
+    }
+
     /// Greatest |d|.
     pub fn fastest(&self) -> f64 {
         self.span.least.abs().max(self.span.greatest.abs())

@@ -1,7 +1,7 @@
 //! Fast synthesis on a grid: a nonuniform Fourier transform per element.
 //!
 //! Read [`kernel`] (the idea), [`moments`] (the loops), [`transform`] (both joined), then [`one_dimensional`], the engine itself, with
-//! [`doppler`], `evenly`, `abreast` and [`pulse_spectrum`] beside it; `choose`, `band` and `alone` turn a tolerance into sizes.
+//! [`doppler`], `evenly`, `abreast` and [`pulse_spectrum`] beside it; `design`, `choose`, `band` and `alone` turn a tolerance into sizes.
 mod abreast;
 mod alone;
 #[cfg(target_arch = "x86_64")]
@@ -10,6 +10,7 @@ mod avx2;
 mod avx512;
 mod band;
 mod choose;
+mod design;
 pub mod dialect;
 pub mod doppler;
 mod evenly;

@@ -16,8 +16,7 @@
 //! What it equals: [`super::super::direct`] fed to the receiver filter, in the limit of dense sampling.
 
 use std::any::TypeId;
-use std::f64::consts::TAU;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
@@ -26,33 +25,23 @@ use crate::array::filter::Decimator;
 use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
 
 use super::abreast::{Abreast, Job, LANES, MOST_TOGETHER, Place, lanes_for};
-use super::alone::Alone;
-use super::band::{band, widest};
-use super::choose::{
-    NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, SHARE,
-    Trials, delay_kernel, series_terms, sweep, weakening, weights_bend,
-};
+use super::choose::{SHARE, weakening};
+use super::design::Design;
 use super::dialect::{Dialect, Kind};
-use super::doppler::{DopplerGrid, DopplerSpan, Received};
-use super::evenly::{beyond_hz, evenly};
+use super::doppler::DopplerSpan;
 use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
-use super::pulse_spectrum::PulseSpectrum;
-use super::transform::grid_size;
 
 /// Below this tolerance moments are f64: f32 rounds amplitudes, places and sums to 1e-7 or so of an echo.
-const LEAST_F32_MOMENTS: f64 = 1e-6;
+pub const LEAST_F32_MOMENTS: f64 = 1e-6;
 
 /// f32 transforms leave this much of the strongest echo everywhere.
 const F32_TRANSFORM: f64 = 1e-7;
 
 /// The least tolerance that f64 delays and kernels are good for here.
 const LEAST_TOLERANCE: f64 = 1e-10;
-
-/// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
-const MOST_CURVATURE_TIMES_PULSE: f64 = 0.05;
 
 /// What the engine is to be made for.
 #[derive(Clone, Copy)]
@@ -101,7 +90,7 @@ pub enum GriddedError {
     Doppler { least: f64, greatest: f64 },
 }
 
-/// The plan; shared by all threads.
+/// The engine as it is designed; its tables are made for the first [`Self::work`], and shared by all threads.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
     foreseen: Box<dyn Fn(usize, f64, f64) -> Foreseen + Send + Sync>,
@@ -150,34 +139,43 @@ impl Gridded1d {
         spread_error: f64,
         precision: &str,
     ) -> Result<Self, GriddedError> {
-        let plan = Arc::new(Plan::<M, G>::new(spec, weakening)?);
-        let error = weakening * (plan.error.powi(2) + spread_error.powi(2)).sqrt();
-        let bent = match plan.terms.len() {
-            1 if plan.frame.bent => ", which carry curvature".into(),
-            1 => String::new(),
-            _ => {
-                let columns: Vec<String> = plan.terms[1..]
+        let design = Design::new::<M>(spec, weakening)?;
+        // f64 is twice as much of everything.
+        let words = (size_of::<G>() / size_of::<f32>()) as f64;
+        let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
+        let doppler = &design.terms[0].grid;
+        let bent = match &design.terms[1..] {
+            [] if design.frame.bent => ", which carry curvature".into(),
+            [] => String::new(),
+            more => {
+                let columns: Vec<String> = more
                     .iter()
-                    .map(|term| term.columns.grid.columns.to_string())
+                    .map(|term| term.grid.columns.to_string())
                     .collect();
                 format!(", for curvature {}", columns.join(" + "))
             }
         };
-        let doppler = &plan.terms[0].columns.grid;
         let card = MethodCard {
             name: "gridded-1d",
             error,
-            cost_ms: plan.foreseen(spec.arrivals, 1.0, f64::INFINITY).ms(),
+            cost_ms: design
+                .foreseen(words, spec.arrivals, 1.0, f64::INFINITY)
+                .ms(),
             why: format!(
                 "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
-                plan.bins, plan.grid, plan.flush.width, doppler.columns, doppler.taps
+                design.bins, design.grid, design.kernel.width, doppler.columns, doppler.taps
             ),
         };
-        let costing = plan.clone();
+        let design = Arc::new(design);
+        let (costing, (dialect, samples)) = (design.clone(), (spec.dialect, spec.samples));
+        let plan = OnceLock::new();
         Ok(Self {
-            make: Box::new(move || Box::new(Work::<M, G>::new(plan.clone()))),
+            make: Box::new(move || {
+                let made = || Arc::new(Plan::<M, G>::new(&design, dialect, samples));
+                Box::new(Work::new(plan.get_or_init(made).clone()))
+            }),
             foreseen: Box::new(move |arrivals, share, bend| {
-                costing.foreseen(arrivals, share, bend)
+                costing.foreseen(words, arrivals, share, bend)
             }),
             card,
         })
@@ -193,6 +191,7 @@ impl Gridded1d {
         (self.foreseen)(arrivals, share, curvature_per_s)
     }
 
+    /// Buffers for one thread. The first makes the tables: milliseconds to seconds.
     pub fn work(&self) -> Gridded1dWork {
         Gridded1dWork((self.make)())
     }
@@ -230,7 +229,6 @@ struct Plan<M: Real, G: Real> {
     samples: usize,
     /// Length of the record in samples, and of its spectrum.
     period: usize,
-    bins: usize,
     grid: usize,
     /// Grid steps per second.
     scale: f64,
@@ -247,7 +245,6 @@ struct Plan<M: Real, G: Real> {
     beside: f64,
     forward: Arc<dyn Fft<G>>,
     inverse: Arc<dyn Fft<G>>,
-    error: f64,
 }
 
 struct Term<M: Real, G: Real> {
@@ -313,219 +310,49 @@ impl<G: Real> Columnwise<G> {
 }
 
 impl<M: Real, G: Real> Plan<M, G> {
-    /// `weakening`: see [`weakening()`].
-    fn new(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
-        let spec = &Spec {
-            tolerance: asked.tolerance / weakening,
-            ..*asked
-        };
-        let pulse = spec.pulse;
-        let rate_hz = spec.sample_rate_hz;
-        let carrier_hz = pulse.center_frequency_hz;
-        let unreachable = |least| GriddedError::Tolerance {
-            tolerance: asked.tolerance,
-            least,
-        };
-        let (still, greatest_q) = match spec.doppler {
-            DopplerModel::None => (true, 0.0),
-            DopplerModel::Stretch => (false, 0.0),
-            DopplerModel::StretchQuadratic => (false, spec.curvature_per_s.abs()),
-            DopplerModel::PaperEq21 => return Err(GriddedError::DopplerModel),
-        };
-        // sqrt(eta^2 + 2 q T) - eta, eta no less than 0.9; in a pulse so much bent that this does not bound it the series fails below. And what the
-        // ends of a sweep are moved by where weights carry the curvature.
-        let beside = greatest_q
-            * (1.25 * pulse.duration_s
-                + 0.5 * (pulse.duration_s.powi(2) * pulse.sweep_hz_per_s() / carrier_hz).abs());
-        let span = match still {
-            true => DopplerSpan {
-                least: 0.0,
-                greatest: 0.0,
-            },
-            false => DopplerSpan {
-                least: spec.span.least - beside,
-                greatest: spec.span.greatest + beside,
-            },
-        };
-        let fastest = span.least.abs().max(span.greatest);
-        let half_s = 0.5 * pulse.duration_s;
-        let greatest_p = greatest_q / (1.0 - fastest).powi(3);
-        // The band's upper half has more turns than the carrier.
-        let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
-        let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
-        let terms = match greatest_q < MOST_CURVATURE_TIMES_PULSE / pulse.duration_s {
-            true => series_terms(bend_rad, spec.tolerance),
-            false => None,
-        };
-        let count = terms.ok_or(GriddedError::Curvature {
-            curvature_per_s: greatest_q,
-            turned_rad: bend_rad,
-            tolerance: asked.tolerance,
-        })?;
-        let highest_hz =
-            ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
-        let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
-        let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
-        // There echoes are looked at one by one, in every window.
-        let alone = Alone::new(asked, span, &spectrum);
-        let kept = band(asked, &alone)?;
-        let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
-
-        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
-        let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
-        let alone_s = half_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
-        let period_with =
-            |reach_s: f64| grid_size(spec.samples + (2.0 * reach_s * rate_hz).ceil() as usize);
-        let bins_of = |period: usize| {
-            let bins = (kept_hz / rate_hz * period as f64).ceil() as usize;
-            bins + bins % 2
-        };
-        let roughly = 5 * bins_of(period_with(alone_s)) / 4;
-        let trials = Trials {
-            spec,
-            span,
-            grid: roughly,
-        };
-        // Of the highest frequency; of the carrier, which weights and templates know, it is a little less.
-        let received = |order| Received {
-            spectrum: &spectrum,
-            carrier_hz,
-            duration_s: pulse.duration_s,
-            order,
-            greatest_p,
-        };
-        let of_dopplers = |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept) / weakening;
-        let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
-            true => trials.doppler(bend_rad, of_dopplers),
-            false => None,
-        };
-        let weights_carry = bent.is_some();
-        let count = if weights_carry { 0 } else { count };
-        let doppler = bent
-            .or_else(|| trials.doppler(0.0, of_dopplers))
-            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
-        let mut grids = vec![doppler];
-        let mut term_rad = 1.0;
-        for order in 1..=count {
-            term_rad *= bend_rad / order as f64;
-            let grid = trials.term(term_rad);
-            grids.push(grid.ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?);
-        }
-        // The ends of bent pulses move by p (T/2)^2.
-        let reach_s = alone_s + greatest_p * half_s * half_s;
-        let period = period_with(reach_s);
-        let period = period + period % 2;
-        let bins = bins_of(period);
-        let period_s = period as f64 / rate_hz;
-
-        // Moments cost the same whatever the width; values spread at once do not.
-        let one_column = grids.iter().all(|(grid, _)| grid.columns == 1);
-        let widest = match (one_column, M::MOMENTS) {
-            (false, 8) => 8,
-            _ => MAX_WIDTH,
-        };
-        let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
-            alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
-        })
-        .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
-
-        let frequency_hz: Vec<f64> = (0..bins)
-            .map(|q| (q as f64 - (bins / 2) as f64) / period_s)
-            .collect();
-        let gain: Vec<f64> = frequency_hz
+    fn new(design: &Design, dialect: Dialect, samples: usize) -> Self {
+        let Design {
+            period, bins, grid, ..
+        } = *design;
+        let undo = design.undo();
+        let columnwise = (!design.has_one_column()).then(|| Columnwise::new(grid, bins, period));
+        let terms = design
+            .terms
             .iter()
-            .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)) * kept.gain(f_hz))
-            .collect();
-        // What undoes the kernel and the flush's beginning at its first value, and moves the record's beginning to 0.
-        let undo: Vec<Complex64> = frequency_hz
-            .iter()
-            .map(|f_hz| {
-                let nu = f_hz * period_s / grid as f64;
-                let turns = f_hz * reach_s - nu * kernel.first() as f64;
-                Complex64::from_polar(1.0 / (kernel.window_gain(nu) * period_s), TAU * turns)
-            })
-            .collect();
-        let columnwise = (!one_column).then(|| Columnwise::new(grid, bins, period));
-        let mut fit_error2 = 0.0;
-        let mut terms = Vec::with_capacity(grids.len());
-        let mut term_rad = 1.0;
-        for (order, (doppler, error)) in grids.into_iter().enumerate() {
-            let fitted = evenly(
-                &doppler,
-                received(order),
-                (frequency_hz[0], 1.0 / period_s),
-                &gain,
-            );
-            if order > 0 {
-                term_rad *= bend_rad / order as f64;
-            }
-            fit_error2 += error * error;
-            let templates = match &columnwise {
-                Some(columnwise) if doppler.columns > 1 => columnwise.templates(&fitted, &undo),
-                _ => {
-                    let values = fitted.iter().zip(&undo).map(|(value, undo)| value * undo);
-                    let narrow = |v: Complex64| Complex::new(G::narrow(v.re), G::narrow(v.im));
-                    Templates::One(values.map(narrow).collect())
+            .zip(design.templates())
+            .map(|(term, fitted)| {
+                let templates = match &columnwise {
+                    Some(columnwise) if term.grid.columns > 1 => {
+                        columnwise.templates(&fitted, &undo)
+                    }
+                    _ => {
+                        let values = fitted.iter().zip(&undo).map(|(value, undo)| value * undo);
+                        let narrow = |v: Complex64| Complex::new(G::narrow(v.re), G::narrow(v.im));
+                        Templates::One(values.map(narrow).collect())
+                    }
+                };
+                Term {
+                    templates,
+                    columns: Columns::new(term.grid.clone(), design.bent(&term.grid)),
+                    least_bend: term.least_bend,
                 }
-            };
-            let bent = weights_carry.then(|| {
-                let bent = doppler.bent(doppler.theta(carrier_hz, pulse.duration_s), sweep(spec));
-                (bent, TAU * carrier_hz * greatest_p * half_s * half_s)
             });
-            terms.push(Term {
-                templates,
-                columns: Columns::new(doppler, bent),
-                least_bend: match order {
-                    0 => 0.0,
-                    _ => (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
-                },
-            });
-        }
-        let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
-        let series = match weights_carry {
-            true => 0.0,
-            false => term_rad * bend_rad / (count + 1) as f64,
-        };
-        let error = [
-            kernel.error,
-            fit_error2.sqrt(),
-            kept.outside / weakening,
-            rounding,
-            series,
-        ]
-        .iter()
-        .map(|e| e * e)
-        .sum::<f64>()
-        .sqrt();
-        Ok(Self {
-            dialect: spec.dialect,
-            samples: spec.samples,
+        Self {
+            terms: terms.collect(),
+            dialect,
+            samples,
             period,
-            bins,
             grid,
-            scale: grid as f64 / period_s,
-            shift: kernel.shift(),
-            lead_s: reach_s,
-            flush: FlushWeights::new(&kernel),
-            frame: Frame {
-                carrier_hz,
-                half_pulse_s: half_s,
-                still,
-                greatest_q: match count > 0 || weights_carry {
-                    true => greatest_q,
-                    false => 0.0,
-                },
-                greatest_p,
-                bent: weights_carry,
-                sweep_hz_per_s: pulse.sweep_hz_per_s(),
-            },
-            terms,
+            scale: design.scale(),
+            shift: design.kernel.shift(),
+            lead_s: design.lead_s,
+            flush: FlushWeights::new(&design.kernel),
+            frame: design.frame,
             columnwise,
-            beside,
+            beside: design.beside,
             forward: G::plan_forward(grid),
             inverse: G::plan_inverse(period),
-            error,
-        })
+        }
     }
 
     /// Where what is not heard goes: far enough past the values that count.
@@ -536,30 +363,6 @@ impl<M: Real, G: Real> Plan<M, G> {
     /// Of a table of several columns: up to the drain, and what it reaches.
     fn rows(&self) -> usize {
         self.grid + 2 * MAX_WIDTH + 2
-    }
-
-    fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
-        let mut ns = Foreseen {
-            echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
-            grids_ns: 0.0,
-        };
-        let bend = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
-        // f64 is twice as much of everything.
-        let words = (size_of::<G>() / size_of::<f32>()) as f64;
-        for term in self.terms.iter().filter(|term| term.least_bend <= bend) {
-            let grid = &term.columns.grid;
-            ns.grids_ns += self.grid as f64
-                * words
-                * match grid.columns {
-                    1 => NS_PER_GRID_VALUE,
-                    all => {
-                        ns.echoes_ns += arrivals as f64 * NS_PER_SPREAD;
-                        let lanes = lanes_for(grid.columns_of(share).min(all));
-                        lanes as f64 * NS_PER_LANE_VALUE
-                    }
-                };
-        }
-        ns
     }
 }
 

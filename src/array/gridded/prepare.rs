@@ -20,6 +20,7 @@ use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
 /// What does not change between the chunks of an element.
+#[derive(Clone, Copy)]
 pub struct Frame {
     pub carrier_hz: f64,
     pub half_pulse_s: f64,
