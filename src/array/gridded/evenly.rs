@@ -97,9 +97,10 @@ pub fn evenly(
 
 /// Of the frequencies about what lies at `x`, 0..1, between the two in the middle.
 fn weights(x: f64) -> [f64; TAPS] {
-    let sine = libm::sin(PI * x) / PI;
+    // Near either end of 0..1 the small distance counts, and its rounding: sin(pi x) is made of it, and `away` in one step.
+    let sine = libm::sin(PI * x.min(1.0 - x)) / PI;
     std::array::from_fn(|i| {
-        let away = x + (TAPS / 2 - 1) as f64 - i as f64;
+        let away = x - (i as f64 - (TAPS / 2 - 1) as f64);
         let share = away / (0.5 * TAPS as f64);
         let taper = libm::exp(BETA * ((1.0 - share * share).max(0.0).sqrt() - 1.0));
         let sinc = match away == 0.0 {
@@ -119,6 +120,20 @@ mod tests {
     use crate::array::gridded::kernel::Kernel;
     use crate::array::gridded::pulse_spectrum::PulseSpectrum;
     use crate::flow::{Pulse, PulseKind};
+
+    /// Bins lie about 0 Hz, and 0 Hz is a frequency that is fitted: what lies on one but for rounding is that one.
+    #[test]
+    fn what_lies_on_a_frequency_but_for_rounding_is_read_from_it() {
+        for k in 0..60 {
+            let off = 0.5 * f64::from(k) * f64::EPSILON;
+            for (x, on) in [(off, TAPS / 2 - 1), (1.0 - off, TAPS / 2)] {
+                for (i, weight) in weights(x).into_iter().enumerate() {
+                    let want = f64::from(u8::from(i == on));
+                    assert!((weight - want).abs() < 1e-14, "{x}, tap {i}: {weight}");
+                }
+            }
+        }
+    }
 
     /// Sharp and tapered pulses, with and without curvature, against the fit at every bin.
     #[test]
