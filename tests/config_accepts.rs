@@ -1118,3 +1118,19 @@ fn every_rig_of_the_repository_is_accepted() {
     }
     assert!(seen > 10, "{seen} rigs");
 }
+
+/// `echotank check rig.toml | head -1`
+#[test]
+fn check_ends_quietly_when_nobody_reads_on() {
+    let mut check = std::process::Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["check", "hil-configs/points.toml"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("started");
+    drop(check.stdout.take());
+    let ended = check.wait_with_output().expect("ended");
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(!said.contains("panicked"), "{said}");
+}

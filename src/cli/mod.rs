@@ -75,6 +75,11 @@ pub struct ConfigArgs {
 
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    if let Some(Command::Check(_) | Command::Doctor(_) | Command::Nav(_) | Command::Score(_)) =
+        cli.command
+    {
+        end_with_the_reader();
+    }
     let done = match cli
         .command
         .unwrap_or_else(|| Command::Run(run::RunArgs::default()))
@@ -102,6 +107,15 @@ pub fn main() -> ExitCode {
             eprintln!("echotank: {text}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// `echotank check rig.toml | head`: who has read enough ends a command that only prints. What serves or records goes on without a reader.
+fn end_with_the_reader() {
+    #[cfg(unix)]
+    // SAFETY: the default action of a signal has no handler that could be run.
+    unsafe {
+        libc::signal(libc::SIGPIPE, libc::SIG_DFL);
     }
 }
 
