@@ -13,9 +13,7 @@ use crate::array::gridded::{
     Dialect, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
 };
 use crate::config::spec::SonarSpec;
-use crate::flow::{
-    DopplerModel, MethodCard, PingPlan, Pulse, ReceiverFilter, SonarSettings, Synthesis,
-};
+use crate::flow::{DopplerModel, MethodCard, PingPlan, Pulse, SonarSettings, Synthesis};
 use crate::ping;
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
@@ -87,8 +85,8 @@ pub fn engine_filter(
 }
 
 impl Engines {
-    /// Makes the engine of the starting settings, and those of the ends of the limits where one might be out of reach. To be called inside
-    /// the pool that will run it. `fastest_m_per_s`: of the platform.
+    /// Makes the engine of the starting settings, if those of the ends of the limits could be made too. To be called inside the pool that will
+    /// run it. `fastest_m_per_s`: of the platform.
     pub fn new(
         spec: &SonarSpec,
         sound_speed_m_per_s: f64,
@@ -103,18 +101,9 @@ impl Engines {
             kept: Vec::with_capacity(KEPT + 1),
             coming: Vec::with_capacity(MOST_COMING),
         };
-        if spec.receiver.filter == ReceiverFilter::None {
-            // How far a spectrum spreads depends on the pulse's length; behind the filter nothing does.
-            let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
-            for duration_s in [shortest_s, longest_s] {
-                let samples = engines.most_samples;
-                engines.wish.engine(Key {
-                    duration_s,
-                    samples,
-                })?;
-            }
-        }
-        let first = engines.wish.make(engines.key(&spec.settings))?;
+        let key = engines.key(&spec.settings);
+        engines.wish.can_be_made(spec, key, engines.most_samples)?;
+        let first = engines.wish.make(key)?;
         engines.kept.push(first);
         Ok(engines)
     }
@@ -212,10 +201,12 @@ pub fn sketch(
 ) -> Result<Gridded1d, GriddedError> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = ping::most_samples(spec, sound_speed_m_per_s);
-    wish.engine(Key {
+    let key = Key {
         duration_s: plan.pulse.duration_s,
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
-    })
+    };
+    wish.can_be_made(spec, key, most)?;
+    wish.engine(key)
 }
 
 impl Wish {
@@ -242,6 +233,20 @@ impl Wish {
             tolerance: spec.synthesis.made_for(),
             threads: rayon::current_num_threads(),
         }
+    }
+
+    /// That the ends of the limits are within reach, where one might not be: how far a spectrum spreads depends on the pulse's length; behind
+    /// the receiver filter nothing does.
+    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), GriddedError> {
+        let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
+        let ends_s = [shortest_s, longest_s].into_iter();
+        for duration_s in ends_s.filter(|&end_s| self.filter.is_none() && end_s != key.duration_s) {
+            self.engine(Key {
+                duration_s,
+                samples,
+            })?;
+        }
+        Ok(())
     }
 
     fn engine(&self, key: Key) -> Result<Gridded1d, GriddedError> {

@@ -244,7 +244,7 @@ impl Design {
         (0..self.bins).map(|q| (q as f64 - (self.bins / 2) as f64) / self.period_s)
     }
 
-    /// What each column of each term sounds like: `[column * bins + bin]`, lowest frequency first.
+    /// What each column of each term sounds like: `[bin * columns + column]`, lowest frequency first.
     pub fn templates(&self) -> impl Iterator<Item = Vec<Complex64>> + '_ {
         let heard = |f_hz: f64| self.filter.as_ref().map_or(1.0, |filter| filter.gain(f_hz));
         let gain: Vec<f64> = self

@@ -4,7 +4,7 @@
 //! pulse) decides it. A record is as long as hundreds of pulses, and its bins lie as much closer. Between the few a sinc is used,
 //! tapered by exp(beta (sqrt(1 - x^2) - 1)) (Barnett, Magland and af Klinteberg 2019), which leaves some exp(-beta).
 //!
-//! In: a grid of Dopplers, what is received. Out: as [`templates`]. Error: 2e-11 of the greatest value, which is that of the pulse's table.
+//! In: a grid of Dopplers, what is received. Out: those of [`templates`], column beside column. Error: 2e-11 of the greatest value, which is that of the pulse's table.
 
 use std::f64::consts::PI;
 
@@ -21,9 +21,6 @@ const TAPS: usize = 24;
 /// The taper's spectrum has to stay between the pulse's end and that of its next image.
 const BETA: f64 = PI * TAPS as f64 * 0.5 * (1.0 - 1.0 / OVERSAMPLING);
 
-/// Bins whose templates are read together.
-const BLOCK: usize = 64;
-
 /// Half of the longest pulse of the family.
 fn reach_s(duration_s: f64, fastest: f64) -> f64 {
     0.5 * duration_s / (1.0 - fastest)
@@ -39,7 +36,7 @@ pub fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
     (0.5 * TAPS as f64 + 1.0) * step_hz(duration_s, fastest)
 }
 
-/// What every column sounds like: `[column * bins + bin]`, where bin 0 lies at `first_hz`, the next `bin_hz` above it, and `gain` is H at
+/// What every column sounds like: `[bin * columns + column]`, where bin 0 lies at `first_hz`, the next `bin_hz` above it, and `gain` is H at
 /// each of them.
 pub fn evenly(
     grid: &DopplerGrid,
@@ -49,50 +46,48 @@ pub fn evenly(
 ) -> Vec<Complex64> {
     let (bins, columns) = (gain.len(), grid.columns);
     let all: Vec<usize> = (0..columns).collect();
+    let fitted = |frequency_hz: &[f64], gain: &[f64]| {
+        let fitted = templates(grid, received, &all, frequency_hz, gain);
+        abreast(&fitted, frequency_hz.len())
+    };
     let step_hz = step_hz(received.duration_s, grid.fastest());
     let lowest = (first_hz / step_hz).floor() as isize - (TAPS / 2 - 1) as isize;
     let highest_hz = first_hz + (bins - 1) as f64 * bin_hz;
     let count = ((highest_hz / step_hz).floor() as isize - lowest) as usize + TAPS / 2 + 1;
     if count >= bins {
         let frequency_hz: Vec<f64> = (0..bins).map(|q| first_hz + q as f64 * bin_hz).collect();
-        return templates(grid, received, &all, &frequency_hz, gain);
+        return fitted(&frequency_hz, gain);
     }
     let few_hz: Vec<f64> = (0..count)
         .map(|k| (lowest + k as isize) as f64 * step_hz)
         .collect();
-    let fitted = templates(grid, received, &all, &few_hz, &vec![1.0; count]);
-    // Columns abreast: [frequency][column].
-    let mut rows = vec![Complex64::ZERO; count * columns];
-    for (column, values) in fitted.chunks_exact(count).enumerate() {
-        for (k, value) in values.iter().enumerate() {
-            rows[k * columns + column] = *value;
-        }
-    }
-    let mut values = vec![Complex64::ZERO; columns * bins];
-    let mut block = vec![Complex64::ZERO; BLOCK * columns];
-    for begin in (0..bins).step_by(BLOCK) {
-        let end = bins.min(begin + BLOCK);
-        for (sums, q) in block.chunks_exact_mut(columns).zip(begin..end) {
-            sums.fill(Complex64::ZERO);
-            let position = (first_hz + q as f64 * bin_hz) / step_hz - lowest as f64;
-            // The TAPS/2 frequencies at or below it and as many above.
-            let first = position as usize + 1 - TAPS / 2;
-            let weights = weights(position - (position as usize) as f64);
-            for (weight, row) in weights.iter().zip(rows[first * columns..].chunks(columns)) {
-                let weight = weight * gain[q];
-                for (sum, value) in sums.iter_mut().zip(row) {
-                    *sum += value * weight;
-                }
-            }
-        }
-        for (column, values) in values.chunks_exact_mut(bins).enumerate() {
-            let from = block[column..].iter().step_by(columns);
-            for (value, sum) in values[begin..end].iter_mut().zip(from) {
-                *value = *sum;
+    let rows = fitted(&few_hz, &vec![1.0; count]);
+    let mut values = vec![Complex64::ZERO; bins * columns];
+    for (q, sums) in values.chunks_exact_mut(columns).enumerate() {
+        let position = (first_hz + q as f64 * bin_hz) / step_hz - lowest as f64;
+        // The TAPS/2 frequencies at or below it and as many above.
+        let first = position as usize + 1 - TAPS / 2;
+        let weights = weights(position - (position as usize) as f64);
+        for (weight, row) in weights.iter().zip(rows[first * columns..].chunks(columns)) {
+            let weight = weight * gain[q];
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += value * weight;
             }
         }
     }
     values
+}
+
+/// `[column * bins + bin]` as `[bin * columns + column]`.
+fn abreast(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
+    let columns = fitted.len() / bins;
+    let mut rows = vec![Complex64::ZERO; fitted.len()];
+    for (column, values) in fitted.chunks_exact(bins).enumerate() {
+        for (row, value) in rows.chunks_exact_mut(columns).zip(values) {
+            row[column] = *value;
+        }
+    }
+    rows
 }
 
 /// Of the frequencies about what lies at `x`, 0..1, between the two in the middle.
@@ -167,7 +162,7 @@ mod tests {
             let all_hz: Vec<f64> = (0..4400)
                 .map(|q| first_hz + f64::from(q) * bin_hz)
                 .collect();
-            let want = templates(&grid, received, &columns, &all_hz, &gain);
+            let want = abreast(&templates(&grid, received, &columns, &all_hz, &gain), 4400);
             let most = want.iter().map(|v| v.norm()).fold(0.0, f64::max);
             let off = got.iter().zip(&want).map(|(g, w)| (g - w).norm());
             let off = off.fold(0.0, f64::max) / most;

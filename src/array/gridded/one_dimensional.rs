@@ -293,16 +293,18 @@ impl<G: Real> Columnwise<G> {
         }
     }
 
-    /// `fitted`: `[column * bins + bin]`, `undo`: `[bin]`.
+    /// `fitted`: `[bin * columns + column]`, `undo`: `[bin]`.
     fn templates(&self, fitted: &[Complex64], undo: &[Complex64]) -> Templates<G> {
-        let (bins, columns) = (undo.len(), fitted.len() / undo.len());
+        let columns = fitted.len() / undo.len();
         let lanes = columns + LANES;
         let mut numbers = vec![G::zero(); self.places.len() * 2 * lanes];
         for (row, &bin) in numbers.chunks_exact_mut(2 * lanes).zip(&self.bins) {
-            for column in 0..columns {
-                let value = fitted[column * bins + bin as usize] * undo[bin as usize];
-                row[column] = G::narrow(value.re);
-                row[lanes + column] = G::narrow(value.im);
+            let (re, im) = row.split_at_mut(lanes);
+            let (bin, undo) = (bin as usize, undo[bin as usize]);
+            let fitted = &fitted[bin * columns..][..columns];
+            for ((re, im), value) in re.iter_mut().zip(im).zip(fitted) {
+                let value = value * undo;
+                (*re, *im) = (G::narrow(value.re), G::narrow(value.im));
             }
         }
         Templates::Abreast { lanes, numbers }
