@@ -8,7 +8,7 @@ use std::path::Path;
 
 use echotank::config;
 use echotank::config::spec::{Density, RigSpec};
-use echotank::flow::{Certificate, DopplerModel, PathModel, PingPlan, Scatterers};
+use echotank::flow::{Certificate, DopplerModel, PathModel, PingPlan, Scatterers, Synthesis};
 use echotank::frames::Trajectory;
 use echotank::run::fidelity::costs::Costs;
 use echotank::run::fidelity::first::{first, pings};
@@ -445,4 +445,22 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
     assert_eq!((before.plan, after.plan), (1, 2), "{marks:?}");
     assert!(after.predicted_ms >= before.predicted_ms, "{marks:?}");
     assert!(after.predicted_error <= 1e-2, "{marks:?}");
+}
+
+/// Without a receiver filter the engine cannot be made for the shortest of these pulses: a plan that took it for the present one would fail later.
+#[test]
+fn a_plan_takes_no_engine_that_the_limits_put_out_of_reach() {
+    let costs = Costs::committed();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/paper.toml");
+    for (shortest_ms, want) in [(2.0, Synthesis::Direct), (5.0, Synthesis::Gridded1d)] {
+        let mut spec = config::load(&file).expect("a rig");
+        let sonar = &mut spec.sonars[0];
+        sonar.limits.pulse_duration_s.0 = 1e-3 * shortest_ms;
+        let firsts = first(&spec, &costs).expect("pings");
+        let ranking = firsts[0].ranking.as_ref().expect("can be made");
+        let chosen = ranking.chosen();
+        println!("{shortest_ms} ms: {}", chosen.text());
+        assert_eq!(chosen.choice.model.synthesis, want, "{}", chosen.text());
+        assert!(ranking.is_within());
+    }
 }

@@ -101,7 +101,7 @@ fn weights(x: f64) -> [f64; TAPS] {
         let sinc = match away == 0.0 {
             true => 1.0,
             // sin(pi (x + n)) is sin(pi x) with a sign; tap TAPS/2 - 1 has n = 0.
-            false if (i + TAPS / 2 - 1) % 2 == 0 => sine / away,
+            false if (i + TAPS / 2 - 1).is_multiple_of(2) => sine / away,
             false => -sine / away,
         };
         sinc * taper
