@@ -209,7 +209,7 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
 }
 
 /// The two cards as of the worst window of a pulse's length and not of whole echoes: one that holds no more than the ends of pulses, where phases are at
-/// their greatest, of echoes that weaken one another. The worst of both at once is rarer than any window: their squares are added.
+/// their greatest, or echoes that weaken one another.
 pub fn window_cards(
     path: PathModel,
     doppler: DopplerModel,
@@ -226,7 +226,7 @@ pub fn window_cards(
         path_card(path, conditions),
         doppler_card(doppler, path, conditions),
     ];
-    for (card, more) in cards.iter_mut().zip([weakening, weakening.hypot(end)]) {
+    for (card, more) in cards.iter_mut().zip([weakening, weakening.max(end)]) {
         card.error = Conditions::error_of_phase(card.error * more);
     }
     cards

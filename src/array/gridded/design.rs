@@ -45,6 +45,8 @@ pub struct Design {
     pub frame: Frame,
     /// Of the series in the curvature; the first is the echo without.
     pub terms: Vec<DesignedTerm>,
+    /// Nothing differs in Doppler.
+    pub has_one_column: bool,
     /// By which Dopplers of middles may lie outside those of leading edges.
     pub beside: f64,
     sweep: f64,
@@ -174,8 +176,8 @@ impl Design {
         let period_s = period as f64 / rate_hz;
 
         // Moments cost the same whatever the width; values spread at once do not.
-        let one_column = terms.iter().all(|term| term.grid.columns == 1);
-        let widest = match (one_column, M::MOMENTS) {
+        let has_one_column = terms.iter().all(|term| term.grid.columns == 1);
+        let widest = match (has_one_column, M::MOMENTS) {
             (false, 8) => 8,
             _ => MAX_WIDTH,
         };
@@ -224,19 +226,15 @@ impl Design {
             grid,
             lead_s: reach_s,
             terms,
+            has_one_column,
             beside,
             sweep: sweep(spec),
             error,
         })
     }
 
-    /// Whether nothing differs in Doppler.
-    pub fn has_one_column(&self) -> bool {
-        self.terms.iter().all(|term| term.grid.columns == 1)
-    }
-
     /// Grid steps per second.
-    pub fn scale(&self) -> f64 {
+    pub fn grid_hz(&self) -> f64 {
         self.grid as f64 / self.period_s
     }
 

@@ -317,7 +317,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             period, bins, grid, ..
         } = *design;
         let undo = design.undo();
-        let columnwise = (!design.has_one_column()).then(|| Columnwise::new(grid, bins, period));
+        let columnwise = (!design.has_one_column).then(|| Columnwise::new(grid, bins, period));
         let terms = design
             .terms
             .iter()
@@ -345,7 +345,7 @@ impl<M: Real, G: Real> Plan<M, G> {
             samples,
             period,
             grid,
-            scale: design.scale(),
+            scale: design.grid_hz(),
             shift: design.kernel.shift(),
             lead_s: design.lead_s,
             flush: FlushWeights::new(&design.kernel),
