@@ -241,6 +241,45 @@ fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
     }
 }
 
+/// A record many echoes long is made in slabs; echoes that overlap two of them are heard in both and counted once.
+#[test]
+fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
+    let scatterers = scene(300);
+    let long = |synthesis: &str| {
+        let model = format!(
+            "path = \"polyline\"\ndoppler = \"stretch-quadratic\"\nsegment_ms = 10.0\ncull_db = -20.0\nsynthesis = \"{synthesis}\"\ntolerance = 1e-3"
+        );
+        let mut rig = rig(&model, FILTER, 1.0);
+        let sonar = &mut rig.sonars[0];
+        sonar.settings.range_m = 45.0;
+        sonar.settings.pulse_duration_s = 1e-3;
+        sonar.transmit[0].pattern = Pattern::Rectangle {
+            length_m: 0.03,
+            width_m: 0.0,
+            baffled: false,
+        };
+        rig
+    };
+    let (direct, engine) = (long("direct"), long("gridded-1d"));
+    let cards = engine_cards(&engine.sonars[0], &engine.medium).expect("within reach");
+    assert!(cards[0].why.contains("each of 4 slabs"), "{}", cards[0].why);
+    let ping = plan(&engine, 1, |_| {});
+    let (want, got) = (
+        once(&direct, &plan(&direct, 1, |_| {}), &scatterers),
+        once(&engine, &ping, &scatterers),
+    );
+    let (error, silent) = worst_window(&got, &want, &ping, 50e3);
+    println!("{error:.1e}, silent {silent:.1e}, {:?}", got.counts);
+    assert!(error < 1e-3 && silent < 1e-3, "{error:e}, {silent:e}");
+    let pairs = |counts: EchoCounts| counts.used + counts.culled + counts.outside_window;
+    // Culled before the second leg, a scatterer counts once whatever the elements.
+    assert_eq!(pairs(got.counts), pairs(want.counts));
+    assert!(got.counts.culled > 10 && got.counts.culled.abs_diff(want.counts.culled) < 10);
+    assert!(got.counts.used > 900 && got.counts.used.abs_diff(want.counts.used) < 30);
+    let roots = |counts: EchoCounts| (counts.no_root, counts.two_roots, counts.beyond_track);
+    assert_eq!(roots(got.counts), roots(want.counts));
+}
+
 /// What a ping begins with does not depend on what it ends with: tiles of a ping are its bits, whatever is made of the electronics too.
 #[test]
 fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {

@@ -1,5 +1,5 @@
 //! The tolerance contract in short: every method that answers is as good as was asked in every window, noise 55 dB below the strongest
-//! being there, but for those that are known not to be. `tools/sweep` is the long form.
+//! being there. `tools/sweep` is the long form.
 
 #[allow(dead_code, reason = "shared with tools/sweep")]
 #[path = "../tools/src/sweep/mod.rs"]
@@ -62,13 +62,17 @@ fn a_line_under_way_is_as_good_as_asked() {
 
 /// Pulse, filter, arrays, ranges and motion by chance. Among them what was once above its tolerance: short flanks behind `direct`'s filter (2, 25), a
 /// pure tone without a filter, which a model's phase at the ends of echoes spoilt (9), tones laid on samples (16), edges that cross the
-/// end of the filter itself (12), two echoes that begin or end together and all but cancel in a window that holds nothing else (48, 103, 120).
+/// end of the filter itself (12), two echoes that begin or end together and all but cancel in a window that holds nothing else (48, 103, 120), echoes
+/// near the null of an element that turns (75).
 #[test]
 fn chance_finds_nothing_above_its_tolerance_in_noise() {
     let mut answers = 0;
-    for seed in [0, 2, 9, 12, 16, 25, 48, 103, 120] {
+    for seed in [0, 2, 9, 12, 16, 25, 48, 75, 103, 120] {
         let mut case = case::random(seed);
-        case.looked_at.truncate(1);
+        case.looked_at = match seed {
+            75 => case.looked_at[2..].to_vec(),
+            _ => vec![0],
+        };
         let truth = measure::truth(&case);
         for method in Method::of(&case) {
             for cell in Row::of(method, &case, &truth, &TOLERANCES[..5]).cells {
@@ -115,13 +119,17 @@ fn ends_of_echoes_by_chance_are_as_good_as_asked() {
 
 /// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record, motion across the line, which is refused. Among them what was
 /// once above its tolerance: images of echoes that straight pieces of templates leave beside them (2, 120, 141, 149), dilation bowed over so narrow a
-/// span of slopes that it ran away beyond it (68, 117), what lies beyond the band (32), tones that cancel (172).
+/// span of slopes that it ran away beyond it (68, 117), what lies beyond the band (32), tones that cancel (172), echoes near the null of elements that
+/// have moved until they hear them (47), a window that holds the onsets of three echoes which cancel (170).
 #[test]
 fn chance_finds_no_line_above_its_tolerance_in_noise() {
     let mut answers = 0;
-    for seed in [18, 32, 68, 106, 117, 120, 141, 142, 149, 172] {
+    for seed in [18, 32, 47, 68, 106, 117, 120, 141, 142, 149, 170, 172] {
         let mut case = case::random(seed);
-        case.looked_at.truncate(1);
+        // These two were above at others than the first.
+        if ![47, 170].contains(&seed) {
+            case.looked_at.truncate(1);
+        }
         let truth = measure::truth(&case);
         for cell in Row::of(Method::Gridded2d, &case, &truth, &TOLERANCES[..4]).cells {
             answers += usize::from(cell.outcome.is_ok());

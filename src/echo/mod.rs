@@ -24,5 +24,6 @@ pub use absorption::absorption_db_per_m;
 pub use reference::reference;
 pub use span::doppler_span;
 pub use walk::{
-    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, line_arrivals,
+    Illuminated, LineEchoes, LineWorkspace, Slab, Window, Workspace, arrivals, arrivals_of_slab,
+    illuminate, line_arrivals,
 };

@@ -134,6 +134,9 @@ pub struct Leg {
     /// In the Doppler term: at `start_s`, and how it changes from there.
     pub doppler: Motion,
     array_from_world: DMat3,
+    /// How fast these axes turn, rad/s in themselves, and how long after `start_s` they lie so.
+    turning_rad_per_s: DVec3,
+    facing_s: f64,
     /// What is so far off, there and back, falls on a later leg; what is nearer than the other, on an earlier one. Metres.
     passed_m: f64,
     begun_m: f64,
@@ -142,6 +145,11 @@ pub struct Leg {
 impl Leg {
     fn at_m(&self, time_s: f64) -> DVec3 {
         self.origin_m + self.velocity_m_per_s * (time_s - self.start_s)
+    }
+
+    /// The path's velocity in array axes.
+    pub fn velocity_in_array_m_per_s(&self) -> DVec3 {
+        self.array_from_world * self.velocity_m_per_s
     }
 }
 
@@ -236,14 +244,16 @@ impl ElementTrack {
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
                 doppler: heard_motion(plan, segment_motion(plan, k, arm_m)),
                 array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
+                turning_rad_per_s: DVec3::ZERO,
+                facing_s: 0.0,
                 passed_m: f64::INFINITY,
                 begun_m: 0.0,
             });
         }
     }
 
-    /// Chords between the element's own places at the segments' vertices. Axes are those of each chord's middle; the velocity that Doppler
-    /// sees runs linearly from one vertex's to the next one's.
+    /// Chords between the element's own places at the segments' vertices. Axes are those of each chord's middle and turn evenly from there; the
+    /// velocity that Doppler sees runs linearly from one vertex's to the next one's.
     fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
@@ -264,6 +274,7 @@ impl ElementTrack {
             let later = next.point_velocity_m_per_s(self.element_m);
             // Twice the middle's distance from the chord bounds any smooth arc's.
             let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
+            let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
             self.sag_m = self.sag_m.max(2.0 * off_m);
             self.legs.push(Leg {
                 start_s,
@@ -277,7 +288,9 @@ impl ElementTrack {
                         acceleration_m_per_s2: (later - speed) / step_s,
                     },
                 ),
-                array_from_world: array_from_world(middle.world_from_body, self.body_from_array),
+                array_from_world,
+                turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
+                facing_s: 0.5 * step_s,
                 passed_m: f64::INFINITY,
                 begun_m: 0.0,
             });
@@ -529,7 +542,20 @@ fn solve_leg<const ALONE: bool>(
         leg.doppler.velocity_m_per_s,
         leg.doppler.acceleration_m_per_s2,
     );
-    let m = leg.array_from_world;
+    let (m, turning) = (leg.array_from_world, leg.turning_rad_per_s);
+    // A ray in array axes, so long after the leg's start.
+    let in_array = |x: f64, y: f64, z: f64, after_s: f64| {
+        let u = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
+        let v = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
+        let w = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+        // Seen from axes that turn, it turns the other way.
+        let turned_s = after_s - leg.facing_s;
+        [
+            u + turned_s * (v * turning.z - w * turning.y),
+            v + turned_s * (w * turning.x - u * turning.z),
+            w + turned_s * (u * turning.y - v * turning.x),
+        ]
+    };
     let c2_minus_v2 = c * c - v.length_squared();
     let to_delay_s = &mut rays.delay_s[at..][..n];
     let to_x_m = &mut rays.x_m[at..][..n];
@@ -557,9 +583,7 @@ fn solve_leg<const ALONE: bool>(
             let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
             to_delay_s[i] = root_s;
             (to_x_m[i], to_y_m[i], to_z_m[i]) = (x, y, z);
-            to_array_x_m[i] = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
-            to_array_y_m[i] = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
-            to_array_z_m[i] = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+            [to_array_x_m[i], to_array_y_m[i], to_array_z_m[i]] = in_array(x, y, z, after_s);
             let (wx, wy, wz) = (
                 w.x + dw.x * after_s,
                 w.y + dw.y * after_s,
@@ -589,9 +613,10 @@ fn solve_leg<const ALONE: bool>(
         to_x_m[i] += chosen * x;
         to_y_m[i] += chosen * y;
         to_z_m[i] += chosen * z;
-        to_array_x_m[i] += chosen * (m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z);
-        to_array_y_m[i] += chosen * (m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z);
-        to_array_z_m[i] += chosen * (m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z);
+        let [array_x, array_y, array_z] = in_array(x, y, z, after_s);
+        to_array_x_m[i] += chosen * array_x;
+        to_array_y_m[i] += chosen * array_y;
+        to_array_z_m[i] += chosen * array_z;
         let (wx, wy, wz) = (
             w.x + dw.x * after_s,
             w.y + dw.y * after_s,
@@ -776,6 +801,8 @@ mod tests {
                 acceleration_m_per_s2: DVec3::new(0.1, 0.2, -0.5),
             },
             array_from_world: DMat3::from_quat(turn),
+            turning_rad_per_s: DVec3::new(0.1, -0.3, 0.2),
+            facing_s: 0.02,
             passed_m: f64::INFINITY,
             begun_m: 0.0,
         };

@@ -340,6 +340,9 @@ fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
     }
 }
 
+/// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's.
+const LONGEST_ECHO: f64 = 1.3;
+
 /// Echoes of everything lit at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
 ///
 /// An echo that overlaps the window at all is kept. Counts are of scatterer-element pairs.
@@ -351,10 +354,37 @@ pub fn arrivals(
     work: &mut Workspace,
     sink: &mut impl ArrivalSink,
 ) -> EchoCounts {
-    let mut counts = EchoCounts::default();
     let Some(window) = lit.window else {
-        return counts; // nothing was ever lit
+        return EchoCounts::default(); // nothing was ever lit
     };
+    let all = Slab {
+        window,
+        own_s: (f64::NEG_INFINITY, f64::INFINITY),
+    };
+    arrivals_of_slab(plan, array, element, lit, all, work, sink)
+}
+
+/// A slab of delays, of all that were lit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slab {
+    pub window: Window,
+    /// Echoes that begin from the first instant until before the second are counted here; others with other slabs.
+    pub own_s: (f64, f64),
+}
+
+/// [`arrivals`] of what overlaps one slab. All slabs together count every pair of scatterer and element once.
+pub fn arrivals_of_slab(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    element: usize,
+    lit: &Illuminated,
+    slab: Slab,
+    work: &mut Workspace,
+    sink: &mut impl ArrivalSink,
+) -> EchoCounts {
+    let mut counts = EchoCounts::default();
+    let Slab { window, own_s } = slab;
+    let is_own = |delay_s: f64| (own_s.0 <= delay_s) & (delay_s < own_s.1);
     let c = plan.sound_speed_m_per_s;
     let receive = ReceiveLeg {
         c,
@@ -381,13 +411,25 @@ pub fn arrivals(
     };
     let last_s = forward * window.last_s;
     let farthest_m = 0.5 * (c * last_s + track.reach_m(last_s));
+    // And u <= (2 r_T + reach)/c: batches whose last echo has ended before it.
+    let ended_s = window.first_s - LONGEST_ECHO * duration_s;
+    let nearest_m = 0.5 * (c * ended_s / forward - track.reach_m(window.first_s));
     chunk.element = element;
     chunk.len = 0;
 
     for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
         let span = b * CHUNK..((b + 1) * CHUNK).min(lit.len());
-        if least_range_m > farthest_m * (1.0 + 1e-12) {
-            counts.outside_window += span.len() as u64;
+        let [is_late, is_early] = [
+            least_range_m > farthest_m * (1.0 + 1e-12),
+            greatest_range_m < nearest_m * (1.0 - 1e-12),
+        ];
+        if is_late || is_early {
+            // Counted where there is no next or previous slab.
+            let ends_here = match is_late {
+                true => own_s.1 == f64::INFINITY,
+                false => own_s.0 == f64::NEG_INFINITY,
+            };
+            counts.outside_window += u64::from(ends_here) * span.len() as u64;
             continue;
         }
         let batch = Batch {
@@ -399,8 +441,10 @@ pub fn arrivals(
             greatest_range_m,
         };
         let odd = solve(track, c, batch, rays);
-        counts.no_root += odd.no_root;
-        counts.two_roots += odd.two_roots;
+        if is_own(rays.delay_s[0]) {
+            counts.no_root += odd.no_root;
+            counts.two_roots += odd.two_roots;
+        }
         if plan.model.path == PathModel::Continuous {
             refine(plan, &lit.transmit, track, batch, rays);
         }
@@ -418,6 +462,7 @@ pub fn arrivals(
         let mut kept = 0;
         for (i, amplitude) in amplitude.iter().enumerate() {
             let delay_s = rays.delay_s[i];
+            let counted = is_own(delay_s);
             let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
             let heard_s = window.first_s - delay_s;
             let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
@@ -428,13 +473,13 @@ pub fn arrivals(
             let keep = !(outside | silent);
             heard.keep[i] = keep;
             kept += u64::from(keep);
-            counts.outside_window += u64::from(outside);
-            counts.culled += u64::from(!outside & silent);
+            counts.used += u64::from(counted & keep);
+            counts.outside_window += u64::from(counted & outside);
+            counts.culled += u64::from(counted & !outside & silent);
             let near = heard.range_m[i] < receive.one_way.wavelength_m;
-            counts.too_close += u64::from(keep & near);
-            counts.beyond_track += u64::from(keep & (delay_s >= track.end_s()));
+            counts.too_close += u64::from(counted & keep & near);
+            counts.beyond_track += u64::from(counted & keep & (delay_s >= track.end_s()));
         }
-        counts.used += kept;
         if let Some(part) = &part {
             part.answer(plan, track, rays, n, answer);
             for (amplitude, answer) in heard.amplitude[..n].iter_mut().zip(answer.of_each()) {

@@ -5,16 +5,15 @@
 //! it. What an engine computes depends on pulse and length alone, never on who made it and when: the same bits either way.
 
 use std::f64::consts::FRAC_1_SQRT_2;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::array::filter::{self, Decimator, FilterError};
-use crate::array::gridded::{
-    Dialect, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
-};
+use crate::array::gridded::{Dialect, DopplerSpan, GriddedError, one_dimensional};
 use crate::config::spec::SonarSpec;
 use crate::flow::{DopplerModel, MethodCard, PingPlan, Pulse, SonarSettings, Synthesis};
 use crate::ping;
+use crate::run::slabs::{Made, Sketch};
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
 pub const LEVEL_RANGE_DB: f64 = 80.0;
@@ -57,20 +56,13 @@ struct Wish {
     threads: usize,
 }
 
-/// An engine with its work for every thread of the pool.
-pub struct Made {
-    key: Key,
-    card: MethodCard,
-    pub work: Vec<Mutex<Gridded1dWork>>,
-}
-
 /// The engines of one sonar.
 pub struct Engines {
     wish: Arc<Wish>,
     sound_speed_m_per_s: f64,
     most_samples: usize,
     /// The latest used first.
-    kept: Vec<Made>,
+    kept: Vec<(Key, Made)>,
     coming: Vec<(Key, JoinHandle<Result<Made, GriddedError>>)>,
 }
 
@@ -104,13 +96,13 @@ impl Engines {
         let key = engines.key(&spec.settings);
         engines.wish.can_be_made(spec, key, engines.most_samples)?;
         let first = engines.wish.make(key)?;
-        engines.kept.push(first);
+        engines.kept.push((key, first));
         Ok(engines)
     }
 
     /// Of the engine in use: predicted error, and milliseconds of one core per element.
     pub fn card(&self) -> &MethodCard {
-        &self.kept[0].card
+        self.kept[0].1.card()
     }
 
     /// Dopplers that every engine takes.
@@ -135,7 +127,7 @@ impl Engines {
     pub fn expect(&mut self, settings: &SonarSettings) {
         let key = self.key(settings);
         let under_way = self.coming.iter().any(|(coming, _)| *coming == key);
-        if under_way || self.kept.iter().any(|made| made.key == key) {
+        if under_way || self.kept.iter().any(|(kept, _)| *kept == key) {
             return;
         }
         // What is done and was never asked for gives way.
@@ -163,21 +155,21 @@ impl Engines {
     /// the direct sum then takes its place, which is exact, and slow.
     pub fn ready(&mut self, plan: &PingPlan) -> bool {
         let key = self.key_of(plan.pulse.duration_s, plan.sample_count);
-        if let Some(at) = self.kept.iter().position(|made| made.key == key) {
+        if let Some(at) = self.kept.iter().position(|(kept, _)| *kept == key) {
             self.kept[..=at].rotate_right(1);
             return true;
         }
         let Ok(made) = self.coming_or_made(key) else {
             return false;
         };
-        self.kept.insert(0, made);
+        self.kept.insert(0, (key, made));
         self.kept.truncate(KEPT);
         true
     }
 
     /// What [`Engines::ready`] found last.
     pub fn current(&self) -> &Made {
-        &self.kept[0]
+        &self.kept[0].1
     }
 
     fn coming_or_made(&mut self, key: Key) -> Result<Made, GriddedError> {
@@ -198,7 +190,7 @@ pub fn sketch(
     fastest_m_per_s: f64,
     filter: Option<&Decimator>,
     plan: &PingPlan,
-) -> Result<Gridded1d, GriddedError> {
+) -> Result<Sketch, GriddedError> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = ping::most_samples(spec, sound_speed_m_per_s);
     let key = Key {
@@ -206,7 +198,7 @@ pub fn sketch(
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
     };
     wish.can_be_made(spec, key, most)?;
-    wish.engine(key)
+    wish.sketch(key)
 }
 
 impl Wish {
@@ -241,7 +233,7 @@ impl Wish {
         let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
         let ends_s = [shortest_s, longest_s].into_iter();
         for duration_s in ends_s.filter(|&end_s| self.filter.is_none() && end_s != key.duration_s) {
-            self.engine(Key {
+            self.sketch(Key {
                 duration_s,
                 samples,
             })?;
@@ -249,12 +241,12 @@ impl Wish {
         Ok(())
     }
 
-    fn engine(&self, key: Key) -> Result<Gridded1d, GriddedError> {
+    fn sketch(&self, key: Key) -> Result<Sketch, GriddedError> {
         let pulse = Pulse {
             duration_s: key.duration_s,
             ..self.pulse
         };
-        Gridded1d::new(&one_dimensional::Spec {
+        Sketch::new(&one_dimensional::Spec {
             pulse: &pulse,
             sample_rate_hz: self.sample_rate_hz,
             samples: key.samples,
@@ -270,14 +262,7 @@ impl Wish {
     }
 
     fn make(&self, key: Key) -> Result<Made, GriddedError> {
-        let engine = self.engine(key)?;
-        Ok(Made {
-            key,
-            card: engine.card().clone(),
-            work: (0..self.threads)
-                .map(|_| Mutex::new(engine.work()))
-                .collect(),
-        })
+        Ok(self.sketch(key)?.made(self.threads))
     }
 }
 

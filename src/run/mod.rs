@@ -26,6 +26,7 @@ pub mod replay;
 pub mod rig;
 pub mod score;
 pub mod settings;
+pub mod slabs;
 pub mod synthetic_aperture;
 pub mod tiles;
 pub mod triggers;

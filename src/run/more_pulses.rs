@@ -15,7 +15,6 @@
 
 use num_complex::Complex64;
 use std::f64::consts::TAU;
-use std::sync::PoisonError;
 
 use crate::array::direct::Direct;
 use crate::array::filter::Decimator;
@@ -33,6 +32,7 @@ use crate::flow::{
 use crate::ping;
 use crate::run::engines::Engines;
 use crate::run::pipeline::{PipelineError, engines, line_former};
+use crate::run::slabs::Listener;
 
 /// One pulse with everything it needs.
 pub struct MorePulse {
@@ -58,7 +58,6 @@ pub struct Desk<'a> {
     pub dense: &'a mut Vec<Complex64>,
     /// The pulse's own samples.
     pub own: &'a mut Vec<Complex64>,
-    pub thread: usize,
     pub decimator: Option<&'a Decimator>,
 }
 
@@ -212,7 +211,6 @@ impl MorePulse {
             walk,
             dense,
             own,
-            thread,
             decimator,
         } = desk;
         let (plan, array) = (&self.plan, &self.spec.receive[index]);
@@ -221,12 +219,18 @@ impl MorePulse {
         let engine = self.engines.as_ref().filter(|_| self.engine_ready);
         let counts = match (plan.model.synthesis, engine) {
             (Synthesis::Gridded1d, Some(engines)) => {
-                let mut work = engines.current().work[thread]
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner);
-                work.start(plan.first_sample_s, self.spans[index]);
-                let mut counts = arrivals(plan, array, element, lit, walk, &mut *work);
-                counts.beyond_engine = work.finish(own).outside_span;
+                let made = engines.current();
+                let listener = Listener {
+                    plan,
+                    array,
+                    element,
+                    lit,
+                    span: self.spans[index],
+                };
+                let mut counts = EchoCounts::default();
+                for (slab, out) in own.chunks_mut(made.slab_samples()).enumerate() {
+                    counts += made.make_slab(listener, slab, walk, out);
+                }
                 counts
             }
             (synthesis, _) => {

@@ -36,10 +36,11 @@ use crate::flow::{
 use crate::image::bottom::BottomDetector;
 use crate::ping;
 use crate::run::certificate::Certifier;
-use crate::run::engines::{Engines, Made, engine_filter};
+use crate::run::engines::{Engines, engine_filter};
 use crate::run::footprints::{footprints, heard_within_m};
 use crate::run::line_engines::LineEngines;
 use crate::run::more_pulses::{Desk, MorePulse};
+use crate::run::slabs::{Listener, Made};
 
 /// Fastest platform the receiver filter leaves room for, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
@@ -468,6 +469,11 @@ impl SonarPipeline {
             let lit = &self.lit[self.spec.receive[index].transmit];
             *counts += engines.synthesise(plan, &self.spec, index, lit, &mut frame.iq);
         }
+        if plan.model.synthesis == Synthesis::Gridded1d
+            && let Some(made) = self.engine()
+        {
+            *counts += self.make_slabs(made, plan, index, &mut frame.iq);
+        }
         let mut results = std::mem::take(&mut self.results);
         let this = &*self;
         let together = if self.is_quiet { elements } else { 1 };
@@ -494,6 +500,45 @@ impl SonarPipeline {
     fn engine(&self) -> Option<&Made> {
         let engines = self.engines.as_ref()?;
         self.engine_ready.then(|| engines.current())
+    }
+
+    /// All elements of one array by `gridded-1d`, slab by slab.
+    fn make_slabs(
+        &self,
+        made: &Made,
+        plan: &PingPlan,
+        index: usize,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let together = if self.is_quiet { usize::MAX } else { 1 };
+        let array = &self.spec.receive[index];
+        let sum = |mut all: EchoCounts, more: EchoCounts| {
+            all += more;
+            all
+        };
+        let elements = iq.par_chunks_mut(plan.sample_count);
+        let of_each = elements
+            .with_min_len(together)
+            .enumerate()
+            .map(|(element, iq)| {
+                let listener = Listener {
+                    plan,
+                    array,
+                    element,
+                    lit: &self.lit[array.transmit],
+                    span: self.spans[index],
+                };
+                let slabs = iq.par_chunks_mut(made.slab_samples());
+                let of_each = slabs.with_min_len(together).enumerate().map(|(slab, out)| {
+                    let thread = rayon::current_thread_index().unwrap_or(0);
+                    let mut scratch = self.scratch[thread]
+                        .lock()
+                        .unwrap_or_else(PoisonError::into_inner);
+                    made.make_slab(listener, slab, &mut scratch.walk, out)
+                });
+                of_each.reduce(EchoCounts::default, sum)
+            });
+        of_each.reduce(EchoCounts::default, sum)
     }
 
     /// A sum over echoes through the receiver filter, if there is one: `sum` gets what happens at edges, rate, first instant and samples.
@@ -546,17 +591,8 @@ impl SonarPipeline {
                     )
                 })
             }
-            (Synthesis::Gridded1d, Some(made)) => {
-                let mut work = made.work[thread]
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner);
-                work.start(first_s, self.spans[index]);
-                let mut counts = arrivals(plan, array, element, lit, walk, &mut *work);
-                counts.beyond_engine = work.finish(iq).outside_span;
-                counts
-            }
             // The whole array has been made already.
-            (Synthesis::Gridded2d, _) => EchoCounts::default(),
+            (Synthesis::Gridded2d, _) | (Synthesis::Gridded1d, Some(_)) => EchoCounts::default(),
             (Synthesis::Direct | Synthesis::Gridded1d, _) => {
                 self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                     out.fill(Complex64::ZERO);
@@ -590,7 +626,6 @@ impl SonarPipeline {
                 walk: &mut *walk,
                 dense: &mut *dense,
                 own: &mut *own,
-                thread,
                 decimator: self.decimator.as_ref(),
             };
             counts += more.add(scatterers, index, element, desk, iq);

@@ -24,11 +24,12 @@ use super::task::MOST_DILATION;
 
 /// Stretches tried, from long to short: long ones are cheap.
 const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
-/// By how much more than a kernel's mean over the band the worst of many windows errs: elements hear some in which echoes cancel to a quarter of
-/// what the others hear (measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed).
-const KERNEL_FACTOR: f64 = 5.0;
-/// Of pulses with few degrees of freedom echoes cancel to less: part of [`Pulse::weakest_window`] which that factor leaves room for.
-const WEAKEST_WINDOW: f64 = 0.45;
+/// By how much more than a kernel's mean over the band the worst of many windows errs, where echoes cancel: 4.4 in 17,000 windows of a multibeam over
+/// a swath of seabed (measured). A window that holds no more than the onset of a few echoes is one number, which is so many times less than they
+/// are with a chance of one over its square: 2 %.
+const KERNEL_FACTOR: f64 = 7.0;
+/// The same of a pulse with few degrees of freedom, times its [`Pulse::weakest_window`] (measured).
+const FACTOR_OF_WEAKEST: f64 = 2.25;
 /// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it; and what lies beyond the band, of which
 /// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.63 of theirs at most).
 const ALONE_SHARE: f64 = 0.6;
@@ -360,7 +361,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         false => 0.0,
     };
     let echoes = (spec.scatterers * stretches) as f64;
-    let factor = KERNEL_FACTOR * (WEAKEST_WINDOW / pulse.weakest_window(rate_hz)).max(1.0);
+    let factor = (FACTOR_OF_WEAKEST / pulse.weakest_window(rate_hz)).max(KERNEL_FACTOR);
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
     let room = kernel_share * tolerance;
     let slopes = COLUMNS.map(|oversampling| {

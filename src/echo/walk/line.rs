@@ -125,8 +125,9 @@ struct LineMotion {
     /// vertices. Zero on others.
     arc_per_s2: DVec3,
     length_s: f64,
-    /// In the path.
+    /// In the path; and in array axes.
     velocity_m_per_s: DVec3,
+    velocity_in_array_m_per_s: DVec3,
     /// Whether the path's velocity is that of Doppler, moment by moment.
     exact: bool,
     /// Of Doppler, at `start_s`; and how it differs along the line.
@@ -161,6 +162,7 @@ impl LineTrack {
             length_s,
             exact: continuous && plan.model.doppler != DopplerModel::None,
             velocity_m_per_s: leg.velocity_m_per_s,
+            velocity_in_array_m_per_s: leg.velocity_in_array_m_per_s(),
             heard: leg.doppler,
             heard_along_per_s: ahead.doppler.velocity_m_per_s - leg.doppler.velocity_m_per_s,
         }
@@ -319,7 +321,7 @@ fn walk_batches(
             if stretch.fades {
                 let half_m = stretch.half_m;
                 for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
-                    see_from(rays, end_m, motion.axis * end_m, n, end_rays);
+                    see_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
                     weigh(&receive, lit, span.clone(), end_rays, end_heard);
                     gains[..n].copy_from_slice(&end_heard.gain[..n]);
                 }
@@ -366,16 +368,18 @@ fn walk_batches(
     counts
 }
 
-/// The rays of a batch to a place on the line, `end_m` along it and `offset_m` in the world.
-fn see_from(rays: &Rays, end_m: f64, offset_m: DVec3, n: usize, to: &mut Rays) {
-    let n = n.min(CHUNK);
-    for i in 0..n {
-        to.x_m[i] = rays.x_m[i] - offset_m.x;
-        to.y_m[i] = rays.y_m[i] - offset_m.y;
-        to.z_m[i] = rays.z_m[i] - offset_m.z;
-        to.array_x_m[i] = rays.array_x_m[i] - end_m;
-        to.array_y_m[i] = rays.array_y_m[i];
-        to.array_z_m[i] = rays.array_z_m[i];
+/// The rays of a batch to a place on the line, `end_m` along it, when the echoes arrive there: sooner or later than in the middle, while the line moves.
+fn see_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64, to: &mut Rays) {
+    let offset_m = motion.axis * end_m;
+    let (v, in_array) = (motion.velocity_m_per_s, motion.velocity_in_array_m_per_s);
+    for (i, slope) in slope.iter().take(CHUNK).enumerate() {
+        let later_s = -slope * end_m / c;
+        to.x_m[i] = rays.x_m[i] - (offset_m.x + v.x * later_s);
+        to.y_m[i] = rays.y_m[i] - (offset_m.y + v.y * later_s);
+        to.z_m[i] = rays.z_m[i] - (offset_m.z + v.z * later_s);
+        to.array_x_m[i] = rays.array_x_m[i] - (end_m + in_array.x * later_s);
+        to.array_y_m[i] = rays.array_y_m[i] - in_array.y * later_s;
+        to.array_z_m[i] = rays.array_z_m[i] - in_array.z * later_s;
     }
 }
 

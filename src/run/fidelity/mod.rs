@@ -19,7 +19,7 @@ use std::rc::Rc;
 
 use crate::array::cards::synthesis_card;
 use crate::array::filter::{Decimator, oversample};
-use crate::array::gridded::{Foreseen, Gridded1d};
+use crate::array::gridded::Foreseen;
 use crate::config::spec::{MadeOutput, MediumSpec, SonarSpec};
 use crate::echo::cards::{doppler_card, path_card};
 use crate::flow::{
@@ -37,6 +37,7 @@ use crate::run::fidelity::parts::{Parting, partings};
 use crate::run::fidelity::walked::{Walked, direct_runs, flank_points};
 use crate::run::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
+use crate::run::slabs;
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
@@ -240,11 +241,11 @@ struct Maker<'a> {
 #[derive(Default)]
 struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
 
-type Sketch = Result<Rc<Gridded1d>, String>;
+type Sketch = Result<Rc<slabs::Sketch>, String>;
 
 /// What an engine promises and costs.
 enum Engine {
-    One(Rc<Gridded1d>),
+    One(Rc<slabs::Sketch>),
     Lines {
         error: f64,
         cost: Foreseen,
@@ -556,7 +557,7 @@ impl<'a> Maker<'a> {
                     Work::of(Figure::Gridded1dEcho, one.echoes_ns * elements)
                         .and(Figure::Gridded1dGrid, one.grids_ns * elements),
                     culling.of.lit * scatterers * elements,
-                    engine.card().why.clone(),
+                    engine.card().why,
                 )
             }
             Engine::Lines {

@@ -8,7 +8,7 @@
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, Gridded1dWork, one_dimensional};
+use echotank::array::gridded::{Dialect, DopplerSpan, one_dimensional};
 use echotank::array::gridded2d::{self, Bounds, Gridded2d};
 use echotank::array::{Bins, Decimator, Direct, Spectral, Spectrum};
 use echotank::echo::probe::{self, echoes_at, heard, heard_ranges_m};
@@ -16,6 +16,7 @@ use echotank::echo::{
     Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, doppler_span, illuminate,
 };
 use echotank::flow::*;
+use echotank::run::slabs::{Listener, Sketch};
 use glam::DVec3;
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -461,7 +462,7 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
     let plan = ready.plan(|d| Synthesis::Gridded1d.takes(d));
     let fastest = 2.0 * ready.ping.velocity_m_per_s.length()
         / (SOUND_SPEED_M_PER_S - ready.ping.velocity_m_per_s.length());
-    let engine = Gridded1d::new(&one_dimensional::Spec {
+    let sketch = Sketch::new(&one_dimensional::Spec {
         pulse: &plan.pulse,
         sample_rate_hz: RATE_HZ,
         samples: plan.sample_count,
@@ -480,9 +481,9 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
         dialect,
     })
     .map_err(|e| e.to_string())?;
-    let work: Vec<Mutex<(Workspace, Gridded1dWork)>> = (0..rayon::current_num_threads())
-        .map(|_| Mutex::new((Workspace::new(), engine.work())))
-        .collect();
+    let threads = rayon::current_num_threads();
+    let engine = sketch.made(threads);
+    let walks: Vec<Mutex<Workspace>> = (0..threads).map(|_| Mutex::default()).collect();
     let mut lit = Illuminated::new();
     let mut scratch = Workspace::new();
     let mut iq = std::mem::take(&mut ready.iq);
@@ -494,15 +495,22 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
             least: least.max(-fastest),
             greatest: greatest.min(fastest),
         };
-        iq.par_chunks_mut(plan.sample_count)
-            .enumerate()
-            .for_each(|(element, out)| {
+        let elements = iq.par_chunks_mut(plan.sample_count).enumerate();
+        elements.for_each(|(element, record)| {
+            let listener = Listener {
+                plan: &plan,
+                array: &this.array,
+                element,
+                lit: &lit,
+                span,
+            };
+            let slabs = record.par_chunks_mut(engine.slab_samples()).enumerate();
+            slabs.for_each(|(slab, out)| {
                 let thread = rayon::current_thread_index().unwrap_or(0);
-                let (walk, engine) = &mut *work[thread].lock().expect("no run panics");
-                engine.start(plan.first_sample_s, span);
-                arrivals(&plan, &this.array, element, &lit, walk, engine);
-                engine.finish(out);
+                let walk = &mut walks[thread].lock().expect("no run panics");
+                engine.make_slab(listener, slab, walk, out);
             });
+        });
     });
     ready.iq = iq;
     Ok((

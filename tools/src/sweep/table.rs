@@ -7,30 +7,6 @@ use super::methods::{Chosen, Method, Ready, Reason, Refused};
 /// Tolerances asked for.
 pub const TOLERANCES: [f64; 8] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
 
-const TRUTH: &str = "the truth itself, 64 points over the band, is no better than 2e-7 in windows that hold an echo's end in noise";
-
-/// Where a method is known to miss in noise what it was asked for, and why.
-pub const KNOWN: [(Method, f64, &str); 4] = [
-    (
-        Method::Direct,
-        1e-3,
-        "a rectangular pulse's edges fall between points of the dense sum: 1.0e-3 in windows that hold one edge alone",
-    ),
-    (
-        Method::Direct,
-        1e-4,
-        "its filter has fewer taps than the truth's and ends elsewhere: 5e-4 in windows that hold an echo's end alone",
-    ),
-    (Method::Gridded1d, 1e-7, TRUTH),
-    (Method::Gridded1d, 1e-8, TRUTH),
-];
-
-/// Above its tolerance in noise, and not [`KNOWN`].
-pub fn broken(method: Method, cell: &Cell) -> bool {
-    let known = |k: &(Method, f64, &str)| (k.0, k.1) == (method, cell.tolerance);
-    !cell.holds(|e| e.in_noise) && !KNOWN.iter().any(known)
-}
-
 /// One method asked for one tolerance.
 pub struct Cell {
     pub tolerance: f64,
@@ -119,9 +95,9 @@ impl Row {
         }
     }
 
-    /// See [`broken`].
+    /// Above their tolerance in noise.
     pub fn broken(&self) -> impl Iterator<Item = &Cell> {
-        self.cells.iter().filter(|cell| broken(self.method, cell))
+        self.cells.iter().filter(|cell| !cell.holds(|e| e.in_noise))
     }
 
     /// A line for each of [`MEASURES`].
