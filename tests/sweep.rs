@@ -182,13 +182,13 @@ fn the_contract_counts_a_window_against_itself_or_a_millionth_of_its_median() {
     // One wrong sample of a full window of 100.
     got[0][50] += 1e-2;
     let error = worst_window(&got, &want, 100);
-    assert!((error.contract / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
+    assert!((error.without_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
     assert!((error.in_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
     // The last window of the third element holds 1e-9; the median of the three is 1.
     let mut got = want.clone();
     got[2][399] += 1e-7;
     let error = worst_window(&got, &want, 100);
-    assert!((error.contract / 1e-2 - 1.0).abs() < 1e-6, "{error:?}");
+    assert!((error.without_noise / 1e-2 - 1.0).abs() < 1e-6, "{error:?}");
     // 55 dB are a factor of 562.
     let in_noise = 1e-8 * 10f64.powf(55.0 / 20.0);
     assert!((error.in_noise / in_noise - 1.0).abs() < 1e-6, "{error:?}");
@@ -201,12 +201,12 @@ fn where_nothing_is_heard_nothing_may_be() {
     let mut want = level();
     want.iter_mut()
         .for_each(|record| record[250..].fill(Complex64::ZERO));
-    assert_eq!(worst_window(&want, &want, 100).contract, 0.0);
+    assert_eq!(worst_window(&want, &want, 100).without_noise, 0.0);
     let mut got = want.clone();
     got[1][390] += 1e-12;
     let error = worst_window(&got, &want, 100);
     assert!(
-        error.contract.is_infinite() && error.in_noise < 1e-9,
+        error.without_noise.is_infinite() && error.in_noise < 1e-9,
         "{error:?}"
     );
     got[1][390] = f64::NAN.into();
@@ -220,5 +220,8 @@ fn the_reference_itself_knows_no_tail_to_a_thousandth_but_every_window_in_noise(
     let mut case = SCENES[1].case(&MOTIONS[0], 6);
     case.looked_at.truncate(1);
     let doubt = measure::doubt(&case, &measure::truth(&case));
-    assert!(doubt.contract > 1e-2 && doubt.in_noise < 1e-4, "{doubt:?}");
+    assert!(
+        doubt.without_noise > 1e-2 && doubt.in_noise < 1e-4,
+        "{doubt:?}"
+    );
 }

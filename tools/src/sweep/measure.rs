@@ -145,11 +145,11 @@ const FLOOR_OF_MEDIAN: f64 = 1e-6;
 /// Worst of |got - want| by window and element, three ways.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorstWindow {
-    /// The contract's, without noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite
+    /// The contract's where there is no noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite
     /// where no element hears anything and something was made. Where a window holds the end of a flank or of the filter's tail alone, this
     /// asks for that end to within its tolerance of itself: the reference half as dense does not keep that either.
-    pub contract: f64,
-    /// The contract's, with noise 55 dB below the strongest window as the floor.
+    pub without_noise: f64,
+    /// The contract's: over |want| in the same window, or over the noise in it, 55 dB below the strongest.
     pub in_noise: f64,
     /// Looser, and no promise: over the loudest window that shares samples with it; where even that is below the noise of `in_noise`, over
     /// the strongest. It tells what is wrong with an echo from what is left beside echoes.
@@ -195,7 +195,7 @@ pub fn worst_window(got: &[Vec<Complex64>], want: &[Vec<Complex64>], length: usi
         let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
         let off = energies(off, length);
         for (at, (&off, &here)) in off.iter().zip(size).enumerate() {
-            worst.contract = worse(worst.contract, relative(off, here.max(floor[at])));
+            worst.without_noise = worse(worst.without_noise, relative(off, here.max(floor[at])));
             worst.in_noise = worse(worst.in_noise, relative(off, here.max(noise)));
             // Those that begin anywhere up to a window away; every quarter of one will do.
             let last = size.len() - 1;

@@ -50,9 +50,9 @@ pub type Measure = fn(&WorstWindow) -> f64;
 
 /// What is printed of an error, line by line.
 pub const MEASURES: [(&str, Measure); 3] = [
-    ("", |e| e.contract),
-    ("  in noise", |e| e.in_noise),
+    ("", |e| e.in_noise),
     ("  beside", |e| e.beside),
+    ("  no noise", |e| e.without_noise),
 ];
 
 /// One method on one case, tolerance by tolerance.
@@ -136,12 +136,12 @@ impl Row {
 /// What is not known of the truth itself.
 pub fn doubt(case: &Case, truth: &Truth) -> String {
     let WorstWindow {
-        contract,
+        without_noise,
         in_noise,
         beside,
     } = measure::doubt(case, truth);
     format!(
-        "{:<18} {:<22} the reference half as dense: {contract:.1e}, in noise {in_noise:.1e}, beside {beside:.1e}\n",
+        "{:<18} {:<22} the reference half as dense: {in_noise:.1e}, beside {beside:.1e}, without noise {without_noise:.1e}\n",
         case.scene, case.motion
     )
 }
