@@ -157,6 +157,7 @@ fn random(given: &Arguments) -> (String, usize) {
             let (truth, doubt) = measure::truth_within(&case, MOST_DOUBT);
             let doubt = doubt.in_noise;
             let about = case::describe(&case);
+            eprintln!("{about}");
             let mut found = Vec::new();
             for method in Method::of(&case).filter(|m| asked(*m, given)) {
                 for cell in Row::of(method, &case, &truth, tolerances).cells {
