@@ -53,6 +53,8 @@ struct Wish {
     span: DopplerSpan,
     curvature_per_s: f64,
     tolerance: f64,
+    /// Of the largest array.
+    elements: usize,
     threads: usize,
 }
 
@@ -223,6 +225,7 @@ impl Wish {
                 + HARDEST_M_PER_S2)
                 / sound_speed_m_per_s,
             tolerance: spec.synthesis.made_for(),
+            elements: spec.receive.iter().map(|a| a.elements).fold(0, usize::max),
             threads: rayon::current_num_threads(),
         }
     }
@@ -246,7 +249,7 @@ impl Wish {
             duration_s: key.duration_s,
             ..self.pulse
         };
-        Sketch::new(&one_dimensional::Spec {
+        let spec = one_dimensional::Spec {
             pulse: &pulse,
             sample_rate_hz: self.sample_rate_hz,
             samples: key.samples,
@@ -258,7 +261,8 @@ impl Wish {
             level_range_db: LEVEL_RANGE_DB,
             arrivals: NOMINAL_ARRIVALS,
             dialect: Dialect::best(),
-        })
+        };
+        Sketch::new(&spec, self.elements)
     }
 
     fn make(&self, key: Key) -> Result<Made, GriddedError> {

@@ -1,7 +1,8 @@
-//! `gridded-1d` for whole records: long ones in slabs, each from the echoes that overlap it.
+//! `gridded-1d` for whole records: long ones of few elements in slabs, each from the echoes that overlap it.
 //!
-//! So few elements keep all threads at work, and what echoes are added up on stays in the nearer caches. How many slabs depends on the lengths of
-//! record, pulse and filter alone, so that bits do not depend on threads.
+//! So few elements keep all threads at work, and what echoes are added up on stays in the nearer caches. Of many elements nothing is gained, and batches
+//! of scatterers that overlap two slabs are walked twice (the quickstart's 48 elements took a fifth longer). How many slabs depends on elements and
+//! on the lengths of record, pulse and filter alone, so that bits do not depend on threads.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -17,6 +18,8 @@ use crate::flow::{ArrayGeometry, EchoCounts, MethodCard, PingPlan};
 /// A slab is so many echoes long at least, since what overlaps its ends is made twice; and a record has so many slabs at most.
 const SLAB_ECHOES: f64 = 10.0;
 const MOST_SLABS: usize = 4;
+/// Arrays of more elements are made without.
+const FEW_ELEMENTS: usize = 8;
 
 /// An engine for the slabs of records, without its work: for its card and cost.
 pub struct Sketch {
@@ -31,12 +34,17 @@ pub struct Sketch {
 }
 
 impl Sketch {
-    /// For records of `spec.samples` at most.
-    pub fn new(spec: &one_dimensional::Spec) -> Result<Self, GriddedError> {
+    /// For records of `spec.samples` at most, of arrays of so many `elements`.
+    pub fn new(spec: &one_dimensional::Spec, elements: usize) -> Result<Self, GriddedError> {
         let filter_s = spec.filter.map_or(0.0, |filter| 2.0 * filter.half_s());
         let echo_samples = spec.sample_rate_hz * (spec.pulse.duration_s + filter_s);
         let slabs = spec.samples as f64 / (SLAB_ECHOES * echo_samples).max(1.0);
-        let slabs = (slabs as usize).clamp(1, MOST_SLABS);
+        let most = if elements <= FEW_ELEMENTS {
+            MOST_SLABS
+        } else {
+            1
+        };
+        let slabs = (slabs as usize).clamp(1, most);
         let samples = spec.samples.div_ceil(slabs);
         let engine = Gridded1d::new(&one_dimensional::Spec {
             samples,

@@ -462,7 +462,7 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
     let plan = ready.plan(|d| Synthesis::Gridded1d.takes(d));
     let fastest = 2.0 * ready.ping.velocity_m_per_s.length()
         / (SOUND_SPEED_M_PER_S - ready.ping.velocity_m_per_s.length());
-    let sketch = Sketch::new(&one_dimensional::Spec {
+    let spec = one_dimensional::Spec {
         pulse: &plan.pulse,
         sample_rate_hz: RATE_HZ,
         samples: plan.sample_count,
@@ -479,8 +479,8 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
         level_range_db: 60.0,
         arrivals: ready.ping.scatterers,
         dialect,
-    })
-    .map_err(|e| e.to_string())?;
+    };
+    let sketch = Sketch::new(&spec, ready.ping.elements).map_err(|e| e.to_string())?;
     let threads = rayon::current_num_threads();
     let engine = sketch.made(threads);
     let walks: Vec<Mutex<Workspace>> = (0..threads).map(|_| Mutex::default()).collect();
