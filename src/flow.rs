@@ -328,7 +328,7 @@ impl Pulse {
     /// with many degrees of freedom (their band times the window) no window is much weaker than the echoes in it, of a pure tone some are.
     ///
     /// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power. Flanks leave a chirp fewer of
-    /// them, as many as there are equal ones with the same mean and mean square: a raised cosine's fourth power is 3/8 on the mean, its eighth 35/128.
+    /// them, as many as there are equal ones with the same mean and mean square: the square of a raised cosine is 3/8 on the mean, its fourth power 35/128.
     pub fn weakest_window(&self, sample_rate_hz: f64) -> f64 {
         let window_s = self.duration_s.max(LEAST_WINDOW / sample_rate_hz);
         let flat = 1.0 - self.taper;

@@ -44,6 +44,23 @@ pub fn occupied_hz(pulse: &Pulse) -> f64 {
     pulse.bandwidth_hz.max(4.0 / pulse.duration_s)
 }
 
+/// Where a sum of `count` samples from `first_sample_s` on is evaluated: first instant, rate and number of samples, ahead of the filter if there is one.
+pub fn grid_ahead(
+    filter: Option<&Decimator>,
+    first_sample_s: f64,
+    sample_rate_hz: f64,
+    count: usize,
+) -> (f64, f64, usize) {
+    match filter {
+        None => (first_sample_s, sample_rate_hz, count),
+        Some(filter) => (
+            filter.dense_first_s(first_sample_s),
+            filter.dense_rate_hz(),
+            filter.dense_len(count),
+        ),
+    }
+}
+
 /// How many dense samples per output sample the receiver filter should be fed with.
 ///
 /// The reference takes 32 times the band at least; `direct` 8, or 4 where a taper leaves the pulse no sharp edges.

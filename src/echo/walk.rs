@@ -340,7 +340,7 @@ fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
     }
 }
 
-/// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's.
+/// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's, and (1 + 0.1)/(1 - 0.1) = 1.22.
 const LONGEST_ECHO: f64 = 1.3;
 
 /// Echoes of everything lit at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.

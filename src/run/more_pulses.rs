@@ -17,7 +17,7 @@ use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 use crate::array::direct::Direct;
-use crate::array::filter::Decimator;
+use crate::array::filter::{Decimator, grid_ahead};
 use crate::array::gridded::DopplerSpan;
 use crate::beam::RowLimits;
 use crate::beam::sidescan::LineFormer;
@@ -293,14 +293,7 @@ impl MorePulse {
 
 /// As the pipeline's own: first instant, rate and number of samples, ahead of the receiver filter.
 fn grid(plan: &PingPlan, rate_hz: f64, decimator: Option<&Decimator>) -> (f64, f64, usize) {
-    match decimator {
-        None => (plan.first_sample_s, rate_hz, plan.sample_count),
-        Some(d) => (
-            d.dense_first_s(plan.first_sample_s),
-            d.dense_rate_hz(),
-            d.dense_len(plan.sample_count),
-        ),
-    }
+    grid_ahead(decimator, plan.first_sample_s, rate_hz, plan.sample_count)
 }
 
 #[cfg(test)]

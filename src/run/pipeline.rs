@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use crate::array::direct::Direct;
 use crate::array::faults::{ActiveFault, spoil};
-use crate::array::filter::{self, Decimator, FilterError};
+use crate::array::filter::{self, Decimator, FilterError, grid_ahead};
 use crate::array::gridded::{DopplerSpan, GriddedError};
 use crate::array::gridded2d::Refusal;
 use crate::array::linear::Linear;
@@ -435,18 +435,9 @@ impl SonarPipeline {
 
     /// Where the sum is evaluated: first instant, rate and number of samples, ahead of the receiver filter.
     fn grid(&self, plan: &PingPlan) -> (f64, f64, usize) {
-        match &self.decimator {
-            None => (
-                plan.first_sample_s,
-                self.spec.receiver.sample_rate_hz,
-                plan.sample_count,
-            ),
-            Some(d) => (
-                d.dense_first_s(plan.first_sample_s),
-                d.dense_rate_hz(),
-                d.dense_len(plan.sample_count),
-            ),
-        }
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let (first_s, count) = (plan.first_sample_s, plan.sample_count);
+        grid_ahead(self.decimator.as_ref(), first_s, rate_hz, count)
     }
 
     /// Element samples of one receive array, through the receiver chain.

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 
 use num_complex::Complex64;
 
-use crate::array::filter::Decimator;
+use crate::array::filter::{Decimator, grid_ahead};
 use crate::array::gridded::{
     DopplerSpan, Foreseen, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
 };
@@ -149,14 +149,10 @@ impl Made {
         let [first, end] = [slab * self.samples, slab * self.samples + out.len()];
         let at_s = |sample: usize| plan.first_sample_s + sample as f64 / self.sample_rate_hz;
         let first_s = at_s(first);
-        let window = match &self.filter {
-            None => Window::of_samples(first_s, self.sample_rate_hz, out.len()),
-            Some(filter) => Window::of_samples(
-                filter.dense_first_s(first_s),
-                filter.dense_rate_hz(),
-                filter.dense_len(out.len()),
-            ),
-        };
+        let filter = self.filter.as_ref();
+        let (ahead_s, dense_hz, count) =
+            grid_ahead(filter, first_s, self.sample_rate_hz, out.len());
+        let window = Window::of_samples(ahead_s, dense_hz, count);
         let begins_s = match first {
             0 => f64::NEG_INFINITY,
             _ => first_s,
@@ -176,6 +172,7 @@ impl Made {
             .unwrap_or_else(PoisonError::into_inner);
         work.start(first_s, span);
         let mut counts = arrivals_of_slab(plan, array, element, lit, slab, walk, &mut *work);
+        // Of two slabs that hear an echo both count it here.
         counts.beyond_engine = work.finish(out).outside_span;
         counts
     }
