@@ -330,7 +330,7 @@ impl Pulse {
     /// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power. Flanks leave a chirp fewer of
     /// them, as many as there are equal ones with the same mean and mean square: the square of a raised cosine is 3/8 on the mean, its fourth power 35/128.
     pub fn weakest_window(&self, sample_rate_hz: f64) -> f64 {
-        let window_s = self.duration_s.max(LEAST_WINDOW / sample_rate_hz);
+        let window_s = self.duration_s.max(MIN_WINDOW / sample_rate_hz);
         let flat = 1.0 - self.taper;
         let even = (flat + 3.0 / 8.0 * self.taper).powi(2) / (flat + 35.0 / 128.0 * self.taper);
         let freedom = 1.0 + (even * self.bandwidth_hz).max(1.0 / self.duration_s) * window_s;
@@ -341,7 +341,7 @@ impl Pulse {
 }
 
 /// Least samples of a window over which errors are counted.
-pub const LEAST_WINDOW: f64 = 32.0;
+pub const MIN_WINDOW: f64 = 32.0;
 
 /// Share of all windows that may be weaker than [`Pulse::weakest_window`] says: a ping has some thousands.
 const WEAKEST_WINDOWS: f64 = 1e-4;
@@ -598,9 +598,9 @@ impl Synthesis {
     }
 }
 
-/// What a method promises and costs; the fidelity plan chooses among cards.
+/// What a method promises and costs; the method selection chooses among error models.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MethodCard {
+pub struct ErrorModel {
     pub name: &'static str,
     /// Predicted relative error against the reference.
     pub error: f64,
@@ -609,8 +609,8 @@ pub struct MethodCard {
     pub why: String,
 }
 
-impl MethodCard {
-    /// The card itself if its method reaches `tolerance`.
+impl ErrorModel {
+    /// The error model itself if its method reaches `tolerance`.
     pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
         if self.error <= tolerance {
             return Ok(self);
@@ -629,7 +629,7 @@ impl MethodCard {
 #[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
 pub struct MethodRefused {
     pub name: &'static str,
-    /// Predicted, as in [`MethodCard`].
+    /// Predicted, as in [`ErrorModel`].
     pub error: f64,
     pub tolerance: f64,
     pub why: String,
@@ -1348,7 +1348,7 @@ pub enum GroundSeen {
 /// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
 /// over the rms of the samples around it or of the element's whole ping, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Certificate {
+pub struct ErrorCheck {
     /// How many samples it rests on.
     pub samples: u32,
     pub error: f64,
@@ -1365,7 +1365,7 @@ pub struct Certificate {
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
     /// Of the newest samples looked at, this ping's and those before it; none where none is asked for, or too few were seen yet.
-    pub certificate: Option<Certificate>,
+    pub error_check: Option<ErrorCheck>,
     /// One per receive array.
     pub elements: Vec<ElementFrame>,
     /// One per configured fan (at most one today).
@@ -1378,20 +1378,20 @@ pub struct PingOutput {
     pub counts: EchoCounts,
     pub scene: SceneCounts,
     /// Where the plan of methods chose something.
-    pub fidelity: Option<FidelityMark>,
-    pub strain: Strain,
+    pub methods: Option<MethodMark>,
+    pub overload_state: OverloadState,
 }
 
 /// What was done to a ping because computing did not keep up; nothing, mostly. It depends on the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Strain {
+pub struct OverloadState {
     /// Made with this tolerance in place of the configured one.
     pub tolerance: Option<f64>,
     /// The pulse went out so much later than the beat had it, seconds.
     pub put_off_s: f64,
 }
 
-impl Strain {
+impl OverloadState {
     pub const NONE: Self = Self {
         tolerance: None,
         put_off_s: 0.0,
@@ -1400,7 +1400,7 @@ impl Strain {
 
 /// Which plan of methods made a ping, and what it promised.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FidelityMark {
+pub struct MethodMark {
     /// Counts the plans of a sonar; the configuration's start is 0.
     pub plan: u32,
     /// By the plan's conditions, relative, of element samples.

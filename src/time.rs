@@ -43,25 +43,25 @@ pub trait Clock: Send + Sync {
     fn host_utc(&self) -> UtcNs;
     /// Returns at or after `deadline`, an absolute instant: waiting never drifts.
     fn sleep_until(&self, deadline: MonoNs);
-    /// As [`Clock::sleep_until`], but returns as soon as `bell` has been rung, too.
-    fn doze_until(&self, deadline: MonoNs, _bell: &Bell) {
+    /// As [`Clock::sleep_until`], but returns as soon as `wake_up` has been level, too.
+    fn wait_until(&self, deadline: MonoNs, _wake_up: &WakeUp) {
         self.sleep_until(deadline);
     }
     /// Whoever dozes looks at its bell.
-    fn stir(&self) {}
+    fn wake(&self) {}
 }
 
 /// Wakes one who dozes on a clock. A ring is kept until it is heard.
 #[derive(Debug, Default)]
-pub struct Bell(std::sync::atomic::AtomicBool);
+pub struct WakeUp(std::sync::atomic::AtomicBool);
 
-impl Bell {
+impl WakeUp {
     pub fn ring(&self, clock: &dyn Clock) {
         self.0.store(true, std::sync::atomic::Ordering::Release);
-        clock.stir();
+        clock.wake();
     }
 
-    /// Whether it was rung since this was last asked.
+    /// Whether it was level since this was last asked.
     fn heard(&self) -> bool {
         self.0.swap(false, std::sync::atomic::Ordering::AcqRel)
     }
@@ -262,10 +262,10 @@ impl Clock for PacedClock {
     fn sleep_until(&self, deadline: MonoNs) {
         self.sleep(deadline, None);
     }
-    fn doze_until(&self, deadline: MonoNs, bell: &Bell) {
-        self.sleep(deadline, Some(bell));
+    fn wait_until(&self, deadline: MonoNs, wake_up: &WakeUp) {
+        self.sleep(deadline, Some(wake_up));
     }
-    fn stir(&self) {
+    fn wake(&self) {
         // With the lock: a sleeper that has just looked at its bell is asleep before it is woken.
         let _pace = self.lock();
         self.changed.notify_all();
@@ -273,11 +273,11 @@ impl Clock for PacedClock {
 }
 
 impl PacedClock {
-    fn sleep(&self, deadline: MonoNs, bell: Option<&Bell>) {
+    fn sleep(&self, deadline: MonoNs, wake_up: Option<&WakeUp>) {
         let mut pace = self.lock();
         loop {
             let left_ns = deadline.0 - pace.at(self.machine.mono()).0;
-            if left_ns <= 0 || bell.is_some_and(Bell::heard) {
+            if left_ns <= 0 || wake_up.is_some_and(WakeUp::heard) {
                 return;
             }
             // What is left is worked out anew from absolute instants after every waking, so waiting never drifts.
@@ -337,13 +337,13 @@ mod tests {
     fn a_bell_wakes_who_dozes_even_while_time_stands_and_is_kept_until_it_is_heard() {
         let clock = PacedClock::at_rate(1.0);
         clock.stop();
-        let bell = Bell::default();
+        let wake_up = WakeUp::default();
         let far = clock.mono().plus_ns(3600 * NS_PER_S);
-        bell.ring(&clock);
-        clock.doze_until(far, &bell);
+        wake_up.ring(&clock);
+        clock.wait_until(far, &wake_up);
         std::thread::scope(|scope| {
-            let sleeper = scope.spawn(|| clock.doze_until(far, &bell));
-            bell.ring(&clock);
+            let sleeper = scope.spawn(|| clock.wait_until(far, &wake_up));
+            wake_up.ring(&clock);
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() < far);

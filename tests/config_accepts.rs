@@ -78,13 +78,13 @@ fn the_least_configuration_takes_the_defaults_the_template_shows() {
 fn overload_skips_unless_told_to_degrade_or_to_stretch() {
     let rig = parse(&minimal());
     assert_eq!(
-        (rig.run.overload, rig.run.rehearse_s),
+        (rig.run.overload, rig.run.simulated_compute_s),
         (OverloadSpec::Skip, 0.0)
     );
     let with = |run: &str| parse(&(minimal() + "\n[run]\n" + run)).run;
-    let run = with("overload = \"stretch\"\nrehearse_ms = 60\n");
+    let run = with("overload = \"stretch\"\nsimulated_compute_ms = 60\n");
     assert_eq!(
-        (run.overload, run.rehearse_s),
+        (run.overload, run.simulated_compute_s),
         (OverloadSpec::Stretch, 0.06)
     );
     let gridded = "\n[sonar.model]\nsynthesis = \"gridded-1d\"\ntolerance = 2e-3\n";
@@ -650,7 +650,7 @@ fn mounting_towing_and_what_goes_out_mean_what_they_say() {
         .replace("[scene]\nseed", r#"[nav.tow]
 point_m = [-10, 1, -3]
 cable_out_m = 120
-straightness = 0.9
+cable_scope = 0.9
 
 [[nav.output]]
 name = "board"
@@ -679,7 +679,7 @@ seed"#);
     let tow = TowSpec {
         point_m: DVec3::new(-10.0, 1.0, -3.0),
         cable_out_m: 120.0,
-        straightness: 0.9,
+        cable_scope: 0.9,
     };
     assert_eq!(nav.tow, Some(tow));
     let tty = &nav.sources[1];
@@ -768,7 +768,7 @@ fn what_triggers_a_sonar_and_whom_it_tells_mean_what_they_say() {
             listen: "0.0.0.0:10125".parse().expect("an address"),
         },
         early: EarlyTrigger::Queue,
-        least_interval_s: 0.08,
+        min_interval_s: 0.08,
         watchdog_s: Some(2.5),
     };
     assert_eq!(sonars[1].trigger, udp);
@@ -1073,14 +1073,14 @@ fn every_path_doppler_and_synthesis_goes_by_its_name() {
         }
     }
     let spec = with_model("").sonars[0].synthesis;
-    assert_eq!((spec.certificate, spec.frequency_step_hz), (false, None));
+    assert_eq!((spec.error_check, spec.frequency_step_hz), (false, None));
     assert_eq!(spec.tolerance, 1e-3);
     let spec = with_model(
-        "certificate = true\ntolerance = 2e-5\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
+        "error_check = true\ntolerance = 2e-5\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
     );
     let spec = spec.sonars[0].synthesis;
     assert_eq!(
-        (spec.certificate, spec.frequency_step_hz),
+        (spec.error_check, spec.frequency_step_hz),
         (true, Some(2.5))
     );
     assert_eq!(spec.tolerance, 2e-5);

@@ -10,7 +10,7 @@ use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angle
 use echotank::io::nav::NavInputs;
 use echotank::nav::Coverage;
 use echotank::ping::{self, PingOrder, Schedule};
-use echotank::run::pipeline::{PipelineError, SonarPipeline, engine_cards};
+use echotank::run::pipeline::{PipelineError, SonarPipeline, engine_error_models};
 use echotank::run::rig::Rig;
 use echotank::time::{UtcNs, VirtualClock};
 use glam::DVec3;
@@ -261,8 +261,13 @@ fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
         rig
     };
     let (direct, engine) = (long("direct"), long("gridded-1d"));
-    let cards = engine_cards(&engine.sonars[0], &engine.medium).expect("within reach");
-    assert!(cards[0].why.contains("each of 4 slabs"), "{}", cards[0].why);
+    let error_models =
+        engine_error_models(&engine.sonars[0], &engine.medium).expect("within reach");
+    assert!(
+        error_models[0].why.contains("each of 4 slabs"),
+        "{}",
+        error_models[0].why
+    );
     let ping = plan(&engine, 1, |_| {});
     let (want, got) = (
         once(&direct, &plan(&direct, 1, |_| {}), &scatterers),
@@ -343,7 +348,7 @@ fn without_the_filter_the_pulse_decides() {
             && said.contains("use the receiver filter"),
         "{said}"
     );
-    let again = engine_cards(&sharp.sonars[0], &sharp.medium).expect_err("the same");
+    let again = engine_error_models(&sharp.sonars[0], &sharp.medium).expect_err("the same");
     assert_eq!(again.to_string(), said);
 }
 
@@ -352,16 +357,20 @@ fn the_card_says_what_it_is_made_for() {
     for tolerance in [1e-1, 1e-3, 1e-6, 1e-8] {
         let rig = rig(&format!("tolerance = {tolerance}"), FILTER, 0.1);
         assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
-        let cards = engine_cards(&rig.sonars[0], &rig.medium).expect("within reach");
-        let [card] = &cards[..] else {
-            panic!("one engine for all elements: {cards:?}");
+        let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
+        let [error_model] = &error_models[..] else {
+            panic!("one engine for all elements: {error_models:?}");
         };
-        assert_eq!(card.name, "gridded-1d");
-        assert!(card.error <= tolerance && card.cost_ms > 0.0, "{card:?}");
+        assert_eq!(error_model.name, "gridded-1d");
+        assert!(
+            error_model.error <= tolerance && error_model.cost_ms > 0.0,
+            "{error_model:?}"
+        );
     }
     let direct = rig("synthesis = \"direct\"", FILTER, 0.1);
-    let cards = engine_cards(&direct.sonars[0], &direct.medium).expect("nothing to refuse");
-    assert!(cards.is_empty());
+    let error_models =
+        engine_error_models(&direct.sonars[0], &direct.medium).expect("nothing to refuse");
+    assert!(error_models.is_empty());
 }
 
 /// Pulse and range change in mid-run, foreseen or not: each ping is the one that a sonar with these settings from the start makes.
@@ -582,10 +591,13 @@ fn the_line_engine_says_what_it_promises() {
         "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
         0.1,
     );
-    let cards = engine_cards(&rig.sonars[0], &rig.medium).expect("within reach");
-    assert_eq!(cards.len(), 2, "one per array");
-    for card in &cards {
-        assert!(card.name == "gridded-2d" && card.error <= 2e-2, "{card:?}");
+    let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
+    assert_eq!(error_models.len(), 2, "one per array");
+    for error_model in &error_models {
+        assert!(
+            error_model.name == "gridded-2d" && error_model.error <= 2e-2,
+            "{error_model:?}"
+        );
     }
 }
 
@@ -638,13 +650,13 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 #[test]
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     for (file, engine, cull_db, tolerance) in [
-        ("certified.toml", Synthesis::Gridded1d, -34.0, 1e-3),
+        ("checked.toml", Synthesis::Gridded1d, -34.0, 1e-3),
         // A line culls a stretch at a time, the direct sum an element: with a floor of -40 dB that alone is up to 2e-2.
         ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
     ] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {
-                sonar.synthesis.certificate = false;
+                sonar.synthesis.error_check = false;
                 sonar.synthesis.tolerance = tolerance;
                 // As the plan of methods may choose, and always the same.
                 sonar.synthesis.auto = Default::default();
@@ -679,12 +691,12 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     }
 }
 
-/// As configured, culling included, against the reference: what the certificate of every ping says.
+/// As configured, culling included, against the reference: what the error check of every ping says.
 #[test]
 fn the_quickstart_is_certified_within_its_tolerance() {
-    let spec = thinned("certified.toml", |_| {});
+    let spec = thinned("checked.toml", |_| {});
     let mut last = None;
-    along_the_log(&spec, 40, |_, output| last = output.certificate.or(last));
+    along_the_log(&spec, 40, |_, output| last = output.error_check.or(last));
     let last = last.expect("enough samples");
     println!("{last:?}");
     assert!(!last.fault && last.error < 1.3 * last.tolerance, "{last:?}");

@@ -4,7 +4,7 @@ mod counting;
 
 use echotank::array::Decimator;
 use echotank::array::gridded::transform::Transform1d;
-use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, one_dimensional::Spec};
+use echotank::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional::Spec};
 use echotank::flow::{ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, Pulse, PulseKind};
 use num_complex::{Complex32, Complex64};
 
@@ -50,7 +50,7 @@ fn transforms_and_elements_allocate_nothing() {
                 tolerance,
                 level_range_db: 50.0,
                 arrivals: CHUNK,
-                dialect: Dialect::best(),
+                simd_level: SimdLevel::best(),
             };
             let mut work = Gridded1d::new(&spec).unwrap().work();
             let before = counting::in_all_threads();
@@ -63,7 +63,7 @@ fn transforms_and_elements_allocate_nothing() {
         }
     }
 
-    let plan = Transform1d::<f32>::new(1024, 0.03, 7, 2.0, Dialect::best());
+    let plan = Transform1d::<f32>::new(1024, 0.03, 7, 2.0, SimdLevel::best());
     let mut work = plan.workspace();
     let amplitude = vec![Complex32::ONE; CHUNK];
     let mut bins = vec![Complex32::ZERO; 1024];

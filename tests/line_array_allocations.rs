@@ -4,9 +4,9 @@ mod counting;
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded::simd_level::SimdLevel;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
-use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, illuminate};
+use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -47,8 +47,8 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         half_s: decimator.half_s(),
     };
     let rx = &scenes[0].rx;
-    let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, fineness, Dialect::best());
-    let mut lit = Illuminated::new();
+    let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, fineness, SimdLevel::best());
+    let mut transmit_leg = TransmitLeg::new();
     let walk = [Mutex::new(LineWorkspace::default())];
     let mut work = engine.work();
     let mut outputs = Vec::new();
@@ -57,11 +57,17 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
     for scene in scenes.iter().chain(&scenes) {
         let before = counting::in_all_threads();
         engine.prepare(&scene.plan);
-        illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        insonify(
+            &scene.plan,
+            &scene.tx,
+            ALWAYS,
+            &scene.scatterers,
+            &mut transmit_leg,
+        );
         let echoes = LineEchoes {
             plan: &scene.plan,
             array: rx,
-            lit: &lit,
+            transmit_leg: &transmit_leg,
             work: &walk,
         };
         outputs.resize_with(engine.tasks(), Vec::new);

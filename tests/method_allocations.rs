@@ -1,4 +1,4 @@
-//! A ping allocates nothing once buffers have met the largest: every synthesis, with a certificate.
+//! A ping allocates nothing once buffers have met the largest: every synthesis, with an error check.
 
 mod counting;
 
@@ -44,7 +44,7 @@ source_level_db = 200.0
 [sonar.limits]
 pulse_duration_ms = [1.0, 2.0]
 [sonar.model]
-certificate = true
+error_check = true
 "#;
 
 #[test]
@@ -97,7 +97,7 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
             })
             .collect();
         let measured = plans.split_off(60);
-        let (allocations, certified) = pool.install(|| {
+        let (allocations, checked) = pool.install(|| {
             let mut pipeline = SonarPipeline::new(sonar, &rig.medium).expect("fits");
             let mut output = pipeline.blank_output();
             for plan in &plans {
@@ -108,12 +108,12 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
                 pipeline.compute_ping(plan, &scatterers, &mut output);
             }
             let during = counting::in_all_threads() - before;
-            (during, output.certificate.is_some())
+            (during, output.error_check.is_some())
         });
-        println!("{model}: {allocations} allocations, certified: {certified}");
+        println!("{model}: {allocations} allocations, checked: {checked}");
         assert_eq!(allocations, 0, "{model}");
         // Few samples of cheap methods are paid for; of the others there are enough by now.
         let cheap = model.contains("synthesis") && !model.contains("direct");
-        assert!(certified || cheap, "{model}");
+        assert!(checked || cheap, "{model}");
     }
 }

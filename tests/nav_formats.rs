@@ -702,7 +702,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
         for i in 0..100 {
             bytes.extend(tlog(&motion(f64::from(i) * 0.05), version));
             if i == 50 {
-                bytes.extend(b"torn");
+                bytes.extend(b"truncated");
             }
         }
         let spec = source(NavDialect::default(), TimePolicy::Message);

@@ -703,8 +703,8 @@ fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
             }
         }
         let turns = longitudes.windows(2).map(|w| (w[1] - w[0]).abs());
-        let most_deg = turns.fold(0.0, f64::max).to_degrees();
-        assert!(most_deg > 1.0, "it does pass an edge: {most_deg} deg");
+        let max_deg = turns.fold(0.0, f64::max).to_degrees();
+        assert!(max_deg > 1.0, "it does pass an edge: {max_deg} deg");
         let start = settle(&mut history, 1.0, 0.1).expect("settled");
         for t in [2.0, 4.95, 5.0, 5.05, 9.0] {
             let state = settle(&mut history, t, 0.1).expect("settled");

@@ -88,11 +88,11 @@ fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
     }
 }
 
-/// The certificate rests on samples of the pings before as well, and the scene says what it had to make anew: these know where a replay began.
+/// The error check rests on samples of the pings before as well, and the scene says what it had to make anew: these know where a replay began.
 fn without_history(line: &str) -> String {
     let mut ping: serde_json::Value = serde_json::from_str(line).expect("JSON");
     let fields = ping.as_object_mut().expect("an object");
-    fields.remove("certificate");
+    fields.remove("error_check");
     let scene = fields["scene"].as_object_mut().expect("an object");
     for made in ["made", "tiles_made"] {
         assert!(scene.remove(made).is_some());

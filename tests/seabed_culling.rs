@@ -9,7 +9,7 @@ use echotank::config;
 use echotank::config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
 use echotank::echo::culling::left_out_share;
 use echotank::echo::levels::Directivity;
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::{
     ArrivalChunk, ArrivalSink, Footprint, Mounting, NavState, PingPlan, Scatterers,
 };
@@ -167,13 +167,13 @@ fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f6
         first_s: 0.0,
         last_s,
     };
-    let (mut lit, mut work) = (Illuminated::default(), Workspace::default());
+    let (mut lit, mut work) = (TransmitLeg::default(), Workspace::default());
     let window_s = plan.pulse.duration_s;
     let mut all = Energies {
         window_s,
         sums: vec![0.0; (last_s / window_s) as usize],
     };
-    illuminate(plan, tx, window, scatterers, &mut lit);
+    insonify(plan, tx, window, scatterers, &mut lit);
     let counts = arrivals(plan, rx, 0, &lit, &mut work, &mut all);
     (all.sums, counts.used)
 }

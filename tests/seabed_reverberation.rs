@@ -6,7 +6,7 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use echotank::config::spec::*;
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::*;
 use echotank::scene::Scene;
 use glam::DVec3;
@@ -124,7 +124,7 @@ fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
         },
         element(DVec3::ZERO),
     );
-    let (mut lit, mut work) = (Illuminated::default(), Workspace::default());
+    let (mut lit, mut work) = (TransmitLeg::default(), Workspace::default());
     let mut scatterers = Scatterers::default();
     let mut used = 0;
     let all = (0..pings)
@@ -143,7 +143,7 @@ fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
                 first_s: 0.0,
                 last_s: 2.0 * (range_m + 1.0) / C,
             };
-            illuminate(&plan, &tx, window, &scatterers, &mut lit);
+            insonify(&plan, &tx, window, &scatterers, &mut lit);
             let mut cells = Cells(vec![Complex64::ZERO; CELLS]);
             arrivals(&plan, &rx, 0, &lit, &mut work, &mut cells);
             cells.0

@@ -15,7 +15,7 @@ use echotank::scene::Scene;
 use echotank::scene::simplify::energy::{Beam, View};
 use echotank::scene::simplify::stage::Stage;
 use glam::DVec3;
-use measure::{Figures, Ladder, Once, RUNGS, Simplifier};
+use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
 
 /// 4 pings and 2 seeds; `tools/ladder` has 48 and 64.
 #[test]
@@ -27,7 +27,7 @@ fn the_ladder_in_short() {
             .find(|r| (r.points, r.once, r.simplifier) == (points, once, simplifier))
             .unwrap()
     };
-    for points in RUNGS {
+    for points in LEVELS {
         let unbiased = row(points, Once::EachPing, Simplifier::Unbiased);
         let acoustic = row(points, Once::EachPing, Simplifier::Acoustic);
         let conventional = row(points, Once::Pass, Simplifier::Conventional);

@@ -13,7 +13,7 @@ use crate::flow::{Pulse, Synthesis};
 /// zero: 80 are kept.
 const STOP_BAND_DB: f64 = 84.5;
 
-/// Dense rate over the band, max(B, 4/T) and at least [`LEAST_BAND`] of the sample rate, and what it leaves (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz; see the tests).
+/// Dense rate over the band, max(B, 4/T) and at least [`MIN_BAND`] of the sample rate, and what it leaves (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz; see the tests).
 /// Sharp edges, weighted: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
 const REFERENCE_DENSITY: f64 = 32.0;
 /// Sharp edges, weighted: 3e-4 (sampled: 4.4e-3).
@@ -22,7 +22,7 @@ const DIRECT_DENSITY: f64 = 8.0;
 const DIRECT_DENSITY_TAPERED: f64 = 4.0;
 /// However narrow a pulse, the filter passes some of what its ends leave beside its band, and what is folded onto that must be as small:
 /// one point a sample put errors of 0.2 beside echoes of a rectangular CW pulse.
-const LEAST_BAND: f64 = 0.7;
+const MIN_BAND: f64 = 0.7;
 /// From this Tukey taper on a pulse counts as tapered.
 const TAPERED: f64 = 0.1;
 
@@ -30,12 +30,12 @@ const TAPERED: f64 = 0.1;
 pub enum FilterError {
     #[error(
         "sample rate {sample_rate_hz} Hz is too low for the receiver filter: the pulse needs a pass band of +-{pass_hz} Hz, which must \
-         stay below 0.45 of the sample rate; at least {least_hz} Hz"
+         stay below 0.45 of the sample rate; at least {min_hz} Hz"
     )]
     RateTooLow {
         sample_rate_hz: f64,
         pass_hz: f64,
-        least_hz: f64,
+        min_hz: f64,
     },
 }
 
@@ -71,7 +71,7 @@ pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> u
         // The others make a replica or a spectrum once, as finely as they like.
         _ => REFERENCE_DENSITY,
     };
-    (density * (occupied_hz(pulse) / sample_rate_hz).max(LEAST_BAND)).ceil() as usize
+    (density * (occupied_hz(pulse) / sample_rate_hz).max(MIN_BAND)).ceil() as usize
 }
 
 /// The filter at one sample rate and density, made once per plan.
@@ -97,7 +97,7 @@ impl Decimator {
             return Err(FilterError::RateTooLow {
                 sample_rate_hz,
                 pass_hz,
-                least_hz: pass_hz / 0.45,
+                min_hz: pass_hz / 0.45,
             });
         }
         // Kaiser (1974): length and shape from rejection and transition width.
@@ -285,9 +285,9 @@ mod tests {
     #[test]
     fn a_rate_that_cannot_hold_the_pulse_is_refused_with_the_least_that_can() {
         let error = Decimator::new(&PULSE, 32e3, 500.0, 6).expect_err("too low");
-        let FilterError::RateTooLow { least_hz, .. } = error;
-        assert!(Decimator::new(&PULSE, least_hz * 1.001, 500.0, 6).is_ok());
-        assert!((least_hz - 15.5e3 / 0.45).abs() < 1e-6);
+        let FilterError::RateTooLow { min_hz, .. } = error;
+        assert!(Decimator::new(&PULSE, min_hz * 1.001, 500.0, 6).is_ok());
+        assert!((min_hz - 15.5e3 / 0.45).abs() < 1e-6);
     }
 
     #[test]

@@ -8,8 +8,8 @@
 //!
 //! Not modelled: transmit leakage.
 
-pub mod cards;
 pub mod direct;
+pub mod error_models;
 pub mod faults;
 pub mod filter;
 pub mod gridded;

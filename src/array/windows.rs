@@ -1,19 +1,19 @@
-//! What the ways to sum promise in every window of a pulse's length, noise being there, and not of whole echoes as [`super::cards`] do.
+//! What the ways to sum promise in every window of a pulse's length, noise being there, and not of whole echoes as [`super::error_models`] do.
 //!
 //! A window may hold no more of an echo than one of its ends, or than the end of the receiver filter's tail, and what a sum leaves beside echoes
 //! counts against that, or against the noise where it is more. So one echo is made alone, by the sum and exactly, between two samples here and there,
 //! and looked at window by window.
 //!
-//! In: conditions, the plan's pulse, how deep the noise lies. Out: a card whose error is that of the worst window.
+//! In: conditions, the plan's pulse, how deep the noise lies. Out: an error model whose error is that of the worst window.
 
 use num_complex::Complex64;
 
 use crate::flow::{
-    ArrivalChunk, ArrivalSink, Conditions, Edges, LEAST_WINDOW, MethodCard, PingPlan,
-    ReceiverFilter, Synthesis,
+    ArrivalChunk, ArrivalSink, Conditions, Edges, ErrorModel, MIN_WINDOW, PingPlan, ReceiverFilter,
+    Synthesis,
 };
 
-use super::cards::synthesis_card;
+use super::error_models::synthesis_error_model;
 use super::filter::{Decimator, FilterError, oversample};
 use super::{Bins, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
 
@@ -26,16 +26,16 @@ const MORE: f64 = 1.5;
 /// As an echo turned upside down.
 const MOST: f64 = 2.0;
 
-/// As [`synthesis_card`], in the worst window: noise lies `noise_below_db` below the strongest. The engines for a tolerance have cards of their own.
+/// As [`synthesis_error_model`], in the worst window: noise lies `noise_below_db` below the strongest. The engines for a tolerance have error models of their own.
 /// `doppler_hz`: what the receiver filter lets pass beside the pulse's band.
-pub fn window_card(
+pub fn window_error_model(
     synthesis: Synthesis,
     conditions: &Conditions,
     plan: &PingPlan,
     doppler_hz: f64,
     noise_below_db: f64,
-) -> Result<MethodCard, FilterError> {
-    let mut card = synthesis_card(synthesis, conditions);
+) -> Result<ErrorModel, FilterError> {
+    let mut error_model = synthesis_error_model(synthesis, conditions);
     let exact = match synthesis {
         Synthesis::Direct => conditions.filter == ReceiverFilter::None,
         Synthesis::Spectral | Synthesis::Nearest | Synthesis::Linear => false,
@@ -44,12 +44,12 @@ pub fn window_card(
     if !exact {
         let alone = Alone::new(synthesis, conditions, plan, doppler_hz)?;
         let worst = alone.worst(conditions, noise_below_db);
-        card.error = card.error.max(MORE * worst).min(MOST);
-        card.why += &format!(
+        error_model.error = error_model.error.max(MORE * worst).min(MOST);
+        error_model.why += &format!(
             "; {worst:.1e} of an echo alone in its worst window, noise {noise_below_db} dB down"
         );
     }
-    Ok(card)
+    Ok(error_model)
 }
 
 /// What is made once for all places.
@@ -90,7 +90,7 @@ impl<'a> Alone<'a> {
         };
         let (own, exact) = (filter(synthesis)?, filter(Synthesis::Reference)?);
         let sounding = (plan.pulse.duration_s * rate_hz).ceil();
-        let window = sounding.max(LEAST_WINDOW) as usize;
+        let window = sounding.max(MIN_WINDOW) as usize;
         let reach = own.as_ref().map_or(0.0, |f| (f.half_s() * rate_hz).ceil());
         let silence = window + reach as usize + 2;
         let samples = sounding as usize + 2 * silence;
@@ -261,15 +261,19 @@ mod tests {
             ] {
                 let c = conditions(pulse, filter);
                 let plan = plan_at_rest(&pulse, 100, 1500.0);
-                let card = window_card(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+                let error_model =
+                    window_error_model(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
                 let alone = Alone::new(synthesis, &c, &plan, 900.0).expect("fits");
                 let got = (0..24)
                     .map(|k| (0.01 + 0.754_877_666 * f64::from(k)).fract())
                     .map(|place| alone.at(place, 0.0, 55.0))
                     .fold(0.0, f64::max);
-                println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {card:?}");
-                // Twice an echo is as much as a card says.
-                assert!(got.min(MOST) <= card.error, "{got:e}, {card:?}");
+                println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {error_model:?}");
+                // Twice an echo is as much as an error model says.
+                assert!(
+                    got.min(MOST) <= error_model.error,
+                    "{got:e}, {error_model:?}"
+                );
             }
         }
     }
@@ -281,8 +285,8 @@ mod tests {
         let c = conditions(pulse, ReceiverFilter::Fir);
         let plan = plan_at_rest(&pulse, 100, 1500.0);
         for synthesis in [Synthesis::Nearest, Synthesis::Linear] {
-            let whole = synthesis_card(synthesis, &c).error;
-            let worst = window_card(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+            let whole = synthesis_error_model(synthesis, &c).error;
+            let worst = window_error_model(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
             assert!(worst.error > 2.0 * whole, "{whole:e}, {worst:?}");
         }
     }

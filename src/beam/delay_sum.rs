@@ -30,7 +30,7 @@ use rayon::prelude::*;
 
 use super::RowLimits;
 use super::aimed::Aimed;
-use super::kernel::{BLOCK, Dialect, STEP, Sums, Taps, WIDEST, add_rows};
+use super::kernel::{BLOCK, STEP, SimdLevel, Sums, Taps, WIDEST, add_rows};
 use super::weights::Taper;
 use crate::config::spec::{FanSpec, Former, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
@@ -66,7 +66,7 @@ pub struct DelaySumFormer {
     /// Per zone: the elements' weights.
     zone_weights: Vec<f32>,
     filters: [[f32; TAPS]; FRACTIONS],
-    dialect: Dialect,
+    simd_level: SimdLevel,
     workers: Vec<Worker>,
 }
 
@@ -138,7 +138,7 @@ impl DelaySumFormer {
             zones: Vec::with_capacity(limits.samples),
             zone_weights: Vec::new(),
             filters: interpolating_filters(),
-            dialect: Dialect::best(),
+            simd_level: SimdLevel::best(),
             workers: (0..workers)
                 .map(|_| Worker {
                     grid: vec![0.0; BLOCK.min(elements) * FRACTIONS * 2 * grid_row],
@@ -213,14 +213,14 @@ impl DelaySumFormer {
             let bend = self.focus_error_rad * self.aimed.wavelength_m() / (PI * half_m * half_m);
             let far = 1.0 / near_m - 2.0 * bend;
             // An aperture that grows with range is followed in steps of a twentieth.
-            let most_m = match half_m < self.half_aperture_m(f64::INFINITY) {
+            let max_m = match half_m < self.half_aperture_m(f64::INFINITY) {
                 true => 1.05 * near_m,
                 false => f64::INFINITY,
             };
             let far_m = if far > 0.0 {
-                (1.0 / far).min(most_m)
+                (1.0 / far).min(max_m)
             } else {
-                most_m
+                max_m
             };
             let last = (2.0 * far_m / c - first_sample_s) * rate_hz;
             let end = (last.min(samples as f64) as usize + 1).clamp(first + 1, samples);
@@ -363,7 +363,7 @@ impl DelaySumFormer {
                     let mut taps = Taps::NONE;
                     for (focus, total) in focus.iter().zip(&mut worker.tile[..sines.len()]) {
                         steering.steer(
-                            self.dialect,
+                            self.simd_level,
                             focus,
                             &self.x_m[block..block_end],
                             weights,
@@ -371,7 +371,7 @@ impl DelaySumFormer {
                             &mut taps,
                         );
                         let (grid, count) = (&worker.grid, to - from);
-                        add_rows(self.dialect, grid, row, &taps, from - tile, count, total);
+                        add_rows(self.simd_level, grid, row, &taps, from - tile, count, total);
                     }
                 }
             }
@@ -394,7 +394,7 @@ impl DelaySumFormer {
             for (part, from) in parts.chunks_exact(self.row_length).enumerate() {
                 let to = &mut grid[(i * FRACTIONS * 2 + part) * row..];
                 let from = &from[first + 1 - TAPS / 2..];
-                convolve(self.dialect, &self.filters, from, row, to);
+                convolve(self.simd_level, &self.filters, from, row, to);
             }
         }
     }
@@ -426,7 +426,7 @@ fn interpolating_filters() -> [[f32; TAPS]; FRACTIONS] {
 
 /// Of every fraction q a row: `to[2 q row + k] = sum_i filters[q][i] from[k + i]`, k below `row`; zero where `from` ends.
 fn convolve(
-    dialect: Dialect,
+    simd_level: SimdLevel,
     filters: &[[f32; TAPS]; FRACTIONS],
     from: &[f32],
     row: usize,
@@ -435,14 +435,14 @@ fn convolve(
     assert!(to.len() >= (2 * FRACTIONS - 1) * row);
     // Rows end behind their margins: beyond is silence.
     let filled = row.min((from.len() + 1).saturating_sub(TAPS));
-    match dialect {
-        Dialect::Plain => convolve_plain(filters, from, row, filled, to),
+    match simd_level {
+        SimdLevel::Plain => convolve_plain(filters, from, row, filled, to),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the dialect was made by `Dialect::best`, which asked for the features.
-        Dialect::Avx2 => unsafe { convolve_avx2(filters, from, row, filled, to) },
+        // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
+        SimdLevel::Avx2 => unsafe { convolve_avx2(filters, from, row, filled, to) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above; `filled` samples and the filters' length lie in `from`, every fraction's row in `to`.
-        Dialect::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
+        SimdLevel::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
     }
 }
 
@@ -608,21 +608,21 @@ impl Steering {
     /// Rows and weights of some elements.
     fn steer(
         &self,
-        dialect: Dialect,
+        simd_level: SimdLevel,
         focus: &Focus,
         x_m: &[f32],
         weights: &[f32],
         place: Place,
         taps: &mut Taps,
     ) {
-        match dialect {
-            Dialect::Plain => self.steer_plain(focus, x_m, weights, place, taps),
+        match simd_level {
+            SimdLevel::Plain => self.steer_plain(focus, x_m, weights, place, taps),
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the dialect was made by `Dialect::best`, which asked for the features.
-            Dialect::Avx2 => unsafe { self.steer_avx2(focus, x_m, weights, place, taps) },
+            // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
+            SimdLevel::Avx2 => unsafe { self.steer_avx2(focus, x_m, weights, place, taps) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: as above.
-            Dialect::Avx512 => unsafe { self.steer_avx512(focus, x_m, weights, place, taps) },
+            SimdLevel::Avx512 => unsafe { self.steer_avx512(focus, x_m, weights, place, taps) },
         }
     }
 

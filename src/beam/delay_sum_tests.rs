@@ -519,14 +519,14 @@ fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
     let rig = Rig::new(40, 0.01, 1500);
     let spec = fan(9, 0.6, Shading::Hann, Former::DynamicFocus);
     let frame = rig.echo(Rig::point(0.1, 15.0));
-    let with = |dialect| {
+    let with = |simd_level| {
         let mut former = rig.former(&spec);
-        former.dialect = dialect;
+        former.simd_level = simd_level;
         let mut out = BeamFrame::default();
         former.form(&rig.plan(DVec3::X), &frame, &mut out);
         out
     };
-    let (plain, best) = (with(Dialect::Plain), with(Dialect::best()));
+    let (plain, best) = (with(SimdLevel::Plain), with(SimdLevel::best()));
     let worst = plain
         .iq
         .iter()

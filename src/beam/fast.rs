@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use super::RowLimits;
 use super::aimed::Aimed;
-use super::kernel::Dialect;
+use super::kernel::SimdLevel;
 use super::weights;
 use crate::config::spec::{FanSpec, Shading};
 use crate::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
@@ -53,7 +53,7 @@ pub struct FastFan {
     stride: usize,
     /// By tiles of frequencies: beam by beam the tile's values.
     mixed: Vec<Complex32>,
-    dialect: Dialect,
+    simd_level: SimdLevel,
     workers: Vec<Worker>,
 }
 
@@ -136,7 +136,7 @@ impl FastFan {
             spectra: vec![zero; (length + TILE) * elements],
             stride: length + TILE,
             mixed: vec![zero; length * fan.beams],
-            dialect: Dialect::best(),
+            simd_level: SimdLevel::best(),
             workers: (0..rayon::current_num_threads().max(1))
                 .map(|_| worker())
                 .collect(),
@@ -244,7 +244,7 @@ impl FastFan {
         let steering = (&band, &self.aimed.directions.sine[..]);
         let (kernel, out) = (&self.kernel[..], &mut tile[at..]);
         let places = &mut worker.places[..];
-        interpolate(self.dialect, kernel, &worker.grid, steering, places, out);
+        interpolate(self.simd_level, kernel, &worker.grid, steering, places, out);
     }
 
     fn transform_beams(&mut self, samples: usize, out: &mut [Complex64]) {
@@ -313,21 +313,21 @@ impl Band {
 
 /// Beam b's value into `out[b TILE]`. `places` is room.
 fn interpolate(
-    dialect: Dialect,
+    simd_level: SimdLevel,
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     steering: (&Band, &[f64]),
     places: &mut [Place],
     out: &mut [Complex32],
 ) {
-    match dialect {
-        Dialect::Plain => interpolate_plain(kernel, grid, steering, places, out),
+    match simd_level {
+        SimdLevel::Plain => interpolate_plain(kernel, grid, steering, places, out),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the dialect was made by `Dialect::best`, which asked for the features.
-        Dialect::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, places, out) },
+        // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
+        SimdLevel::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, places, out) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Dialect::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, places, out) },
+        SimdLevel::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, places, out) },
     }
 }
 

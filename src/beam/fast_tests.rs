@@ -173,14 +173,14 @@ fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
     let array = array(32, 0.004, 90.0);
     let spec = fan(33, 2.0, BeamSpacing::EquiAngle);
     let frame = noise(32, SAMPLES);
-    let with = |dialect| {
+    let with = |simd_level| {
         let mut former = FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
-        former.dialect = dialect;
+        former.simd_level = simd_level;
         let mut out = BeamFrame::default();
         former.form(&plan_at_rest(&pulse(), SAMPLES, C), &frame, &mut out);
         out
     };
-    let (rms, worst) = error(&with(Dialect::best()), &with(Dialect::Plain));
+    let (rms, worst) = error(&with(SimdLevel::best()), &with(SimdLevel::Plain));
     assert!(rms < 1e-6 && worst < 1e-6, "{rms:.1e} {worst:.1e}");
 }
 

@@ -49,7 +49,7 @@ impl Sums {
 
 /// The widest instructions of this processor that there is a kernel for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Dialect {
+pub(super) enum SimdLevel {
     Plain,
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -57,7 +57,7 @@ pub(super) enum Dialect {
     Avx512,
 }
 
-impl Dialect {
+impl SimdLevel {
     pub(super) fn best() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
@@ -76,7 +76,7 @@ impl Dialect {
 ///
 /// Panics if a tap's row, rounded up to whole steps, lies outside the grid.
 pub(super) fn add_rows(
-    dialect: Dialect,
+    simd_level: SimdLevel,
     grid: &[f32],
     imaginary: usize,
     taps: &Taps,
@@ -93,14 +93,14 @@ pub(super) fn add_rows(
     );
     let re = &mut sums.re[at..at + samples];
     let im = &mut sums.im[at..at + samples];
-    match dialect {
-        Dialect::Plain => add_plain(grid, imaginary, taps, re, im),
+    match simd_level {
+        SimdLevel::Plain => add_plain(grid, imaginary, taps, re, im),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the dialect was made by `Dialect::best` or a test that asked for the features; the rows were checked above.
-        Dialect::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
+        // SAFETY: the SIMD level was made by `SimdLevel::best` or a test that asked for the features; the rows were checked above.
+        SimdLevel::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Dialect::Avx512 => unsafe {
+        SimdLevel::Avx512 => unsafe {
             match steps {
                 0 => {}
                 1 => add_avx512::<1>(grid, imaginary, taps, re, im),
@@ -256,12 +256,12 @@ mod tests {
             taps.re[e] = draw();
             taps.im[e] = draw();
         }
-        let mut dialects = vec![Dialect::best()];
+        let mut simd_levels = vec![SimdLevel::best()];
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            dialects.push(Dialect::Avx2);
+            simd_levels.push(SimdLevel::Avx2);
         }
-        for dialect in dialects {
+        for simd_level in simd_levels {
             for (at, samples) in [
                 (0, 0),
                 (3, 1),
@@ -275,15 +275,15 @@ mod tests {
                 let (mut want, mut got) = (Sums::ZERO, Sums::ZERO);
                 got.re.fill(0.25);
                 want.re.fill(0.25);
-                add_rows(Dialect::Plain, &grid, row, &taps, at, samples, &mut want);
-                add_rows(dialect, &grid, row, &taps, at, samples, &mut got);
+                add_rows(SimdLevel::Plain, &grid, row, &taps, at, samples, &mut want);
+                add_rows(simd_level, &grid, row, &taps, at, samples, &mut got);
                 for k in 0..WIDEST {
                     let off = (got.re[k] - want.re[k])
                         .abs()
                         .max((got.im[k] - want.im[k]).abs());
                     assert!(
                         off < 2e-6,
-                        "{dialect:?}, sample {k} of {at} + {samples}: {off:e}"
+                        "{simd_level:?}, sample {k} of {at} + {samples}: {off:e}"
                     );
                     let beside = !(at..at + samples).contains(&k);
                     assert!(!beside || (got.re[k], got.im[k]) == (0.25, 0.0));
@@ -299,6 +299,6 @@ mod tests {
         taps.len = 1;
         taps.start[0] = 90;
         let mut sums = Sums::ZERO;
-        add_rows(Dialect::best(), &[0.0; 200], 100, &taps, 0, 16, &mut sums);
+        add_rows(SimdLevel::best(), &[0.0; 200], 100, &taps, 0, 16, &mut sums);
     }
 }

@@ -13,7 +13,7 @@ use crate::config::spec::Shading;
 /// Terms a Taylor weighting may need: 80 dB of side lobes ask for 20.
 const MAX_TERMS: usize = 32;
 /// Fewest near-in side lobes a Taylor weighting levels.
-const LEAST_NBAR: usize = 4;
+const MIN_NBAR: usize = 4;
 
 /// A weighting as a function of place.
 #[derive(Clone, Copy, Debug)]
@@ -97,7 +97,7 @@ fn chebyshev(side_lobe_db: f64, weights: &mut [f64]) {
 
 fn taylor_terms(side_lobe_db: f64) -> [f64; MAX_TERMS] {
     let a = 10f64.powf(side_lobe_db / 20.0).acosh() / PI;
-    let nbar = ((2.0 * a * a + 0.5).ceil() as usize).clamp(LEAST_NBAR, MAX_TERMS);
+    let nbar = ((2.0 * a * a + 0.5).ceil() as usize).clamp(MIN_NBAR, MAX_TERMS);
     let zero = |n: usize| a * a + (n as f64 - 0.5).powi(2);
     let dilation = (nbar * nbar) as f64 / zero(nbar);
     let mut terms = [0.0; MAX_TERMS];

@@ -10,8 +10,8 @@ use super::{Failure, load};
 use crate::config;
 use crate::config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
 use crate::echo::culling::left_out_share;
-use crate::flow::{MethodCard, Synthesis};
-use crate::run::pipeline::{PipelineError, engine_cards};
+use crate::flow::{ErrorModel, Synthesis};
+use crate::run::pipeline::{PipelineError, engine_error_models};
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {
@@ -65,16 +65,20 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
                 Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
             };
             let refuse = |why: PipelineError| refuse_text(why.to_string());
-            let cards = engine_cards(sonar, &spec.medium).map_err(refuse)?;
-            refuse_what_cannot_stream(&spec.run, sonar, &cards).map_err(refuse_text)?;
-            for card in cards {
-                let cost = match card.cost_ms > 0.0 {
-                    true => format!(", {:.2} ms on one core per {}", card.cost_ms, whole(sonar)),
+            let error_models = engine_error_models(sonar, &spec.medium).map_err(refuse)?;
+            refuse_what_cannot_stream(&spec.run, sonar, &error_models).map_err(refuse_text)?;
+            for error_model in error_models {
+                let cost = match error_model.cost_ms > 0.0 {
+                    true => format!(
+                        ", {:.2} ms on one core per {}",
+                        error_model.cost_ms,
+                        whole(sonar)
+                    ),
                     false => String::new(),
                 };
                 println!(
                     "engine       {}: {} within {:.1e}{cost} ({})",
-                    sonar.name, card.name, card.error, card.why
+                    sonar.name, error_model.name, error_model.error, error_model.why
                 );
             }
         }
@@ -94,7 +98,7 @@ pub fn main(args: &CheckArgs) -> Result<(), Failure> {
 fn refuse_what_cannot_stream(
     run: &RunSpec,
     sonar: &SonarSpec,
-    cards: &[MethodCard],
+    error_models: &[ErrorModel],
 ) -> Result<(), String> {
     let DeliverySpec::Streaming { block_s, latency_s } = run.delivery else {
         return Ok(());
@@ -103,34 +107,37 @@ fn refuse_what_cannot_stream(
         Synthesis::Gridded2d => 1,
         _ => sonar.receive.iter().map(|array| array.elements).sum(),
     };
-    let cost_ms: f64 = cards.iter().map(|card| card.cost_ms * each as f64).sum();
+    let cost_ms: f64 = error_models
+        .iter()
+        .map(|error_model| error_model.cost_ms * each as f64)
+        .sum();
     let cores = match run.threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         threads => threads,
     };
-    let least_ms = cost_ms / cores as f64;
+    let min_ms = cost_ms / cores as f64;
     let period_ms = 1e3 / sonar.settings.max_ping_rate_hz;
-    if least_ms > period_ms {
+    if min_ms > period_ms {
         return Err(format!(
-            "run.delivery = \"streaming\": a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
+            "run.delivery = \"streaming\": a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
         ));
     }
     let (ahead_ms, latency_ms) = (run.ahead_s * 1e3, latency_s * 1e3);
     let first_ms = (block_s + latency_s) * 1e3;
-    if sonar.trigger.from.is_wired() && least_ms > first_ms {
+    if sonar.trigger.from.is_wired() && min_ms > first_ms {
         return Err(format!(
-            "run.stream_latency_ms = {latency_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores, and nobody knows of a trigger before it comes: must be longer"
+            "run.stream_latency_ms = {latency_ms}: a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores, and nobody knows of a trigger before it comes: must be longer"
         ));
     }
-    if least_ms > ahead_ms + first_ms {
+    if min_ms > ahead_ms + first_ms {
         return Err(format!(
-            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {least_ms:.0} ms or more on {cores} cores; must be longer, or run.stream_latency_ms"
+            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores; must be longer, or run.stream_latency_ms"
         ));
     }
     Ok(())
 }
 
-/// What a card's cost is for.
+/// What an error model's cost is for.
 fn whole(sonar: &SonarSpec) -> &'static str {
     match sonar.model.synthesis {
         Synthesis::Gridded2d => "array and ping",

@@ -55,7 +55,7 @@ pub fn main(args: &ScoreArgs) -> Result<(), Failure> {
 }
 
 /// Lines of either list that are printed.
-const MOST_LINES: usize = 20;
+const MAX_LINES: usize = 20;
 
 fn print(score: &Score) {
     println!(
@@ -75,10 +75,10 @@ fn print(score: &Score) {
         );
     }
     println!("{} findings follow from these", score.consequences);
-    for missed in score.missed.iter().take(MOST_LINES) {
+    for missed in score.missed.iter().take(MAX_LINES) {
         println!("missed: {missed}");
     }
-    for invented in score.invented.iter().take(MOST_LINES) {
+    for invented in score.invented.iter().take(MAX_LINES) {
         println!("invented: {}", serde_json::json!(invented));
     }
 }

@@ -411,7 +411,7 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
             "stretch" => OverloadSpec::Stretch,
             _ => OverloadSpec::Skip,
         },
-        rehearse_s: table.scaled("rehearse_ms", -3)?,
+        simulated_compute_s: table.scaled("simulated_compute_ms", -3)?,
         ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
             "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),

@@ -308,7 +308,7 @@ static NAV: Table = Table {
 };
 
 static NAV_TOW: Table = Table {
-    doc: "The sonar is towed: positions are those of the ship's antennas (their lever_arm_m counts from the ship's reference point), all else is the towed body's. It follows on the heading, sqrt((cable_out_m * straightness)^2 - (its depth - the cable's height)^2) behind the point where the cable leaves the ship.",
+    doc: "The sonar is towed: positions are those of the ship's antennas (their lever_arm_m counts from the ship's reference point), all else is the towed body's. It follows on the heading, sqrt((cable_out_m * cable_scope)^2 - (its depth - the cable's height)^2) behind the point where the cable leaves the ship.",
     keys: &[
         key(
             "point_m",
@@ -323,7 +323,7 @@ static NAV_TOW: Table = Table {
             "",
         ),
         key(
-            "straightness",
+            "cable_scope",
             Kind::Number(above(0.0, 1.0)),
             Default("1.0"),
             "Straight distance over cable length: below 1 for a cable that sags.",
@@ -940,7 +940,7 @@ static RUN: Table = Table {
             "What becomes of a ping that had to wait for others and cannot be ready in time: it is left out; or made with a tolerance ten times looser, and ten times again, back when there is room; or pulses come later, no faster than pings can be made. Counted, and told in truth.jsonl; then, and only then, the samples depend on the machine. With clock = \"fast\" and \"lockstep\" nothing is late.",
         ),
         key(
-            "rehearse_ms",
+            "simulated_compute_ms",
             Kind::Number(from(0.0, 600_000.0)),
             Default("0.0"),
             "Every ping takes at least so long to compute, and half of it at each looser tolerance: to see what an overload does. Without effect with clock = \"fast\" and \"lockstep\".",
@@ -967,7 +967,7 @@ static RUN: Table = Table {
             "stream_tiles",
             Kind::Bool,
             Default("false"),
-            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone, and that for none of the scene where nothing is near enough to be heard in it: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\" or \"direct\", without certificates, further pulses and passband samples.",
+            "A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms needs room for the first alone, and that for none of the scene where nothing is near enough to be heard in it: for pulses that nobody knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = \"streaming\", model.synthesis = \"reference\" or \"direct\", without error checks, further pulses and passband samples.",
         ),
         key(
             "ahead_ms",
@@ -1443,7 +1443,7 @@ static MODEL: Table = Table {
             "tolerance",
             Kind::Number(from(1e-8, 1e-1)),
             Default("1e-3"),
-            "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what the \"gridded\" ones are made for, and what a certificate is held to.",
+            "Relative error of element samples, before noise and converter, in any stretch of them as long as the pulse: what the \"gridded\" ones are made for, and what an error check is held to.",
         ),
         key(
             "tolerance_image",
@@ -1470,7 +1470,7 @@ static MODEL: Table = Table {
             "Of \"spectral\". Left out: one over the record, or finer. Coarser, and late echoes wrap around onto early ones.",
         ),
         key(
-            "certificate",
+            "error_check",
             Kind::Bool,
             Default("false"),
             "Whether random samples are recomputed through the reference and the error found is printed. Above 1.3 times tolerance on two pings running it is a fault.",

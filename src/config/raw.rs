@@ -87,6 +87,13 @@ impl Problems {
     }
 }
 
+/// Keys that had another name in an earlier version, old and new.
+const RENAMED: &[(&str, &str)] = &[
+    ("certificate", "error_check"),
+    ("rehearse_ms", "simulated_compute_ms"),
+    ("straightness", "cable_scope"),
+];
+
 /// `did you mean "…"?` with the likest of `names`, if any is like enough.
 fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
     names
@@ -332,19 +339,24 @@ impl Walk<'_> {
     ) -> Problem {
         let later = declared.later.contains(&name.get_ref().as_ref());
         let names = declared.keys.iter().map(|k| k.name);
+        let renamed = RENAMED
+            .iter()
+            .find(|(old, new)| {
+                old == name.get_ref() && declared.keys.iter().any(|k| k.name == *new)
+            })
+            .map(|(_, new)| new);
         Problem {
             path: joined(path, &name.get_ref().escape_default().to_string()),
             line: Some(self.line(name.span().start)),
             value: self.quote(value),
-            rule: if later {
-                "known, not yet built".to_owned()
-            } else {
-                "unknown key".to_owned()
+            rule: match (later, renamed) {
+                (true, _) => "known, not yet built".to_owned(),
+                (false, Some(new)) => format!("renamed: write {new} instead"),
+                (false, None) => "unknown key".to_owned(),
             },
-            hint: if later {
-                None
-            } else {
-                did_you_mean(name.get_ref(), names)
+            hint: match later || renamed.is_some() {
+                true => None,
+                false => did_you_mean(name.get_ref(), names),
             },
         }
     }

@@ -5,7 +5,7 @@
 mod devices;
 mod families;
 mod faults;
-mod fidelity;
+mod methods;
 mod output;
 mod overload;
 mod samples;
@@ -26,7 +26,7 @@ use crate::flow::{
 };
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
-pub use fidelity::AutoModel;
+pub use methods::AutoModel;
 pub use output::MadeOutput;
 pub use overload::OverloadSpec;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
@@ -125,7 +125,7 @@ pub struct TowSpec {
     pub point_m: DVec3,
     pub cable_out_m: f64,
     /// Straight distance over cable length: 1 for a straight cable.
-    pub straightness: f64,
+    pub cable_scope: f64,
 }
 
 /// Where navigation goes out, and what of it.
@@ -818,7 +818,7 @@ pub struct RunSpec {
     pub stream_tiles: bool,
     pub overload: OverloadSpec,
     /// A ping takes at least so long, and half of it at each looser tolerance, seconds: an overload rehearsed.
-    pub rehearse_s: f64,
+    pub simulated_compute_s: f64,
     /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
     pub ahead_s: f64,
     /// What methods cost on this machine; none is the table that comes with the program.
@@ -1014,10 +1014,10 @@ impl Default for PictureSpec {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
     /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
-    /// certificate is held to.
+    /// error check is held to.
     pub tolerance: f64,
     /// Recompute random samples through the reference.
-    pub certificate: bool,
+    pub error_check: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
     /// Nearest scatterer for which `gridded-2d` is made.
@@ -1043,7 +1043,7 @@ impl Default for SynthesisSpec {
     fn default() -> Self {
         Self {
             tolerance: 1e-3,
-            certificate: false,
+            error_check: false,
             frequency_step_hz: None,
             nearest_m: 5.0,
             engine_tolerance: None,

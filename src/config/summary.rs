@@ -277,7 +277,7 @@ fn write_sonar(
 
 fn receiver(sonar: &SonarSpec, c: f64) -> String {
     let receiver = &sonar.receiver;
-    let least_hz = min_sample_rate_hz(&sonar.pulse, sonar.limits.pulse_duration_s.0, c);
+    let min_hz = min_sample_rate_hz(&sonar.pulse, sonar.limits.pulse_duration_s.0, c);
     let doppler_hz = max_doppler_hz(&sonar.pulse, c);
     let filter = match receiver.filter {
         ReceiverFilter::None => "no filter",
@@ -294,7 +294,7 @@ fn receiver(sonar: &SonarSpec, c: f64) -> String {
     format!(
         "{} kHz (needs {:.2}; Doppler at {MAX_PLATFORM_SPEED_M_PER_S} m/s is {doppler_hz:.0} Hz), {filter}, {noise}, {converter}",
         receiver.sample_rate_hz / 1e3,
-        least_hz / 1e3,
+        min_hz / 1e3,
     )
 }
 
@@ -453,19 +453,19 @@ fn model(sonar: &SonarSpec) -> String {
         Some(db) => format!("scatterers below {db} dB left out"),
         None => "no scatterer left out".to_owned(),
     };
-    let certificate = match sonar.synthesis.certificate {
-        true => format!(", certified against {:.0e}", sonar.synthesis.tolerance),
+    let error_check = match sonar.synthesis.error_check {
+        true => format!(", checked against {:.0e}", sonar.synthesis.tolerance),
         false => String::new(),
     };
     match model.synthesis {
-        Synthesis::Reference => format!("reference, {cull}{certificate}"),
+        Synthesis::Reference => format!("reference, {cull}{error_check}"),
         other => {
             let within = match other.keeps_tolerance() {
                 true => format!(" within {:.0e}", sonar.synthesis.tolerance),
                 false => String::new(),
             };
             format!(
-                "{}{within}, {path}, {doppler}, {cull}{certificate}",
+                "{}{within}, {path}, {doppler}, {cull}{error_check}",
                 other.name()
             )
         }

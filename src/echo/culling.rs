@@ -21,7 +21,7 @@ pub fn left_out_share(
     cull_db: f64,
     incidence_rad: f64,
 ) -> f64 {
-    let lit = Directivity::new(&transmit.pattern, wavelength_m);
+    let transmit_leg = Directivity::new(&transmit.pattern, wavelength_m);
     let element = Directivity::new(&array.element_pattern, wavelength_m);
     let floor = amplitude_from_db(cull_db);
     let (sin, cos) = libm::sincos(incidence_rad);
@@ -30,7 +30,7 @@ pub fn left_out_share(
         let (east, north) = libm::sincos(std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
         let ray = DVec3::new(sin * north, sin * east, cos);
         let level = [
-            (&lit, transmit.mounting.body_from_array),
+            (&transmit_leg, transmit.mounting.body_from_array),
             (&element, array.mounting.body_from_array),
         ]
         .map(|(pattern, body_from_array)| {
@@ -127,10 +127,10 @@ impl Rings {
         wavelength_m: f64,
         ground: &Ground<impl Fn(f64) -> f64>,
     ) -> Self {
-        let lit = Directivity::new(&transmit.pattern, wavelength_m);
+        let transmit_leg = Directivity::new(&transmit.pattern, wavelength_m);
         let element = Directivity::new(&array.element_pattern, wavelength_m);
         let faces = [
-            (&lit, transmit.mounting.body_from_array),
+            (&transmit_leg, transmit.mounting.body_from_array),
             (&element, array.mounting.body_from_array),
         ]
         .map(|(pattern, body)| (pattern, (ground.world_from_body * body).inverse()));

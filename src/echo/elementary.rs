@@ -11,12 +11,12 @@ const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
 const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
 
 /// Below this exp() is 1e-304 and would soon need subnormal numbers.
-const LEAST_EXPONENT: f64 = -700.0;
+const MIN_EXPONENT: f64 = -700.0;
 
 /// e^x for x <= 0, to 4e-16 relative; x below -700 counts as -700.
 #[inline(always)]
 pub fn exp_decay(x: f64) -> f64 {
-    let x = x.max(LEAST_EXPONENT);
+    let x = x.max(MIN_EXPONENT);
     let shifted = x * LOG2_E + ROUND;
     let n = shifted - ROUND;
     let f = (x - n * LN_2_HIGH) - n * LN_2_LOW;

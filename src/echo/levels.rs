@@ -67,7 +67,7 @@ pub struct OneWay {
     /// Closer than this the far-field amplitude does not hold; it is kept at this range's.
     pub wavelength_m: f64,
     /// 1 / `wavelength_m`.
-    most_per_m: f64,
+    max_per_m: f64,
     nepers_per_m: f64,
 }
 
@@ -75,7 +75,7 @@ impl OneWay {
     pub fn new(wavelength_m: f64, absorption_db_per_m: f64) -> Self {
         Self {
             wavelength_m,
-            most_per_m: 1.0 / wavelength_m,
+            max_per_m: 1.0 / wavelength_m,
             nepers_per_m: absorption_db_per_m * std::f64::consts::LN_10 / 20.0,
         }
     }
@@ -89,7 +89,7 @@ impl OneWay {
     /// The same where `per_m`, 1 / `range_m`, is known: a division less.
     #[inline(always)]
     pub fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
-        exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.most_per_m)
+        exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.max_per_m)
     }
 }
 

@@ -9,9 +9,9 @@
 //! Not modelled: refraction, multipath, volume reverberation, occlusion (the scene hands over what is seen).
 
 pub mod absorption;
-pub mod cards;
 pub mod culling;
 mod elementary;
+pub mod error_models;
 pub mod levels;
 pub mod paths;
 pub mod probe;
@@ -24,6 +24,6 @@ pub use absorption::absorption_db_per_m;
 pub use reference::reference;
 pub use span::doppler_span;
 pub use walk::{
-    Illuminated, LineEchoes, LineWorkspace, Slab, Window, Workspace, arrivals, arrivals_of_slab,
-    illuminate, line_arrivals,
+    LineEchoes, LineWorkspace, Slab, TransmitLeg, Window, Workspace, arrivals, arrivals_of_slab,
+    insonify, line_arrivals,
 };

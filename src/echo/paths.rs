@@ -304,7 +304,7 @@ impl ElementTrack {
 
     /// From the first on whose end is not before every root of the batch.
     fn not_passed(&self, batch: Batch) -> &[Leg] {
-        let passed = |leg: &Leg| 2.0 * batch.least_range_m > leg.passed_m;
+        let passed = |leg: &Leg| 2.0 * batch.min_range_m > leg.passed_m;
         &self.legs[self.legs.partition_point(passed)..]
     }
 
@@ -358,8 +358,8 @@ impl ElementTrack {
     /// The element's motion when each of up to [`CHUNK`] echoes arrives, as Doppler sees it: velocity and acceleration, axis by axis.
     pub fn motions_at(&self, plan: &PingPlan, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
         let n = times_s.len().min(CHUNK);
-        let (least_s, greatest_s) = ends(&times_s[..n]);
-        let (first, leg) = self.leg_at(least_s);
+        let (min_s, greatest_s) = ends(&times_s[..n]);
+        let (first, leg) = self.leg_at(min_s);
         let (last, _) = self.leg_at(greatest_s);
         if plan.model.path != PathModel::Continuous && first == last {
             let (v, a) = (
@@ -435,7 +435,7 @@ pub struct Batch<'a> {
     pub y_m: &'a [f64],
     pub z_m: &'a [f64],
     pub range_m: &'a [f64],
-    pub least_range_m: f64,
+    pub min_range_m: f64,
     pub greatest_range_m: f64,
 }
 
@@ -444,13 +444,13 @@ impl<'a> Batch<'a> {
     fn part(self, first: usize) -> Self {
         let span = first..(first + PART).min(self.range_m.len());
         let range_m = &self.range_m[span.clone()];
-        let (least_range_m, greatest_range_m) = ends(range_m);
+        let (min_range_m, greatest_range_m) = ends(range_m);
         Self {
             x_m: &self.x_m[span.clone()],
             y_m: &self.y_m[span.clone()],
             z_m: &self.z_m[span],
             range_m,
-            least_range_m,
+            min_range_m,
             greatest_range_m,
         }
     }
@@ -820,7 +820,7 @@ mod tests {
             y_m: &y,
             z_m: &z,
             range_m: &range,
-            least_range_m: 0.0,
+            min_range_m: 0.0,
             greatest_range_m: 300.0,
         };
         type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut Oddities) -> u64;

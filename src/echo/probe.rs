@@ -1,4 +1,4 @@
-//! Echoes around one instant, through the reference's equation: what certifies a ping at random samples.
+//! Echoes around one instant, through the reference's equation: what checks a ping at random samples.
 //!
 //! In: a plan, the scatterers that may be heard at the instant, an element. Out: their echoes as [`ArrivalChunk`]s whose emission time is the
 //! true one at the instant and a little before and after it, and a parabola between: in half a millisecond either way its third derivative

@@ -1,30 +1,30 @@
 //! The Dopplers that a ping's echoes can have, before a single one is computed.
 //!
-//! In: what is lit, a receive array. Out: least and greatest eta - 1 over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and
+//! In: what is insonified, a receive array. Out: least and greatest eta - 1 over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and
 //! v_T.e_T is known of every scatterer. The rest is bounded: v_R.e_R lies within |v_R - v_T| + |v_T| |e_R - e_T| of it, and two unit
 //! vectors to one point differ by 2 |a - b|/(|a| + |b|) at most (Dunkl and Williams 1964).
 
 use crate::flow::{ArrayGeometry, DopplerModel, PingPlan};
 
-use super::walk::{Illuminated, Workspace};
+use super::walk::{TransmitLeg, Workspace};
 
 /// Least and greatest eta - 1 that [`arrivals`](super::walk::arrivals) can hand on for any element of `array`. `work` is scratch.
 pub fn doppler_span(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     work: &mut Workspace,
 ) -> (f64, f64) {
-    if lit.is_empty() || plan.model.doppler == DopplerModel::None {
+    if transmit_leg.is_empty() || plan.model.doppler == DopplerModel::None {
         return (0.0, 0.0);
     }
     let c = plan.sound_speed_m_per_s;
-    let transmit_m_per_s = lit.transmit.motion.velocity_m_per_s;
+    let transmit_m_per_s = transmit_leg.transmit.motion.velocity_m_per_s;
     // Places and velocities of a line's elements are linear in where they sit: the ends bound the rest.
     let (mut arm_m, mut speed, mut change) = (0.0f64, transmit_m_per_s.length(), 0.0f64);
     for element in [0, array.elements - 1] {
         let track = &mut work.track;
-        track.lay(plan, &lit.transmit, array, element);
+        track.lay(plan, &transmit_leg.transmit, array, element);
         arm_m = arm_m.max(track.reach_m(0.0));
         track.bound_velocities(plan, |velocity_m_per_s, beside| {
             speed = speed.max(velocity_m_per_s.length() + beside);
@@ -35,7 +35,10 @@ pub fn doppler_span(
     let still_m = arm_m * (1.0 + speed / c);
     let transmit_speed = transmit_m_per_s.length();
     let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
-    let batches = lit.batch_closing_m_per_s.iter().zip(&lit.batch_range_m);
+    let batches = transmit_leg
+        .batch_closing_m_per_s
+        .iter()
+        .zip(&transmit_leg.batch_range_m);
     for (&(leaving, closing), &(nearest_m, _)) in batches {
         // How far the element is from where the ping was transmitted when an echo arrives, over how far the scatterer is: greatest nearby.
         let apart_m = still_m + per_range * nearest_m;

@@ -1,10 +1,10 @@
-//! The walk over the scatterers: once per ping and transmit array ([`illuminate`]), then once per element ([`arrivals`]).
+//! The walk over the scatterers: once per ping and transmit array ([`insonify`]), then once per element ([`arrivals`]).
 //!
 //! Structure of arrays throughout, in batches of [`CHUNK`] that stay in L1. Coordinates are relative to the transmit position, so that
 //! world positions of any size keep the carrier phase to 1e-10 rad.
 //!
 //! Culling (`ModelChoice::cull_db`) is exact per scatterer-element pair: left out is what has |transmit pattern x element pattern| below
-//! the floor, and what has no amplitude at all (behind a baffle, on the far side of its patch). `illuminate` already drops what the
+//! the floor, and what has no amplitude at all (behind a baffle, on the far side of its patch). `insonify` already drops what the
 //! transmit pattern alone puts below the floor; no element pattern exceeds 1, so that drops nothing the pair test would keep.
 
 use std::sync::Arc;
@@ -50,7 +50,7 @@ impl Window {
 
 /// The scatterers as the transmitter sees them, structure of arrays; what no element can hear is already gone. Kept between pings.
 #[derive(Debug, Default)]
-pub struct Illuminated {
+pub struct TransmitLeg {
     window: Option<Window>,
     pub(super) transmit: Transmit,
     /// Relative to the transmit position, metres.
@@ -80,7 +80,7 @@ pub struct Illuminated {
     batch_box_m: Vec<(DVec3, DVec3)>,
 }
 
-impl Illuminated {
+impl TransmitLeg {
     pub fn new() -> Self {
         Self::default()
     }
@@ -93,7 +93,7 @@ impl Illuminated {
         self.range_m.is_empty()
     }
 
-    /// Only so much of what it was lit for will be synthesised.
+    /// Only so much of what it was insonified for will be synthesised.
     pub fn hear(&mut self, window: Window) {
         if self.window.is_some() {
             self.window = Some(window);
@@ -171,12 +171,12 @@ fn pattern_floor(plan: &PingPlan) -> f64 {
 /// The transmit leg of every scatterer. `window` is what the samples to be made will cover.
 ///
 /// Counts each scatterer that it leaves out once, whatever the number of elements; `used` stays 0.
-pub fn illuminate(
+pub fn insonify(
     plan: &PingPlan,
     tx: &TransmitArray,
     window: Window,
     scatterers: &Scatterers,
-    lit: &mut Illuminated,
+    transmit_leg: &mut TransmitLeg,
 ) -> EchoCounts {
     let transmit = Transmit::new(plan, tx);
     let pattern = Directivity::new(&tx.pattern, wavelength_m(plan));
@@ -185,14 +185,14 @@ pub fn illuminate(
     let floor = pattern_floor(plan);
     let farthest_m = plan.sound_speed_m_per_s * window.last_s;
 
-    lit.batch_range_m.clear();
-    lit.batch_closing_m_per_s.clear();
-    lit.batch_box_m.clear();
-    lit.window = Some(window);
-    lit.transmit = transmit;
-    lit.curve.clone_from(&scatterers.curve);
+    transmit_leg.batch_range_m.clear();
+    transmit_leg.batch_closing_m_per_s.clear();
+    transmit_leg.batch_box_m.clear();
+    transmit_leg.window = Some(window);
+    transmit_leg.transmit = transmit;
+    transmit_leg.curve.clone_from(&scatterers.curve);
     let light = Light {
-        leg: TransmitLeg {
+        leg: TransmitLegTerms {
             transmit: &transmit,
             pattern,
             one_way,
@@ -202,22 +202,32 @@ pub fn illuminate(
         floor,
         farthest_m,
     };
-    let counts = light.shine(lit);
-    lit.batch_range_m
-        .extend(lit.range_m.chunks(CHUNK).map(ends));
-    lit.batch_closing_m_per_s
-        .extend(lit.closing_m_per_s.chunks(CHUNK).map(ends));
-    let places = lit.x_m.chunks(CHUNK).zip(lit.y_m.chunks(CHUNK));
-    lit.batch_box_m
-        .extend(places.zip(lit.z_m.chunks(CHUNK)).map(|((x, y), z)| {
-            let (x, y, z) = (ends(x), ends(y), ends(z));
-            (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
-        }));
+    let counts = light.shine(transmit_leg);
+    transmit_leg
+        .batch_range_m
+        .extend(transmit_leg.range_m.chunks(CHUNK).map(ends));
+    transmit_leg
+        .batch_closing_m_per_s
+        .extend(transmit_leg.closing_m_per_s.chunks(CHUNK).map(ends));
+    let places = transmit_leg
+        .x_m
+        .chunks(CHUNK)
+        .zip(transmit_leg.y_m.chunks(CHUNK));
+    transmit_leg
+        .batch_box_m
+        .extend(
+            places
+                .zip(transmit_leg.z_m.chunks(CHUNK))
+                .map(|((x, y), z)| {
+                    let (x, y, z) = (ends(x), ends(y), ends(z));
+                    (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
+                }),
+        );
     counts
 }
 
 /// What the first leg needs.
-struct TransmitLeg<'a> {
+struct TransmitLegTerms<'a> {
     transmit: &'a Transmit,
     pattern: Directivity,
     one_way: OneWay,
@@ -256,7 +266,13 @@ impl Default for Ahead {
 }
 
 /// The first leg of `n` scatterers from `first` on, [`CHUNK`] at most.
-fn look(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, ahead: &mut Ahead) {
+fn look(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    ahead: &mut Ahead,
+) {
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
@@ -274,14 +290,20 @@ fn look(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, ahea
 /// The AVX2 and AVX-512 builds of [`look_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn look_avx2(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, out: &mut Ahead) {
+fn look_avx2(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
     look_plain(leg, scatterers, first, n, out);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 fn look_avx512(
-    leg: &TransmitLeg,
+    leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
     n: usize,
@@ -291,7 +313,13 @@ fn look_avx512(
 }
 
 #[inline(always)]
-fn look_plain(leg: &TransmitLeg, scatterers: &Scatterers, first: usize, n: usize, out: &mut Ahead) {
+fn look_plain(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
     let n = n.min(CHUNK);
     let north_m = &scatterers.north_m[first..][..n];
     let east_m = &scatterers.east_m[first..][..n];
@@ -343,28 +371,28 @@ fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
 /// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's, and (1 + 0.1)/(1 - 0.1) = 1.22.
 const LONGEST_ECHO: f64 = 1.3;
 
-/// Echoes of everything lit at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
+/// Echoes of everything insonified at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
 ///
 /// An echo that overlaps the window at all is kept. Counts are of scatterer-element pairs.
 pub fn arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
     element: usize,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     work: &mut Workspace,
     sink: &mut impl ArrivalSink,
 ) -> EchoCounts {
-    let Some(window) = lit.window else {
-        return EchoCounts::default(); // nothing was ever lit
+    let Some(window) = transmit_leg.window else {
+        return EchoCounts::default(); // nothing was ever insonified
     };
     let all = Slab {
         window,
         own_s: (f64::NEG_INFINITY, f64::INFINITY),
     };
-    arrivals_of_slab(plan, array, element, lit, all, work, sink)
+    arrivals_of_slab(plan, array, element, transmit_leg, all, work, sink)
 }
 
-/// A slab of delays, of all that were lit.
+/// A slab of delays, of all that were insonified.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slab {
     pub window: Window,
@@ -377,7 +405,7 @@ pub fn arrivals_of_slab(
     plan: &PingPlan,
     array: &ArrayGeometry,
     element: usize,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     slab: Slab,
     work: &mut Workspace,
     sink: &mut impl ArrivalSink,
@@ -402,7 +430,7 @@ pub fn arrivals_of_slab(
         chunk,
     } = work;
     let part = Elements::of(plan, array);
-    track.lay(plan, &lit.transmit, array, element);
+    track.lay(plan, &transmit_leg.transmit, array, element);
     // u >= (2 r_T - reach)/c: batches wholly past the window need no solving. Eq. 21 may move an echo forward, by 3 v/c of its delay at most
     // and with v below 0.1 c.
     let forward = match plan.model.doppler {
@@ -417,10 +445,10 @@ pub fn arrivals_of_slab(
     chunk.element = element;
     chunk.len = 0;
 
-    for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
-        let span = b * CHUNK..((b + 1) * CHUNK).min(lit.len());
+    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
         let [is_late, is_early] = [
-            least_range_m > farthest_m * (1.0 + 1e-12),
+            min_range_m > farthest_m * (1.0 + 1e-12),
             greatest_range_m < nearest_m * (1.0 - 1e-12),
         ];
         if is_late || is_early {
@@ -433,11 +461,11 @@ pub fn arrivals_of_slab(
             continue;
         }
         let batch = Batch {
-            x_m: &lit.x_m[span.clone()],
-            y_m: &lit.y_m[span.clone()],
-            z_m: &lit.z_m[span.clone()],
-            range_m: &lit.range_m[span.clone()],
-            least_range_m,
+            x_m: &transmit_leg.x_m[span.clone()],
+            y_m: &transmit_leg.y_m[span.clone()],
+            z_m: &transmit_leg.z_m[span.clone()],
+            range_m: &transmit_leg.range_m[span.clone()],
+            min_range_m,
             greatest_range_m,
         };
         let odd = solve(track, c, batch, rays);
@@ -446,19 +474,19 @@ pub fn arrivals_of_slab(
             counts.two_roots += odd.two_roots;
         }
         if plan.model.path == PathModel::Continuous {
-            refine(plan, &lit.transmit, track, batch, rays);
+            refine(plan, &transmit_leg.transmit, track, batch, rays);
         }
-        weigh(&receive, lit, span.clone(), rays, heard);
+        weigh(&receive, transmit_leg, span.clone(), rays, heard);
         match plan.model.doppler {
             DopplerModel::None | DopplerModel::Stretch => {}
             DopplerModel::StretchQuadratic => {
-                stretch_twice(plan, lit, track, batch, rays, heard);
+                stretch_twice(plan, transmit_leg, track, batch, rays, heard);
             }
-            DopplerModel::PaperEq21 => stretch_delays(c, lit, span.clone(), rays, heard),
+            DopplerModel::PaperEq21 => stretch_delays(c, transmit_leg, span.clone(), rays, heard),
         }
 
         let n = span.len();
-        let amplitude = &lit.amplitude[span];
+        let amplitude = &transmit_leg.amplitude[span];
         let mut kept = 0;
         for (i, amplitude) in amplitude.iter().enumerate() {
             let delay_s = rays.delay_s[i];
@@ -530,24 +558,24 @@ struct ReceiveLeg {
 /// Second leg of a batch: gain, pattern level and Doppler.
 fn weigh(
     receive: &ReceiveLeg,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    let curved = lit.curved[span.clone()].contains(&true);
+    let curved = transmit_leg.curved[span.clone()].contains(&true);
     match (curved, receive.pattern.is_omnidirectional()) {
-        (false, false) => weigh_as::<false, false>(receive, lit, span, rays, heard),
-        (false, true) => weigh_as::<false, true>(receive, lit, span, rays, heard),
-        (true, false) => weigh_as::<true, false>(receive, lit, span, rays, heard),
-        (true, true) => weigh_as::<true, true>(receive, lit, span, rays, heard),
+        (false, false) => weigh_as::<false, false>(receive, transmit_leg, span, rays, heard),
+        (false, true) => weigh_as::<false, true>(receive, transmit_leg, span, rays, heard),
+        (true, false) => weigh_as::<true, false>(receive, transmit_leg, span, rays, heard),
+        (true, true) => weigh_as::<true, true>(receive, transmit_leg, span, rays, heard),
     }
 }
 
 /// `CURVED`: some of the batch lie on the curve. `ROUND`: the element hears the same from everywhere.
 fn weigh_as<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
@@ -556,14 +584,18 @@ fn weigh_as<const CURVED: bool, const ROUND: bool>(
     {
         if has_avx512() {
             // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { weigh_avx512::<CURVED, ROUND>(receive, lit, span, rays, heard) };
+            return unsafe {
+                weigh_avx512::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+            };
         }
         if is_x86_feature_detected!("avx2") {
             // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { weigh_avx2::<CURVED, ROUND>(receive, lit, span, rays, heard) };
+            return unsafe {
+                weigh_avx2::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+            };
         }
     }
-    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
 }
 
 /// The AVX2 and AVX-512 builds of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
@@ -571,43 +603,43 @@ fn weigh_as<const CURVED: bool, const ROUND: bool>(
 #[target_feature(enable = "avx2")]
 fn weigh_avx2<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 fn weigh_avx512<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
-    weigh_plain::<CURVED, ROUND>(receive, lit, span, rays, heard);
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
 }
 
 #[inline(always)]
 fn weigh_plain<const CURVED: bool, const ROUND: bool>(
     receive: &ReceiveLeg,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
     heard: &mut Heard,
 ) {
     let n = span.len().min(CHUNK);
-    let level = &lit.level[span.clone()][..n];
-    let bias = &lit.bias[span.clone()][..n];
-    let normal_x = &lit.normal_x[span.clone()][..n];
-    let normal_y = &lit.normal_y[span.clone()][..n];
-    let normal_z = &lit.normal_z[span.clone()][..n];
-    let curved = &lit.curved[span.clone()][..n];
-    let curve = lit.curve.as_deref();
-    let closing_m_per_s = &lit.closing_m_per_s[span][..n];
+    let level = &transmit_leg.level[span.clone()][..n];
+    let bias = &transmit_leg.bias[span.clone()][..n];
+    let normal_x = &transmit_leg.normal_x[span.clone()][..n];
+    let normal_y = &transmit_leg.normal_y[span.clone()][..n];
+    let normal_z = &transmit_leg.normal_z[span.clone()][..n];
+    let curved = &transmit_leg.curved[span.clone()][..n];
+    let curve = transmit_leg.curve.as_deref();
+    let closing_m_per_s = &transmit_leg.closing_m_per_s[span][..n];
     for i in 0..n {
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
         let range_m = (x * x + y * y + z * z).sqrt();
@@ -641,7 +673,7 @@ fn weigh_plain<const CURVED: bool, const ROUND: bool>(
 /// [`DopplerModel::StretchQuadratic`]: expansions about mid-pulse in place of those about the leading edge.
 fn stretch_twice(
     plan: &PingPlan,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     track: &ElementTrack,
     batch: Batch,
     rays: &mut Rays,
@@ -652,7 +684,7 @@ fn stretch_twice(
     let middle = Middle {
         c: plan.sound_speed_m_per_s,
         half_s: 0.5 * plan.pulse.duration_s,
-        transmit: lit.transmit.motion,
+        transmit: transmit_leg.transmit.motion,
     };
     #[cfg(target_arch = "x86_64")]
     {
@@ -722,16 +754,17 @@ fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard
 /// [`DopplerModel::PaperEq21`]: the stretch goes into the delays.
 fn stretch_delays(
     c: f64,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &mut Rays,
     heard: &mut Heard,
 ) {
     for (i, m) in span.enumerate() {
-        let a = lit.closing_m_per_s[m];
+        let a = transmit_leg.closing_m_per_s[m];
         // eta - 1 = (a + b)/(c - a)
         let b = heard.doppler[i] * (c - a) - a;
-        rays.delay_s[i] = paper_eq21_delay_s(c, lit.range_m[m] / c, rays.delay_s[i], (a, b));
+        rays.delay_s[i] =
+            paper_eq21_delay_s(c, transmit_leg.range_m[m] / c, rays.delay_s[i], (a, b));
         heard.doppler[i] = 0.0;
     }
 }
@@ -753,7 +786,7 @@ mod tests {
         };
         let narrow = |v: &[f64]| -> Vec<f32> { v.iter().map(|x| *x as f32).collect() };
         let (a, b, c) = (place(0.618), place(0.755), place(0.57));
-        let lit = Illuminated {
+        let transmit_leg = TransmitLeg {
             level: a.clone(),
             bias: (0..CHUNK).map(|k| (k % 2) as f32).collect(),
             curved: (0..CHUNK).map(|k| k % 4 < 2).collect(),
@@ -762,7 +795,7 @@ mod tests {
             normal_y: narrow(&b),
             normal_z: narrow(&c),
             closing_m_per_s: b.clone(),
-            ..Illuminated::default()
+            ..TransmitLeg::default()
         };
         let mut rays = Rays::default();
         for i in 0..CHUNK {
@@ -786,18 +819,20 @@ mod tests {
         };
         fn run<const CURVED: bool>(
             wide: bool,
-            (receive, lit, rays): (&ReceiveLeg, &Illuminated, &Rays),
+            (receive, transmit_leg, rays): (&ReceiveLeg, &TransmitLeg, &Rays),
         ) -> [[u64; CHUNK]; 4] {
             let mut heard = Heard::default();
             if wide {
                 // SAFETY: asked above.
-                unsafe { weigh_avx2::<CURVED, false>(receive, lit, 0..CHUNK, rays, &mut heard) };
+                unsafe {
+                    weigh_avx2::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard)
+                };
             } else {
-                weigh_plain::<CURVED, false>(receive, lit, 0..CHUNK, rays, &mut heard);
+                weigh_plain::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard);
             }
             [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
         }
-        let all = (&receive, &lit, &rays);
+        let all = (&receive, &transmit_leg, &rays);
         let (plain, curved) = (run::<false>(false, all), run::<true>(false, all));
         assert!(run::<false>(true, all) == plain && run::<true>(true, all) == curved);
         assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
@@ -805,7 +840,9 @@ mod tests {
         if has_avx512() {
             let mut heard = Heard::default();
             // SAFETY: asked above.
-            unsafe { weigh_avx512::<true, false>(&receive, &lit, 0..CHUNK, &rays, &mut heard) };
+            unsafe {
+                weigh_avx512::<true, false>(&receive, &transmit_leg, 0..CHUNK, &rays, &mut heard)
+            };
             let wide = [heard.doppler, heard.gain, heard.level, heard.range_m]
                 .map(|v| v.map(f64::to_bits));
             assert!(wide == curved);
@@ -827,7 +864,7 @@ mod tests {
             y_m: &y_m,
             z_m: &z_m,
             range_m: &range_m,
-            least_range_m: 0.0,
+            min_range_m: 0.0,
             greatest_range_m: 200.0,
         };
         let middle = Middle {
@@ -868,7 +905,7 @@ mod tests {
             let position_m = DVec3::new(a, b, c) * 90.0;
             scatterers.push(position_m, normal, Complex64::ONE, ScatterLaw::Lambert);
         }
-        let leg = TransmitLeg {
+        let leg = TransmitLegTerms {
             transmit: &Transmit::default(),
             pattern: Directivity::new(&Pattern::Omnidirectional, 0.00375),
             one_way: OneWay::new(0.00375, 0.096),

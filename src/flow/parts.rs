@@ -1,6 +1,6 @@
 //! Lines in parts: some elements side by side taken as one, in their middle.
 
-use super::{ArrayGeometry, FidelityMark, Pattern};
+use super::{ArrayGeometry, MethodMark, Pattern};
 
 impl Pattern {
     /// Elements that it is the mean of: 1 but for [`Pattern::Part`].
@@ -66,7 +66,7 @@ impl ArrayGeometry {
     }
 }
 
-impl FidelityMark {
+impl MethodMark {
     /// As the configuration spells it.
     pub fn output(&self) -> &'static str {
         match self.part_elements {

@@ -16,13 +16,13 @@ use num_complex::Complex64;
 use crate::flow::{BeamFrame, Detection, Sounding};
 
 /// Beams whose greatest smoothed level is not this far above the median of the beam have no bottom.
-const LEAST_ABOVE_MEDIAN_DB: f64 = 6.0;
+const MIN_ABOVE_MEDIAN_DB: f64 = 6.0;
 /// The energy's centre is taken over samples within this of the greatest.
 const AMPLITUDE_FLOOR: f64 = 0.25;
 /// Phases beyond this belong to the ambiguity, not to the crossing, radians.
 const PHASE_REACH_RAD: f64 = 2.2;
 /// Fewest samples of a straight line.
-const LEAST_LINE: usize = 8;
+const MIN_LINE: usize = 8;
 /// Beams are taken for no flatter than this.
 const STEEPEST_RAD: f64 = 1.45;
 /// A footprint's centre of energy lies off its axis by this share of it, about: level falls with range and incidence.
@@ -63,17 +63,17 @@ impl BottomDetector {
     }
 
     /// One sounding for each beam that has a bottom. `halves` are the fans of the line's two halves, of the same beams and samples, whose sample k
-    /// lies at `first_sample_s` + k / rate; no bottom is looked for before `least_s`.
+    /// lies at `first_sample_s` + k / rate; no bottom is looked for before `min_s`.
     pub fn detect(
         &mut self,
         halves: [&BeamFrame; 2],
         first_sample_s: f64,
-        least_s: f64,
+        min_s: f64,
         out: &mut Vec<Sounding>,
     ) {
         out.clear();
         let [a, b] = halves;
-        let first = ((least_s - first_sample_s) * self.sample_rate_hz).max(0.0) as usize;
+        let first = ((min_s - first_sample_s) * self.sample_rate_hz).max(0.0) as usize;
         for beam in 0..a.beams {
             // How long a flat bottom stays in the whole line's beam, over how long its echo has been under way.
             let stay = 0.5 * a.width_rad[beam] * a.angle_rad[beam].abs().min(STEEPEST_RAD).tan();
@@ -102,7 +102,7 @@ impl BottomDetector {
         stay: f64,
     ) -> Option<(Detection, Found, f64)> {
         let (a, b) = (&a[first..], &b[first..]);
-        if a.len() < LEAST_LINE {
+        if a.len() < MIN_LINE {
             return None;
         }
         self.intensity.clear();
@@ -128,7 +128,7 @@ impl BottomDetector {
         let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f64::total_cmp);
         if level.is_nan()
             || level <= 0.0
-            || level < *median * 10f64.powf(LEAST_ABOVE_MEDIAN_DB / 10.0)
+            || level < *median * 10f64.powf(MIN_ABOVE_MEDIAN_DB / 10.0)
         {
             return None;
         }
@@ -186,7 +186,7 @@ impl BottomDetector {
     /// A straight line through the phases about their crossing of zero, each weighted with its energy: first about `centre`, then about the
     /// crossing, over no more than the `footprint` of the beam, in which the phase is not ambiguous.
     fn by_phase(&self, centre: f64, level: f64, footprint: f64, cell: f64) -> Option<Found> {
-        if footprint < LEAST_LINE as f64 {
+        if footprint < MIN_LINE as f64 {
             return None;
         }
         let mut crossing = centre;
@@ -252,7 +252,7 @@ impl Line {
     }
 
     fn moments(&self) -> Option<(f64, f64, f64, f64, f64)> {
-        if self.count < LEAST_LINE || self.w <= 0.0 {
+        if self.count < MIN_LINE || self.w <= 0.0 {
             return None;
         }
         let (x, y) = (self.x / self.w, self.y / self.w);

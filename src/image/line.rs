@@ -74,7 +74,7 @@ impl Projection {
 pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
     const STRETCH_M: f64 = 0.25;
     const UNDER_LOUD_DB: f64 = 12.0;
-    const LEAST_CONTRAST_DB: f64 = 10.0;
+    const MIN_CONTRAST_DB: f64 = 10.0;
     let stretch = (STRETCH_M / axis.metres_per_sample).ceil().max(1.0) as usize;
     let each = lines.iter().filter_map(|line| {
         let levels: Vec<f64> = line
@@ -87,7 +87,7 @@ pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
         sorted.sort_by(f64::total_cmp);
         let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize);
         let (quiet, loud) = (*at(0.02)?, *at(0.9)?);
-        if loud - quiet < LEAST_CONTRAST_DB {
+        if loud - quiet < MIN_CONTRAST_DB {
             return None;
         }
         let least = (loud - UNDER_LOUD_DB).max(0.5 * (quiet + loud));
@@ -112,19 +112,19 @@ pub fn mean_intensity(amplitude: &[f32], axis: RangeAxis, metres_per_cell: f64, 
     );
 }
 
-/// The same for any projection. Samples nearer than `least_m` of slant range are left out: NaN.
+/// The same for any projection. Samples nearer than `min_m` of slant range are left out: NaN.
 pub fn cell_intensity(
     amplitude: &[f32],
     axis: RangeAxis,
     projection: Projection,
     metres_per_cell: f64,
-    least_m: f64,
+    min_m: f64,
     cells: &mut [f32],
 ) {
     for (i, cell) in cells.iter_mut().enumerate() {
         let samples = projection.samples(axis, metres_per_cell, i);
         let inside = amplitude.get(samples.start..samples.end.min(amplitude.len()));
-        let hidden = projection.slant_range_m((i as f64 + 0.5) * metres_per_cell) < least_m;
+        let hidden = projection.slant_range_m((i as f64 + 0.5) * metres_per_cell) < min_m;
         *cell = match inside {
             Some(inside) if !inside.is_empty() && !hidden => {
                 let sum: f64 = inside.iter().map(|&a| f64::from(a) * f64::from(a)).sum();

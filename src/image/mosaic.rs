@@ -211,11 +211,11 @@ impl MosaicBuilder {
         let projection = Projection::Ground {
             altitude_m: place.altitude_m,
         };
-        let least_m = place.altitude_m / self.spec.nadir_rad.cos();
+        let min_m = place.altitude_m / self.spec.nadir_rad.cos();
         let mut sides = [vec![f32::NAN; cells], vec![f32::NAN; cells]];
         for line in lines {
             let side = &mut sides[usize::from(line.side == Side::Starboard)];
-            cell_intensity(&line.amplitude, axis, projection, cell_m, least_m, side);
+            cell_intensity(&line.amplitude, axis, projection, cell_m, min_m, side);
         }
         let mut masks = [Vec::new(), Vec::new()];
         for truth in truths {

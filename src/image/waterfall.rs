@@ -56,7 +56,7 @@ pub fn rows_that_keep_the_aspect(advance_m: f64, metres_per_pixel: f64) -> u32 {
 /// dim its own surroundings, narrow enough for the first bottom return.
 const NORMALISE_HALF_WIDTH: usize = 8;
 /// A picture's scale spans at least this much, dB, so that an even seabed is not stretched into snow.
-const LEAST_SPAN_DB: f64 = 12.0;
+const MIN_SPAN_DB: f64 = 12.0;
 /// How much of a range tick's pixel is white.
 const TICK_SHARE: f64 = 0.25;
 /// Where there is no data.
@@ -269,7 +269,7 @@ impl Waterfall {
                 (at(low), at(high))
             }
         };
-        (low_db.min(high_db - LEAST_SPAN_DB), high_db)
+        (low_db.min(high_db - MIN_SPAN_DB), high_db)
     }
 
     fn tick_columns(&self) -> Vec<bool> {

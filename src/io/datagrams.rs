@@ -25,7 +25,7 @@ use crate::time::{Clock, MonoNs, SystemClock};
 const SEND_BUFFER_BYTES: usize = 1 << 20;
 
 /// Frames that clients of a server may hold before buffers are made anew.
-const MOST_KEPT_BUFFERS: usize = 256;
+const MAX_KEPT_BUFFERS: usize = 256;
 
 /// Where packets go.
 #[derive(Clone, Debug)]
@@ -132,7 +132,7 @@ impl DatagramSender {
     ) -> std::io::Result<Self> {
         let far = Far::Clients {
             server: Arc::clone(&server),
-            pool: DatagramPool::new(0, MOST_KEPT_BUFFERS),
+            pool: DatagramPool::new(0, MAX_KEPT_BUFFERS),
         };
         let far = (far, DatagramCounts::default());
         let mut sender = Self::start(far, f64::INFINITY, queue, clock, sending)?;
@@ -467,8 +467,8 @@ mod tests {
         sender.send(ping_of(&packets), Leaving::Over(0.2));
         drop(sender);
         // All but the first bucketful.
-        let least_s = 0.2 * (1.0 - 32.0 * 1024.0 / 147_200.0) - 1e-3;
+        let min_s = 0.2 * (1.0 - 32.0 * 1024.0 / 147_200.0) - 1e-3;
         let took_s = began.elapsed().as_secs_f64();
-        assert!(took_s >= least_s, "{took_s} s, not below {least_s} s");
+        assert!(took_s >= min_s, "{took_s} s, not below {min_s} s");
     }
 }

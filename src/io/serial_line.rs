@@ -17,7 +17,7 @@ use crate::io::line::Line;
 use crate::io::sonar::RigTime;
 
 /// Records that may wait for the line.
-const MOST_WAITING: usize = 4;
+const MAX_WAITING: usize = 4;
 /// How long a look for what the client says lasts: as long as an answer may wait to be begun.
 const LOOK: Duration = Duration::from_millis(20);
 /// Looks without a byte after which a command begun is given up.
@@ -52,7 +52,7 @@ impl SerialLine {
         rig_time: RigTime,
     ) -> std::io::Result<Self> {
         let (name, stop) = (port.to_owned(), Arc::new(AtomicBool::new(false)));
-        let (records, waiting) = bounded(MOST_WAITING);
+        let (records, waiting) = bounded(MAX_WAITING);
         let counts = Arc::new(LineCounts::default());
         let first = open(&name, baud)?;
         let thread = thread::Builder::new().name("serial".into()).spawn({

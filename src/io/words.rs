@@ -11,7 +11,7 @@ use echotank_protocols::words::{Datagrams, Format, Words};
 use crate::nav::capture::{self, Segment};
 
 /// Early segments of one way that may wait for the missing one; more, and it is taken for lost.
-const MOST_WAITING: usize = 64;
+const MAX_WAITING: usize = 64;
 
 /// One way of a connection.
 #[derive(Default)]
@@ -50,7 +50,7 @@ impl Way {
         }
         while let Some((&place, _)) = self.waiting.first_key_value() {
             let at = self.next.unwrap_or(self.begun).wrapping_sub(self.begun);
-            if place > at && self.waiting.len() <= MOST_WAITING {
+            if place > at && self.waiting.len() <= MAX_WAITING {
                 break;
             }
             let Some((place, bytes)) = self.waiting.pop_first() else {
@@ -205,10 +205,10 @@ mod tests {
         // One is lost; many lines follow.
         let lost = 13 + 12;
         segments.extend(
-            (0..=MOST_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])),
+            (0..=MAX_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])),
         );
         let got = lines(&pcap(&segments), Some(Format::WbmsText));
-        assert_eq!(got.len(), 2 + MOST_WAITING, "{got:?}");
+        assert_eq!(got.len(), 2 + MAX_WAITING, "{got:?}");
     }
 
     proptest! {

@@ -11,7 +11,7 @@ use crate::flow::SonarSettings;
 use crate::time::UtcNs;
 
 /// Triggers of a followed sonar that may lie ahead: more than its pulses in the longest delay there is.
-const MOST_AHEAD: usize = 4096;
+const MAX_AHEAD: usize = 4096;
 
 /// What holds for a sonar at an instant.
 #[derive(Clone, Copy, Debug)]
@@ -89,7 +89,7 @@ impl Beats {
             schedule: Schedule::starting_at(first_utc, sound_speed_m_per_s),
             early: Early {
                 rule: spec.early,
-                least_interval_s: spec.least_interval_s,
+                min_interval_s: spec.min_interval_s,
             },
             follows: match spec.from {
                 TriggerFrom::Sonar { sonar, delay_s } => Some((sonar, delay_s)),
@@ -203,7 +203,7 @@ impl Beats {
         let follows = |lane: &&mut Lane| lane.follows.is_some_and(|(whom, _)| whom == sonar);
         for lane in self.lanes.iter_mut().filter(follows) {
             let delay_s = lane.follows.map_or(0.0, |(_, delay_s)| delay_s);
-            if lane.ahead.len() < MOST_AHEAD {
+            if lane.ahead.len() < MAX_AHEAD {
                 lane.ahead.push_back(at.plus_s(delay_s));
             }
         }

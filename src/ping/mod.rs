@@ -8,7 +8,7 @@
 pub mod beats;
 pub mod trigger;
 
-pub mod fidelity;
+pub mod methods;
 pub mod work;
 
 use crate::config::spec::{MediumSpec, SonarSpec};
@@ -190,7 +190,7 @@ fn longest(spec: &SonarSpec) -> SonarSettings {
 }
 
 /// Samples of the longest window within the limits, for sizing buffers.
-pub fn most_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+pub fn max_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     sample_count(
         &longest(spec),
         sound_speed_m_per_s,
@@ -199,7 +199,7 @@ pub fn most_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
 }
 
 /// Longest polyline within the limits, for sizing buffers.
-pub fn most_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
+pub fn max_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     (window_s(&longest(spec), sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
 }
 
@@ -226,7 +226,7 @@ pub fn blank(
         model: spec.model,
         nav: NavState::default(),
         trajectory: Trajectory::default(),
-        segments: Vec::with_capacity(most_segments(spec, medium.sound_speed_m_per_s)),
+        segments: Vec::with_capacity(max_segments(spec, medium.sound_speed_m_per_s)),
     }
 }
 

@@ -14,7 +14,7 @@ use crate::time::UtcNs;
 pub struct Early {
     pub rule: EarlyTrigger,
     /// From pulse to pulse, beside what the range needs; seconds.
-    pub least_interval_s: f64,
+    pub min_interval_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +48,7 @@ impl Schedule {
         if at < last {
             return Triggered::Refused(Refusal::Stale);
         }
-        let earliest = self.free_utc.max(last.plus_s(early.least_interval_s));
+        let earliest = self.free_utc.max(last.plus_s(early.min_interval_s));
         if at >= earliest && self.queued_utc.is_none() {
             return Triggered::Pulse(self.pulse(at, settings));
         }
@@ -139,11 +139,11 @@ mod tests {
 
     const REFUSE: Early = Early {
         rule: EarlyTrigger::Refuse,
-        least_interval_s: 0.0,
+        min_interval_s: 0.0,
     };
     const QUEUE: Early = Early {
         rule: EarlyTrigger::Queue,
-        least_interval_s: 0.0,
+        min_interval_s: 0.0,
     };
 
     /// Instants of pings, milliseconds, and how many triggers were refused.
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(pings(&at, REFUSE), (vec![0, 400], 3));
         assert_eq!(pings(&at, QUEUE), (vec![0, 103, 400], 2));
         let slow = Early {
-            least_interval_s: 0.35,
+            min_interval_s: 0.35,
             ..QUEUE
         };
         assert_eq!(pings(&at, slow), (vec![0, 350, 700], 2));

@@ -36,12 +36,12 @@ figures! {
     Ping "ping" "a ping, whatever is in it";
     Element "element" "an element of a ping";
     Sample "sample" "a sample of an element, whatever made it";
-    TransmitLeg "transmit_leg" "a scatterer as a transmitter sees it";
-    Pair "pair" "a lit scatterer at an element: its second leg's level, and where it goes";
+    TransmitLegTerms "transmit_leg" "a scatterer as a transmitter sees it";
+    Pair "pair" "an insonified scatterer at an element: its second leg's level, and where it goes";
     Pattern "pattern" "... where the element has a pattern";
-    Chord "chord" "a lit scatterer at an element, for each leg of the path that is looked at";
-    Newton "newton" "a lit scatterer at an element on the trajectory itself";
-    PartElement "part_element" "an element of a part of a line, for each lit scatterer";
+    Chord "chord" "an insonified scatterer at an element, for each leg of the path that is looked at";
+    Newton "newton" "an insonified scatterer at an element on the trajectory itself";
+    PartElement "part_element" "an element of a part of a line, for each insonified scatterer";
     Quadratic "quadratic" "the second order of an echo's Doppler";
     DirectRun "direct_run" "a run of samples of an echo in `direct`: sines and cosines anew";
     DirectPoint "direct_point" "a point of an echo in `direct`";

@@ -1,11 +1,11 @@
-//! What the method cards want to know of a ping, measured on its own motion and scatterers.
+//! What the error models want to know of a ping, measured on its own motion and scatterers.
 
 use glam::DVec3;
 
-use crate::array::cards::synthesis_card;
+use crate::array::error_models::synthesis_error_model;
 use crate::config::spec::SonarSpec;
-use crate::flow::{Conditions, MethodCard, PingPlan, Scatterers, Synthesis};
-use crate::run::fidelity::heard::heard;
+use crate::flow::{Conditions, ErrorModel, PingPlan, Scatterers, Synthesis};
+use crate::run::method_selection::heard::heard;
 
 /// Instants of a ping at which its motion is looked at: a window of 0.2 s every 3 ms, far below any platform's periods.
 const INSTANTS: usize = 64;
@@ -89,17 +89,17 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
     }
 }
 
-/// The card of a sum, with what the sonar's own settings do to it: a frequency step of one's own that is too coarse for the record lays late
+/// The error model of a sum, with what the sonar's own settings do to it: a frequency step of one's own that is too coarse for the record lays late
 /// echoes over early ones.
-pub fn sum_card(
+pub fn sum_error_model(
     synthesis: Synthesis,
     spec: &SonarSpec,
     plan: &PingPlan,
     conditions: &Conditions,
-) -> MethodCard {
-    let mut card = synthesis_card(synthesis, conditions);
+) -> ErrorModel {
+    let mut error_model = synthesis_error_model(synthesis, conditions);
     if matches!(synthesis, Synthesis::Nearest | Synthesis::Linear) {
-        card.error *= ONE_END;
+        error_model.error *= ONE_END;
     }
     if synthesis == Synthesis::Spectral
         && let Some(step_hz) = spec.synthesis.frequency_step_hz
@@ -107,14 +107,14 @@ pub fn sum_card(
         // An echo may have begun a pulse before the window.
         let heard_s = plan.sample_count as f64 / conditions.sample_rate_hz + plan.pulse.duration_s;
         if step_hz * heard_s > 1.0 {
-            card.error = WRAPPED;
-            card.why = format!(
+            error_model.error = WRAPPED;
+            error_model.why = format!(
                 "steps of {step_hz:.2} Hz repeat every {:.4} s, and {heard_s:.4} s are heard: late echoes lie over early ones",
                 1.0 / step_hz
             );
         }
     }
-    card
+    error_model
 }
 
 /// What `nearest` and `linear` leave of an echo is of its whole spectrum; of a window that holds one end of it alone it is more, 1.8 times at most in

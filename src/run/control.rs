@@ -20,14 +20,14 @@ use crate::run::faults::Faults;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::OutputReports;
-use crate::run::overload::StrainLog;
+use crate::run::overload::OverloadLog;
 use crate::run::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
 use crate::run::settings::SettingsStore;
 use crate::run::triggers::TriggerCounts;
 use crate::time::{Clock, MonoNs, SystemClock, UtcNs};
 
 /// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
-const MOST_STEPS: u64 = 1_000_000;
+const MAX_STEPS: u64 = 1_000_000;
 
 /// A pipeline that does not come round for so long is stuck: no ping takes as long.
 const LONGEST_BEAT_S: f64 = 15.0;
@@ -36,7 +36,7 @@ const LONGEST_BEAT_S: f64 = 15.0;
 const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
 /// Of what was asked that is no setting, kept for the page.
-const MOST_DEEDS: usize = 64;
+const MAX_DEEDS: usize = 64;
 
 /// One sonar as its operator sees it.
 pub struct SonarControl {
@@ -64,7 +64,7 @@ pub struct RunControl {
     sonars: Vec<SonarControl>,
     faults: Arc<Faults>,
     rig_time: RigTime,
-    strains: StrainLog,
+    overload_states: OverloadLog,
     /// The navigation's counters, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
     nav_sources: Mutex<Vec<(State, SourceCounters)>>,
@@ -98,7 +98,7 @@ impl RunControl {
             sonars,
             faults,
             rig_time,
-            strains: StrainLog::default(),
+            overload_states: OverloadLog::default(),
             nav_lines: Mutex::default(),
             nav_sources: Mutex::default(),
             page,
@@ -112,8 +112,8 @@ impl RunControl {
     }
 
     /// Pings that were not as they should have been, for the log.
-    pub fn strains(&self) -> &StrainLog {
-        &self.strains
+    pub fn overload_states(&self) -> &OverloadLog {
+        &self.overload_states
     }
 
     pub fn sonars(&self) -> &[SonarControl] {
@@ -184,8 +184,8 @@ impl RunControl {
             }
             Command::Step { pings } => {
                 self.refuse_without_own_nav()?;
-                if !(1..=MOST_STEPS).contains(pings) {
-                    return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
+                if !(1..=MAX_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MAX_STEPS}"));
                 }
                 let before = self.gate.pings_delivered();
                 self.gate.step(*pings);
@@ -201,8 +201,8 @@ impl RunControl {
             }
             Command::Trigger { sonar, pings } => {
                 let sonar = self.sonar(sonar.as_deref())?;
-                if !(1..=MOST_STEPS).contains(pings) {
-                    return Err(format!("pings = {pings}: must be from 1 to {MOST_STEPS}"));
+                if !(1..=MAX_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MAX_STEPS}"));
                 }
                 self.set(sonar, &[SettingChange::PingTimes(*pings as u32)], by)
             }
@@ -283,7 +283,7 @@ impl RunControl {
             return;
         }
         let mut deeds = lock(&self.deeds);
-        if deeds.len() == MOST_DEEDS {
+        if deeds.len() == MAX_DEEDS {
             deeds.pop_front();
         }
         deeds.push_back(json!({
@@ -343,7 +343,7 @@ impl RunControl {
             "changes": { "applied": counts.applied, "refused": counts.refused },
             "overload": self.page.spec.run.overload.name(),
             "counters": counters,
-            "fidelity": sonar.counters.fidelity_json(),
+            "methods": sonar.counters.methods_json(),
             "microseconds": histograms,
             "outputs": sonar.reports.lines(),
         })
@@ -452,7 +452,7 @@ impl ControlPort for RunControl {
                 "injected": self.faults.injected(),
                 "unlogged": self.faults.unwritten(),
             },
-            "overload_unlogged": self.strains.unwritten(),
+            "overload_unlogged": self.overload_states.unwritten(),
             "nav": self.nav_lines(),
             "page": self.page.feed.counts(),
         })

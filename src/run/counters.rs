@@ -3,8 +3,8 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::flow::{Certificate, EchoCounts, FidelityMark, NavState, SceneCounts, Strain};
-use crate::run::fidelity::live::PlanCounts;
+use crate::flow::{EchoCounts, ErrorCheck, MethodMark, NavState, OverloadState, SceneCounts};
+use crate::run::method_selection::live::PlanCounts;
 
 /// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
 #[derive(Debug, Default)]
@@ -20,7 +20,7 @@ pub struct PingCounters {
     pub degraded: AtomicU64,
     pub looser: AtomicU64,
     /// Began to stream, and could not go on in time: the rest of their samples did not leave by the streams.
-    pub torn: AtomicU64,
+    pub truncated: AtomicU64,
     /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
     pub stretched: AtomicU64,
     pub stretched_us: AtomicU64,
@@ -45,16 +45,16 @@ pub struct PingCounters {
     pub extrapolated: AtomicU64,
     /// Made with navigation that is flagged invalid.
     pub invalid_nav: AtomicU64,
-    /// Pings that carried a certificate.
-    pub certified: AtomicU64,
+    /// Pings that carried an error check.
+    pub checked: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
-    pub certificate_faults: AtomicU64,
+    pub error_check_faults: AtomicU64,
     /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
     pub plan: AtomicU64,
     pub plan_promise: [AtomicU64; 2],
     /// Elements of a line that it makes as one.
     pub plan_part_elements: AtomicU64,
-    /// Plans given up because a certificate was above their tolerance, and that could not be made.
+    /// Plans given up because an error check was above their tolerance, and that could not be made.
     pub plans_given_up: AtomicU64,
     pub plans_failed: AtomicU64,
     /// Echoes nearer or faster than the engine is made for.
@@ -64,8 +64,8 @@ pub struct PingCounters {
     pub seabed_culled: AtomicU64,
     pub seabed_shadowed: AtomicU64,
     pub seabed_used: AtomicU64,
-    /// The newest certificate: error, low, high, as the bits of f64.
-    pub certificate: [AtomicU64; 3],
+    /// The newest error check: error, low, high, as the bits of f64.
+    pub error_check: [AtomicU64; 3],
 }
 
 pub fn add(counter: &AtomicU64, n: u64) {
@@ -99,28 +99,28 @@ impl PingCounters {
         add(&self.seabed_used, counts.scatterers);
     }
 
-    /// What was done to a ping because computing did not keep up; `rung`: how many steps looser than configured it is.
-    pub fn strain(&self, rung: usize, strain: &Strain) {
-        add(&self.degraded, u64::from(rung > 0));
-        self.looser.store(rung as u64, Ordering::Relaxed);
-        add(&self.stretched, u64::from(strain.put_off_s > 0.0));
-        add(&self.stretched_us, (strain.put_off_s * 1e6) as u64);
+    /// What was done to a ping because computing did not keep up; `level`: how many steps looser than configured it is.
+    pub fn overload_state(&self, level: usize, overload_state: &OverloadState) {
+        add(&self.degraded, u64::from(level > 0));
+        self.looser.store(level as u64, Ordering::Relaxed);
+        add(&self.stretched, u64::from(overload_state.put_off_s > 0.0));
+        add(&self.stretched_us, (overload_state.put_off_s * 1e6) as u64);
     }
 
-    /// What a ping's certificate says, if it has one.
-    pub fn certificate(&self, certificate: Option<&Certificate>) {
-        let Some(c) = certificate else {
+    /// What a ping's error check says, if it has one.
+    pub fn error_check(&self, error_check: Option<&ErrorCheck>) {
+        let Some(c) = error_check else {
             return;
         };
-        add(&self.certified, 1);
-        add(&self.certificate_faults, u64::from(c.fault));
-        for (to, value) in self.certificate.iter().zip([c.error, c.low, c.high]) {
+        add(&self.checked, 1);
+        add(&self.error_check_faults, u64::from(c.fault));
+        for (to, value) in self.error_check.iter().zip([c.error, c.low, c.high]) {
             to.store(value.to_bits(), Ordering::Relaxed);
         }
     }
 
     /// What a ping's plan of methods says, if there is one.
-    pub fn plan(&self, mark: Option<&FidelityMark>, counts: &PlanCounts) {
+    pub fn plan(&self, mark: Option<&MethodMark>, counts: &PlanCounts) {
         let Some(mark) = mark else {
             return;
         };
@@ -136,7 +136,7 @@ impl PingCounters {
         self.plans_failed.store(counts.failed, Ordering::Relaxed);
     }
 
-    /// For the status lines: what the seabed, the engine and the certificate have to say, if anything.
+    /// For the status lines: what the seabed, the engine and the error check have to say, if anything.
     fn model_text(&self) -> String {
         let mut text = String::new();
         let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
@@ -153,11 +153,11 @@ impl PingCounters {
             0 => {}
             n => text += &format!(", {n} echoes beyond what the engine is made for"),
         }
-        if read(&self.certified) > 0 {
-            let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.certificate[k])));
+        if read(&self.checked) > 0 {
+            let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.error_check[k])));
             text += &format!(
-                ", {} certified: error {error:.1e} ({low:.1e} to {high:.1e})",
-                read(&self.certified)
+                ", {} checked: error {error:.1e} ({low:.1e} to {high:.1e})",
+                read(&self.checked)
             );
         }
         if read(&self.plan) > 0 {
@@ -176,9 +176,9 @@ impl PingCounters {
             (n, 0) => text += &format!(", OVERLOAD: {n} made looser, none now"),
             (n, now) => text += &format!(", OVERLOAD: {n} made looser, now by {now} steps"),
         }
-        match read(&self.torn) {
+        match read(&self.truncated) {
             0 => {}
-            n => text += &format!(", OVERLOAD: {n} torn while they streamed"),
+            n => text += &format!(", OVERLOAD: {n} truncated while they streamed"),
         }
         match read(&self.stretched) {
             0 => {}
@@ -193,7 +193,7 @@ impl PingCounters {
             (0, 0) => {}
             (given_up, failed) => {
                 text += &format!(
-                    ", FAULT: {given_up} plans given up for their certificates, {failed} not made"
+                    ", FAULT: {given_up} plans given up for their error checks, {failed} not made"
                 )
             }
         }
@@ -201,21 +201,21 @@ impl PingCounters {
             0 => {}
             n => text += &format!(", RECORDING STOPPED by an error ({n})"),
         }
-        match read(&self.certificate_faults) {
+        match read(&self.error_check_faults) {
             0 => {}
             n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
         }
         text
     }
 
-    /// The newest plan of methods with its certificate; null where nothing is left to a plan.
-    pub fn fidelity_json(&self) -> serde_json::Value {
+    /// The newest plan of methods with its error check; null where nothing is left to a plan.
+    pub fn methods_json(&self) -> serde_json::Value {
         if read(&self.plan) == 0 {
             return serde_json::Value::Null;
         }
         let [predicted, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
         let measured =
-            (read(&self.certified) > 0).then(|| f64::from_bits(read(&self.certificate[0])));
+            (read(&self.checked) > 0).then(|| f64::from_bits(read(&self.error_check[0])));
         serde_json::json!({
             "plan": read(&self.plan),
             "output": if read(&self.plan_part_elements) > 1 { "beams" } else { "elements" },
@@ -224,7 +224,7 @@ impl PingCounters {
             "tolerance": tolerance,
             "measured_error": measured,
             "margin": measured.map(|error| tolerance / error.max(f64::MIN_POSITIVE)),
-            "certificate_faults": read(&self.certificate_faults),
+            "error_check_faults": read(&self.error_check_faults),
             "given_up": read(&self.plans_given_up),
             "failed": read(&self.plans_failed),
         })
@@ -290,9 +290,9 @@ impl PingCounters {
                 &self.looser,
             ),
             (
-                "pings_torn",
+                "pings_truncated",
                 "Pings whose first samples streamed, and whose others were not ready in time to",
-                &self.torn,
+                &self.truncated,
             ),
             (
                 "pings_stretched",
@@ -348,14 +348,14 @@ impl PingCounters {
                 &self.extrapolated,
             ),
             (
-                "pings_certified",
-                "Pings with a certificate",
-                &self.certified,
+                "pings_checked",
+                "Pings with an error check",
+                &self.checked,
             ),
             (
-                "certificate_faults",
-                "Pings whose certificate was above 1.3 tolerances, as the one before",
-                &self.certificate_faults,
+                "error_check_faults",
+                "Pings whose error check was above 1.3 tolerances, as the one before",
+                &self.error_check_faults,
             ),
             (
                 "plan",
@@ -364,7 +364,7 @@ impl PingCounters {
             ),
             (
                 "plans_given_up",
-                "Plans of methods given up because a certificate was above their tolerance",
+                "Plans of methods given up because an error check was above their tolerance",
                 &self.plans_given_up,
             ),
             (
@@ -377,13 +377,13 @@ impl PingCounters {
         .map(|(name, doc, counter)| (name, doc, read(counter)))
     }
 
-    /// As [`Self::all`], of what is no count: what the newest ping's plan and certificate say. None where there is none.
+    /// As [`Self::all`], of what is no count: what the newest ping's plan and error check say. None where there is none.
     pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
         let of = |bits: &AtomicU64| f64::from_bits(read(bits));
         let planned = read(&self.plan) > 0;
-        let certified = read(&self.certified) > 0;
+        let checked = read(&self.checked) > 0;
         let [predicted, tolerance] = [0, 1].map(|k| planned.then(|| of(&self.plan_promise[k])));
-        let measured = certified.then(|| of(&self.certificate[0]));
+        let measured = checked.then(|| of(&self.error_check[0]));
         let margin = tolerance.zip(measured);
         [
             (
@@ -397,8 +397,8 @@ impl PingCounters {
                 tolerance,
             ),
             (
-                "certificate_error",
-                "Measured error of the newest certificate",
+                "checked_error",
+                "Measured error of the newest error check",
                 measured,
             ),
             (

@@ -35,7 +35,7 @@ use thiserror::Error;
 use crate::config::spec::{
     ClockSpec, DeliverySpec, NavInputSpec, NavMode, NavSourceSpec, OverloadSpec, RigSpec, StampSpec,
 };
-use crate::flow::Strain;
+use crate::flow::OverloadState;
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
@@ -46,7 +46,7 @@ use crate::io::record::faults::FaultLog;
 use crate::io::record::recover::recover_folder;
 use crate::io::record::{RecordError, make_folder};
 use crate::io::sonar::RigTime;
-use crate::io::trigger::DoorError;
+use crate::io::trigger::ListenerError;
 use crate::io::trigger::out::OutError;
 use crate::nav::Coverage;
 use crate::ping::PingOrder;
@@ -56,7 +56,7 @@ use crate::run::faults::nav::NavSpoiler;
 use crate::run::gate::Gate;
 use crate::run::histograms::Histograms;
 use crate::run::outputs::{OutputError, Outputs, PageOpening};
-use crate::run::overload::{Backlog, Ladder, Strained};
+use crate::run::overload::{Backlog, DegradationLevels, OverloadRecord};
 use crate::run::page::PageSource;
 use crate::run::rig::{PingSlot, Rig, RigError, pool_of};
 use crate::run::settings::SettingsStore;
@@ -77,7 +77,7 @@ const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
 /// Tiles of a sonar's pings that may be on their way at a time.
 const TILE_SLOTS: usize = 4;
 /// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
-const MOST_ORDERS: usize = 1000;
+const MAX_ORDERS: usize = 1000;
 
 #[derive(Debug, Error)]
 pub enum DaemonError {
@@ -94,7 +94,7 @@ pub enum DaemonError {
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
     #[error(transparent)]
-    Trigger(#[from] DoorError),
+    Trigger(#[from] ListenerError),
     #[error(transparent)]
     TriggerOut(#[from] OutError),
     #[error("control: {0}")]
@@ -147,7 +147,7 @@ struct Streamed {
 struct Paced {
     due: Due,
     /// How loose it is.
-    rung: usize,
+    level: usize,
     put_off_s: f64,
     /// Not before then, rehearsed.
     least: MonoNs,
@@ -456,7 +456,7 @@ impl Daemon {
         let mut fault_log = EventLog::new("faults", said.clone().or(beside.clone()));
         // A ping that is skipped misses its number in the records themselves.
         let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
-        let mut strain_log = EventLog::new("overload", said.or(beside));
+        let mut overload_log = EventLog::new("overload", said.or(beside));
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -475,9 +475,12 @@ impl Daemon {
             deliveries.extend(threads);
         }
         let backlog = Arc::new(Backlog::new(settings.len()));
-        let ladders = rig.sonars.iter().map(|unit| Ladder::new(unit.rungs()));
+        let levels = rig
+            .sonars
+            .iter()
+            .map(|unit| DegradationLevels::new(unit.levels()));
         let pacer = Pacer {
-            ladders: ladders.collect(),
+            levels: levels.collect(),
             backlog,
             has_rested: true,
             skipped: vec![false; settings.len()],
@@ -485,7 +488,7 @@ impl Daemon {
             first: None,
             triggers: Some(triggers),
             foreseen: vec![0; settings.len()],
-            waiting: VecDeque::with_capacity(MOST_ORDERS),
+            waiting: VecDeque::with_capacity(MAX_ORDERS),
             rig,
             inputs,
             nav_out,
@@ -517,7 +520,7 @@ impl Daemon {
                 control.gate().close();
             }
             fault_log.write(&faults.take_injections(), control.sonars());
-            strain_log.write(&control.strains().take(), control.sonars());
+            overload_log.write(&control.overload_states().take(), control.sonars());
             if control.ailment().is_none() {
                 notify.alive();
             }
@@ -536,7 +539,7 @@ impl Daemon {
             closed = closed.and(this);
         }
         fault_log.write(&faults.take_injections(), control.sonars());
-        strain_log.write(&control.strains().take(), control.sonars());
+        overload_log.write(&control.overload_states().take(), control.sonars());
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         pinged.and(closed.map_err(DaemonError::Output))
@@ -667,7 +670,7 @@ fn wire_time(
 struct Pacer {
     rig: Rig,
     /// What pings cost and how loose they are, one per sonar.
-    ladders: Vec<Ladder>,
+    levels: Vec<DegradationLevels>,
     /// What the beat is told of that.
     backlog: Arc<Backlog>,
     /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
@@ -719,7 +722,7 @@ impl Pacer {
         let Some(beat) = self.beat(timeline) else {
             return Ok(());
         };
-        let (sender, orders) = bounded(MOST_ORDERS);
+        let (sender, orders) = bounded(MAX_ORDERS);
         let coming = beat.coming();
         let priority = self.rig.spec.run.priority;
         let _beat = match beat.start(sender, priority) {
@@ -740,7 +743,7 @@ impl Pacer {
             self.inputs.pull(known, &mut self.rig.history);
             self.renew_nav_lines();
             self.nav_out.publish(&mut self.rig.history, now, utc);
-            self.foresee();
+            self.estimate_cost();
             let wait_until = match self.waiting.front().copied() {
                 Some(front) => match self.step(&front, now, &timeline) {
                     Step::Done => {
@@ -755,7 +758,7 @@ impl Pacer {
             };
             let wait_until = wait_until.min(self.nav_out.next_publish());
             self.has_rested = true;
-            self.clock.doze_until(wait_until, &coming.bell);
+            self.clock.wait_until(wait_until, &coming.wake_up);
         }
         Ok(())
     }
@@ -889,7 +892,7 @@ impl Pacer {
     }
 
     /// Tells the pipelines of settings that a topside has changed: what they need is made before the first ping that obeys them.
-    fn foresee(&mut self) {
+    fn estimate_cost(&mut self) {
         for (sonar, settings) in self.settings.iter().enumerate() {
             if settings.version() != self.foreseen[sonar] {
                 let (settings, version) = settings.snapshot();
@@ -916,7 +919,7 @@ impl Pacer {
                 self.backlog.done(sonar);
                 continue;
             }
-            if self.waiting.len() >= MOST_ORDERS {
+            if self.waiting.len() >= MAX_ORDERS {
                 self.backlog.done(sonar);
                 add(&self.counters(sonar).skipped_queue, 1);
                 continue;
@@ -968,7 +971,7 @@ impl Pacer {
         if now >= deadline {
             if covered {
                 add(&self.counters(sonar).skipped_late, 1);
-                self.strained("skipped", sonar, &order);
+                self.overloaded("skipped", sonar, &order);
             } else {
                 add(&self.counters(sonar).skipped_nav, 1);
             }
@@ -982,28 +985,28 @@ impl Pacer {
         };
         // Never two in a row: with several sonars each would find the pipeline busy with another's, and one of them be skipped for ever.
         let waited = !self.has_rested && !std::mem::take(&mut self.skipped[sonar]);
-        let Some(rung) = self.ladders[sonar].choose(deadline.0 - now.0, waited) else {
+        let Some(level) = self.levels[sonar].choose(deadline.0 - now.0, waited) else {
             add(&self.counters(sonar).skipped_late, 1);
-            self.strained("skipped", sonar, &order);
+            self.overloaded("skipped", sonar, &order);
             self.skipped[sonar] = true;
             self.lanes[sonar].spare = Some(slot);
             return Step::Done;
         };
         self.has_rested = false;
         self.backlog.begun(now.0);
-        let rehearsed_s = self.rig.spec.run.rehearse_s * 0.5_f64.powi(rung as i32);
+        let simulated_s = self.rig.spec.run.simulated_compute_s * 0.5_f64.powi(level as i32);
         let paced = Paced {
             due,
-            rung,
+            level,
             put_off_s,
-            least: now.plus_s(rehearsed_s),
+            least: now.plus_s(simulated_s),
         };
         self.compute(sonar, &order, Some(paced), slot, timeline);
         let whole = self.clock.mono();
         let ready = self.first_ready.take().unwrap_or(whole);
-        let ladder = &mut self.ladders[sonar];
-        ladder.note(ready.0 - now.0, ready <= deadline);
-        self.backlog.costs(sonar, ladder.now_ns());
+        let levels = &mut self.levels[sonar];
+        levels.note(ready.0 - now.0, ready <= deadline);
+        self.backlog.costs(sonar, levels.now_ns());
         Step::Done
     }
 
@@ -1057,18 +1060,24 @@ impl Pacer {
         }
     }
 
-    fn strained(&self, what: &'static str, sonar: usize, order: &PingOrder) {
-        self.strained_as(what, sonar, order, Strain::NONE);
+    fn overloaded(&self, what: &'static str, sonar: usize, order: &PingOrder) {
+        self.overloaded_as(what, sonar, order, OverloadState::NONE);
     }
 
-    fn strained_as(&self, what: &'static str, sonar: usize, order: &PingOrder, strain: Strain) {
-        let put_off = Some(strain.put_off_s).filter(|put_off_s| *put_off_s > 0.0);
-        self.control.strains().note(Strained {
+    fn overloaded_as(
+        &self,
+        what: &'static str,
+        sonar: usize,
+        order: &PingOrder,
+        overload_state: OverloadState,
+    ) {
+        let put_off = Some(overload_state.put_off_s).filter(|put_off_s| *put_off_s > 0.0);
+        self.control.overload_states().note(OverloadRecord {
             what,
             sonar: self.control.sonars()[sonar].name.clone(),
             ping_number: order.ping_number,
             utc_ns: order.transmit_utc.0,
-            tolerance: strain.tolerance,
+            tolerance: overload_state.tolerance,
             put_off_ms: put_off.map(|put_off_s| put_off_s * 1e3),
         });
     }
@@ -1087,7 +1096,7 @@ impl Pacer {
         timeline: &Timeline,
     ) -> bool {
         let due = paced.map(|paced| paced.due);
-        let rung = paced.map_or(0, |paced| paced.rung);
+        let level = paced.map_or(0, |paced| paced.level);
         let began = self.machine.mono();
         let mode = self.rig.spec.nav.mode;
         let host_now = self.clock.host_utc();
@@ -1102,12 +1111,12 @@ impl Pacer {
                     self.send_tiles(sonar, &mut slot, due, false, &mut streamed);
                     self.first_ready = streamed.first_ready;
                     self.rig.finish(sonar, &mut slot);
-                    slot.output.strain = Strain::NONE;
+                    slot.output.overload_state = OverloadState::NONE;
                 })
             }
             None => self
                 .rig
-                .make_on(rung, sonar, order, mode, host_utc, &mut slot),
+                .make_on(level, sonar, order, mode, host_utc, &mut slot),
         };
         if let Some(paced) = paced {
             self.clock.sleep_until(paced.least);
@@ -1123,7 +1132,7 @@ impl Pacer {
             return false;
         }
         if let Some(put_off_s) = paced.map(|paced| paced.put_off_s).filter(|s| *s > 0.0) {
-            slot.output.strain.put_off_s = put_off_s;
+            slot.output.overload_state.put_off_s = put_off_s;
             // The rate actually kept.
             slot.plan.ping_rate_hz = 1.0 / (1.0 / slot.plan.ping_rate_hz + put_off_s);
         }
@@ -1134,36 +1143,36 @@ impl Pacer {
             // What has begun to leave goes on in time or not at all.
             if self.clock.mono() > self.block_due(sonar, due, streamed.samples) {
                 samples = total..total;
-                add(&counters.torn, 1);
-                self.strained("torn", sonar, order);
+                add(&counters.truncated, 1);
+                self.overloaded("truncated", sonar, order);
             }
         } else if is_stream && due.is_some_and(|due| self.clock.mono() > due.ready_by) {
             // Its first samples cannot leave in time: none do, or the latency would not be constant.
             add(&counters.skipped_late, 1);
-            self.strained("skipped", sonar, order);
+            self.overloaded("skipped", sonar, order);
             self.lanes[sonar].spare = Some(slot);
             return false;
         }
-        let strain = slot.output.strain;
-        if strain.tolerance.is_some() {
-            self.strained_as("degraded", sonar, order, strain);
+        let overload_state = slot.output.overload_state;
+        if overload_state.tolerance.is_some() {
+            self.overloaded_as("degraded", sonar, order, overload_state);
         }
-        if strain.put_off_s > 0.0 {
-            self.strained_as("stretched", sonar, order, strain);
+        if overload_state.put_off_s > 0.0 {
+            self.overloaded_as("stretched", sonar, order, overload_state);
         }
         let first_ready = streamed.first_ready.unwrap_or_else(|| self.clock.mono());
         if due.is_some_and(|due| first_ready > due.ready_by) {
-            self.strained_as("late", sonar, order, strain);
+            self.overloaded_as("late", sonar, order, overload_state);
         }
         let output = &slot.output;
         let saturated = output.elements.iter().map(|frame| frame.saturated).sum();
         let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
-        counters.certificate(output.certificate.as_ref());
-        counters.strain(rung, &output.strain);
+        counters.error_check(output.error_check.as_ref());
+        counters.overload_state(level, &output.overload_state);
         if let Some(planner) = &self.rig.sonars[sonar].planner {
-            counters.plan(output.fidelity.as_ref(), &planner.counts);
+            counters.plan(output.methods.as_ref(), &planner.counts);
         }
         counters.nav(&slot.plan.nav);
         if let Some(due) = due {

@@ -9,9 +9,9 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::array::filter::{self, Decimator, FilterError};
-use crate::array::gridded::{Dialect, DopplerSpan, GriddedError, one_dimensional};
+use crate::array::gridded::{DopplerSpan, GriddedError, SimdLevel, one_dimensional};
 use crate::config::spec::SonarSpec;
-use crate::flow::{DopplerModel, MethodCard, PingPlan, Pulse, SonarSettings, Synthesis};
+use crate::flow::{DopplerModel, ErrorModel, PingPlan, Pulse, SonarSettings, Synthesis};
 use crate::ping;
 use crate::run::slabs::{Made, Sketch};
 
@@ -28,14 +28,14 @@ pub const HARDEST_M_PER_S2: f64 = 5.0;
 const KEPT: usize = 4;
 
 /// Engines being made at a time, at most: a topside that turns a knob leaves most of its settings unused.
-const MOST_COMING: usize = 2;
+const MAX_COMING: usize = 2;
 
 /// The least record that an engine is made for, samples.
 const SHORTEST: usize = 256;
 
 /// Dense rate of the receiver filter, at least, in sample rates: an engine's band is up to nine of them wide, and the filter's response
 /// repeats with its dense rate.
-pub const LEAST_DENSITY: usize = 20;
+pub const MIN_DENSITY: usize = 20;
 
 /// Which engine: made for this pulse, and for records of at most so many samples.
 #[derive(Clone, Copy, PartialEq)]
@@ -62,7 +62,7 @@ struct Wish {
 pub struct Engines {
     wish: Arc<Wish>,
     sound_speed_m_per_s: f64,
-    most_samples: usize,
+    max_samples: usize,
     /// The latest used first.
     kept: Vec<(Key, Made)>,
     coming: Vec<(Key, JoinHandle<Result<Made, GriddedError>>)>,
@@ -75,7 +75,7 @@ pub fn engine_filter(
     doppler_hz: f64,
 ) -> Result<Decimator, FilterError> {
     let dense = filter::oversample(pulse, sample_rate_hz, Synthesis::Gridded1d);
-    Decimator::new(pulse, sample_rate_hz, doppler_hz, dense.max(LEAST_DENSITY))
+    Decimator::new(pulse, sample_rate_hz, doppler_hz, dense.max(MIN_DENSITY))
 }
 
 impl Engines {
@@ -91,20 +91,20 @@ impl Engines {
         let mut engines = Self {
             wish: Arc::new(wish),
             sound_speed_m_per_s,
-            most_samples: ping::most_samples(spec, sound_speed_m_per_s),
+            max_samples: ping::max_samples(spec, sound_speed_m_per_s),
             kept: Vec::with_capacity(KEPT + 1),
-            coming: Vec::with_capacity(MOST_COMING),
+            coming: Vec::with_capacity(MAX_COMING),
         };
         let key = engines.key(&spec.settings);
-        engines.wish.can_be_made(spec, key, engines.most_samples)?;
+        engines.wish.can_be_made(spec, key, engines.max_samples)?;
         let first = engines.wish.make(key)?;
         engines.kept.push((key, first));
         Ok(engines)
     }
 
     /// Of the engine in use: predicted error, and milliseconds of one core per element.
-    pub fn card(&self) -> &MethodCard {
-        self.kept[0].1.card()
+    pub fn error_model(&self) -> &ErrorModel {
+        self.kept[0].1.error_model()
     }
 
     /// Dopplers that every engine takes.
@@ -121,7 +121,7 @@ impl Engines {
     fn key_of(&self, duration_s: f64, count: usize) -> Key {
         Key {
             duration_s,
-            samples: record_class(count, self.most_samples.max(count)),
+            samples: record_class(count, self.max_samples.max(count)),
         }
     }
 
@@ -133,7 +133,7 @@ impl Engines {
             return;
         }
         // What is done and was never asked for gives way.
-        if self.coming.len() == MOST_COMING {
+        if self.coming.len() == MAX_COMING {
             match self
                 .coming
                 .iter()
@@ -185,7 +185,7 @@ impl Engines {
     }
 }
 
-/// The engine that a ping would be made with, without its work: for its card and cost.
+/// The engine that a ping would be made with, without its work: for its error model and cost.
 pub fn sketch(
     spec: &SonarSpec,
     sound_speed_m_per_s: f64,
@@ -194,7 +194,7 @@ pub fn sketch(
     plan: &PingPlan,
 ) -> Result<Sketch, GriddedError> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
-    let most = ping::most_samples(spec, sound_speed_m_per_s);
+    let most = ping::max_samples(spec, sound_speed_m_per_s);
     let key = Key {
         duration_s: plan.pulse.duration_s,
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
@@ -260,7 +260,7 @@ impl Wish {
             tolerance: self.tolerance,
             level_range_db: LEVEL_RANGE_DB,
             arrivals: NOMINAL_ARRIVALS,
-            dialect: Dialect::best(),
+            simd_level: SimdLevel::best(),
         };
         Sketch::new(&spec, self.elements)
     }

@@ -18,7 +18,7 @@ use crate::image::water_column::beam_at;
 use crate::run::rig::{PingSlot, Rig};
 
 /// Beams that hear less than this of an echo's energy are left out.
-const LEAST_SHARE: f64 = 1e-8;
+const MIN_SHARE: f64 = 1e-8;
 /// Steps of the table of the array factor in one period of it.
 const FACTOR_STEPS: usize = 8192;
 
@@ -144,7 +144,7 @@ impl View<'_> {
                 let sent_share = (sent / sent_middle).powi(2);
                 for (b, sine) in sines.iter().enumerate() {
                     let share = factor.power(w.x - sine);
-                    if share < LEAST_SHARE {
+                    if share < MIN_SHARE {
                         continue;
                     }
                     let part = (energy * share) as f32 / (to - from) as f32;

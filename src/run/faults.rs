@@ -27,9 +27,9 @@ use crate::ping::PingOrder;
 use crate::time::UtcNs;
 
 /// Faults that may stand at once.
-const MOST_FAULTS: usize = 256;
+const MAX_FAULTS: usize = 256;
 /// Injections that wait to be written down; what is beyond is counted.
-const MOST_WAITING: usize = 65_536;
+const MAX_WAITING: usize = 65_536;
 /// Keeps these draws apart from all others.
 const TAG: [u8; 8] = *b"faultrun";
 /// And how late a record comes.
@@ -118,8 +118,8 @@ struct Standing {
     since: OnceLock<UtcNs>,
     /// As it was asked for.
     request: FaultRequest,
-    /// Pings or records that it struck, and the last of those pings.
-    struck: AtomicU64,
+    /// Pings or records that it injected, and the last of those pings.
+    injected: AtomicU64,
     last_ping: AtomicU32,
 }
 
@@ -131,7 +131,7 @@ pub struct StandingFault {
     pub request: FaultRequest,
     /// Rig time; none before its first ping.
     pub from_utc_ns: Option<i64>,
-    pub struck: u64,
+    pub injected: u64,
     /// 0: none.
     pub last_ping: u32,
 }
@@ -235,8 +235,8 @@ impl Faults {
             }
         }
         let mut standing = self.lock();
-        if standing.len() >= MOST_FAULTS {
-            return refused("kind", format!("at most {MOST_FAULTS} faults at once"));
+        if standing.len() >= MAX_FAULTS {
+            return refused("kind", format!("at most {MAX_FAULTS} faults at once"));
         }
         // Far fewer than 2^32 are ever asked for.
         let id = self.next_id.fetch_add(1, Ordering::Relaxed) as u32;
@@ -247,7 +247,7 @@ impl Faults {
             source,
             since: OnceLock::new(),
             request: request.clone(),
-            struck: AtomicU64::new(0),
+            injected: AtomicU64::new(0),
             last_ping: AtomicU32::new(0),
         }));
         self.count.store(standing.len() as u64, Ordering::Release);
@@ -285,7 +285,7 @@ impl Faults {
                 fault: standing.id,
                 request: standing.request.clone(),
                 from_utc_ns: from.map(|utc| utc.0),
-                struck: standing.struck.load(Ordering::Relaxed),
+                injected: standing.injected.load(Ordering::Relaxed),
                 last_ping: standing.last_ping.load(Ordering::Relaxed),
             }
         });
@@ -320,8 +320,8 @@ impl Faults {
         self.first.get_or_init(|| first);
     }
 
-    /// Calls `strike` for every fault that strikes here, with its strength.
-    fn struck(
+    /// Calls `strike` for every fault that is due here, with its strength.
+    fn inject(
         &self,
         ping: PingMark,
         record_type: u32,
@@ -401,15 +401,15 @@ impl Faults {
         }
     }
 
-    /// Counts and writes down what struck.
+    /// Counts and writes down what injected.
     fn log(&self, standing: &Standing, injection: Injection) {
-        standing.struck.fetch_add(1, Ordering::Relaxed);
+        standing.injected.fetch_add(1, Ordering::Relaxed);
         standing
             .last_ping
             .store(injection.ping_number, Ordering::Relaxed);
         self.injected.fetch_add(1, Ordering::Relaxed);
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        if waiting.len() < MOST_WAITING {
+        if waiting.len() < MAX_WAITING {
             waiting.push_back(injection);
         } else {
             self.unwritten.fetch_add(1, Ordering::Relaxed);
@@ -420,7 +420,7 @@ impl Faults {
     pub fn elements(&self, ping: PingMark, active: &mut Vec<ActiveFault>) {
         active.clear();
         let of_elements = |kind: &FaultKind| matches!(kind, FaultKind::Element { .. });
-        self.struck(ping, 0, of_elements, |spec, strength, injection| {
+        self.inject(ping, 0, of_elements, |spec, strength, injection| {
             if let FaultKind::Element {
                 fault,
                 array,
@@ -444,7 +444,7 @@ impl Faults {
         self.last_ping.store(ping.number, Ordering::Relaxed);
         let mut missed = false;
         let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerMissed);
-        self.struck(ping, 0, of_trigger, |_, _, _| missed = true);
+        self.inject(ping, 0, of_trigger, |_, _, _| missed = true);
         missed
     }
 
@@ -452,7 +452,7 @@ impl Faults {
     pub fn trigger_double_s(&self, ping: PingMark) -> Option<f64> {
         let mut after_s = None;
         let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerDouble { .. });
-        self.struck(ping, 0, of_trigger, |spec, _, _| {
+        self.inject(ping, 0, of_trigger, |spec, _, _| {
             if let FaultKind::TriggerDouble { s } = spec.kind {
                 after_s = Some(s);
             }
@@ -464,7 +464,7 @@ impl Faults {
     fn connection(&self, ping: PingMark, line: &'static str) -> Connection {
         let mut connection = Connection::Up;
         let of_connection = |kind: &FaultKind| matches!(kind, FaultKind::Connection(_));
-        self.struck(ping, 0, of_connection, |spec, _, injection| {
+        self.inject(ping, 0, of_connection, |spec, _, injection| {
             injection.line = Some(line);
             connection = match spec.kind {
                 FaultKind::Connection(ConnectionFault::Reset) => Connection::Reset,
@@ -478,7 +478,7 @@ impl Faults {
     pub fn stamp_error_s(&self, ping: PingMark) -> f64 {
         let mut error_s = 0.0;
         let of_stamp = |kind: &FaultKind| matches!(kind, FaultKind::WrongSecond { .. });
-        self.struck(ping, 0, of_stamp, |spec, strength, _| {
+        self.inject(ping, 0, of_stamp, |spec, strength, _| {
             if let FaultKind::WrongSecond { s } = spec.kind {
                 error_s += s * strength;
             }
@@ -496,7 +496,7 @@ impl Faults {
         mut strike: impl FnMut(TransportFault, f64),
     ) {
         let of_line = |kind: &FaultKind| matches!(kind, FaultKind::Transport(_));
-        self.struck(ping, record_type, of_line, |spec, _, injection| {
+        self.inject(ping, record_type, of_line, |spec, _, injection| {
             injection.line = Some(line);
             injection.place = place();
             if let FaultKind::Transport(fault) = spec.kind {
@@ -641,16 +641,16 @@ mod tests {
         let faults = faults();
         faults.begin(mark(1).utc);
         faults.add(&request(json)).expect("sound");
-        let mut struck = Vec::new();
+        let mut injected = Vec::new();
         let mut active = Vec::new();
         for number in 1..=100 {
             faults.elements(mark(number), &mut active);
-            struck.extend(active.iter().map(|a| (number, a.strength)));
+            injected.extend(active.iter().map(|a| (number, a.strength)));
         }
         let log = faults.take_injections();
         let logged: Vec<_> = log.iter().map(|i| (i.ping_number, i.strength)).collect();
-        assert_eq!(logged, struck, "every injection is logged");
-        struck
+        assert_eq!(logged, injected, "every injection is logged");
+        injected
     }
 
     #[test]
@@ -713,13 +713,13 @@ mod tests {
             let refused = faults.add(&request(json)).expect_err(json);
             assert_eq!(refused.key, key, "{json}: {refused}");
         }
-        for _ in 0..MOST_FAULTS {
+        for _ in 0..MAX_FAULTS {
             faults.add(&request(r#"{"kind": "dead"}"#)).expect("room");
         }
         assert!(faults.add(&request(r#"{"kind": "dead"}"#)).is_err());
         let last = faults.list().last().map(|fault| fault.fault);
-        assert_eq!(last, Some(MOST_FAULTS as u32));
-        assert!(faults.remove(MOST_FAULTS as u32) && !faults.remove(MOST_FAULTS as u32));
-        assert_eq!((faults.clear(), faults.standing()), (MOST_FAULTS - 1, 0));
+        assert_eq!(last, Some(MAX_FAULTS as u32));
+        assert!(faults.remove(MAX_FAULTS as u32) && !faults.remove(MAX_FAULTS as u32));
+        assert_eq!((faults.clear(), faults.standing()), (MAX_FAULTS - 1, 0));
     }
 }

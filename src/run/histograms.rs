@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use hdrhistogram::Histogram;
 
 /// Counted apart up to here, microseconds (ten minutes); what is beyond counts as this.
-const MOST_US: u64 = 600_000_000;
+const MAX_US: u64 = 600_000_000;
 /// Two digits: percentiles within 1 %.
 const DIGITS: u8 = 2;
 
@@ -33,7 +33,7 @@ impl Default for Spread {
 
 impl Spread {
     pub fn new() -> Self {
-        let histogram = Histogram::new_with_bounds(1, MOST_US, DIGITS);
+        let histogram = Histogram::new_with_bounds(1, MAX_US, DIGITS);
         Self(Mutex::new(
             histogram.expect("bounds that hdrhistogram takes"),
         ))
@@ -202,6 +202,6 @@ mod tests {
         histograms.margin_us(-5);
         let margin = histograms.all()[1].2;
         assert_eq!((margin.count, margin.min_us), (2, 0));
-        assert!(margin.max_us >= MOST_US);
+        assert!(margin.max_us >= MAX_US);
     }
 }

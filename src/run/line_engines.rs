@@ -9,11 +9,11 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
-use crate::array::gridded::Dialect;
+use crate::array::gridded::SimdLevel;
 use crate::array::gridded2d::{Bounds, Choice, Gridded2d, Refusal, Spec, choose};
 use crate::config::spec::SonarSpec;
-use crate::echo::walk::{Illuminated, LineEchoes, LineWorkspace};
-use crate::flow::{ArrayGeometry, EchoCounts, MethodCard, PingPlan, Pulse};
+use crate::echo::walk::{LineEchoes, LineWorkspace, TransmitLeg};
+use crate::flow::{ArrayGeometry, EchoCounts, ErrorModel, PingPlan, Pulse};
 use crate::ping;
 use crate::run::engines::LEVEL_RANGE_DB;
 
@@ -79,7 +79,7 @@ fn wanted<'a>(
             spec.receiver.sample_rate_hz,
         ),
         scatterers,
-        dialect: Dialect::best(),
+        simd_level: SimdLevel::best(),
     }
 }
 
@@ -140,8 +140,8 @@ impl LineEngines {
     }
 
     /// One per receive array.
-    pub fn cards(&self) -> impl Iterator<Item = &MethodCard> {
-        self.engines.iter().map(Gridded2d::card)
+    pub fn error_models(&self) -> impl Iterator<Item = &ErrorModel> {
+        self.engines.iter().map(Gridded2d::error_model)
     }
 
     /// The samples of receive array `index`, element-major. Where a ping was nearer or faster than the engine is made for, by more than the
@@ -151,14 +151,14 @@ impl LineEngines {
         plan: &PingPlan,
         spec: &SonarSpec,
         index: usize,
-        lit: &Illuminated,
+        transmit_leg: &TransmitLeg,
         iq: &mut [Complex64],
     ) -> EchoCounts {
         let engine = &mut self.engines[index];
         let echoes = LineEchoes {
             plan,
             array: &spec.receive[index],
-            lit,
+            transmit_leg,
             work: &self.work,
         };
         let mut counts = engine.synthesise(plan, &echoes, iq);

@@ -1,19 +1,19 @@
 //! Who knows the order: one ping through the house, the rig around it, and the two ways to run it.
-pub mod certificate;
 pub mod chart;
 pub mod conditions;
 pub mod control;
 pub mod counters;
 pub mod daemon;
 pub mod engines;
+pub mod error_check;
 pub mod fan_truth;
 pub mod faults;
-pub mod fidelity;
 mod footprints;
 pub mod gate;
 pub mod histograms;
 pub mod line_engines;
 pub mod line_truth;
+pub mod method_selection;
 pub mod more_pulses;
 pub mod outputs;
 pub mod overload;

@@ -24,7 +24,7 @@ use crate::beam::sidescan::LineFormer;
 use crate::config::spec::{MediumSpec, MorePulseSpec, SonarSpec};
 use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
-use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+use crate::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use crate::flow::{
     EchoCounts, Edges, ElementFrame, Line, PingPlan, PulseLines, Scatterers, SonarSettings,
     Synthesis,
@@ -40,7 +40,7 @@ pub struct MorePulse {
     spec: SonarSpec,
     delay_s: f64,
     plan: PingPlan,
-    lit: Vec<Illuminated>,
+    transmit_leg: Vec<TransmitLeg>,
     engines: Option<Engines>,
     engine_ready: bool,
     /// One per receive array.
@@ -88,10 +88,10 @@ impl MorePulse {
         Ok(Self {
             delay_s: more.delay_s,
             plan: ping::blank(0, &spec, medium, 0.0),
-            lit: spec
+            transmit_leg: spec
                 .transmit
                 .iter()
-                .map(|_| Illuminated::default())
+                .map(|_| TransmitLeg::default())
                 .collect(),
             engines,
             engine_ready: false,
@@ -142,14 +142,15 @@ impl MorePulse {
         let (plan, rate_hz) = (&self.plan, self.spec.receiver.sample_rate_hz);
         let (first_s, rate_hz, len) = grid(plan, rate_hz, decimator);
         let window = Window::of_samples(first_s, rate_hz, len);
-        for (transmit, lit) in self.spec.transmit.iter().zip(&mut self.lit) {
-            counts += illuminate(plan, transmit, window, scatterers, lit);
+        for (transmit, transmit_leg) in self.spec.transmit.iter().zip(&mut self.transmit_leg) {
+            counts += insonify(plan, transmit, window, scatterers, transmit_leg);
         }
         if let Some(engines) = &mut self.engines {
             self.engine_ready = engines.ready(plan);
             let widest = engines.span();
             for (span, array) in self.spans.iter_mut().zip(&self.spec.receive) {
-                let (least, greatest) = doppler_span(plan, array, &self.lit[array.transmit], walk);
+                let (least, greatest) =
+                    doppler_span(plan, array, &self.transmit_leg[array.transmit], walk);
                 *span = DopplerSpan {
                     least: least.clamp(widest.least, widest.greatest),
                     greatest: greatest.clamp(widest.least, widest.greatest),
@@ -214,7 +215,7 @@ impl MorePulse {
             decimator,
         } = desk;
         let (plan, array) = (&self.plan, &self.spec.receive[index]);
-        let lit = &self.lit[array.transmit];
+        let transmit_leg = &self.transmit_leg[array.transmit];
         own.resize(plan.sample_count, Complex64::ZERO);
         let engine = self.engines.as_ref().filter(|_| self.engine_ready);
         let counts = match (plan.model.synthesis, engine) {
@@ -224,7 +225,7 @@ impl MorePulse {
                     plan,
                     array,
                     element,
-                    lit,
+                    transmit_leg,
                     span: self.spans[index],
                 };
                 let mut counts = EchoCounts::default();
@@ -258,7 +259,7 @@ impl MorePulse {
                     _ => {
                         out.fill(Complex64::ZERO);
                         let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                        arrivals(plan, array, element, lit, walk, &mut sink)
+                        arrivals(plan, array, element, transmit_leg, walk, &mut sink)
                     }
                 };
                 if let Some(decimator) = decimator {

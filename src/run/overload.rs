@@ -1,12 +1,12 @@
 //! When pings are too much for the machine: what one costs, whether the next can be ready in time, and what is then done (`run.overload`).
 //!
 //! `skip`: a ping that had to wait for others and cannot be ready by its instant any more is not made. `degrade`: it is made with a looser
-//! tolerance ([`Ladder`]). `stretch`: the next pulse waits until its ping can be ready ([`Backlog`]), so that the rate falls to what can be
+//! tolerance ([`DegradationLevels`]). `stretch`: the next pulse waits until its ping can be ready ([`Backlog`]), so that the rate falls to what can be
 //! kept. Whatever is chosen, what cannot be ready even so is skipped. A ping that waited for no other is made, late or not: skipping it would
 //! help nobody, and it tells what pings cost; so is one whose sonar's last was skipped.
 //!
 //! Every decision rests on how long pings took: under overload which pings are made, when, and with which tolerance depends on the machine,
-//! and each that differs says so ([`crate::flow::Strain`]). Where pings keep up nothing is decided here, and where time is the pipeline's own
+//! and each that differs says so ([`crate::flow::OverloadState`]). Where pings keep up nothing is decided here, and where time is the pipeline's own
 //! nothing is ever late: the bits stay the same.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};
@@ -23,7 +23,7 @@ const CHEAPER: f64 = 0.6;
 /// Pings in time before a finer setting is tried again, ...
 const GOOD_PINGS: u32 = 20;
 /// ... and at most, where finer ones have failed again and again: a minute at 20 pings a second.
-const MOST_GOOD_PINGS: u32 = 1280;
+const MAX_GOOD_PINGS: u32 = 1280;
 /// A finer setting that had to be left before so many pings was taken too early.
 const REGRETTED: u32 = 100;
 /// A finer setting is tried where there is so many times its cost until the ping must be ready.
@@ -31,7 +31,7 @@ const ROOM: f64 = 1.5;
 /// A pulse goes out where so many times what must be computed before its ping fits: costs scatter.
 const RESERVE: f64 = 1.25;
 /// Lines that wait to be written down; what is beyond is only counted.
-const MOST_LINES: usize = 4096;
+const MAX_LINES: usize = 4096;
 
 /// What a ping has cost lately, nanoseconds of rig time.
 #[derive(Clone, Debug, Default)]
@@ -68,54 +68,54 @@ impl Cost {
 /// Which setting the next ping has: down at once when it could not be ready, up again after so many that were, and more patiently each time
 /// that was too early.
 #[derive(Clone, Debug)]
-pub struct Ladder {
+pub struct DegradationLevels {
     costs: Vec<Cost>,
-    rung: usize,
+    level: usize,
     good: u32,
     wanted_good: u32,
     /// Pings since the last step to a finer setting, while it may be regretted.
     tried: Option<u32>,
 }
 
-impl Ladder {
-    /// `rungs`: settings, the finest first.
-    pub fn new(rungs: usize) -> Self {
+impl DegradationLevels {
+    /// `levels`: settings, the finest first.
+    pub fn new(levels: usize) -> Self {
         Self {
-            costs: vec![Cost::default(); rungs.max(1)],
-            rung: 0,
+            costs: vec![Cost::default(); levels.max(1)],
+            level: 0,
             good: 0,
             wanted_good: GOOD_PINGS,
             tried: None,
         }
     }
 
-    /// What a ping on a rung will cost, as far as is known.
-    fn cost_ns(&self, rung: usize) -> i64 {
-        let known = self.costs[..=rung].iter().enumerate().rev();
+    /// What a ping on a level will cost, as far as is known.
+    fn cost_ns(&self, level: usize) -> i64 {
+        let known = self.costs[..=level].iter().enumerate().rev();
         let mut known = known.filter_map(|(at, cost)| Some((at, cost.ns()?)));
         known.next().map_or(0, |(at, ns)| {
-            (ns as f64 * CHEAPER.powi((rung - at) as i32)) as i64
+            (ns as f64 * CHEAPER.powi((level - at) as i32)) as i64
         })
     }
 
-    /// The rung of a ping that must be ready within `left_ns`; none where no rung is quick enough, and it `waited` for another ping.
+    /// The level of a ping that must be ready within `left_ns`; none where no level is quick enough, and it `waited` for another ping.
     pub fn choose(&mut self, left_ns: i64, waited: bool) -> Option<usize> {
         self.consider_finer(left_ns);
         let loosest = self.costs.len() - 1;
-        let fits = (self.rung..=loosest).find(|&rung| self.cost_ns(rung) <= left_ns);
-        let rung = fits.or((!waited).then_some(loosest))?;
-        if rung > self.rung {
+        let fits = (self.level..=loosest).find(|&level| self.cost_ns(level) <= left_ns);
+        let level = fits.or((!waited).then_some(loosest))?;
+        if level > self.level {
             self.good = 0;
             if self.tried.take().is_some() {
-                self.wanted_good = (2 * self.wanted_good).min(MOST_GOOD_PINGS);
+                self.wanted_good = (2 * self.wanted_good).min(MAX_GOOD_PINGS);
             }
         }
-        self.rung = rung;
-        Some(rung)
+        self.level = level;
+        Some(level)
     }
 
     fn consider_finer(&mut self, left_ns: i64) {
-        let Some(finer) = self.rung.checked_sub(1) else {
+        let Some(finer) = self.level.checked_sub(1) else {
             return;
         };
         if self.good < self.wanted_good {
@@ -123,16 +123,16 @@ impl Ladder {
         }
         self.good = 0;
         if self.cost_ns(finer) as f64 * ROOM <= left_ns as f64 {
-            (self.rung, self.tried) = (finer, Some(0));
+            (self.level, self.tried) = (finer, Some(0));
         } else {
             // It was that dear under another load.
             self.costs[finer].forgive();
         }
     }
 
-    /// A ping on the chosen rung took so long, and was ready in time or not.
+    /// A ping on the chosen level took so long, and was ready in time or not.
     pub fn note(&mut self, took_ns: i64, in_time: bool) {
-        self.costs[self.rung].note(took_ns);
+        self.costs[self.level].note(took_ns);
         self.good = match in_time {
             true => self.good.saturating_add(1),
             false => 0,
@@ -145,7 +145,7 @@ impl Ladder {
 
     /// What the next ping will cost.
     pub fn now_ns(&self) -> i64 {
-        self.cost_ns(self.rung)
+        self.cost_ns(self.level)
     }
 }
 
@@ -212,8 +212,8 @@ impl Backlog {
 /// One ping that was not as it should have been. A line of `overload-*.jsonl`, which `run` writes where `run.fault_directory` says, and with
 /// `degrade` and `stretch` beside the records.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Strained {
-    /// `skipped`, `degraded`, `stretched`, `torn` (its first samples streamed and the others could not), or `late`: delivered after its instant.
+pub struct OverloadRecord {
+    /// `skipped`, `degraded`, `stretched`, `truncated` (its first samples streamed and the others could not), or `late`: delivered after its instant.
     pub what: &'static str,
     pub sonar: String,
     pub ping_number: u32,
@@ -229,23 +229,23 @@ pub struct Strained {
 
 /// Strained pings on their way to the file.
 #[derive(Debug, Default)]
-pub struct StrainLog {
-    waiting: Mutex<Vec<Strained>>,
+pub struct OverloadLog {
+    waiting: Mutex<Vec<OverloadRecord>>,
     unwritten: AtomicU64,
 }
 
-impl StrainLog {
-    pub fn note(&self, strained: Strained) {
+impl OverloadLog {
+    pub fn note(&self, overloaded: OverloadRecord) {
         let mut waiting = self.lock();
-        if waiting.len() < MOST_LINES {
-            waiting.push(strained);
+        if waiting.len() < MAX_LINES {
+            waiting.push(overloaded);
         } else {
             self.unwritten.fetch_add(1, Relaxed);
         }
     }
 
     /// What was noted since this was last asked.
-    pub fn take(&self) -> Vec<Strained> {
+    pub fn take(&self) -> Vec<OverloadRecord> {
         std::mem::take(&mut *self.lock())
     }
 
@@ -254,7 +254,7 @@ impl StrainLog {
         self.unwritten.load(Relaxed)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Strained>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<OverloadRecord>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -283,42 +283,42 @@ mod tests {
         );
     }
 
-    /// What a machine makes of pings every 50 ms, each of which must be ready within 100 ms: the rung of each, none where it was skipped.
+    /// What a machine makes of pings every 50 ms, each of which must be ready within 100 ms: the level of each, none where it was skipped.
     fn made(pings: i64, costs_ms: impl Fn(i64) -> Vec<i64>) -> (Vec<Option<usize>>, usize) {
-        let mut ladder = Ladder::new(costs_ms(0).len());
+        let mut levels = DegradationLevels::new(costs_ms(0).len());
         let (mut free_ms, mut late) = (0, 0);
-        let rungs = (0..pings).map(|k| {
+        let levels = (0..pings).map(|k| {
             let (due, now) = (k * 50, free_ms.max(k * 50));
             let left_ms = due + 100 - now;
             if left_ms <= 0 {
                 return None;
             }
-            let rung = ladder.choose(left_ms * MS, now > due)?;
-            let took = costs_ms(k)[rung];
+            let level = levels.choose(left_ms * MS, now > due)?;
+            let took = costs_ms(k)[level];
             free_ms = now + took;
             late += usize::from(free_ms > due + 100);
-            ladder.note(took * MS, free_ms <= due + 100);
-            Some(rung)
+            levels.note(took * MS, free_ms <= due + 100);
+            Some(level)
         });
-        (rungs.collect(), late)
+        (levels.collect(), late)
     }
 
     #[test]
     fn where_pings_keep_up_nothing_is_skipped_and_nothing_loosened() {
-        let (rungs, late) = made(400, |k| vec![if k % 7 == 0 { 90 } else { 20 }, 15, 10]);
-        assert!(rungs.iter().all(|rung| *rung == Some(0)), "{rungs:?}");
+        let (levels, late) = made(400, |k| vec![if k % 7 == 0 { 90 } else { 20 }, 15, 10]);
+        assert!(levels.iter().all(|level| *level == Some(0)), "{levels:?}");
         assert_eq!(late, 0);
     }
 
     #[test]
     fn under_load_pings_are_made_looser_and_hardly_any_is_skipped() {
-        let (rungs, late) = made(400, |_| vec![90, 60, 20]);
+        let (levels, late) = made(400, |_| vec![90, 60, 20]);
         // It takes two to know what one costs.
-        let skipped = rungs.iter().filter(|rung| rung.is_none()).count();
-        assert!(skipped <= 2 && late <= 3, "{skipped} {late}: {rungs:?}");
-        assert!(rungs[10..].iter().filter(|r| **r == Some(2)).count() > 200);
+        let skipped = levels.iter().filter(|level| level.is_none()).count();
+        assert!(skipped <= 2 && late <= 3, "{skipped} {late}: {levels:?}");
+        assert!(levels[10..].iter().filter(|r| **r == Some(2)).count() > 200);
         // Finer ones come only after twenty good ones, and less and less often.
-        let finer = rungs.windows(2).filter(|w| w[1] < w[0]).count();
+        let finer = levels.windows(2).filter(|w| w[1] < w[0]).count();
         assert!((2..=400 / 20).contains(&finer), "{finer} times up");
     }
 
@@ -331,20 +331,20 @@ mod tests {
                 vec![9, 6, 2]
             }
         };
-        let (rungs, _) = made(1200, load);
-        assert_eq!(rungs[49], Some(2), "{rungs:?}");
-        assert!(rungs[1000..].iter().all(|r| *r == Some(0)), "{rungs:?}");
+        let (levels, _) = made(1200, load);
+        assert_eq!(levels[49], Some(2), "{levels:?}");
+        assert!(levels[1000..].iter().all(|r| *r == Some(0)), "{levels:?}");
     }
 
     #[test]
     fn too_much_on_every_rung_is_made_in_time_as_often_as_it_can_be_and_the_rest_skipped() {
-        let (rungs, late) = made(400, |_| vec![80]);
-        let count = rungs.iter().flatten().count();
+        let (levels, late) = made(400, |_| vec![80]);
+        let count = levels.iter().flatten().count();
         // What has waited 30 of its 100 ms is too late: every other one.
         assert!((198..=201).contains(&count) && late <= 1, "{count} {late}");
         // What no skipping brings in time is made late all the same.
-        let (rungs, late) = made(400, |_| vec![180]);
-        let count = rungs.iter().flatten().count();
+        let (levels, late) = made(400, |_| vec![180]);
+        let count = levels.iter().flatten().count();
         assert!(
             count == late && (90..=112).contains(&count),
             "{count} {late}"

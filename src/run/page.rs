@@ -22,13 +22,13 @@ use crate::run::world::Placed;
 const RELIEF_CELLS: i64 = 128;
 const WITH_BORDER: i64 = RELIEF_CELLS + 2;
 /// 256 km to a side: coarser than any survey.
-const MOST_LEVEL: u8 = 11;
+const MAX_LEVEL: u8 = 11;
 /// Tiles kept: 9 MB.
-const MOST_TILES: usize = 128;
+const MAX_TILES: usize = 128;
 /// Targets told of, at most.
-const MOST_TARGETS: usize = 2000;
+const MAX_TARGETS: usize = 2000;
 /// Longest text of a kept setting that is shown, characters.
-const MOST_TEXT: usize = 200;
+const MAX_TEXT: usize = 200;
 
 /// What the page is fed from.
 pub struct PageSource {
@@ -63,7 +63,7 @@ impl PageSource {
         let Some(world) = self.world.get() else {
             return Value::Null;
         };
-        let targets = world.targets.iter().take(MOST_TARGETS);
+        let targets = world.targets.iter().take(MAX_TARGETS);
         let targets = targets.map(|t| {
             let at = t.position_m;
             json!([t.name, at.x, at.y, at.z, t.target_strength_db])
@@ -73,7 +73,7 @@ impl PageSource {
 
     pub fn relief(&self, tile: ReliefTile, kept: &ReliefKept) -> Option<Bytes> {
         let ground = self.world.get()?.ground.as_ref()?;
-        if tile.level > MOST_LEVEL {
+        if tile.level > MAX_LEVEL {
             return None;
         }
         let mut kept = kept.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -97,7 +97,7 @@ impl PageSource {
             "cells": RELIEF_CELLS, "border": 1, "cell_m": cell_m,
         });
         let bytes = frame(Kind::Relief, 0, 0, &text, &depths);
-        if kept.len() == MOST_TILES {
+        if kept.len() == MAX_TILES {
             kept.pop_front();
         }
         kept.push_back((tile, bytes.clone()));
@@ -198,7 +198,7 @@ fn kept_change(entry: &JournalEntry) -> Option<Value> {
     let value = match value {
         KeptValue::Integer(value) => Value::from(*value),
         KeptValue::Numbers(values) => values.iter().take(16).map(|v| Value::from(*v)).collect(),
-        KeptValue::Text(text) => Value::from(text.chars().take(MOST_TEXT).collect::<String>()),
+        KeptValue::Text(text) => Value::from(text.chars().take(MAX_TEXT).collect::<String>()),
     };
     let mut row = row(&entry.asked, key.name, value);
     row["version"] = entry.version.into();

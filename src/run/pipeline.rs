@@ -27,17 +27,17 @@ use crate::beam::sidescan::LineFormer;
 use crate::config::spec::{LineSpec, MediumSpec, SonarSpec};
 use crate::echo::reference::reference_with;
 use crate::echo::span::doppler_span;
-use crate::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+use crate::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use crate::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, Footprint, Line, MethodCard, ModelChoice,
-    PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts, SonarSettings, Strain,
-    Synthesis,
+    BeamFrame, EchoCounts, Edges, ElementFrame, ErrorModel, Footprint, Line, ModelChoice,
+    OverloadState, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts,
+    SonarSettings, Synthesis,
 };
 use crate::image::bottom::BottomDetector;
 use crate::ping;
-use crate::run::certificate::Certifier;
 use crate::run::engines::{Engines, engine_filter};
-use crate::run::footprints::{footprints, heard_within_m};
+use crate::run::error_check::ErrorChecker;
+use crate::run::footprints::{footprints, max_audible_range_m};
 use crate::run::line_engines::LineEngines;
 use crate::run::more_pulses::{Desk, MorePulse};
 use crate::run::slabs::{Listener, Made};
@@ -82,7 +82,7 @@ struct ElementResult {
 pub struct SonarPipeline {
     spec: SonarSpec,
     /// One per transmit array.
-    lit: Vec<Illuminated>,
+    transmit_leg: Vec<TransmitLeg>,
     /// One per thread of the pool: no lock ever waits.
     scratch: Vec<Mutex<Scratch>>,
     /// One per element of the largest array.
@@ -104,8 +104,8 @@ pub struct SonarPipeline {
     spans: Vec<DopplerSpan>,
     /// The sampled pulse, for `nearest` and `linear`.
     replica: Replica,
-    /// Where certificates are asked for.
-    certifier: Option<Certifier>,
+    /// Where error checks are asked for.
+    error_checker: Option<ErrorChecker>,
     lines: Vec<LineFormer>,
     /// Those in the water together with the sonar's own.
     more_pulses: Vec<MorePulse>,
@@ -128,7 +128,7 @@ impl SonarPipeline {
     pub fn new(spec: &SonarSpec, medium: &MediumSpec) -> Result<Self, PipelineError> {
         let limits = RowLimits {
             sample_rate_hz: spec.receiver.sample_rate_hz,
-            samples: ping::most_samples(spec, medium.sound_speed_m_per_s),
+            samples: ping::max_samples(spec, medium.sound_speed_m_per_s),
             pulse_s: spec.limits.pulse_duration_s.1,
         };
         let decimator = match spec.receiver.filter {
@@ -139,7 +139,7 @@ impl SonarPipeline {
             Synthesis::Gridded1d => Some(engines(spec, medium, decimator.as_ref())?),
             _ => None,
         };
-        let segments = ping::most_segments(spec, medium.sound_speed_m_per_s);
+        let segments = ping::max_segments(spec, medium.sound_speed_m_per_s);
         let line_engines = match spec.model.synthesis {
             Synthesis::Gridded2d => Some(line_engines(spec, medium, decimator.as_ref())?),
             _ => None,
@@ -189,10 +189,10 @@ impl SonarPipeline {
             .map(|more| MorePulse::new(spec, more, medium, limits, decimator.as_ref()))
             .collect::<Result<_, _>>()?;
         Ok(Self {
-            lit: spec
+            transmit_leg: spec
                 .transmit
                 .iter()
-                .map(|_| Illuminated::default())
+                .map(|_| TransmitLeg::default())
                 .collect(),
             scratch: (0..rayon::current_num_threads())
                 .map(|_| Mutex::new(scratch()))
@@ -212,10 +212,10 @@ impl SonarPipeline {
             is_quiet: false,
             engines,
             line_engines,
-            certifier: match spec.synthesis.certificate {
+            error_checker: match spec.synthesis.error_check {
                 true => {
                     let doppler_hz = doppler_hz(spec, medium);
-                    Some(Certifier::new(spec, &shortest_pulse(spec), doppler_hz)?)
+                    Some(ErrorChecker::new(spec, &shortest_pulse(spec), doppler_hz)?)
                 }
                 false => None,
             },
@@ -263,9 +263,9 @@ impl SonarPipeline {
                 .collect(),
             counts: EchoCounts::default(),
             scene: SceneCounts::default(),
-            certificate: None,
-            fidelity: None,
-            strain: Strain::NONE,
+            error_check: None,
+            methods: None,
+            overload_state: OverloadState::NONE,
         }
     }
 
@@ -279,10 +279,10 @@ impl SonarPipeline {
         }
     }
 
-    /// How much certificates may cost from now on, as a share of a ping's predicted cost; see [`Certifier::allow`]. Nothing without certificates.
-    pub fn allow_certificates(&mut self, share: f64) {
-        if let Some(certifier) = &mut self.certifier {
-            certifier.allow(share);
+    /// How much error checks may cost from now on, as a share of a ping's predicted cost; see [`ErrorChecker::allow`]. Nothing without error checks.
+    pub fn allow_error_checks(&mut self, share: f64) {
+        if let Some(error_checker) = &mut self.error_checker {
+            error_checker.allow(share);
         }
     }
 
@@ -318,14 +318,14 @@ impl SonarPipeline {
             let decimator = self.decimator.as_ref();
             output.counts += more.light(plan, scatterers, decimator, &mut scratch.walk);
         }
-        if let Some(certifier) = &mut self.certifier {
-            certifier.choose(plan, &self.spec, scatterers.len());
+        if let Some(error_checker) = &mut self.error_checker {
+            error_checker.choose(plan, &self.spec, scatterers.len());
         }
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.synthesise(plan, scatterers, index, frame, &mut output.counts);
         }
-        if let Some(certifier) = &mut self.certifier {
-            output.certificate = certifier.certify(plan, &self.spec, scatterers);
+        if let Some(error_checker) = &mut self.error_checker {
+            output.error_check = error_checker.check_error(plan, &self.spec, scatterers);
         }
         for fault in &self.faults {
             for frame in &mut output.elements {
@@ -345,21 +345,21 @@ impl SonarPipeline {
         }
         if let Some(bottom) = &mut self.bottom {
             let halves = bottom.halves.form(plan, &output.elements[bottom.array]);
-            let least_s = plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
+            let min_s = plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
             let soundings = &mut output.soundings;
             bottom
                 .detector
-                .detect(halves, plan.first_sample_s, least_s, soundings);
+                .detect(halves, plan.first_sample_s, min_s, soundings);
         }
     }
 
     /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
-    pub fn heard_within_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+    pub fn max_audible_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
         let samples = std::mem::replace(&mut plan.sample_count, end);
         // As far as the receiver filter looks ahead.
         let (first_s, rate_hz, len) = self.grid(plan);
         plan.sample_count = samples;
-        heard_within_m(&self.spec, plan, first_s + len as f64 / rate_hz)
+        max_audible_range_m(&self.spec, plan, first_s + len as f64 / rate_hz)
     }
 
     /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing
@@ -380,8 +380,8 @@ impl SonarPipeline {
         }
         let samples = std::mem::replace(&mut plan.sample_count, end);
         let (first_s, rate_hz, len) = self.grid(plan);
-        for lit in &mut self.lit {
-            lit.hear(Window::of_samples(first_s, rate_hz, len));
+        for transmit_leg in &mut self.transmit_leg {
+            transmit_leg.hear(Window::of_samples(first_s, rate_hz, len));
         }
         self.is_quiet = scatterers.is_empty();
         for (index, frame) in elements.iter_mut().enumerate() {
@@ -413,8 +413,8 @@ impl SonarPipeline {
         }
         let (first_s, rate_hz, len) = self.grid(plan);
         let window = Window::of_samples(first_s, rate_hz, len);
-        for (transmit, lit) in self.spec.transmit.iter().zip(&mut self.lit) {
-            *counts += illuminate(plan, transmit, window, scatterers, lit);
+        for (transmit, transmit_leg) in self.spec.transmit.iter().zip(&mut self.transmit_leg) {
+            *counts += insonify(plan, transmit, window, scatterers, transmit_leg);
         }
         if let Some(engines) = &mut self.engines {
             self.engine_ready = engines.ready(plan);
@@ -423,8 +423,8 @@ impl SonarPipeline {
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner);
             for (span, array) in self.spans.iter_mut().zip(&self.spec.receive) {
-                let lit = &self.lit[array.transmit];
-                let (least, greatest) = doppler_span(plan, array, lit, &mut scratch.walk);
+                let transmit_leg = &self.transmit_leg[array.transmit];
+                let (least, greatest) = doppler_span(plan, array, transmit_leg, &mut scratch.walk);
                 *span = DopplerSpan {
                     least: least.clamp(widest.least, widest.greatest),
                     greatest: greatest.clamp(widest.least, widest.greatest),
@@ -457,8 +457,8 @@ impl SonarPipeline {
             .iq
             .resize(elements * plan.sample_count, Complex64::ZERO);
         if let Some(engines) = &mut self.line_engines {
-            let lit = &self.lit[self.spec.receive[index].transmit];
-            *counts += engines.synthesise(plan, &self.spec, index, lit, &mut frame.iq);
+            let transmit_leg = &self.transmit_leg[self.spec.receive[index].transmit];
+            *counts += engines.synthesise(plan, &self.spec, index, transmit_leg, &mut frame.iq);
         }
         if plan.model.synthesis == Synthesis::Gridded1d
             && let Some(made) = self.engine()
@@ -516,7 +516,7 @@ impl SonarPipeline {
                     plan,
                     array,
                     element,
-                    lit: &self.lit[array.transmit],
+                    transmit_leg: &self.transmit_leg[array.transmit],
                     span: self.spans[index],
                 };
                 let slabs = iq.par_chunks_mut(made.slab_samples());
@@ -571,7 +571,7 @@ impl SonarPipeline {
             bins,
             own,
         } = &mut *scratch;
-        let lit = &self.lit[array.transmit];
+        let transmit_leg = &self.transmit_leg[array.transmit];
         let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
         let mut counts = match (plan.model.synthesis, self.engine()) {
             (Synthesis::Reference, _) => {
@@ -588,29 +588,29 @@ impl SonarPipeline {
                 self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                     out.fill(Complex64::ZERO);
                     let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                    arrivals(plan, array, element, lit, walk, &mut sink)
+                    arrivals(plan, array, element, transmit_leg, walk, &mut sink)
                 })
             }
             (Synthesis::Spectral, _) => {
                 let spectrum = self.spectrum.as_ref().expect("made with the pipeline");
                 let mut sink = Spectral::new(plan, spectrum, first_s, bins);
-                let counts = arrivals(plan, array, element, lit, walk, &mut sink);
+                let counts = arrivals(plan, array, element, transmit_leg, walk, &mut sink);
                 sink.finish(iq);
                 counts
             }
             (Synthesis::Nearest, _) => {
                 iq.fill(Complex64::ZERO);
                 let mut sink = Nearest::new(plan, &self.replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, lit, walk, &mut sink)
+                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
             }
             (Synthesis::Linear, _) => {
                 iq.fill(Complex64::ZERO);
                 let mut sink = Linear::new(plan, &self.replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, lit, walk, &mut sink)
+                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
             }
         };
-        if let Some(certifier) = &self.certifier {
-            certifier.take(plan, rate_hz, index, element, iq);
+        if let Some(error_checker) = &self.error_checker {
+            error_checker.take(plan, rate_hz, index, element, iq);
         }
         for more in &self.more_pulses {
             let desk = Desk {
@@ -646,17 +646,17 @@ fn line_engines(
     filter: Option<&Decimator>,
 ) -> Result<LineEngines, PipelineError> {
     let c = medium.sound_speed_m_per_s;
-    let segments = ping::most_segments(spec, c);
+    let segments = ping::max_segments(spec, c);
     let fastest = FASTEST_PLATFORM_M_PER_S;
     Ok(LineEngines::new(spec, c, fastest, filter, segments)?)
 }
 
 /// What the engines that a sonar asks for promise, one for all its elements or one for each receive array; none where it asks for none.
 /// Costs are milliseconds of one core per element, 0 where they are not known.
-pub fn engine_cards(
+pub fn engine_error_models(
     spec: &SonarSpec,
     medium: &MediumSpec,
-) -> Result<Vec<MethodCard>, PipelineError> {
+) -> Result<Vec<ErrorModel>, PipelineError> {
     if !spec.model.synthesis.keeps_tolerance() {
         return Ok(Vec::new());
     }
@@ -666,10 +666,10 @@ pub fn engine_cards(
     };
     if spec.model.synthesis == Synthesis::Gridded2d {
         let engines = line_engines(spec, medium, filter.as_ref())?;
-        return Ok(engines.cards().cloned().collect());
+        return Ok(engines.error_models().cloned().collect());
     }
     let engines = engines(spec, medium, filter.as_ref())?;
-    Ok(vec![engines.card().clone()])
+    Ok(vec![engines.error_model().clone()])
 }
 
 /// The receiver filter for every pulse within the limits: its pass band is that of the shortest.

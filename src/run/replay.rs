@@ -216,9 +216,9 @@ impl Replay {
                     .sum();
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
-                counters.certificate(slot.output.certificate.as_ref());
+                counters.error_check(slot.output.error_check.as_ref());
                 if let Some(planner) = &self.recorded.rig.sonars[sonar].planner {
-                    counters.plan(slot.output.fidelity.as_ref(), &planner.counts);
+                    counters.plan(slot.output.methods.as_ref(), &planner.counts);
                 }
                 self.recorders.record(slot, &self.recorded.rig)?;
             }

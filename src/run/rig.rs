@@ -9,15 +9,15 @@ use crate::config::spec::{
 };
 use crate::echo::absorption::absorption_db_per_m;
 use crate::flow::{
-    PingOutput, PingPlan, Scatterers, SonarSettings, Strain, Target, TimeVaryingGain,
+    OverloadState, PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
 };
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::io::priority;
 use crate::nav::{Coverage, NavGap, NavHistory};
 use crate::ping::{self, PingOrder};
 use crate::run::faults::{Faults, PingMark};
-use crate::run::fidelity::costs::{Costs, CostsError};
-use crate::run::fidelity::live::Planner;
+use crate::run::method_selection::costs::{Costs, CostsError};
+use crate::run::method_selection::live::Planner;
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::view;
 use crate::run::world::{Placed, World};
@@ -60,11 +60,11 @@ pub struct SonarUnit {
     /// Chooses what the configuration leaves to the plan of methods.
     pub planner: Option<Planner>,
     /// Under `run.overload = "degrade"`: what takes the place of pipeline and planner, the next looser first.
-    looser: Vec<Rung>,
+    looser: Vec<DegradationLevel>,
 }
 
 /// A looser tolerance to fall back on.
-struct Rung {
+struct DegradationLevel {
     tolerance: f64,
     pipeline: SonarPipeline,
     planner: Option<Planner>,
@@ -72,13 +72,13 @@ struct Rung {
 
 impl SonarUnit {
     /// Tolerances it can keep: its own, and looser ones.
-    pub fn rungs(&self) -> usize {
+    pub fn levels(&self) -> usize {
         1 + self.looser.len()
     }
 
-    /// Puts the pipeline of a rung in place, or back; the tolerance, where it is a looser one.
-    fn swap(&mut self, rung: usize) -> Option<f64> {
-        let looser = self.looser.get_mut(rung.checked_sub(1)?)?;
+    /// Puts the pipeline of a level in place, or back; the tolerance, where it is a looser one.
+    fn swap(&mut self, level: usize) -> Option<f64> {
+        let looser = self.looser.get_mut(level.checked_sub(1)?)?;
         std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
         std::mem::swap(&mut self.planner, &mut looser.planner);
         Some(looser.tolerance)
@@ -87,8 +87,8 @@ impl SonarUnit {
     /// Pings with these settings are about to come.
     pub fn expect(&mut self, settings: &SonarSettings) {
         self.pipeline.expect(settings);
-        for rung in &mut self.looser {
-            rung.pipeline.expect(settings);
+        for level in &mut self.looser {
+            level.pipeline.expect(settings);
         }
     }
 }
@@ -178,7 +178,7 @@ impl Rig {
                     RigError::Sonar { name, why }
                 })?;
                 let planner = Planner::new(&spec, medium, self.costs.clone());
-                unit.looser.push(Rung {
+                unit.looser.push(DegradationLevel {
                     tolerance,
                     pipeline,
                     planner,
@@ -321,7 +321,7 @@ impl Rig {
             return false;
         }
         let pipeline = &mut unit.pipeline;
-        let within_m = pipeline.heard_within_m(&mut slot.plan, end);
+        let within_m = pipeline.max_audible_range_m(&mut slot.plan, end);
         self.scene
             .is_quiet(pipeline.footprints(&slot.plan), within_m)
             && self.begin_of(sonar, slot, (end, true), &Scatterers::default(), tile)
@@ -353,25 +353,25 @@ impl Rig {
         let PingSlot { plan, output } = slot;
         unit.pipeline.compute_ping(plan, &self.scatterers, output);
         if let Some(planner) = &mut unit.planner {
-            output.fidelity = planner.mark();
-            planner.after(plan, &self.scatterers, output.certificate.as_ref());
+            output.methods = planner.mark();
+            planner.after(plan, &self.scatterers, output.error_check.as_ref());
         }
     }
 
-    /// As [`Self::make`], with the tolerance of a rung: 0 is the configured one.
+    /// As [`Self::make`], with the tolerance of a level: 0 is the configured one.
     pub fn make_on(
         &mut self,
-        rung: usize,
+        level: usize,
         sonar: usize,
         order: &PingOrder,
         mode: NavMode,
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
-        let tolerance = self.sonars[sonar].swap(rung);
+        let tolerance = self.sonars[sonar].swap(level);
         let made = self.make(sonar, order, mode, host_utc, slot);
-        self.sonars[sonar].swap(rung);
-        slot.output.strain = Strain {
+        self.sonars[sonar].swap(level);
+        slot.output.overload_state = OverloadState {
             tolerance,
             put_off_s: 0.0,
         };
@@ -393,9 +393,9 @@ impl Rig {
             if let Some(planner) = &mut unit.planner {
                 planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
             }
-            for rung in &mut unit.looser {
-                if let Some(planner) = &mut rung.planner {
-                    planner.begin(&slot.plan, &self.scatterers, &mut rung.pipeline);
+            for level in &mut unit.looser {
+                if let Some(planner) = &mut level.planner {
+                    planner.begin(&slot.plan, &self.scatterers, &mut level.pipeline);
                 }
             }
         }

@@ -249,7 +249,7 @@ fn is_placed(finding: &Finding) -> bool {
 struct Index(BTreeMap<u32, Vec<usize>>);
 
 /// Farther from its ping nothing follows from a fault.
-const MOST_FOLLOWS: u32 = 3;
+const MAX_FOLLOWS: u32 = 3;
 
 impl Index {
     fn of(cases: &[Case]) -> Self {
@@ -269,8 +269,8 @@ impl Index {
         let Some((from, to)) = pings_of(finding) else {
             return (0..cases.len()).collect();
         };
-        let from = from.saturating_sub(MOST_FOLLOWS);
-        let to = to.saturating_add(MOST_FOLLOWS);
+        let from = from.saturating_sub(MAX_FOLLOWS);
+        let to = to.saturating_add(MAX_FOLLOWS);
         let range = self.0.range(from..=to.max(from));
         range.flat_map(|(_, at)| at.iter().copied()).collect()
     }

@@ -21,10 +21,10 @@ use crate::time::{Clock, MonoNs};
 pub const RECENT_CHANGES: usize = 64;
 
 /// Settings that are only kept, at most: no device has nearly as many, and a client cannot fill the memory.
-pub const MOST_KEPT: usize = 4096;
+pub const MAX_KEPT: usize = 4096;
 
 /// Pings that may be asked for by number, at most.
-const MOST_PINGS_ASKED: f64 = u32::MAX as f64;
+const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
 
 /// Relative. A limit of 0.1 ms, sent as f32, comes back 2.5e-8 of itself too small: what is outside by no more than an f32 can tell is the
 /// limit itself.
@@ -272,12 +272,12 @@ impl SettingsPort for SettingsStore {
     }
     fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused> {
         let mut state = self.lock();
-        if state.kept.len() >= MOST_KEPT && !state.kept.contains_key(&key) {
+        if state.kept.len() >= MAX_KEPT && !state.kept.contains_key(&key) {
             state.counts.refused += 1;
             return Err(SettingRefused {
                 key: key.name,
                 value: f64::from(key.place),
-                rule: SettingRule::TooMany { most: MOST_KEPT },
+                rule: SettingRule::TooMany { most: MAX_KEPT },
             });
         }
         state.kept.insert(key, value.clone());
@@ -333,7 +333,7 @@ fn changed(
         SettingChange::Start => (settings.pinging, asked.owed) = (true, 0),
         SettingChange::Stop => (settings.pinging, asked.owed) = (false, 0),
         SettingChange::PingTimes(times) => {
-            within("ping_times", f64::from(times), (1.0, MOST_PINGS_ASKED))?;
+            within("ping_times", f64::from(times), (1.0, MAX_PINGS_ASKED))?;
             (settings.pinging, asked.owed) = (false, times);
         }
         SettingChange::Trigger(source) => asked.trigger = source,
@@ -594,7 +594,7 @@ mod tests {
         };
         let asked = Asked::from(NOW);
         assert_eq!(store.kept(key(0)), None);
-        for place in 0..MOST_KEPT as u32 {
+        for place in 0..MAX_KEPT as u32 {
             store
                 .keep(key(place), KeptValue::Integer(7), asked)
                 .unwrap();

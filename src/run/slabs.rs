@@ -10,18 +10,18 @@ use num_complex::Complex64;
 
 use crate::array::filter::{Decimator, grid_ahead};
 use crate::array::gridded::{
-    DopplerSpan, Foreseen, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
+    CostEstimate, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
 };
-use crate::echo::{Illuminated, Slab, Window, Workspace, arrivals_of_slab};
-use crate::flow::{ArrayGeometry, EchoCounts, MethodCard, PingPlan};
+use crate::echo::{Slab, TransmitLeg, Window, Workspace, arrivals_of_slab};
+use crate::flow::{ArrayGeometry, EchoCounts, ErrorModel, PingPlan};
 
 /// A slab is so many echoes long at least, since what overlaps its ends is made twice; and a record has so many slabs at most.
 const SLAB_ECHOES: f64 = 10.0;
-const MOST_SLABS: usize = 4;
+const MAX_SLABS: usize = 4;
 /// Arrays of more elements are made without.
 const FEW_ELEMENTS: usize = 8;
 
-/// An engine for the slabs of records, without its work: for its card and cost.
+/// An engine for the slabs of records, without its work: for its error model and cost.
 pub struct Sketch {
     engine: Gridded1d,
     /// Of a slab, at most; and how many there are.
@@ -40,7 +40,7 @@ impl Sketch {
         let echo_samples = spec.sample_rate_hz * (spec.pulse.duration_s + filter_s);
         let slabs = spec.samples as f64 / (SLAB_ECHOES * echo_samples).max(1.0);
         let most = if elements <= FEW_ELEMENTS {
-            MOST_SLABS
+            MAX_SLABS
         } else {
             1
         };
@@ -62,25 +62,25 @@ impl Sketch {
     }
 
     /// Predicted error, and milliseconds of one core per element.
-    pub fn card(&self) -> MethodCard {
-        let mut card = self.engine.card().clone();
+    pub fn error_model(&self) -> ErrorModel {
+        let mut error_model = self.engine.error_model().clone();
         if self.slabs > 1 {
-            card.cost_ms *= self.slabs as f64;
-            card.why += &format!(", of each of {} slabs", self.slabs);
+            error_model.cost_ms *= self.slabs as f64;
+            error_model.why += &format!(", of each of {} slabs", self.slabs);
         }
-        card
+        error_model
     }
 
-    /// As [`Gridded1d::foreseen`], of whole records.
-    pub fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
+    /// As [`Gridded1d::cost_estimate`], of whole records.
+    pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
         let (samples, count) = (self.samples as f64, self.slabs as f64);
         let overlapping = match self.slabs {
             1 => 1.0,
             _ => (samples + self.echo_samples) / samples,
         };
         let in_slab = (arrivals as f64 * overlapping / count).ceil() as usize;
-        let of_slab = self.engine.foreseen(in_slab, share, curvature_per_s);
-        Foreseen {
+        let of_slab = self.engine.cost_estimate(in_slab, share, curvature_per_s);
+        CostEstimate {
             echoes_ns: count * of_slab.echoes_ns,
             grids_ns: count * of_slab.grids_ns,
         }
@@ -89,7 +89,7 @@ impl Sketch {
     /// With work for so many threads.
     pub fn made(self, threads: usize) -> Made {
         Made {
-            card: self.card(),
+            error_model: self.error_model(),
             work: (0..threads)
                 .map(|_| Mutex::new(self.engine.work()))
                 .collect(),
@@ -102,7 +102,7 @@ impl Sketch {
 
 /// An engine with its work for every thread of the pool.
 pub struct Made {
-    card: MethodCard,
+    error_model: ErrorModel,
     samples: usize,
     sample_rate_hz: f64,
     filter: Option<Decimator>,
@@ -115,15 +115,15 @@ pub struct Listener<'a> {
     pub plan: &'a PingPlan,
     pub array: &'a ArrayGeometry,
     pub element: usize,
-    pub lit: &'a Illuminated,
+    pub transmit_leg: &'a TransmitLeg,
     /// Of this ping's echoes.
     pub span: DopplerSpan,
 }
 
 impl Made {
-    /// See [`Sketch::card`].
-    pub fn card(&self) -> &MethodCard {
-        &self.card
+    /// See [`Sketch::error_model`].
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
     }
 
     /// Samples of a slab; the last of a record may have fewer.
@@ -143,7 +143,7 @@ impl Made {
             plan,
             array,
             element,
-            lit,
+            transmit_leg,
             span,
         } = listener;
         let [first, end] = [slab * self.samples, slab * self.samples + out.len()];
@@ -171,7 +171,8 @@ impl Made {
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         work.start(first_s, span);
-        let mut counts = arrivals_of_slab(plan, array, element, lit, slab, walk, &mut *work);
+        let mut counts =
+            arrivals_of_slab(plan, array, element, transmit_leg, slab, walk, &mut *work);
         // Of two slabs that hear an echo both count it here.
         counts.beyond_engine = work.finish(out).outside_span;
         counts

@@ -27,7 +27,7 @@ impl SyntheticAperture {
         let spec = sonar.beams.synthetic_aperture.clone()?;
         let limits = RowLimits {
             sample_rate_hz: sonar.receiver.sample_rate_hz,
-            samples: ping::most_samples(sonar, sound_speed_m_per_s),
+            samples: ping::max_samples(sonar, sound_speed_m_per_s),
             pulse_s: sonar.limits.pulse_duration_s.1,
         };
         let (columns, rows) = spec.size();

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 
-use crate::io::trigger::DoorCounts;
+use crate::io::trigger::TriggerListenerCounts;
 use crate::io::trigger::out::OutCounts;
 use crate::ping::{Refusal, Triggered};
 
@@ -22,7 +22,7 @@ pub struct TriggerCounts {
     pub absent: AtomicU64,
     /// Latest pulse of a beat, after its instant, microseconds.
     pub worst_pulse_us: AtomicU64,
-    pub door: OnceLock<Arc<DoorCounts>>,
+    pub listener: OnceLock<Arc<TriggerListenerCounts>>,
     pub out: OnceLock<Arc<OutCounts>>,
 }
 
@@ -47,23 +47,25 @@ impl TriggerCounts {
 
     /// Name, meaning, value.
     pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
-        let door = |of: fn(&DoorCounts) -> &AtomicU64| self.door.get().map(|door| of(door));
+        let listener = |of: fn(&TriggerListenerCounts) -> &AtomicU64| {
+            self.listener.get().map(|listener| of(listener))
+        };
         let out = |of: fn(&OutCounts) -> &AtomicU64| self.out.get().map(|out| of(out));
         [
             (
                 "triggers_received",
                 "Triggers that came by the sonar's own door",
-                door(|door| &door.received),
+                listener(|listener| &listener.received),
             ),
             (
                 "triggers_spoiled",
                 "Trigger sentences that were not whole",
-                door(|door| &door.spoiled),
+                listener(|listener| &listener.spoiled),
             ),
             (
                 "trigger_errors",
                 "Errors of the door triggers come by",
-                door(|door| &door.errors),
+                listener(|listener| &listener.errors),
             ),
             (
                 "triggers_obeyed",
@@ -127,7 +129,7 @@ impl TriggerCounts {
 
     /// For the status lines; none where no trigger plays a part.
     pub fn line(&self, sonar: &str) -> Option<String> {
-        let plays = self.door.get().is_some() || self.out.get().is_some();
+        let plays = self.listener.get().is_some() || self.out.get().is_some();
         let any = plays || self.obeyed.load(Relaxed) > 0;
         let figures: Vec<_> = self
             .all()

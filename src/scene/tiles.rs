@@ -394,14 +394,14 @@ impl TileBox {
         // most centre . normal and that much.
         let farthest_m = (center.abs() + half).length().min(footprint.max_range_m);
         footprint.faces.iter().all(|face| {
-            let most_m = center.dot(face.normal) + half.dot(face.normal.abs());
-            face.may_face(most_m, farthest_m)
+            let max_m = center.dot(face.normal) + half.dot(face.normal.abs());
+            face.may_face(max_m, farthest_m)
         }) && footprint
             .sides
             .iter()
             .map(|side| {
-                let least_m = center.dot(side.axis).abs() - half.dot(side.axis.abs());
-                side.below(least_m.max(0.0), farthest_m)
+                let min_m = center.dot(side.axis).abs() - half.dot(side.axis.abs());
+                side.below(min_m.max(0.0), farthest_m)
             })
             .product::<f64>()
             <= footprint.depth

@@ -63,7 +63,7 @@ impl Bench {
     }
 }
 
-/// What a topside should count of one record type, the struck pings known: an account of its own, ping by ping.
+/// What a topside should count of one record type, the injected pings known: an account of its own, ping by ping.
 fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTally {
     let mut arrivals = Vec::new();
     let mut held: Vec<(u32, u32)> = Vec::new();
@@ -161,7 +161,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
         let mut faults = 0;
         for line in log.iter().filter(|line| line["kind"] == kind) {
             let number = |key: &str| line[key].as_u64().expect("a number") as u32;
-            // Records that nobody subscribed to are struck as well.
+            // Records that nobody subscribed to are injected as well.
             if RECORDS.contains(&number("record_type")) {
                 struck
                     .entry(number("record_type"))

@@ -14,10 +14,14 @@ use super::modes::{Pings, pings_in, pings_of, rig, status};
 type Instant = Vec<u8>;
 
 /// Five seconds of 20 pings a second, each of which takes 75 ms where 50 are to be had.
-fn strained(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
+fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let overload = format!("run.overload={overload}");
     let log = format!("run.fault_directory={folder:?}");
-    let mut sets = vec![overload.as_str(), log.as_str(), "run.rehearse_ms=75"];
+    let mut sets = vec![
+        overload.as_str(),
+        log.as_str(),
+        "run.simulated_compute_ms=75",
+    ];
     sets.extend(QUICK.iter().chain(more));
     let mut daemon = rig(folder, &sets);
     let control = daemon.announced("control http", "http");
@@ -111,7 +115,7 @@ fn counter(status: &Value, name: &str) -> u64 {
 fn skipped_pings_are_counted_and_logged_and_the_others_are_those_of_a_machine_that_keeps_up() {
     let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
     let want = at_leisure(folders[0].path(), &[]);
-    let (daemon, last) = strained(folders[1].path(), "skip", &[]);
+    let (daemon, last) = overloaded(folders[1].path(), "skip", &[]);
     let got = pings_of(folders[1].path());
     let log = log_of(folders[1].path());
     let skipped = numbers(&log, "skipped");
@@ -151,7 +155,7 @@ fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_com
     let folders = [0, 1, 2].map(|_| tempfile::tempdir().expect("folder"));
     let fine = at_leisure(folders[0].path(), &sets);
     let coarse = at_leisure(folders[1].path(), &looser);
-    let (daemon, last) = strained(folders[2].path(), "degrade", &sets);
+    let (daemon, last) = overloaded(folders[2].path(), "degrade", &sets);
     let got = pings_of(folders[2].path());
     let log = log_of(folders[2].path());
     let of_tolerance = |tolerance: f64| -> Vec<u64> {
@@ -192,7 +196,7 @@ fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_com
 #[test]
 fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
     let folder = tempfile::tempdir().expect("folder");
-    let (daemon, last) = strained(folder.path(), "stretch", &[]);
+    let (daemon, last) = overloaded(folder.path(), "stretch", &[]);
     let log = log_of(folder.path());
     let (stretched, skipped) = (numbers(&log, "stretched"), numbers(&log, "skipped"));
     let mut made: Vec<_> = settings_of(folder.path()).into_values().collect();

@@ -1,4 +1,4 @@
-//! Plans of methods in the daemon: one that does not hold is seen in its certificate, counted, and given up for a dearer one.
+//! Plans of methods in the daemon: one that does not hold is seen in its error check, counted, and given up for a dearer one.
 
 use std::fmt::Write;
 use std::net::SocketAddr;
@@ -14,7 +14,7 @@ use track::{ALONG_TRACK, COLUMNS};
 mod track;
 
 /// Points abeam, along the ray: as long as they are abeam nothing closes in, and a sonar that drifts by may stand still in its model. Nothing in its
-/// own motion says when that is over: only the certificate does.
+/// own motion says when that is over: only the error check does.
 const POINTS: usize = 300;
 const SPEED_M_PER_S: f64 = 0.05;
 /// Three percent of such a ping are two samples: 64 of them take half of these.
@@ -65,7 +65,7 @@ path = "auto"
 doppler = "auto"
 synthesis = "direct"
 tolerance = 2e-2
-certificate = true
+error_check = true
 "#;
 
 /// One of /metrics.
@@ -114,7 +114,7 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     };
     let mut delivered = step(1, 0);
     let said = status(control);
-    let plan = said["sonars"][0]["fidelity"]["plan"].clone();
+    let plan = said["sonars"][0]["methods"]["plan"].clone();
     assert_eq!(plan, 1, "made ahead of the first ping: {said}");
     assert_eq!(metric(control, "plans_given_up"), Some(0.0));
     assert_eq!(metric(control, "plan_tolerance"), Some(2e-2));
@@ -124,29 +124,26 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     while metric(control, "plans_given_up") == Some(0.0) && delivered < PATIENCE_PINGS {
         delivered = step(2, delivered);
     }
-    let error = metric(control, "certificate_error").expect("certified");
+    let error = metric(control, "checked_error").expect("checked");
     println!("given up at ping {delivered}: {error:.1e} measured, {first_promise:.1e} promised");
     assert_eq!(metric(control, "plans_given_up"), Some(1.0));
-    assert!(metric(control, "certificate_faults") >= Some(1.0));
+    assert!(metric(control, "error_check_faults") >= Some(1.0));
     assert!(error > 2.6e-2, "{error}");
-    let margin = metric(control, "plan_margin").expect("certified");
+    let margin = metric(control, "plan_margin").expect("checked");
     assert!((margin * error / 2e-2 - 1.0).abs() < 1e-6, "{margin}");
-    let said = status(control)["sonars"][0]["fidelity"].clone();
+    let said = status(control)["sonars"][0]["methods"].clone();
     assert_eq!((&said["plan"], &said["given_up"]), (&json!(1), &json!(1)));
     assert!(said["margin"].as_f64().is_some_and(|m| m < 1.0), "{said}");
 
     delivered = step(LEAD_PINGS + FLUSH_PINGS, delivered);
-    let (plan, error) = (
-        metric(control, "plan"),
-        metric(control, "certificate_error"),
-    );
+    let (plan, error) = (metric(control, "plan"), metric(control, "checked_error"));
     println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
     assert!(plan >= Some(2.0), "{plan:?}");
     assert!(error < Some(2e-2), "{error:?}");
     assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
     let printed = daemon.terminate();
     assert!(
-        printed.contains("FAULT: 1 plans given up for their certificates, 0 not made"),
+        printed.contains("FAULT: 1 plans given up for their error checks, 0 not made"),
         "{printed}"
     );
 }

@@ -179,7 +179,7 @@ fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_record
 
 #[test]
 fn so_do_those_that_are_made_tile_by_tile_while_they_leave() {
-    // Room for a loaded machine and a build without optimisation: what is not ready in time is torn.
+    // Room for a loaded machine and a build without optimisation: what is not ready in time is truncated.
     triggered(2.0, &["run.stream_tiles=true"]);
 }
 
@@ -212,17 +212,17 @@ fn triggered(latency_s: f64, more: &[&str]) {
     }
     let mut daemon = Daemon::start(&arguments);
     let address = daemon.announced("elements", "tcp");
-    let door = daemon.announced("trigger points", "udp");
+    let listener = daemon.announced("trigger points", "udp");
     let mut client = ElementClient::connect(address).expect("listening");
     let trigger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     let mut streamed = Vec::new();
-    let (mut pings, mut least_s, mut part) = (0, f64::MAX, (0, Vec::new()));
+    let (mut pings, mut min_s, mut part) = (0, f64::MAX, (0, Vec::new()));
     let until = Instant::now() + PATIENCE;
     let mut next = Instant::now();
     while pings < 3 {
         assert!(Instant::now() < until, "{pings} pings");
         if Instant::now() >= next {
-            trigger.send_to(b"ping!", door).expect("sent");
+            trigger.send_to(b"ping!", listener).expect("sent");
             next = Instant::now() + Duration::from_millis(600);
         }
         let open = client.read(Duration::from_millis(5), |frame, now| {
@@ -232,7 +232,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
             }
             let end_s = f64::from(head.first_moment + frame.moments) / head.moments_per_s;
             let since_s = (now.0 - head.pulse_utc_ns) as f64 / 1e9;
-            least_s = least_s.min(since_s - end_s);
+            min_s = min_s.min(since_s - end_s);
             if part.0 == head.first_moment {
                 part.0 += frame.moments;
                 part.1.extend_from_slice(frame.samples);
@@ -261,5 +261,5 @@ fn triggered(latency_s: f64, more: &[&str]) {
         assert!(same, "ping {number} is not in the recording");
     }
     // No frame before its block was heard and the latency over; host time may be read a little apart.
-    assert!(least_s > latency_s - 1e-3, "{least_s} s");
+    assert!(min_s > latency_s - 1e-3, "{min_s} s");
 }

@@ -73,10 +73,10 @@ fn a_ping_begins_with_its_trigger_and_what_comes_early_twice_or_paused_makes_non
             &to,
         ],
     );
-    let door = daemon.announced("trigger points", "udp");
+    let listener = daemon.announced("trigger points", "udp");
     let control = daemon.announced("control http", "http");
     let sender = UdpSocket::bind("127.0.0.1:0").expect("socket");
-    let send = |text: &str| assert!(sender.send_to(text.as_bytes(), door).is_ok());
+    let send = |text: &str| assert!(sender.send_to(text.as_bytes(), listener).is_ok());
     // Nobody triggers: nobody pings, and the watchdog counts.
     wait_counted(control, "triggers_absent", 3);
     assert_eq!(counters(control)["triggers_obeyed"], 0);
@@ -136,9 +136,9 @@ fn queued_triggers_ping_as_fast_as_the_window_allows() {
             &to,
         ],
     );
-    let door = daemon.announced("trigger points", "tcp");
+    let listener = daemon.announced("trigger points", "tcp");
     let control = daemon.announced("control http", "http");
-    let mut client = TcpStream::connect(door).expect("accepted");
+    let mut client = TcpStream::connect(listener).expect("accepted");
     client.write_all(b"go\ngo\ngo\n").expect("written");
     let (first, second) = (heard(&ear), heard(&ear));
     assert_eq!((first.0, second.0), (1, 2));
@@ -160,12 +160,12 @@ fn in_lockstep_a_trigger_is_a_step_and_a_number_counts_once() {
             "sonar.trigger.listen=127.0.0.1:0",
         ],
     );
-    let door = daemon.announced("trigger points", "udp");
+    let listener = daemon.announced("trigger points", "udp");
     let control = daemon.announced("control http", "http");
     let sender = UdpSocket::bind("127.0.0.1:0").expect("socket");
     for (number, delivered) in [(1, 1), (1, 1), (2, 2), (3, 3)] {
         let text = sentence::write(number, UtcNs(0), "board");
-        sender.send_to(text.as_bytes(), door).expect("sent");
+        sender.send_to(text.as_bytes(), listener).expect("sent");
         wait_delivered(control, delivered);
     }
     wait_counted(control, "triggers_duplicate", 1);

@@ -1,6 +1,6 @@
 //! The echo model held to closed forms and to plain slow formulas: `echo` and `array` together, through their public faces.
 
-mod cards;
+mod error_models;
 mod paths;
 mod probe;
 mod receiver;

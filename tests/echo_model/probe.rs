@@ -1,4 +1,4 @@
-//! The certificate's samples held against the reference itself.
+//! The error check's samples held against the reference itself.
 
 use glam::DVec3;
 use num_complex::Complex64;

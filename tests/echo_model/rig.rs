@@ -1,6 +1,6 @@
 //! A sonar, a plan and a sink for the tests of the echo model.
 
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::*;
 use echotank::frames::{Trajectory, rotation_from_angles};
 use echotank::time::UtcNs;
@@ -210,9 +210,16 @@ pub fn walk(
     scatterers: &Scatterers,
     sink: &mut impl ArrivalSink,
 ) -> EchoCounts {
-    let mut lit = Illuminated::new();
-    let mut counts = illuminate(plan, tx, window, scatterers, &mut lit);
-    counts += arrivals(plan, array, element, &lit, &mut Workspace::new(), sink);
+    let mut transmit_leg = TransmitLeg::new();
+    let mut counts = insonify(plan, tx, window, scatterers, &mut transmit_leg);
+    counts += arrivals(
+        plan,
+        array,
+        element,
+        &transmit_leg,
+        &mut Workspace::new(),
+        sink,
+    );
     counts
 }
 

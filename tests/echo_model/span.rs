@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use echotank::echo::{Illuminated, Workspace, arrivals, doppler_span, illuminate};
+use echotank::echo::{TransmitLeg, Workspace, arrivals, doppler_span, insonify};
 use echotank::flow::*;
 
 use crate::paths::restless;
@@ -24,12 +24,18 @@ fn no_echo_lies_outside_the_span_and_beyond_the_arms_it_is_not_much_too_wide() {
     for nearest_m in [0.3, 20.0] {
         held(&around(nearest_m), nearest_m);
     }
-    let (mut lit, mut work) = (Illuminated::new(), Workspace::new());
+    let (mut transmit_leg, mut work) = (TransmitLeg::new(), Workspace::new());
     let array = element(DVec3::ZERO);
     let (plan, tx) = (ahead(5.0), transmitter(DVec3::ZERO));
-    illuminate(&plan, &tx, ALWAYS, &Scatterers::default(), &mut lit);
+    insonify(
+        &plan,
+        &tx,
+        ALWAYS,
+        &Scatterers::default(),
+        &mut transmit_leg,
+    );
     assert_eq!(
-        doppler_span(&plan, &array, &lit, &mut work),
+        doppler_span(&plan, &array, &transmit_leg, &mut work),
         (0.0, 0.0),
         "of nothing"
     );
@@ -56,13 +62,13 @@ fn held(scatterers: &Scatterers, nearest_m: f64) {
                 plan.model.doppler = doppler;
                 let tx = transmitter(DVec3::new(1.5, 0.2, 0.8));
                 let array = line(DVec3::new(-2.0, 0.4, 0.2), 40);
-                let (mut lit, mut work) = (Illuminated::new(), Workspace::new());
-                illuminate(&plan, &tx, ALWAYS, scatterers, &mut lit);
-                let (least, greatest) = doppler_span(&plan, &array, &lit, &mut work);
+                let (mut transmit_leg, mut work) = (TransmitLeg::new(), Workspace::new());
+                insonify(&plan, &tx, ALWAYS, scatterers, &mut transmit_leg);
+                let (least, greatest) = doppler_span(&plan, &array, &transmit_leg, &mut work);
                 let mut seen = (f64::INFINITY, f64::NEG_INFINITY);
                 for element in [0, 13, 39] {
                     let mut sink = Collected::default();
-                    arrivals(&plan, &array, element, &lit, &mut work, &mut sink);
+                    arrivals(&plan, &array, element, &transmit_leg, &mut work, &mut sink);
                     for arrival in sink.arrivals {
                         seen = (seen.0.min(arrival.doppler), seen.1.max(arrival.doppler));
                     }

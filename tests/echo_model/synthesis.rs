@@ -3,7 +3,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank::array::cards::synthesis_card;
+use echotank::array::error_models::synthesis_error_model;
 use echotank::array::filter::occupied_hz;
 use echotank::array::{
     Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum, oversample,
@@ -778,7 +778,7 @@ fn spectral_is_direct_behind_the_filter_to_1e_6() {
     }
 }
 
-/// Without a receiver filter the pulse itself is cut to the sampled band: off by its share outside, as the card says.
+/// Without a receiver filter the pulse itself is cut to the sampled band: off by its share outside, as the error model says.
 #[test]
 fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     let mut shared = Shared::new();
@@ -879,7 +879,7 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
         tolerance: 1e-3,
         heard: None,
     };
-    // Their squares' means over the band and all places between two samples; the cards have the unluckiest place, in the middle: half a
+    // Their squares' means over the band and all places between two samples; the error models have the unluckiest place, in the middle: half a
     // sample's phase against its mean, sqrt(3) for nearest, and y (1 - y) there against its mean, sqrt(30/16) for linear, at low frequencies.
     for (synthesis, got, mean, worst) in [
         (Synthesis::Nearest, errors.0, 0.393, 3f64.sqrt()),
@@ -889,10 +889,10 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
             (got / mean - 1.0).abs() < 0.05,
             "{synthesis:?}: {got}, {mean}"
         );
-        let card = synthesis_card(synthesis, &conditions).error;
+        let error_model = synthesis_error_model(synthesis, &conditions).error;
         assert!(
-            (card / (mean * worst) - 1.0).abs() < 0.1,
-            "{synthesis:?}: card {card}, {}",
+            (error_model / (mean * worst) - 1.0).abs() < 0.1,
+            "{synthesis:?}: error model {error_model}, {}",
             mean * worst
         );
     }

@@ -2,9 +2,9 @@
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded::simd_level::SimdLevel;
 use echotank::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
-use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, illuminate};
+use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use echotank::flow::*;
 use echotank::frames::AttitudeKnot;
 use glam::{DQuat, DVec3};
@@ -34,7 +34,7 @@ fn spec(scene: &Scene) -> Spec<'_> {
         level_range_db: 40.0,
         samples: scene.plan.sample_count,
         scatterers: 1000,
-        dialect: Dialect::best(),
+        simd_level: SimdLevel::best(),
     }
 }
 
@@ -49,12 +49,18 @@ fn run(scene: &Scene, threads: usize) -> (Vec<Complex64>, EchoCounts, f64) {
         let work: Vec<_> = (0..threads)
             .map(|_| Mutex::new(LineWorkspace::default()))
             .collect();
-        let mut lit = Illuminated::new();
-        let mut counts = illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        let mut transmit_leg = TransmitLeg::new();
+        let mut counts = insonify(
+            &scene.plan,
+            &scene.tx,
+            ALWAYS,
+            &scene.scatterers,
+            &mut transmit_leg,
+        );
         let echoes = LineEchoes {
             plan: &scene.plan,
             array: &scene.rx,
-            lit: &lit,
+            transmit_leg: &transmit_leg,
             work: &work,
         };
         let mut iq = vec![Complex64::ZERO; scene.rx.elements * scene.plan.sample_count];
@@ -181,7 +187,7 @@ fn what_the_method_does_not_know_is_refused() {
     let mut model = scene.plan.model;
     model.segment_s = 0.05;
     turning.model = &model;
-    let why = |spec: &Spec| Gridded2d::new(spec).map(|engine| engine.card().why.clone());
+    let why = |spec: &Spec| Gridded2d::new(spec).map(|engine| engine.error_model().why.clone());
     let said = why(&turning).expect("short stretches follow the steps");
     assert!(said.contains("stretches of 1 "), "{said}");
     let chords = ModelChoice {

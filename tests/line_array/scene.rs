@@ -2,11 +2,11 @@
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded::simd_level::SimdLevel;
 use echotank::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
 use echotank::array::{Decimator, Direct};
 use echotank::echo::{
-    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate, reference,
+    LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify, reference,
 };
 use echotank::flow::*;
 use glam::{DQuat, DVec3};
@@ -99,14 +99,14 @@ pub fn engine<T: Sample>(
     scene: &Scene,
     fineness: Fineness,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
-    engine_in::<T>(scene, fineness, Dialect::best(), false)
+    engine_in::<T>(scene, fineness, SimdLevel::best(), false)
 }
 
-/// The same in a given dialect, first task last if `backward`.
+/// The same in a given SIMD level, first task last if `backward`.
 pub fn engine_in<T: Sample>(
     scene: &Scene,
     fineness: Fineness,
-    dialect: Dialect,
+    simd_level: SimdLevel,
     backward: bool,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
     let Scene {
@@ -120,14 +120,14 @@ pub fn engine_in<T: Sample>(
         gain: &|f| decimator.gain(f),
         half_s: decimator.half_s(),
     };
-    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness, dialect);
-    let mut lit = Illuminated::new();
-    illuminate(plan, tx, ALWAYS, scatterers, &mut lit);
+    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness, simd_level);
+    let mut transmit_leg = TransmitLeg::new();
+    insonify(plan, tx, ALWAYS, scatterers, &mut transmit_leg);
     let walk = [Mutex::new(LineWorkspace::default())];
     let echoes = LineEchoes {
         plan,
         array: rx,
-        lit: &lit,
+        transmit_leg: &transmit_leg,
         work: &walk,
     };
     engine.prepare_from(plan, echoes.earliest_s());
@@ -171,10 +171,17 @@ pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
         );
     } else {
         let window = Window::of_samples(first_s, rate_hz, dense.len());
-        let mut lit = Illuminated::new();
-        illuminate(plan, tx, window, scatterers, &mut lit);
+        let mut transmit_leg = TransmitLeg::new();
+        insonify(plan, tx, window, scatterers, &mut transmit_leg);
         let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense);
-        arrivals(plan, rx, element, &lit, &mut Workspace::new(), &mut sink);
+        arrivals(
+            plan,
+            rx,
+            element,
+            &transmit_leg,
+            &mut Workspace::new(),
+            &mut sink,
+        );
     }
     let mut record = vec![Complex64::ZERO; plan.sample_count];
     decimator.apply(&dense, &mut record);

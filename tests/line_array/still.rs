@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use echotank::array::gridded2d::{Fineness, PulseMotion};
-use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, illuminate};
+use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use echotank::flow::*;
 use glam::DVec3;
 
@@ -83,12 +83,18 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
         let before = (scene.plan.first_sample_s * RATE_HZ).round();
         scene.plan.sample_count += before as usize;
         scene.plan.first_sample_s = 0.0;
-        let mut lit = Illuminated::new();
-        illuminate(&scene.plan, &scene.tx, ALWAYS, &scene.scatterers, &mut lit);
+        let mut transmit_leg = TransmitLeg::new();
+        insonify(
+            &scene.plan,
+            &scene.tx,
+            ALWAYS,
+            &scene.scatterers,
+            &mut transmit_leg,
+        );
         let echoes = LineEchoes {
             plan: &scene.plan,
             array: &scene.rx,
-            lit: &lit,
+            transmit_leg: &transmit_leg,
             work: &[Mutex::new(LineWorkspace::default())],
         };
         let end_m = scene.rx.element_x_m(scene.rx.elements - 1);

@@ -1,6 +1,6 @@
 //! The tolerance asked for is the tolerance kept, in every window.
 
-use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded::simd_level::SimdLevel;
 use echotank::array::gridded2d::{Bounds, Choice, Fineness, Precision, Refusal, Spec, choose};
 use glam::DVec3;
 
@@ -31,7 +31,7 @@ fn spec(scene: &Scene, bounds: Bounds, tolerance: f64) -> Spec<'_> {
         level_range_db: 40.0,
         samples: scene.plan.sample_count,
         scatterers: 1000,
-        dialect: Dialect::best(),
+        simd_level: SimdLevel::best(),
     }
 }
 
@@ -71,7 +71,7 @@ fn the_error_by_window_keeps_every_tolerance() {
                 let most = reports.iter().max_by_key(|r| r.channels).expect("tasks");
                 println!(
                     "{velocity_m_per_s} m/s, +-{sector_deg} deg, {tolerance:e}: {got:.1e}, predicted {:.1e}, left out {left_out:.1e}; stretch {}, width {}, {} columns, {} channels, {:?}",
-                    choice.card.error,
+                    choice.error_model.error,
                     choice.fineness.stretch,
                     choice.fineness.time_width,
                     most.columns,
@@ -79,9 +79,9 @@ fn the_error_by_window_keeps_every_tolerance() {
                     most.orders,
                 );
                 assert!(
-                    got <= tolerance && got <= 1.1 * choice.card.error.max(left_out),
+                    got <= tolerance && got <= 1.1 * choice.error_model.error.max(left_out),
                     "{got:e} against {tolerance:e}: {}",
-                    choice.card.why
+                    choice.error_model.why
                 );
             }
         }
@@ -117,17 +117,17 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
     };
     let scene = draw(drawn);
     let fineness = chosen(&scene, drawn, 1e-3).expect("easy").fineness;
-    let plain = engine_in::<f32>(&scene, fineness, Dialect::PORTABLE, false).0;
-    for dialect in Dialect::available() {
-        let forward = engine_in::<f32>(&scene, fineness, dialect, false).0;
-        let backward = engine_in::<f32>(&scene, fineness, dialect, true).0;
+    let plain = engine_in::<f32>(&scene, fineness, SimdLevel::PORTABLE, false).0;
+    for simd_level in SimdLevel::available() {
+        let forward = engine_in::<f32>(&scene, fineness, simd_level, false).0;
+        let backward = engine_in::<f32>(&scene, fineness, simd_level, true).0;
         assert!(
             forward == backward,
-            "{dialect:?}: the order of the tasks shows"
+            "{simd_level:?}: the order of the tasks shows"
         );
         for (e, (got, want)) in forward.iter().zip(&plain).enumerate() {
             let worst = worst_window(got, want, scene.plan.pulse.duration_s);
-            assert!(worst < 2e-6, "{dialect:?}, element {e}: {worst:e}");
+            assert!(worst < 2e-6, "{simd_level:?}, element {e}: {worst:e}");
         }
     }
     // Kernels over time of other widths, of which some have code of their own.
@@ -136,8 +136,8 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
             time_width,
             ..fineness
         };
-        let plain = engine_in::<f32>(&scene, fineness, Dialect::PORTABLE, false).0;
-        let best = engine_in::<f32>(&scene, fineness, Dialect::best(), false).0;
+        let plain = engine_in::<f32>(&scene, fineness, SimdLevel::PORTABLE, false).0;
+        let best = engine_in::<f32>(&scene, fineness, SimdLevel::best(), false).0;
         for (e, (got, want)) in best.iter().zip(&plain).enumerate() {
             let worst = worst_window(got, want, scene.plan.pulse.duration_s);
             assert!(worst < 2e-6, "{time_width} rows, element {e}: {worst:e}");

@@ -14,7 +14,7 @@ use echotank::time::{SystemClock, UtcNs};
 
 use super::{PATIENCE, nav_spec, sentences, source, udp};
 
-/// All sentences of the log over UDP, cut anywhere, through a fault: what the decoder counted, and how many sentences were struck.
+/// All sentences of the log over UDP, cut anywhere, through a fault: what the decoder counted, and how many sentences were injected.
 fn heard(fault: Option<&str>) -> (NavCounters, u64) {
     let spec = nav_spec(vec![source("s330", udp())]);
     let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");

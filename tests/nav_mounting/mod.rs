@@ -318,7 +318,7 @@ fn a_towed_fish_lies_behind_the_ship_as_far_as_cable_and_depth_say() {
         spec.tow = Some(TowSpec {
             point_m: DVec3::new(-6.0, -2.0, -2.0),
             cable_out_m: 62.5,
-            straightness: 0.8,
+            cable_scope: 0.8,
         });
         let mut history = NavHistory::new(&spec);
         // The cable is the same; from 28 to 48 m the fish comes nearer: 40 m to 0 behind.

@@ -8,11 +8,11 @@ use std::path::Path;
 
 use echotank::config;
 use echotank::config::spec::{Density, RigSpec};
-use echotank::flow::{Certificate, DopplerModel, PathModel, PingPlan, Scatterers, Synthesis};
+use echotank::flow::{DopplerModel, ErrorCheck, PathModel, PingPlan, Scatterers, Synthesis};
 use echotank::frames::Trajectory;
-use echotank::run::fidelity::costs::Costs;
-use echotank::run::fidelity::first::{first, pings};
-use echotank::run::fidelity::{Scene, Swell, rank};
+use echotank::run::method_selection::costs::Costs;
+use echotank::run::method_selection::first::{first, pings};
+use echotank::run::method_selection::{Scene, Swell, rank};
 use echotank::run::recorded::RecordedRig;
 use echotank::run::rig::pool;
 use echotank::time::UtcNs;
@@ -332,7 +332,7 @@ fn every_configuration_is_planned_within_its_tolerance() {
                     chosen.cost_ms()
                 );
                 println!("{said}");
-                // Its line stays alone with the whole tolerance, which its certificates keep: as near as 4 m no stretch of it is short enough for less.
+                // Its line stays alone with the whole tolerance, which its error checks keep: as near as 4 m no stretch of it is short enough for less.
                 let is_soak = file.ends_with("soak.toml");
                 assert!(ranking.is_within() != is_soak, "{said}");
                 if is_soak {
@@ -373,7 +373,7 @@ fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
                 .rig
                 .make(sonar, &order, mode, UtcNs(0), &mut slot)
                 .expect("no gap");
-            let plan = slot.output.fidelity.expect("a plan").plan;
+            let plan = slot.output.methods.expect("a plan").plan;
             let bits = slot.output.elements[0].iq.iter().fold(0u64, |sum, x| {
                 sum.wrapping_mul(31)
                     .wrapping_add(x.re.to_bits() ^ x.im.to_bits().rotate_left(7))
@@ -422,10 +422,10 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
             let mode = spec.nav.mode;
             let made = recorded.rig.make(sonar, &order, mode, UtcNs(0), &mut slot);
             made.expect("no gap");
-            marks.push(slot.output.fidelity.expect("a plan"));
+            marks.push(slot.output.methods.expect("a plan"));
             if order.ping_number == 3 {
                 let scatterers = recorded.rig.scatterers().clone();
-                let failed = Certificate {
+                let failed = ErrorCheck {
                     samples: 64,
                     error: 2e-2,
                     low: 1e-2,

@@ -8,14 +8,14 @@ use echotank::config::spec::{MadeOutput, RigSpec, SonarSpec};
 use echotank::flow::{
     DopplerModel, PathModel, PingOutput, PingPlan, ScatterLaw, Scatterers, Synthesis,
 };
-use echotank::ping::fidelity::{Choice, Family, Ranking};
+use echotank::ping::methods::{Choice, Family, Ranking};
 use echotank::ping::polyline;
-use echotank::run::certificate::worst_window;
 use echotank::run::conditions::conditions;
-use echotank::run::fidelity::costs::Costs;
-use echotank::run::fidelity::first::pings;
-use echotank::run::fidelity::parts::partings;
-use echotank::run::fidelity::{Scene, Swell, rank, with_choice};
+use echotank::run::error_check::worst_window;
+use echotank::run::method_selection::costs::Costs;
+use echotank::run::method_selection::first::pings;
+use echotank::run::method_selection::parts::partings;
+use echotank::run::method_selection::{Scene, Swell, rank, with_choice};
 use echotank::run::pipeline::SonarPipeline;
 use echotank::run::recorded::RecordedRig;
 use echotank::run::replay::{Formats, Replay, ReplayOptions};
@@ -614,15 +614,15 @@ fn a_replay_that_writes_elements_makes_them_or_says_that_it_cannot() {
 }
 
 /// Plans, and a sum over the bits of the lines, of the first pings.
-fn voyage(threads: usize, certificate: &str) -> (Vec<(u32, usize, u64)>, Option<f64>) {
+fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<f64>) {
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\noutput = \"auto\"\ntolerance = 5e-2\n";
-    let model: &'static str = Box::leak((model.to_owned() + certificate).into_boxed_str());
+    let model: &'static str = Box::leak((model.to_owned() + error_check).into_boxed_str());
     let (_folder, spec) = Rig { model, ..RIG }.open();
     pool(threads).expect("threads").install(|| {
         let mut recorded = RecordedRig::open(&spec).expect("opens");
-        if !certificate.is_empty() {
+        if !error_check.is_empty() {
             let pipeline = &mut recorded.rig.sonars[0].pipeline;
-            pipeline.allow_certificates(f64::INFINITY);
+            pipeline.allow_error_checks(f64::INFINITY);
         }
         let mut slot = recorded.rig.slot(0);
         let (mut seen, mut error) = (Vec::new(), None);
@@ -632,13 +632,13 @@ fn voyage(threads: usize, certificate: &str) -> (Vec<(u32, usize, u64)>, Option<
                 .rig
                 .make(sonar, &order, spec.nav.mode, UtcNs(0), &mut slot);
             made.expect("no gap");
-            let mark = slot.output.fidelity.expect("a plan");
+            let mark = slot.output.methods.expect("a plan");
             let amplitudes = slot.output.lines.iter().flat_map(|line| &line.amplitude);
             let bits = amplitudes.fold(0u64, |sum, a| {
                 sum.wrapping_mul(31).wrapping_add(u64::from(a.to_bits()))
             });
             seen.push((mark.plan, mark.part_elements, bits));
-            error = slot.output.certificate.map(|c| c.error).or(error);
+            error = slot.output.error_check.map(|c| c.error).or(error);
         }
         (seen, error)
     })
@@ -658,7 +658,7 @@ fn lines_alone_are_the_same_bits_on_any_number_of_threads() {
 /// Each sample of a part against the mean of its elements by the reference's equation.
 #[test]
 fn certificates_hold_parts_against_their_elements() {
-    let (seen, error) = voyage(2, "certificate = true");
+    let (seen, error) = voyage(2, "error_check = true");
     let error = error.expect("64 samples a ping");
     println!("{seen:?} {error:.1e}");
     assert!(seen.iter().all(|(_, of, _)| *of > 1), "{seen:?}");

@@ -28,7 +28,7 @@ struct Rig {
     data: SonarServer,
 }
 
-fn door() -> ServerSpec {
+fn listener() -> ServerSpec {
     ServerSpec {
         listen: "127.0.0.1:0".parse().expect("an address"),
         tcp: true,
@@ -54,9 +54,9 @@ impl Rig {
         let times = ServerTimes::default();
         Self {
             sevenk: start_sevenk(&output_spec(), sheet(), store.clone(), now.clone()).expect("7k"),
-            commands: SonarServer::start(&door(), Arc::new(commands), now.clone(), times)
+            commands: SonarServer::start(&listener(), Arc::new(commands), now.clone(), times)
                 .expect("jsf"),
-            data: SonarServer::start(&door(), Arc::new(data), now, times).expect("jsf data"),
+            data: SonarServer::start(&listener(), Arc::new(data), now, times).expect("jsf data"),
             store,
         }
     }

@@ -265,7 +265,7 @@ pub fn output(samples: usize) -> PingOutput {
         amplitude: (0..samples).map(|k| scale * (k % 1000) as f32).collect(),
     };
     PingOutput {
-        certificate: None,
+        error_check: None,
         elements,
         beams: vec![beams],
         lines: vec![line(Side::Port, 0.001), line(Side::Starboard, 0.002)],

@@ -68,7 +68,7 @@ enum What {
         method: Option<String>,
         /// best, portable, avx2, avx512.
         #[arg(long, value_delimiter = ',', default_value = "best")]
-        dialects: Vec<String>,
+        simd_levels: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
         /// Where the time of gridded-2d goes, stage by stage.
@@ -145,14 +145,14 @@ fn main() -> std::process::ExitCode {
             common,
             only,
             method,
-            dialects,
+            simd_levels,
             threads,
             stages,
         } => {
             let selection = whole::Selection {
                 only: only.as_deref().unwrap_or(""),
                 method: method.as_deref(),
-                dialects: &dialects,
+                simd_levels: &simd_levels,
                 threads: &threads,
                 stages,
                 effort: if common.quick {

@@ -10,7 +10,7 @@ mod picture;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use measure::{Figures, Ladder, Once, RUNGS, Simplifier};
+use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
 
 const HELP: &str = "\
 tools/ladder [--quick] [--seeds N] [--json FILE] [--picture FILE] [--times]
@@ -18,7 +18,7 @@ tools/ladder [--quick] [--seeds N] [--json FILE] [--picture FILE] [--times]
   --quick         4 seeds and 12 pings instead of 64 and 48
   --seeds N       how many scenes of fresh speckle and fresh random numbers
   --json FILE     the same figures for a program
-  --picture FILE  the images of one scene as PNG: the original on top, then a row of simplifiers for each rung
+  --picture FILE  the images of one scene as PNG: the original on top, then a row of simplifiers for each level
   --times         only times, one thread: what choosing and what computing a ping costs
 
 scene     42,936 points over 20 m x 60 m of the raised letters of Fig. 12, 30 m below the sonar; what a ping cannot see is silent for all
@@ -131,7 +131,7 @@ fn print_times(ladder: &Ladder) {
         "{:>6} {:<22} {:>12.2} {:>12.2} {:>12}",
         "all", "-", choose_ms, ping_ms, "0"
     );
-    for points in RUNGS {
+    for points in LEVELS {
         for simplifier in Simplifier::ALL {
             let (choose_ms, ping_ms, level_db) = ladder.time(Some((simplifier, points)));
             println!(

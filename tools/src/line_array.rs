@@ -8,9 +8,9 @@ use std::collections::HashMap;
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank::array::gridded::dialect::Dialect;
+use echotank::array::gridded::simd_level::SimdLevel;
 use echotank::array::gridded2d::{Bounds, Gridded2d, Spec};
-use echotank::echo::{Illuminated, LineEchoes, LineWorkspace, Window, illuminate};
+use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, Window, insonify};
 use echotank::flow::{EchoCounts, Scatterers};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -65,9 +65,9 @@ fn run(number: &impl Fn(&str, f64) -> f64, threads: usize) {
     let mut scene = draw(drawn);
     by_tiles(&mut scene.scatterers);
     let tolerance = number("tolerance", 1e-3);
-    let dialect = match number("avx512", 1.0) {
-        0.0 => Dialect::available().nth(1).unwrap_or(Dialect::PORTABLE),
-        _ => Dialect::best(),
+    let simd_level = match number("avx512", 1.0) {
+        0.0 => SimdLevel::available().nth(1).unwrap_or(SimdLevel::PORTABLE),
+        _ => SimdLevel::best(),
     };
     let spec = Spec {
         array: &scene.rx,
@@ -87,32 +87,38 @@ fn run(number: &impl Fn(&str, f64) -> f64, threads: usize) {
         level_range_db: 60.0,
         samples: scene.plan.sample_count,
         scatterers: drawn.scatterers,
-        dialect,
+        simd_level,
     };
     let mut engine = Gridded2d::new(&spec).expect("within reach");
-    println!("{}", engine.card().why);
+    println!("{}", engine.error_model().why);
     let plan = &scene.plan;
     let window = Window::of_samples(plan.first_sample_s, RATE_HZ, plan.sample_count);
     let work: Vec<_> = (0..threads)
         .map(|_| Mutex::new(LineWorkspace::default()))
         .collect();
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let mut iq = vec![Complex64::ZERO; scene.rx.elements * plan.sample_count];
-    let (mut best_lit, mut best_all) = (f64::INFINITY, f64::INFINITY);
+    let (mut best_insonified, mut best_all) = (f64::INFINITY, f64::INFINITY);
     let mut counts = EchoCounts::default();
     for _ in 0..number("pings", 5.0) as usize {
         let start = Instant::now();
-        counts = illuminate(plan, &scene.tx, window, &scene.scatterers, &mut lit);
-        let lit_ms = 1e3 * start.elapsed().as_secs_f64();
+        counts = insonify(
+            plan,
+            &scene.tx,
+            window,
+            &scene.scatterers,
+            &mut transmit_leg,
+        );
+        let insonified_ms = 1e3 * start.elapsed().as_secs_f64();
         let echoes = LineEchoes {
             plan,
             array: &scene.rx,
-            lit: &lit,
+            transmit_leg: &transmit_leg,
             work: &work,
         };
         counts += engine.synthesise(plan, &echoes, &mut iq);
         best_all = best_all.min(1e3 * start.elapsed().as_secs_f64());
-        best_lit = best_lit.min(lit_ms);
+        best_insonified = best_insonified.min(insonified_ms);
     }
     let checked = number("check", 0.0) as usize;
     let error = (0..checked)
@@ -124,7 +130,7 @@ fn run(number: &impl Fn(&str, f64) -> f64, threads: usize) {
         .fold(f64::NAN, f64::max);
     println!(
         "{} elements, {} scatterers, {threads} threads: error {error:.1e} in the worst window of {checked} elements (asked {tolerance:e}, \
-         left out {:.1e}); {best_all:.1} ms, of which the transmit leg {best_lit:.1}; {} echoes",
+         left out {:.1e}); {best_all:.1} ms, of which the transmit leg {best_insonified:.1}; {} echoes",
         drawn.elements,
         drawn.scatterers,
         engine.left_out(),

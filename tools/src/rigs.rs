@@ -13,22 +13,22 @@ use clap::Parser;
 use serde::{Deserialize, Serialize};
 
 use echotank::config;
-use echotank::run::fidelity::costs::Costs;
+use echotank::run::method_selection::costs::Costs;
 use echotank::run::rig::pool;
 use rigs::case;
 use rigs::measure::{Did, Measured, measure};
 
 /// Pings below this are not held to the limit on costs, ms.
-const LEAST_MS: f64 = 1.0;
+const MIN_MS: f64 = 1.0;
 
 #[derive(Parser)]
 #[command(
     about = "The plan of methods on seeded random rigs and on configurations: promises, errors and costs, measured side by side on one thread",
     long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
-window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The ruler is the \
+window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The reference solution is the \
 direct sum on the trajectory itself with second-order Doppler, as dense behind the filter as the reference; it is itself off by what stands under \
-\"ruler\" (128 random samples by the reference's equation). The plan's four windows that are the worst by the ruler are computed again by the \
-reference's equation, and that counts. Where the ruler is off by more than a tenth of the tolerance the \
+\"reference solution\" (128 random samples by the reference's equation). The plan's four windows that are the worst by the reference solution are computed again by the \
+reference's equation, and that counts. Where the reference solution is off by more than a tenth of the tolerance the \
 measured error is that of 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
 )]
 struct Arguments {
@@ -190,7 +190,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
         "toler.",
         "promised",
         "measured",
-        "ruler",
+        "reference",
         "pred. ms",
         "ms",
         "best p",
@@ -208,8 +208,8 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
             of.tolerance,
             of.plan.predicted_error,
             of.plan.error,
-            if of.plan.by_certificate { "c" } else { " " },
-            of.ruler.map_or("-".into(), |e| format!("{e:.0e}")),
+            if of.plan.by_error_check { "c" } else { " " },
+            of.reference.map_or("-".into(), |e| format!("{e:.0e}")),
             of.plan.predicted_ms,
             of.plan.ms,
             of.scatterers,
@@ -230,10 +230,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     let within = count(&|row| row.of.plan.error <= row.of.tolerance);
     let bound = count(&|row| row.of.plan.error <= row.of.plan.predicted_error);
     let tight = count(&|row| row.of.plan.predicted_error <= 10.0 * row.of.plan.error);
-    let long: Vec<&&Row> = reach
-        .iter()
-        .filter(|row| row.of.plan.ms > LEAST_MS)
-        .collect();
+    let long: Vec<&&Row> = reach.iter().filter(|row| row.of.plan.ms > MIN_MS).collect();
     let near = |which: fn((f64, f64)) -> f64| {
         long.iter()
             .filter(|row| which(ratios(&row.of)) <= 1.5)
@@ -259,7 +256,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let _ = writeln!(
         text,
-        "cost within 1.5 times of the best that promises as much, pings above {LEAST_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
+        "cost within 1.5 times of the best that promises as much, pings above {MIN_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
         near(|r| r.0),
         long.len(),
         percent(near(|r| r.0), long.len()),
@@ -302,11 +299,11 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     for row in over.iter().take(20) {
         let _ = writeln!(
             text,
-            "{}: {:.1e} measured, {:.1e} promised, ruler {:.0e}: {}; {}",
+            "{}: {:.1e} measured, {:.1e} promised, reference solution {:.0e}: {}; {}",
             row.name,
             row.of.plan.error,
             row.of.plan.predicted_error,
-            row.of.ruler.unwrap_or(f64::NAN),
+            row.of.reference.unwrap_or(f64::NAN),
             row.of.plan.text,
             row.about
         );

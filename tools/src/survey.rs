@@ -1,8 +1,8 @@
 //! A seabed far larger than any memory: 10 km x 1 km at 10 scatterers per 0.02 m^2, and pings 100 m apart along it.
 //!
 //! Prints, for every tenth ping, what it took: scatterers made, used and in shadow, milliseconds to gather them and to make samples of them,
-//! of the whole ping also the processor's time, which another's load changes less, the process's peak memory so far, and a certificate: the ping once more, with 64 random samples of it computed through the reference, and the error
-//! of these and of the 64 before. Ends with exit code 1 where the peak is above 2 GiB or a certificate at fault.
+//! of the whole ping also the processor's time, which another's load changes less, the process's peak memory so far, and an error check: the ping once more, with 64 random samples of it computed through the reference, and the error
+//! of these and of the 64 before. Ends with exit code 1 where the peak is above 2 GiB or an error check at fault.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -44,13 +44,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         std::process::exit(1);
     }
     if faults > 0 {
-        eprintln!("{faults} certificates above 1.3 times the tolerance");
+        eprintln!("{faults} error checks above 1.3 times the tolerance");
         std::process::exit(1);
     }
     Ok(())
 }
 
-/// Peak memory in bytes, where the system tells, and certificates at fault.
+/// Peak memory in bytes, where the system tells, and error checks at fault.
 fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std::error::Error>> {
     std::fs::write(folder.join("ground.asc"), ground())?;
     let spec = config::parse(&configuration(), folder).map_err(|e| e.to_string())?;
@@ -71,7 +71,7 @@ fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std
         " ping  north m      made      used  shadowed  gather ms  samples ms    CPU ms  peak MiB  error (95 %)"
     );
     let (mut times_ms, mut cpu_times_ms, mut faults) = (Vec::new(), Vec::new(), 0);
-    pipeline.allow_certificates(0.0);
+    pipeline.allow_error_checks(0.0);
     for ping in 0..pings {
         let north_m = LENGTH_M * ((ping as f64 + 0.5) / pings as f64 - 0.5);
         let order = PingOrder {
@@ -97,10 +97,10 @@ fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std
         times_ms.push(gather_ms + samples_ms);
         cpu_times_ms.push(spent_ms);
         if ping % (pings / 10).max(1) == 0 {
-            pipeline.allow_certificates(f64::INFINITY);
+            pipeline.allow_error_checks(f64::INFINITY);
             pipeline.compute_ping(&plan, &scatterers, &mut output);
-            pipeline.allow_certificates(0.0);
-            faults += u32::from(output.certificate.is_some_and(|c| c.fault));
+            pipeline.allow_error_checks(0.0);
+            faults += u32::from(output.error_check.is_some_and(|c| c.fault));
             line(ping, north_m, &output, [gather_ms, samples_ms, spent_ms]);
         }
     }
@@ -131,7 +131,7 @@ fn line(ping: usize, north_m: f64, output: &PingOutput, [gather_ms, samples_ms, 
         counts.scatterers,
         counts.shadowed,
         peak_bytes().map_or("?".to_owned(), |b| (b >> 20).to_string()),
-        output.certificate.map_or("none".to_owned(), |c| {
+        output.error_check.map_or("none".to_owned(), |c| {
             format!("{:.1e} ({:.1e} to {:.1e})", c.error, c.low, c.high)
         }),
     );
@@ -229,7 +229,7 @@ source_level_db = 210.0
 [sonar.model]
 synthesis = "gridded-1d"
 tolerance = 1e-2
-certificate = true
+error_check = true
 "#
     )
 }

@@ -22,7 +22,7 @@ max(|x_ref|, 1e-6 of the median over the elements), inf where something is left 
 are that hold the end of a flank or of the filter's tail alone, and that asks for this end to within its tolerance of itself; what the reference
 half as dense scores by all three stands above each scene. Scenes: 36 m to 150 m (75 m, 60 m) slant, 400 kHz, 30 kHz, 5 ms, 48 kHz samples;
 \"paper\" is rectangular, the others have half the pulse under flanks. A method is asked for a tolerance, takes the cheapest path and Doppler models
-whose cards leave room for it, and answers with samples or with a refusal: \"model\" where no Doppler or path model that it takes is close enough,
+whose error models leave room for it, and answers with samples or with a refusal: \"model\" where no Doppler or path model that it takes is close enough,
 \"sum\" where its way to sum is not. \"as it is\": continuous path, the best Doppler model it takes, whatever comes of it. A figure above its
 tolerance is marked !.
 ";
@@ -135,7 +135,7 @@ fn reasons(row: &Row) -> String {
 }
 
 /// By what the reference half as dense may be off in noise where 1e-6 is asked for: the truth of a random scene is made as dense as that takes.
-const MOST_DOUBT: f64 = 2e-7;
+const MAX_DOUBT: f64 = 2e-7;
 
 /// Methods over random scenes: how often each answered, its worst error over its tolerance, and where. And how many answers were above in noise by
 /// more than the reference half as dense is off.
@@ -154,7 +154,7 @@ fn random(given: &Arguments) -> (String, usize) {
         .into_par_iter()
         .flat_map_iter(|seed| {
             let case = case::random(seed);
-            let (truth, doubt) = measure::truth_within(&case, MOST_DOUBT);
+            let (truth, doubt) = measure::truth_within(&case, MAX_DOUBT);
             let doubt = doubt.in_noise;
             let about = case::describe(&case);
             eprintln!("{about}");
@@ -173,7 +173,7 @@ fn random(given: &Arguments) -> (String, usize) {
         })
         .collect();
     let mut text = format!(
-        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; their seeds are their numbers), tolerances 1e-1 to 1e-6; the reference as dense as makes the one half as dense off by {MOST_DOUBT:.0e} at most.\n\n"
+        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; their seeds are their numbers), tolerances 1e-1 to 1e-6; the reference as dense as makes the one half as dense off by {MAX_DOUBT:.0e} at most.\n\n"
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);

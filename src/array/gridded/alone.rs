@@ -8,7 +8,7 @@
 use num_complex::Complex64;
 
 use crate::array::phasor::cis;
-use crate::flow::LEAST_WINDOW;
+use crate::flow::MIN_WINDOW;
 
 use super::band::{Band, widest};
 use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
@@ -47,11 +47,11 @@ impl Alone {
     pub fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
         let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
-        let window_s = pulse.duration_s.max(LEAST_WINDOW / rate_hz);
+        let window_s = pulse.duration_s.max(MIN_WINDOW / rate_hz);
         let echo_s = pulse.duration_s / (1.0 + span.least.min(0.0)) + 2.0 * filter_s;
-        let least_s = 2.0 * (echo_s + window_s);
+        let min_s = 2.0 * (echo_s + window_s);
         let dense_hz = 2.0 * widest(spec) * rate_hz;
-        let count = grid_size((least_s * dense_hz).ceil() as usize);
+        let count = grid_size((min_s * dense_hz).ceil() as usize);
         let step_hz = dense_hz / count as f64;
         let frequency_hz: Vec<f64> = (0..count)
             .map(|k| match k < count / 2 {

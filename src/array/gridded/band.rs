@@ -12,7 +12,7 @@ use super::choose::SHARE;
 use super::one_dimensional::{GriddedError, Spec};
 
 /// Multiples of the sample rate that the band may have; where a filter leaves next to nothing beyond, half as many.
-const MOST_BANDS: usize = 8;
+const MAX_BANDS: usize = 8;
 
 /// Bands are tried in steps of this share of the sample rate.
 const STEP: f64 = 0.125;
@@ -78,8 +78,8 @@ const NEAR_TOLERANCE: f64 = 3e-5;
 /// band, or in the near case the widest, which the others are measured by.
 fn reach(spec: &Spec) -> (usize, f64) {
     match spec.filter.is_some() && spec.tolerance >= NEAR_TOLERANCE {
-        true => (MOST_BANDS / 2, 0.25 * MOST_BANDS as f64),
-        false => (MOST_BANDS, MOST_BANDS as f64),
+        true => (MAX_BANDS / 2, 0.25 * MAX_BANDS as f64),
+        false => (MAX_BANDS, MAX_BANDS as f64),
     }
 }
 

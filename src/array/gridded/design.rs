@@ -9,25 +9,25 @@ use num_complex::Complex64;
 use crate::array::filter::Decimator;
 use crate::flow::{DopplerModel, Pulse};
 
-use super::abreast::lanes_for;
 use super::alone::Alone;
 use super::band::{Band, band, widest};
+use super::batched_fft::lanes_for;
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, Trials,
     delay_kernel, series_terms, sweep, weights_bend,
 };
+use super::cost_estimate::CostEstimate;
 use super::doppler::{Bent, DopplerGrid, DopplerSpan, Received};
 use super::evenly::{beyond_hz, evenly};
-use super::foreseen::Foreseen;
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::moments::Real;
-use super::one_dimensional::{GriddedError, LEAST_F32_MOMENTS, Spec};
+use super::one_dimensional::{GriddedError, MIN_F32_MOMENTS, Spec};
 use super::prepare::Frame;
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
 
 /// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
-const MOST_CURVATURE_TIMES_PULSE: f64 = 0.05;
+const MAX_CURVATURE_TIMES_PULSE: f64 = 0.05;
 
 pub struct Design {
     pulse: Pulse,
@@ -56,7 +56,7 @@ pub struct Design {
 pub struct DesignedTerm {
     pub grid: DopplerGrid,
     /// Chunks whose greatest |p| over the plan's is below this do without.
-    pub least_bend: f64,
+    pub min_bend: f64,
 }
 
 impl Design {
@@ -100,7 +100,7 @@ impl Design {
         // The band's upper half has more turns than the carrier.
         let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
         let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
-        let needed = match greatest_q < MOST_CURVATURE_TIMES_PULSE / pulse.duration_s {
+        let needed = match greatest_q < MAX_CURVATURE_TIMES_PULSE / pulse.duration_s {
             true => series_terms(bend_rad, spec.tolerance),
             false => None,
         };
@@ -150,10 +150,10 @@ impl Design {
         let count = if weights_carry { 0 } else { count };
         let doppler = bent
             .or_else(|| trials.doppler(0.0, of_dopplers))
-            .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+            .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
         let mut terms = vec![DesignedTerm {
             grid: doppler.0,
-            least_bend: 0.0,
+            min_bend: 0.0,
         }];
         let mut fit_error2 = doppler.1.powi(2);
         let mut term_rad = 1.0;
@@ -161,11 +161,11 @@ impl Design {
             term_rad *= bend_rad / order as f64;
             let (grid, error) = trials
                 .term(term_rad)
-                .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+                .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
             fit_error2 += error * error;
             terms.push(DesignedTerm {
                 grid,
-                least_bend: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
+                min_bend: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
             });
         }
         // The ends of bent pulses move by p (T/2)^2.
@@ -184,7 +184,7 @@ impl Design {
         let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
             alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
         })
-        .ok_or_else(|| unreachable(LEAST_F32_MOMENTS))?;
+        .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
 
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
         let series = match weights_carry {
@@ -286,19 +286,19 @@ impl Design {
     }
 
     /// Costs of an element. `words`: of a number of the grids, in those of f32.
-    pub fn foreseen(
+    pub fn cost_estimate(
         &self,
         words: f64,
         arrivals: usize,
         share: f64,
         curvature_per_s: f64,
-    ) -> Foreseen {
-        let mut ns = Foreseen {
+    ) -> CostEstimate {
+        let mut ns = CostEstimate {
             echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
             grids_ns: 0.0,
         };
         let bend = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
-        for term in self.terms.iter().filter(|term| term.least_bend <= bend) {
+        for term in self.terms.iter().filter(|term| term.min_bend <= bend) {
             let grid = &term.grid;
             ns.grids_ns += self.grid as f64
                 * words

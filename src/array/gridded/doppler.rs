@@ -31,12 +31,12 @@
 
 use num_complex::Complex64;
 
-use super::abreast::lanes_for;
-use super::dialect::{Dialect, Kind};
+use super::batched_fft::lanes_for;
 use super::kernel::Kernel;
 use super::least_squares::Matrix;
 use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
+use super::simd_level::{Kind, SimdLevel};
 
 /// Dopplers at which a cell of the grid is fitted, at least, and for each cycle by which the pulse's ends turn over the whole span.
 const SAMPLES_PER_CELL: usize = 6;
@@ -326,17 +326,17 @@ pub struct Trial {
 const INSTANTS: [f64; 8] = [0.0, 0.3, 0.55, 0.75, 0.85, 0.92, 0.97, 1.0];
 
 /// A finer grid is as good as its first cells.
-const MOST_TRIAL_CELLS: usize = 20;
+const MAX_TRIAL_CELLS: usize = 20;
 
 impl Trial {
     /// Greatest error at any instant of the echo that `grid` serves worst, over what sounds at that instant.
     pub fn worst(&self, grid: &DopplerGrid) -> f64 {
-        if grid.cells > MOST_TRIAL_CELLS {
+        if grid.cells > MAX_TRIAL_CELLS {
             let fewer = Self {
-                turns: self.turns * MOST_TRIAL_CELLS as f64 / grid.cells as f64,
+                turns: self.turns * MAX_TRIAL_CELLS as f64 / grid.cells as f64,
                 ..*self
             };
-            return fewer.worst(&grid.with_cells(MOST_TRIAL_CELLS));
+            return fewer.worst(&grid.with_cells(MAX_TRIAL_CELLS));
         }
         // As many Dopplers as the fit has, and twice as many to look at.
         let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
@@ -453,8 +453,8 @@ impl Fitting<'_> {
         wanted: &mut [(Lane, Lane)],
         out: &mut [Complex64],
     ) {
-        match Dialect::best().kind() {
-            // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+        match SimdLevel::best().kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
             #[cfg(target_arch = "x86_64")]

@@ -48,7 +48,7 @@ pub fn evenly(
     let all: Vec<usize> = (0..columns).collect();
     let fitted = |frequency_hz: &[f64], gain: &[f64]| {
         let fitted = templates(grid, received, &all, frequency_hz, gain);
-        abreast(&fitted, frequency_hz.len())
+        batched_fft(&fitted, frequency_hz.len())
     };
     let step_hz = step_hz(received.duration_s, grid.fastest());
     let lowest = (first_hz / step_hz).floor() as isize - (TAPS / 2 - 1) as isize;
@@ -79,7 +79,7 @@ pub fn evenly(
 }
 
 /// `[column * bins + bin]` as `[bin * columns + column]`.
-fn abreast(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
+fn batched_fft(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
     let columns = fitted.len() / bins;
     let mut rows = vec![Complex64::ZERO; fitted.len()];
     for (column, values) in fitted.chunks_exact(bins).enumerate() {
@@ -162,7 +162,7 @@ mod tests {
             let all_hz: Vec<f64> = (0..4400)
                 .map(|q| first_hz + f64::from(q) * bin_hz)
                 .collect();
-            let want = abreast(&templates(&grid, received, &columns, &all_hz, &gain), 4400);
+            let want = batched_fft(&templates(&grid, received, &columns, &all_hz, &gain), 4400);
             let most = want.iter().map(|v| v.norm()).fold(0.0, f64::max);
             let off = got.iter().zip(&want).map(|(g, w)| (g - w).norm());
             let off = off.fold(0.0, f64::max) / most;

@@ -4,7 +4,7 @@
 //! sorted ([`Real::accumulate`]). Out: grid values, by a (width x moments) matrix per cell ([`Real::flush`]).
 //! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
 //! ([`Real::spread`]), with the columns of the second dimension side by side, so that a point's share of all of them is two additions per
-//! tap of the first ([`super::abreast`]).
+//! tap of the first ([`super::batched_fft`]).
 //!
 //! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
 //! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
@@ -12,10 +12,10 @@
 use echotank_fft::Planned;
 use num_complex::{Complex, Complex32, Complex64};
 
-use super::abreast::{Abreast, Job};
-use super::dialect::{Dialect, Kind};
+use super::batched_fft::{BatchedFft, Job};
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::prepare::{Sharing, share_plain};
+use super::simd_level::{Kind, SimdLevel};
 
 /// Points worked on together.
 pub const BLOCK: usize = 256;
@@ -72,12 +72,12 @@ pub trait Real: Planned + Default {
     fn narrow(value: f64) -> Self;
 
     /// Adds every point's moments to the row of its cell. Panics where there is none.
-    fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [Self::Row]);
+    fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [Self::Row]);
 
     /// Puts all cells but the drain on the grid: `out[cell + i]` is what tap i of each cell adds up to.
     /// `out` is overwritten; its length is cells + width - 1 without the drain.
     fn flush(
-        dialect: Dialect,
+        simd_level: SimdLevel,
         rows: &[Self::Row],
         weights: &FlushWeights<Self>,
         out: &mut [Complex<Self>],
@@ -86,7 +86,7 @@ pub trait Real: Planned + Default {
     /// Adds every point's values across to a few of many grids: tap i of column q to row `cell + i` of the table. May add zeros to the next
     /// [`MAX_TAPS`] numbers. Panics where the table ends before that. The points' amplitudes are not looked at.
     fn spread(
-        dialect: Dialect,
+        simd_level: SimdLevel,
         points: Points<Self>,
         across: Across<Self>,
         weights: &FlushWeights<Self>,
@@ -97,11 +97,11 @@ pub trait Real: Planned + Default {
     fn numbers(rows: &mut [Self::Row]) -> &mut [Self];
 
     /// All columns of a table into a spectrum; the table is empty afterwards.
-    fn transform(dialect: Dialect, abreast: &Abreast<Self>, job: Job<Self>);
+    fn transform(simd_level: SimdLevel, batched_fft: &BatchedFft<Self>, job: Job<Self>);
 
     /// The values of points across: their amplitudes times weights read from a table. Panics where entries are missing.
     fn share<const BENT: bool>(
-        dialect: Dialect,
+        simd_level: SimdLevel,
         points: Sharing<Self>,
         values: &mut [Shared<Self>],
     );
@@ -197,14 +197,14 @@ fn locate_avx512<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>)
 
 /// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
 pub fn locate<T: Real>(
-    dialect: Dialect,
+    simd_level: SimdLevel,
     axis: Axis,
     delay_s: &[f64],
     located: &mut Located<T>,
 ) -> u64 {
     assert!(delay_s.len() <= BLOCK);
-    match dialect.kind() {
-        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+    match simd_level.kind() {
+        // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { locate_avx512(axis, delay_s, located) },
         #[cfg(target_arch = "x86_64")]
@@ -239,10 +239,10 @@ macro_rules! real {
                 value as $real
             }
 
-            fn accumulate(dialect: Dialect, points: Points<Self>, rows: &mut [$row]) {
+            fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [$row]) {
                 check_points(&points);
-                match dialect.kind() {
-                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; slices checked above.
+                match simd_level.kind() {
+                    // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features; slices checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$accumulate(points, rows) },
                     #[cfg(target_arch = "x86_64")]
@@ -252,7 +252,7 @@ macro_rules! real {
             }
 
             fn flush(
-                dialect: Dialect,
+                simd_level: SimdLevel,
                 rows: &[$row],
                 weights: &FlushWeights<Self>,
                 out: &mut [$complex],
@@ -260,8 +260,8 @@ macro_rules! real {
                 check_weights(weights);
                 assert!(rows.len() >= 2, "a cell and the drain");
                 assert_eq!(out.len(), rows.len() - 1 + weights.width - 1, "grid values");
-                match dialect.kind() {
-                    // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features; shapes checked above.
+                match simd_level.kind() {
+                    // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$flush(rows, weights, out) },
                     #[cfg(target_arch = "x86_64")]
@@ -271,7 +271,7 @@ macro_rules! real {
             }
 
             fn spread(
-                dialect: Dialect,
+                simd_level: SimdLevel,
                 points: Points<Self>,
                 across: Across<Self>,
                 weights: &FlushWeights<Self>,
@@ -279,7 +279,7 @@ macro_rules! real {
             ) {
                 check_points(&points);
                 check_weights(weights);
-                super::abreast::$spread(dialect, points, across, weights, table);
+                super::batched_fft::$spread(simd_level, points, across, weights, table);
             }
 
             fn numbers(rows: &mut [$row]) -> &mut [Self] {
@@ -288,17 +288,17 @@ macro_rules! real {
                 unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), len) }
             }
 
-            fn transform(dialect: Dialect, abreast: &Abreast<Self>, job: Job<Self>) {
-                super::abreast::$transform(dialect, abreast, job);
+            fn transform(simd_level: SimdLevel, batched_fft: &BatchedFft<Self>, job: Job<Self>) {
+                super::batched_fft::$transform(simd_level, batched_fft, job);
             }
 
             fn share<const BENT: bool>(
-                dialect: Dialect,
+                simd_level: SimdLevel,
                 points: Sharing<Self>,
                 values: &mut [Shared<Self>],
             ) {
                 check_sharing(&points, values.len());
-                $share::<BENT>(dialect, points, values)
+                $share::<BENT>(simd_level, points, values)
             }
         }
     };
@@ -327,9 +327,13 @@ real!(
     share_64
 );
 
-fn share_32<const BENT: bool>(dialect: Dialect, points: Sharing<f32>, values: &mut [Shared<f32>]) {
-    match dialect.kind() {
-        // SAFETY: a `Dialect` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
+fn share_32<const BENT: bool>(
+    simd_level: SimdLevel,
+    points: Sharing<f32>,
+    values: &mut [Shared<f32>],
+) {
+    match simd_level.kind() {
+        // SAFETY: a `SimdLevel` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 | Kind::Avx2 => unsafe { super::avx2::share_32::<BENT>(points, values) },
         _ => share_plain::<f32, BENT>(points, values),
@@ -337,7 +341,7 @@ fn share_32<const BENT: bool>(dialect: Dialect, points: Sharing<f32>, values: &m
 }
 
 /// Seldom needed: plain for all.
-fn share_64<const BENT: bool>(_: Dialect, points: Sharing<f64>, values: &mut [Shared<f64>]) {
+fn share_64<const BENT: bool>(_: SimdLevel, points: Sharing<f64>, values: &mut [Shared<f64>]) {
     share_plain::<f64, BENT>(points, values);
 }
 
@@ -433,23 +437,23 @@ mod tests {
         const CELLS: usize = 23;
         let one = Complex::new(T::one(), T::one());
         let block = block::<T>(CELLS);
-        for dialect in Dialect::available() {
+        for simd_level in SimdLevel::available() {
             let mut want = vec![T::EMPTY; CELLS];
             let mut got = want.clone();
             for len in [0, 1, 17, BLOCK] {
                 accumulate_plain(points(&block, len), &mut want);
-                T::accumulate(dialect, points(&block, len), &mut got);
+                T::accumulate(simd_level, points(&block, len), &mut got);
             }
             for width in 2..=MAX_WIDTH {
                 let weights = FlushWeights::<T>::new(&Kernel::new(width, 2.0, T::MOMENTS));
                 let mut want_grid = vec![one; CELLS - 1 + width - 1];
                 let mut grid = want_grid.clone();
                 flush_plain(&want, &weights, &mut want_grid);
-                T::flush(dialect, &got, &weights, &mut grid);
+                T::flush(simd_level, &got, &weights, &mut grid);
                 let error = worst(&grid, &want_grid);
                 assert!(
                     error < limit,
-                    "{dialect:?}, flush, width {width}: {error:e}"
+                    "{simd_level:?}, flush, width {width}: {error:e}"
                 );
             }
         }
@@ -499,20 +503,20 @@ mod tests {
             run(&mut values);
             values.concat()
         };
-        for dialect in Dialect::available() {
+        for simd_level in SimdLevel::available() {
             for (got, want) in [
                 (
-                    made(&|v| f32::share::<true>(dialect, sharing(), v)),
+                    made(&|v| f32::share::<true>(simd_level, sharing(), v)),
                     made(&|v| share_plain::<f32, true>(sharing(), v)),
                 ),
                 (
-                    made(&|v| f32::share::<false>(dialect, sharing(), v)),
+                    made(&|v| f32::share::<false>(simd_level, sharing(), v)),
                     made(&|v| share_plain::<f32, false>(sharing(), v)),
                 ),
             ] {
                 let off = got.iter().zip(&want).map(|(g, w)| (g - w).abs());
                 let worst = off.fold(0.0, f32::max);
-                assert!(worst < 1e-6, "{dialect:?}: {worst:e}");
+                assert!(worst < 1e-6, "{simd_level:?}: {worst:e}");
             }
         }
     }
@@ -551,13 +555,13 @@ mod tests {
                 assert_eq!(want.cell[j] as usize, axis.drain);
             }
         }
-        for dialect in Dialect::available() {
+        for simd_level in SimdLevel::available() {
             let mut got = Located::<f64>::new();
-            let count = locate(dialect, axis, &delay_s, &mut got);
+            let count = locate(simd_level, axis, &delay_s, &mut got);
             assert_eq!(
                 (count, got.cell, got.x),
                 (outside, want.cell, want.x),
-                "{dialect:?}"
+                "{simd_level:?}"
             );
         }
     }
@@ -571,7 +575,7 @@ mod tests {
             x: &[0.5],
             amplitude: &[amplitude],
         };
-        f64::accumulate(Dialect::best(), points, &mut rows);
+        f64::accumulate(SimdLevel::best(), points, &mut rows);
         for k in 0..12 {
             let want = amplitude * 0.5f64.powi(k as i32);
             let got = Complex64::new(rows[0].0[2 * k], rows[0].0[2 * k + 1]);

@@ -22,26 +22,26 @@ use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
 use crate::array::filter::Decimator;
-use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, MethodCard, Pulse};
+use crate::flow::{ArrivalChunk, ArrivalSink, DopplerModel, ErrorModel, Pulse};
 
-use super::abreast::{Abreast, Job, LANES, MOST_TOGETHER, Place, lanes_for};
+use super::batched_fft::{BatchedFft, Job, LANES, MAX_TOGETHER, Place, lanes_for};
 use super::choose::{SHARE, weakening};
+use super::cost_estimate::CostEstimate;
 use super::design::Design;
-use super::dialect::{Dialect, Kind};
 use super::doppler::DopplerSpan;
-use super::foreseen::Foreseen;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
+use super::simd_level::{Kind, SimdLevel};
 
 /// Below this tolerance moments are f64: f32 rounds amplitudes, places and sums to 1e-7 or so of an echo.
-pub const LEAST_F32_MOMENTS: f64 = 1e-6;
+pub const MIN_F32_MOMENTS: f64 = 1e-6;
 
 /// f32 transforms leave this much of the strongest echo everywhere.
 const F32_TRANSFORM: f64 = 1e-7;
 
 /// The least tolerance that f64 delays and kernels are good for here.
-const LEAST_TOLERANCE: f64 = 1e-10;
+const MIN_TOLERANCE: f64 = 1e-10;
 
 /// What the engine is to be made for.
 #[derive(Clone, Copy)]
@@ -63,7 +63,7 @@ pub struct Spec<'a> {
     pub level_range_db: f64,
     /// Arrivals per element, roughly: decides what is fastest, and whether echoes may sound by themselves.
     pub arrivals: usize,
-    pub dialect: Dialect,
+    pub simd_level: SimdLevel,
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -93,8 +93,8 @@ pub enum GriddedError {
 /// The engine as it is designed; its tables are made for the first [`Self::work`], and shared by all threads.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
-    foreseen: Box<dyn Fn(usize, f64, f64) -> Foreseen + Send + Sync>,
-    card: MethodCard,
+    cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
+    error_model: ErrorModel,
 }
 
 /// One thread's buffers and the element it is at. Use: [`Self::start`], then as [`ArrivalSink`], then [`Self::finish`].
@@ -115,16 +115,16 @@ impl Gridded1d {
         if !(-0.1 <= least && least <= greatest && greatest <= 0.1) {
             return Err(GriddedError::Doppler { least, greatest });
         }
-        if !(LEAST_TOLERANCE..).contains(&spec.tolerance) {
+        if !(MIN_TOLERANCE..).contains(&spec.tolerance) {
             return Err(GriddedError::Tolerance {
                 tolerance: spec.tolerance,
-                least: LEAST_TOLERANCE,
+                least: MIN_TOLERANCE,
             });
         }
         let spread_error = F32_TRANSFORM * 10f64.powf(spec.level_range_db / 20.0);
         let weakening = weakening(spec);
         let needed = spec.tolerance / weakening;
-        if needed < LEAST_F32_MOMENTS {
+        if needed < MIN_F32_MOMENTS {
             Self::of::<f64, f64>(spec, weakening, 0.0, "f64")
         } else if spread_error > SHARE * needed {
             Self::of::<f32, f64>(spec, weakening, 0.0, "f32 moments, f64 transforms")
@@ -155,11 +155,11 @@ impl Gridded1d {
                 format!(", for curvature {}", columns.join(" + "))
             }
         };
-        let card = MethodCard {
+        let error_model = ErrorModel {
             name: "gridded-1d",
             error,
             cost_ms: design
-                .foreseen(words, spec.arrivals, 1.0, f64::INFINITY)
+                .cost_estimate(words, spec.arrivals, 1.0, f64::INFINITY)
                 .ms(),
             why: format!(
                 "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
@@ -167,28 +167,28 @@ impl Gridded1d {
             ),
         };
         let design = Arc::new(design);
-        let (costing, (dialect, samples)) = (design.clone(), (spec.dialect, spec.samples));
+        let (costing, (simd_level, samples)) = (design.clone(), (spec.simd_level, spec.samples));
         let plan = OnceLock::new();
         Ok(Self {
             make: Box::new(move || {
-                let made = || Arc::new(Plan::<M, G>::new(&design, dialect, samples));
+                let made = || Arc::new(Plan::<M, G>::new(&design, simd_level, samples));
                 Box::new(Work::new(plan.get_or_init(made).clone()))
             }),
-            foreseen: Box::new(move |arrivals, share, bend| {
-                costing.foreseen(words, arrivals, share, bend)
+            cost_estimate: Box::new(move |arrivals, share, bend| {
+                costing.cost_estimate(words, arrivals, share, bend)
             }),
-            card,
+            error_model,
         })
     }
 
     /// Predicted error, and milliseconds of one core per element.
-    pub fn card(&self) -> &MethodCard {
-        &self.card
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
     }
 
     /// Of one element with so many echoes, whose Dopplers take up this share of the span and whose curvatures reach this far.
-    pub fn foreseen(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> Foreseen {
-        (self.foreseen)(arrivals, share, curvature_per_s)
+    pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
+        (self.cost_estimate)(arrivals, share, curvature_per_s)
     }
 
     /// Buffers for one thread. The first makes the tables: milliseconds to seconds.
@@ -225,7 +225,7 @@ trait Element: Send {
 
 /// M: moments; G: grids and transforms.
 struct Plan<M: Real, G: Real> {
-    dialect: Dialect,
+    simd_level: SimdLevel,
     samples: usize,
     /// Length of the record in samples, and of its spectrum.
     period: usize,
@@ -251,7 +251,7 @@ struct Term<M: Real, G: Real> {
     columns: Columns<M>,
     templates: Templates<G>,
     /// Chunks whose greatest |p| over the plan's is below this do without.
-    least_bend: f64,
+    min_bend: f64,
 }
 
 /// What each column sounds like, and what undoes the kernel.
@@ -259,12 +259,12 @@ enum Templates<G> {
     /// One column: `[bin]`, lowest frequency first.
     One(Vec<Complex<G>>),
     /// `[place][2 * lanes]`, real parts and then imaginary ones; [`LANES`] more than there are columns.
-    Abreast { lanes: usize, numbers: Vec<G> },
+    BatchedFft { lanes: usize, numbers: Vec<G> },
 }
 
 /// What the terms of several columns have in common.
 struct Columnwise<G> {
-    transform: Abreast<G>,
+    transform: BatchedFft<G>,
     places: Vec<Place>,
     /// Of every place.
     bins: Vec<u32>,
@@ -272,7 +272,7 @@ struct Columnwise<G> {
 
 impl<G: Real> Columnwise<G> {
     fn new(grid: usize, bins: usize, period: usize) -> Self {
-        let transform = Abreast::new(grid);
+        let transform = BatchedFft::new(grid);
         let (mut places, mut of_place) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
         for (row, frequency) in transform.frequencies().enumerate() {
             let bin = (frequency + bins / 2) % grid;
@@ -307,12 +307,12 @@ impl<G: Real> Columnwise<G> {
                 (*re, *im) = (G::narrow(value.re), G::narrow(value.im));
             }
         }
-        Templates::Abreast { lanes, numbers }
+        Templates::BatchedFft { lanes, numbers }
     }
 }
 
 impl<M: Real, G: Real> Plan<M, G> {
-    fn new(design: &Design, dialect: Dialect, samples: usize) -> Self {
+    fn new(design: &Design, simd_level: SimdLevel, samples: usize) -> Self {
         let Design {
             period, bins, grid, ..
         } = *design;
@@ -336,12 +336,12 @@ impl<M: Real, G: Real> Plan<M, G> {
                 Term {
                     templates,
                     columns: Columns::new(term.grid.clone(), design.bent(&term.grid)),
-                    least_bend: term.least_bend,
+                    min_bend: term.min_bend,
                 }
             });
         Self {
             terms: terms.collect(),
-            dialect,
+            simd_level,
             samples,
             period,
             grid,
@@ -473,7 +473,7 @@ impl<M: Real, G: Real> Work<M, G> {
 
 /// Lanes that are laid together to be transformed.
 fn together<G: Real>() -> usize {
-    MOST_TOGETHER * size_of::<f32>() / size_of::<G>()
+    MAX_TOGETHER * size_of::<f32>() / size_of::<G>()
 }
 
 /// Rows of storage that hold so many numbers.
@@ -484,7 +484,7 @@ fn rows_of<T: Real>(numbers: usize) -> usize {
 impl<M: Real, G: Real> TermWork<M, G> {
     /// Has the templates of the columns at hand that the element's echoes go to.
     fn keep(&mut self, planned: &Templates<G>) {
-        let Templates::Abreast { lanes, numbers } = planned else {
+        let Templates::BatchedFft { lanes, numbers } = planned else {
             return;
         };
         let wanted = (self.first_column, self.lanes);
@@ -540,7 +540,9 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
     fn accept(&mut self, chunk: &ArrivalChunk) {
         let plan = &*self.plan;
         let prepared = &mut *self.prepared;
-        let outside = plan.frame.prepare(plan.dialect, chunk, self.span, prepared);
+        let outside = plan
+            .frame
+            .prepare(plan.simd_level, chunk, self.span, prepared);
         self.misfits.outside_span += outside;
         let n = chunk.len;
         let axis = Axis {
@@ -550,10 +552,11 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             drain: plan.drain(),
         };
         let located = &mut *self.located;
-        self.misfits.outside_window += locate(plan.dialect, axis, &prepared.delay_s[..n], located);
+        self.misfits.outside_window +=
+            locate(plan.simd_level, axis, &prepared.delay_s[..n], located);
         for (order, (term, planned)) in self.terms.iter_mut().zip(&plan.terms).enumerate() {
             if order > 0 {
-                if prepared.most_bent < planned.least_bend {
+                if prepared.most_bent < planned.min_bend {
                     break;
                 }
                 for (amplitude, bend) in prepared.amplitude[..n].iter_mut().zip(&prepared.bend) {
@@ -564,7 +567,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             let columns = &planned.columns;
             if columns.grid.columns > 1 {
                 let used = term.first_column..term.first_column + term.columns;
-                columns.place(plan.dialect, n, used, prepared);
+                columns.place(plan.simd_level, n, used, prepared);
             }
             let points = Points {
                 cell: &located.cell[..n],
@@ -572,7 +575,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 amplitude: &prepared.amplitude[..n],
             };
             if columns.grid.columns == 1 {
-                M::accumulate(plan.dialect, points, &mut term.table);
+                M::accumulate(plan.simd_level, points, &mut term.table);
                 continue;
             }
             let across = Across {
@@ -582,7 +585,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 lanes: term.lanes,
             };
             let table = &mut M::numbers(&mut term.table)[..2 * term.lanes * plan.rows()];
-            M::spread(plan.dialect, points, across, &plan.flush, table);
+            M::spread(plan.simd_level, points, across, &plan.flush, table);
         }
     }
 
@@ -602,7 +605,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             if let Templates::One(templates) = &planned.templates {
                 // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
                 let cells = &term.table[..plan.grid + 2];
-                M::flush(plan.dialect, cells, &plan.flush, &mut self.values);
+                M::flush(plan.simd_level, cells, &plan.flush, &mut self.values);
                 // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
                 let (period, beyond) = self.values.split_at(plan.grid);
                 for (value, v) in self.column.iter_mut().zip(period) {
@@ -613,7 +616,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 }
                 plan.forward
                     .process_with_scratch(&mut self.column, &mut self.scratch);
-                add_folded(plan.dialect, &mut self.spectrum, &self.column, templates);
+                add_folded(plan.simd_level, &mut self.spectrum, &self.column, templates);
                 continue;
             }
             let Some(columnwise) = &plan.columnwise else {
@@ -639,7 +642,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                     spectrum: &mut self.spectrum,
                     scratch: G::numbers(&mut self.wide_scratch),
                 };
-                G::transform(plan.dialect, &columnwise.transform, job);
+                G::transform(plan.simd_level, &columnwise.transform, job);
             };
             let most = together::<G>();
             let direct = TypeId::of::<M>() == TypeId::of::<G>() && term.lanes <= most;
@@ -682,13 +685,13 @@ fn widen<M: Real + Into<f64>, G: Real>(v: Complex<M>) -> Complex<G> {
 
 /// Adds transform times template, bin for bin, to the spectrum that repeats every sample rate.
 fn add_folded<G: Real>(
-    dialect: Dialect,
+    simd_level: SimdLevel,
     spectrum: &mut [Complex<G>],
     column: &[Complex<G>],
     template: &[Complex<G>],
 ) {
-    match dialect.kind() {
-        // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+    match simd_level.kind() {
+        // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { add_folded_avx512(spectrum, column, template) },
         #[cfg(target_arch = "x86_64")]
@@ -829,8 +832,8 @@ mod tests {
             chunks.iter().for_each(|chunk| work.accept(chunk));
             assert_eq!(work.finish(&mut out).outside_span, 0);
         }
-        println!("    {:?}", engine.card());
-        (out, engine.card().error)
+        println!("    {:?}", engine.error_model());
+        (out, engine.error_model().error)
     }
 
     /// Largest relative error over windows of a pulse's length, starting every half of one.
@@ -861,7 +864,7 @@ mod tests {
             tolerance: 1e-3,
             level_range_db: 55.0,
             arrivals: 3000,
-            dialect: Dialect::best(),
+            simd_level: SimdLevel::best(),
         }
     }
 
@@ -930,7 +933,7 @@ mod tests {
         }
         let why = Gridded1d::new(&spec)
             .expect("within reach")
-            .card()
+            .error_model()
             .why
             .clone();
         (worst, why)
@@ -1050,7 +1053,7 @@ mod tests {
             assert!(error < 1e-3, "{doppler:?}: {error:e}");
             let why = &Gridded1d::new(&spec)
                 .expect("within reach")
-                .card()
+                .error_model()
                 .why
                 .clone();
             assert!(why.contains("1 Doppler columns, 1 taps"), "{why}");

@@ -13,9 +13,9 @@ use num_complex::Complex;
 use crate::array::phasor::cis;
 use crate::flow::{ArrivalChunk, CHUNK};
 
-use super::dialect::{Dialect, Kind};
 use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
 use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
+use super::simd_level::{Kind, SimdLevel};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
@@ -103,13 +103,13 @@ impl Frame {
     /// curvature than there is room for; they sound like the nearest within.
     pub fn prepare<T: Real>(
         &self,
-        dialect: Dialect,
+        simd_level: SimdLevel,
         chunk: &ArrivalChunk,
         span: DopplerSpan,
         points: &mut Prepared<T>,
     ) -> u64 {
-        match dialect.kind() {
-            // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+        match simd_level.kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.prepare_avx512(chunk, span, points) },
             #[cfg(target_arch = "x86_64")]
@@ -277,8 +277,8 @@ impl<T: Real> Columns<T> {
     /// With `bent` weights carry a curvature that turns the ends of pulses by the greatest angle given with it.
     pub fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
         let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
-        let (b, most_rad) = match &bent {
-            Some((bent, most_rad)) => (Some(bent), *most_rad),
+        let (b, max_rad) = match &bent {
+            Some((bent, max_rad)) => (Some(bent), *max_rad),
             None => (None, 0.0),
         };
         let none = [[0.0; MAX_TAPS]; POWERS];
@@ -295,9 +295,9 @@ impl<T: Real> Columns<T> {
                 };
                 Entry {
                     plain: [at(&grid.weights, 1.0), at(&slope, 1.0), at(&bow, 0.5)],
-                    imaginary: [at(&imaginary, most_rad), at(&imaginary_slope, most_rad)],
-                    real: at(&real, most_rad),
-                    real_2: at(&real_2, most_rad * most_rad),
+                    imaginary: [at(&imaginary, max_rad), at(&imaginary_slope, max_rad)],
+                    real: at(&real, max_rad),
+                    real_2: at(&real_2, max_rad * max_rad),
                 }
             })
             .collect();
@@ -311,7 +311,7 @@ impl<T: Real> Columns<T> {
     /// First columns, counted from the first of `columns`, and values on them of the first `n` points.
     pub fn place(
         &self,
-        dialect: Dialect,
+        simd_level: SimdLevel,
         n: usize,
         columns: Range<usize>,
         points: &mut Prepared<T>,
@@ -319,8 +319,8 @@ impl<T: Real> Columns<T> {
         let n = n.min(BLOCK);
         let mut entry = [0u32; BLOCK];
         let mut beyond = [T::zero(); BLOCK];
-        match dialect.kind() {
-            // SAFETY (twice): a `Dialect` of this kind exists only where the processor has the features.
+        match simd_level.kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe {
                 self.enter_avx512(n, columns, points, &mut entry, &mut beyond);
@@ -340,8 +340,8 @@ impl<T: Real> Columns<T> {
         };
         let value = &mut points.value[..n];
         match self.bent {
-            true => T::share::<true>(dialect, sharing, value),
-            false => T::share::<false>(dialect, sharing, value),
+            true => T::share::<true>(simd_level, sharing, value),
+            false => T::share::<false>(simd_level, sharing, value),
         }
     }
 

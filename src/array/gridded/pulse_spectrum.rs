@@ -14,8 +14,8 @@ use num_complex::Complex64;
 
 use crate::flow::Pulse;
 
-use super::dialect::Dialect;
 use super::kernel::Kernel;
+use super::simd_level::SimdLevel;
 use super::transform::{Transform1d, grid_size};
 
 const WIDTH: usize = 14;
@@ -70,7 +70,7 @@ impl PulseSpectrum {
             weight.push(value * (length_s / kernel.window_gain(from_middle_s / period_s)));
         }
         let transform =
-            Transform1d::<f64>::new(bins, period_s, WIDTH, OVERSAMPLING, Dialect::best());
+            Transform1d::<f64>::new(bins, period_s, WIDTH, OVERSAMPLING, SimdLevel::best());
         let mut work = transform.workspace();
         let mut tables = Vec::with_capacity(highest_power + 1);
         for power in 0..=highest_power {

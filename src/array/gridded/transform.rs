@@ -11,9 +11,9 @@ use std::sync::Arc;
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
-use super::dialect::Dialect;
 use super::kernel::Kernel;
 use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
+use super::simd_level::SimdLevel;
 
 /// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 5 2^a, 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
@@ -30,7 +30,7 @@ pub struct Transform1d<T: Real> {
     grid: usize,
     period_s: f64,
     kernel: Kernel,
-    dialect: Dialect,
+    simd_level: SimdLevel,
     weights: FlushWeights<T>,
     /// Per bin: what undoes the kernel, and the flush's first value being `kernel.first()`.
     factors: Vec<Complex<T>>,
@@ -52,7 +52,7 @@ impl<T: Real> Transform1d<T> {
         period_s: f64,
         width: usize,
         oversampling: f64,
-        dialect: Dialect,
+        simd_level: SimdLevel,
     ) -> Self {
         assert!(bins >= 2 && bins.is_multiple_of(2), "{bins} bins");
         assert!(
@@ -78,7 +78,7 @@ impl<T: Real> Transform1d<T> {
             period_s,
             weights: FlushWeights::new(&kernel),
             kernel,
-            dialect,
+            simd_level,
             factors,
             fft: T::plan_forward(grid),
         }
@@ -122,21 +122,21 @@ impl<T: Real> Transform1d<T> {
         };
         let mut outside = 0;
         for (delay_s, amplitude) in delay_s.chunks(BLOCK).zip(amplitude.chunks(BLOCK)) {
-            outside += locate(self.dialect, axis, delay_s, &mut work.located);
+            outside += locate(self.simd_level, axis, delay_s, &mut work.located);
             let Located { cell, x } = &work.located;
             let points = Points {
                 cell: &cell[..delay_s.len()],
                 x: &x[..delay_s.len()],
                 amplitude,
             };
-            T::accumulate(self.dialect, points, &mut work.rows);
+            T::accumulate(self.simd_level, points, &mut work.rows);
         }
         self.finish(work, out);
         outside
     }
 
     fn finish(&self, work: &mut Workspace<T>, out: &mut [Complex<T>]) {
-        T::flush(self.dialect, &work.rows, &self.weights, &mut work.grid);
+        T::flush(self.simd_level, &work.rows, &self.weights, &mut work.grid);
         let (grid, beyond) = work.grid.split_at_mut(self.grid);
         // The period closes: what was put past the end belongs to the beginning.
         for (value, past) in grid.iter_mut().zip(beyond) {
@@ -202,14 +202,14 @@ mod tests {
     fn error<T: Real + Into<f64>>(
         width: usize,
         oversampling: f64,
-        dialect: Dialect,
+        simd_level: SimdLevel,
     ) -> (f64, f64, f64) {
         let (delay_s, amplitude) = points(2000);
         let narrow: Vec<Complex<T>> = amplitude
             .iter()
             .map(|c| Complex::new(T::narrow(c.re), T::narrow(c.im)))
             .collect();
-        let plan = Transform1d::<T>::new(BINS, PERIOD_S, width, oversampling, dialect);
+        let plan = Transform1d::<T>::new(BINS, PERIOD_S, width, oversampling, simd_level);
         let mut work = plan.workspace();
         let mut got = vec![Complex::new(T::zero(), T::zero()); BINS];
         assert_eq!(plan.execute(&mut work, &delay_s, &narrow, &mut got), 0);
@@ -227,7 +227,7 @@ mod tests {
     fn meets_prediction<T: Real + Into<f64>>(unit: f64) {
         for oversampling in [1.25, 1.5, 2.0] {
             for width in crate::array::gridded::kernel::MIN_WIDTH..=14 {
-                let (got, predicted, growth) = error::<T>(width, oversampling, Dialect::best());
+                let (got, predicted, growth) = error::<T>(width, oversampling, SimdLevel::best());
                 let floor = unit * growth;
                 println!(
                     "sigma {oversampling} width {width}: {got:.2e}, predicted {predicted:.2e}"
@@ -254,19 +254,19 @@ mod tests {
 
     #[test]
     fn every_dialect_meets_5e_7_and_1e_12() {
-        for dialect in Dialect::available() {
-            let (single, ..) = error::<f32>(7, 2.0, dialect);
-            let (double, ..) = error::<f64>(14, 2.0, dialect);
+        for simd_level in SimdLevel::available() {
+            let (single, ..) = error::<f32>(7, 2.0, simd_level);
+            let (double, ..) = error::<f64>(14, 2.0, simd_level);
             assert!(
                 single < 5e-7 && double < 1e-12,
-                "{dialect:?}: {single:e}, {double:e}"
+                "{simd_level:?}: {single:e}, {double:e}"
             );
         }
     }
 
     #[test]
     fn points_outside_the_period_are_counted_and_leave_no_trace() {
-        let plan = Transform1d::<f64>::new(BINS, PERIOD_S, 8, 2.0, Dialect::best());
+        let plan = Transform1d::<f64>::new(BINS, PERIOD_S, 8, 2.0, SimdLevel::best());
         let mut work = plan.workspace();
         let mut out = vec![Complex64::ZERO; BINS];
         let delay_s = [-1e-9, PERIOD_S * 1.01, f64::NAN, f64::INFINITY, -1e300];

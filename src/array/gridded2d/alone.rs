@@ -14,14 +14,14 @@ use crate::array::phasor::cis;
 use crate::flow::Pulse;
 
 /// Least samples of a window.
-const LEAST_WINDOW: f64 = 32.0;
+const MIN_WINDOW: f64 = 32.0;
 /// Noise is this far below the strongest window, dB: weaker ones are counted against it.
 const NOISE_DB: f64 = 55.0;
 /// Of the sample rate, what is looked at: as much again lies beyond the sampled band, where the receiver filter stops.
 const DENSE: f64 = 2.0;
 /// Of an echo's energy, what may lie beyond the part of the band that kernels are made for; and the least such part.
 const CORE_REST: f64 = 1e-5;
-const LEAST_CORE: f64 = 0.3;
+const MIN_CORE: f64 = 0.3;
 /// How far below the strongest window noise is, dB, where levels have such a range.
 pub fn noise_db(level_range_db: f64) -> f64 {
     level_range_db.clamp(0.0, NOISE_DB)
@@ -51,7 +51,7 @@ impl Alone {
         greatest_doppler: f64,
         level_range_db: f64,
     ) -> Self {
-        let window_s = pulse.duration_s.max(LEAST_WINDOW / sample_rate_hz);
+        let window_s = pulse.duration_s.max(MIN_WINDOW / sample_rate_hz);
         let echo_s = pulse.duration_s * (1.0 + greatest_doppler) + 2.0 * filter.half_s();
         let dense_hz = DENSE * sample_rate_hz;
         let count = grid_size((2.0 * (echo_s + window_s) * dense_hz).ceil() as usize);
@@ -152,7 +152,7 @@ impl Alone {
             0.0
         };
         let most = self.spectra.iter().map(reach).fold(0.0, f64::max);
-        most.clamp(LEAST_CORE, 1.0)
+        most.clamp(MIN_CORE, 1.0)
     }
 
     fn sampled(&self, f_hz: f64) -> bool {

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use num_complex::Complex;
 
-use crate::array::gridded::dialect::Kind;
+use crate::array::gridded::simd_level::Kind;
 use crate::array::phasor::{LANES, cis, cis_lanes};
 
 use super::engine::Work;
@@ -45,8 +45,8 @@ impl<T: Sample> Task<'_, T> {
     /// From the filled grid to the samples of all elements.
     pub fn run(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         #[cfg(target_arch = "x86_64")]
-        match self.engine.dialect.kind() {
-            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+        match self.engine.simd_level.kind() {
+            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
             Kind::Avx512 => return unsafe { self.run_avx512(work, output) },
             // SAFETY: as above.
             Kind::Avx2 => return unsafe { self.run_avx2(work, output) },
@@ -123,8 +123,8 @@ impl<T: Sample> Task<'_, T> {
                     x: &work.places,
                     sums: &mut work.sums,
                 };
-                if FUSED && T::takes_wide(work.powers, self.engine.dialect) {
-                    T::elements_wide(columns, self.engine.dialect);
+                if FUSED && T::takes_wide(work.powers, self.engine.simd_level) {
+                    T::elements_wide(columns, self.engine.simd_level);
                 } else {
                     all_pairs::<T, FUSED>(columns);
                 }

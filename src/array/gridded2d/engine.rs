@@ -6,8 +6,8 @@ use std::time::Instant;
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
-use crate::array::gridded::dialect::Dialect;
 use crate::array::gridded::kernel::Kernel;
+use crate::array::gridded::simd_level::SimdLevel;
 use crate::array::gridded::transform::grid_size;
 use crate::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, PingPlan};
 
@@ -16,13 +16,13 @@ use super::elements::PairSums;
 use super::lanes::{BLOCK, Lanes, Split};
 use super::merge::Merge;
 use super::panel::{PanelFft, Row};
-use super::pulse::{MOST_INSTANTS, PulseSpectra};
+use super::pulse::{MAX_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{powers_from_nodes, series_from_nodes};
 use super::smooth::{Echoes, Smooth};
 use super::spread::{Centring, Mixing, Prepared, Spread, Survey};
 use super::stages::{Stage, Stages};
-use super::task::{MOST_ALONG, Task};
+use super::task::{MAX_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
 /// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
@@ -129,7 +129,7 @@ pub struct LineEngine<T: Sample> {
     pub(super) filter_half_s: f64,
     /// Room in the tables of the pulse.
     pub(super) fastest_m_per_s: f64,
-    pub(super) dialect: Dialect,
+    pub(super) simd_level: SimdLevel,
     pub(super) stretches: Vec<Stretch>,
     pub(super) time_kernel: Kernel,
     pub(super) slope_kernel: Kernel,
@@ -226,7 +226,7 @@ impl<T: Sample> LineEngine<T> {
         rate_hz: f64,
         filter: Filter,
         fineness: Fineness,
-        dialect: Dialect,
+        simd_level: SimdLevel,
     ) -> Self {
         let bins = fineness.slab_samples;
         assert!(bins.is_multiple_of(BLOCK) && bins > 0, "{bins} samples");
@@ -276,13 +276,13 @@ impl<T: Sample> LineEngine<T> {
                 }
             })
             .collect();
-        let most = MOST_INSTANTS.max(MOST_ALONG);
+        let most = MAX_INSTANTS.max(MAX_ALONG);
         Self {
             fineness,
             rate_hz,
             filter_half_s: filter.half_s,
             fastest_m_per_s: 5.0,
-            dialect,
+            simd_level,
             stretches,
             time_taps: tap_tables(&time_kernel),
             slope_taps: tap_tables(&slope_kernel),
@@ -392,15 +392,15 @@ impl<T: Sample> LineEngine<T> {
         // An echo sounds from its leading edge on for T, give or take its stretch; the filter adds to both sides.
         let echo_s = pulse.duration_s * (1.0 + 3.0 * speed / c);
         let beside_s = self.beside_s(c);
-        let most_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * beside_s;
-        assert!(most_s > 0.0, "slabs shorter than a filtered echo");
+        let max_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * beside_s;
+        assert!(max_s > 0.0, "slabs shorter than a filtered echo");
         let last_edge_s = plan.window_s(self.rate_hz) + beside_s;
         let first_edge_s = (plan.first_sample_s - echo_s - beside_s)
             .max(earliest_s)
             .min(last_edge_s);
         // As even as can be: threads then have alike to do. No slab for what is rounding.
-        let all_s = (last_edge_s - first_edge_s).max(1e-3 * most_s);
-        let slabs = (all_s / most_s - 1e-9).ceil().max(1.0);
+        let all_s = (last_edge_s - first_edge_s).max(1e-3 * max_s);
+        let slabs = (all_s / max_s - 1e-9).ceil().max(1.0);
         self.ping = Ping {
             sound_speed_m_per_s: c,
             carrier_hz,
@@ -523,7 +523,7 @@ impl<T: Sample> LineEngine<T> {
 
     /// Half of the span of slopes from which on dilation may be bowed. Columns reach half a kernel beyond the span: of a narrower one a square
     /// would run away there, and turn templates by many radians from one end of a block of frequencies to the other.
-    fn least_bow(&self, half_m: f64) -> f64 {
+    fn min_bow(&self, half_m: f64) -> f64 {
         0.5 * self.slope_kernel.width as f64 / self.columns_per_slope(half_m)
     }
 
@@ -567,7 +567,7 @@ impl<T: Sample> LineEngine<T> {
             &work.echoes,
             window_s,
             half_m,
-            self.least_bow(half_m),
+            self.min_bow(half_m),
             self.steepest_bow(half_m),
         );
         work.stages.lap(Stage::Survey, &mut since);

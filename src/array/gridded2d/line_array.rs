@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use num_complex::{Complex, Complex64};
 use rayon::prelude::*;
 
-use crate::flow::{EchoCounts, LineSource, MethodCard, PingPlan};
+use crate::flow::{EchoCounts, ErrorModel, LineSource, PingPlan};
 
 use super::engine::{Filter, LineEngine, TaskReport, Work};
 use super::plan::{Precision, Refusal, Spec, choose};
@@ -18,7 +18,7 @@ use super::sample::Sample;
 ///
 /// ```
 /// use echotank::array::Decimator;
-/// use echotank::array::gridded::dialect::Dialect;
+/// use echotank::array::gridded::SIMD level::Dialect;
 /// use echotank::array::gridded2d::{Bounds, Gridded2d, Spec};
 /// # use echotank::flow::*;
 /// # use glam::{DQuat, DVec3};
@@ -49,16 +49,16 @@ use super::sample::Sample;
 ///     level_range_db: 60.0,
 ///     samples: 10_000,
 ///     scatterers: 1_000_000,
-///     dialect: Dialect::best(),
+///     SIMD level: Dialect::best(),
 /// };
 /// let engine = Gridded2d::new(&spec).expect("within reach");
-/// assert!(engine.card().error <= 1e-3);
-/// // And then, ping by ping, after `echo::illuminate`:
-/// //     let echoes = LineEchoes { plan, array: &array, lit: &lit, work: &line_workspaces };
+/// assert!(engine.error model().error <= 1e-3);
+/// // And then, ping by ping, after `echo::insonify`:
+/// //     let echoes = LineEchoes { plan, array: &array, transmit_leg: &transmit_leg, work: &line_workspaces };
 /// //     counts += engine.synthesise(plan, &echoes, &mut frame.iq);
 /// ```
 pub struct Gridded2d {
-    card: MethodCard,
+    error_model: ErrorModel,
     elements: usize,
     member: Member,
     /// Of the last ping.
@@ -89,7 +89,7 @@ impl Gridded2d {
                     spec.sample_rate_hz,
                     filter,
                     choice.fineness,
-                    spec.dialect,
+                    spec.simd_level,
                 )
                 .with_room_for(fastest_m_per_s),
             )),
@@ -99,13 +99,13 @@ impl Gridded2d {
                     spec.sample_rate_hz,
                     filter,
                     choice.fineness,
-                    spec.dialect,
+                    spec.simd_level,
                 )
                 .with_room_for(fastest_m_per_s),
             )),
         };
         Ok(Self {
-            card: choice.card,
+            error_model: choice.error_model,
             elements: spec.array.elements,
             member,
             left_out: 0.0,
@@ -113,8 +113,8 @@ impl Gridded2d {
     }
 
     /// Predicted error by window, and core milliseconds per ping.
-    pub fn card(&self) -> &MethodCard {
-        &self.card
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
     }
 
     /// One ping: overwrites `iq`, element-major as [`crate::flow::ElementFrame`] has it.

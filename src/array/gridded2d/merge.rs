@@ -5,10 +5,10 @@
 //! directions is found among the surveyed echoes, always adding the echo that is met worst so far (Gram and Schmidt with pivots), each
 //! product weighed by the most that its template is. So the greatest of what is left is known.
 
-use crate::array::gridded::dialect::{Dialect, Kind as Processor};
+use crate::array::gridded::simd_level::{Kind as Processor, SimdLevel};
 
 /// Echoes that are looked at; more are thinned out evenly.
-const MOST_LOOKED: usize = 4096;
+const MAX_LOOKED: usize = 4096;
 /// Every so many echoes, one half way to the next: what corners of boxes do not show.
 pub const MIDWAY: usize = 4;
 /// Tenths of a direction beyond this are rounding: no basis grows on them.
@@ -47,7 +47,7 @@ impl Merge {
 
     /// How many of so many echoes are looked at, every which, and how many with those between.
     pub fn sample(echoes: usize) -> (usize, usize) {
-        let every = echoes.div_ceil(MOST_LOOKED).max(1);
+        let every = echoes.div_ceil(MAX_LOOKED).max(1);
         (every, echoes.div_ceil(every))
     }
 
@@ -74,10 +74,10 @@ impl Merge {
     }
 
     /// Adds channels until no echo's products of `among` (the others are to be 0) are left by more than `tolerance`. Returns the most that is.
-    pub fn choose(&mut self, tolerance: f64, dialect: Dialect) -> f64 {
+    pub fn choose(&mut self, tolerance: f64, simd_level: SimdLevel) -> f64 {
         #[cfg(target_arch = "x86_64")]
-        match dialect.kind() {
-            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+        match simd_level.kind() {
+            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
             Processor::Avx512 => return unsafe { self.choose_avx512(tolerance) },
             // SAFETY: as above.
             Processor::Avx2 => return unsafe { self.choose_avx2(tolerance) },
@@ -209,7 +209,7 @@ mod tests {
                     left[m * ECHOES + echo] = value;
                 }
             }
-            let says = merge.choose(tolerance, Dialect::PORTABLE);
+            let says = merge.choose(tolerance, SimdLevel::PORTABLE);
             let mut worst: f64 = 0.0;
             for echo in 0..ECHOES {
                 let own = products(echo);

@@ -7,11 +7,11 @@
 use std::f64::consts::{PI, TAU};
 
 use crate::array::filter::Decimator;
-use crate::array::gridded::Foreseen;
-use crate::array::gridded::dialect::Dialect;
+use crate::array::gridded::CostEstimate;
 use crate::array::gridded::kernel::Kernel;
+use crate::array::gridded::simd_level::SimdLevel;
 use crate::flow::{
-    ArrayGeometry, DopplerModel, MethodCard, ModelChoice, PathModel, Pattern, Pulse,
+    ArrayGeometry, DopplerModel, ErrorModel, ModelChoice, PathModel, Pattern, Pulse,
 };
 
 use num_complex::Complex64;
@@ -20,7 +20,7 @@ use super::alone::{Alone, noise_db};
 use super::engine::{Fineness, PulseMotion};
 use super::lanes::BLOCK;
 use super::series::terms_needed;
-use super::task::MOST_DILATION;
+use super::task::MAX_DILATION;
 
 /// Stretches tried, from long to short: long ones are cheap.
 const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
@@ -44,7 +44,7 @@ const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
 /// Of the tolerance (half of it where the rest is not small), what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
 const SERIES_SHARE: f64 = 0.2;
 /// Terms of the dilation's series that leave room for those of bend, twist and fade in the grid's channels.
-const MOST_TERMS: usize = 16;
+const MAX_TERMS: usize = 16;
 /// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
 const FARTHEST_DB: f64 = 60.0;
 /// Of the tolerance, what the delay's and the strength's changes along a stretch may leave, of which a shorter one makes less.
@@ -54,7 +54,7 @@ const STRETCH_SHARE: f64 = 0.3;
 const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
 const COLUMNS: [f64; 3] = [1.5, 1.75, 2.0];
 /// Widest kernels.
-const MOST_WIDTH: usize = 14;
+const MAX_WIDTH: usize = 14;
 /// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and for each of its values on the grid's columns and
 /// rows; per element and slab, and for its share of the columns of a grid twice as dense as sampling asks for, of which so much is there
 /// however many rows the columns have.
@@ -65,7 +65,7 @@ const COLUMNS_NS: f64 = 2.2e5;
 const COLUMN_SHARE: f64 = 0.7;
 /// Below this nothing is promised: the receiver filter's stop band is 82 dB down and its image is left out, and motion across the array
 /// leaves what the columns beside an echo do not know.
-pub const LEAST_TOLERANCE: f64 = 2e-5;
+pub const MIN_TOLERANCE: f64 = 2e-5;
 
 /// What the scene and the platform may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,7 +98,7 @@ pub struct Spec<'a> {
     /// Samples of one element and scatterers, roughly: for the cost only.
     pub samples: usize,
     pub scatterers: usize,
-    pub dialect: Dialect,
+    pub simd_level: SimdLevel,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,14 +112,14 @@ pub enum Precision {
 pub struct Choice {
     pub fineness: Fineness,
     pub precision: Precision,
-    pub card: MethodCard,
-    /// What the card's cost is made of.
-    pub cost: Foreseen,
+    pub error_model: ErrorModel,
+    /// What the error model's cost is made of.
+    pub cost: CostEstimate,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    #[error("tolerance {tolerance}: gridded-2d promises none below {LEAST_TOLERANCE}")]
+    #[error("tolerance {tolerance}: gridded-2d promises none below {MIN_TOLERANCE}")]
     TooFine { tolerance: f64 },
     #[error(
         "tolerance {tolerance}: with scatterers as near as {nearest_m} m no stretch of the line is short enough for gridded-2d"
@@ -152,10 +152,10 @@ pub enum Refusal {
 }
 
 /// Slabs that are tried, samples.
-const LEAST_SLAB: usize = 256;
-const MOST_SLAB: usize = 1 << 16;
+const MIN_SLAB: usize = 256;
+const MAX_SLAB: usize = 1 << 16;
 /// A slab is at least so many times as long as what its last echo leaves beyond it.
-const MOST_SPENT: f64 = 3.0;
+const MAX_SPENT: f64 = 3.0;
 /// Of the tolerance, what straight pieces of the templates may leave of an echo; and over the noise. What they leave are images of the echo, a
 /// block's worth of time and more to either side of it, where it may be silent.
 const STRAIGHT_SHARE: f64 = 0.1;
@@ -218,9 +218,9 @@ fn slabs(
     let straight = per_bin * turned_rad / straight_rad;
     let silent = rate_hz * 2.0 * spec.bounds.nearest_m / spec.sound_speed_m_per_s;
     let heard = (spec.samples as f64 - silent).max(1.0) + spent;
-    let sizes = (LEAST_SLAB..=MOST_SLAB).step_by(BLOCK).filter(|size| {
+    let sizes = (MIN_SLAB..=MAX_SLAB).step_by(BLOCK).filter(|size| {
         let odd = size >> size.trailing_zeros();
-        [1, 3, 5].contains(&odd) && *size as f64 >= straight.max(MOST_SPENT * spent)
+        [1, 3, 5].contains(&odd) && *size as f64 >= straight.max(MAX_SPENT * spent)
     });
     let sized = sizes.map(|size| {
         let slabs = (heard / (size as f64 - spent)).ceil();
@@ -242,7 +242,7 @@ fn slabs(
         .map(|(size, slabs, _)| (size, slabs))
         .ok_or(Refusal::SlabTooShort {
             rate_hz,
-            samples: MOST_SLAB,
+            samples: MAX_SLAB,
         })
 }
 
@@ -257,7 +257,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         tolerance,
         ..
     } = *spec;
-    if tolerance.is_nan() || tolerance < LEAST_TOLERANCE {
+    if tolerance.is_nan() || tolerance < MIN_TOLERANCE {
         return Err(Refusal::TooFine { tolerance });
     }
     for (what, value, rule, ok) in [
@@ -365,7 +365,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
     let room = kernel_share * tolerance;
     let slopes = COLUMNS.map(|oversampling| {
-        let fits = (2..=MOST_WIDTH).map(|width| {
+        let fits = (2..=MAX_WIDTH).map(|width| {
             let kernel = Kernel::new(width, oversampling, moments);
             Fit {
                 width,
@@ -399,7 +399,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     });
     let core = alone.as_ref().map_or(1.0, Alone::core);
     let times = ROWS.map(|oversampling| {
-        let fits = (2..=MOST_WIDTH).map(|width| {
+        let fits = (2..=MAX_WIDTH).map(|width| {
             let kernel = Kernel::new(width, oversampling / core, moments);
             let error = |alone: &Alone| {
                 let [whole, beside] = alone.kernel(&kernel, core);
@@ -424,7 +424,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     }
     let cost = |time: Fit, slope: Fit| {
         let of_columns = COLUMN_SHARE + (1.0 - COLUMN_SHARE) * 0.5 * time.oversampling;
-        Foreseen {
+        CostEstimate {
             echoes_ns: echoes * (ECHO_NS + (time.width * slope.width) as f64 * VALUE_NS),
             grids_ns: element_slabs
                 * (RETURN_NS + COLUMNS_NS * 0.5 * slope.oversampling * of_columns),
@@ -447,8 +447,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         // Echoes from all sides: 2 v/c to either.
         let turn_rad = per_m * half_s * 2.0 * across;
         let wave = |x: f64| Complex64::from_polar(1.0, -turn_rad * x);
-        let (terms, rest) = terms_needed(wave, MOST_DILATION, series);
-        if terms > MOST_TERMS || rest > series {
+        let (terms, rest) = terms_needed(wave, MAX_DILATION, series);
+        if terms > MAX_TERMS || rest > series {
             return Err(Refusal::TooFastAcross {
                 tolerance,
                 across_m_per_s: across,
@@ -489,7 +489,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             motion,
         },
         precision,
-        card: MethodCard {
+        error_model: ErrorModel {
             name: "gridded-2d",
             error,
             cost_ms: cost.ms(),

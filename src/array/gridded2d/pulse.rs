@@ -23,7 +23,7 @@ pub fn chebyshev_nodes(count: usize) -> impl Iterator<Item = f64> {
 }
 
 /// Terms in the tables, and so the most instants at which anything is looked at.
-pub const MOST_INSTANTS: usize = 24;
+pub const MAX_INSTANTS: usize = 24;
 
 /// T_n(x) for -1 <= x <= 1.
 pub fn chebyshev(n: usize, x: f64) -> f64 {
@@ -72,22 +72,22 @@ impl<T: Sample> PulseSpectra<T> {
         let phases = (T::DENSITY * pulse.duration_s * bin_hz).ceil().max(1.0) as usize;
         let step_hz = bin_hz / phases as f64;
         // Room for a block beyond either end.
-        let margin = 2 * (T::POINTS + phases * MOST_LANES);
+        let margin = 2 * (T::POINTS + phases * MAX_LANES);
         let steps = (2.0 * reach_hz / step_hz).ceil() as usize + margin;
         let count = steps.div_ceil(phases);
         let steps = count * phases;
         let first_hz = -0.5 * steps as f64 * step_hz;
-        let mut samples = vec![Complex64::ZERO; (steps + T::POINTS) * MOST_INSTANTS];
+        let mut samples = vec![Complex64::ZERO; (steps + T::POINTS) * MAX_INSTANTS];
         let before = (T::POINTS / 2 - 1) as f64;
         let fastest_hz = -first_hz + 0.5 * pulse.bandwidth_hz;
         for (w_s, weight) in quadrature(pulse, fastest_hz) {
             let value = pulse.envelope(w_s + half_s) * weight;
-            let shares: [Complex64; MOST_INSTANTS] =
+            let shares: [Complex64; MAX_INSTANTS] =
                 std::array::from_fn(|n| value * chebyshev(n, w_s / half_s));
             // Forty steps of the recurrence between sines: rounding stays at 1e-14.
             let turn = Complex64::from_polar(1.0, -TAU * step_hz * w_s);
             let mut phasor = Complex64::ONE;
-            for (i, row) in samples.chunks_exact_mut(MOST_INSTANTS).enumerate() {
+            for (i, row) in samples.chunks_exact_mut(MAX_INSTANTS).enumerate() {
                 if i % 40 == 0 {
                     let g_hz = first_hz + (i as f64 - before) * step_hz;
                     phasor = Complex64::from_polar(1.0, -TAU * g_hz * w_s);
@@ -99,9 +99,9 @@ impl<T: Sample> PulseSpectra<T> {
             }
         }
         let lagrange = lagrange_powers(T::POINTS);
-        let len = MOST_INSTANTS * phases * T::POINTS * count;
+        let len = MAX_INSTANTS * phases * T::POINTS * count;
         let (mut re, mut im) = (Vec::with_capacity(len), Vec::with_capacity(len));
-        for n in 0..MOST_INSTANTS {
+        for n in 0..MAX_INSTANTS {
             for phase in 0..phases {
                 for powers in &lagrange {
                     for entry in 0..count {
@@ -109,7 +109,7 @@ impl<T: Sample> PulseSpectra<T> {
                         let sum: Complex64 = powers
                             .iter()
                             .enumerate()
-                            .map(|(j, share)| samples[(at + j) * MOST_INSTANTS + n] * share)
+                            .map(|(j, share)| samples[(at + j) * MAX_INSTANTS + n] * share)
                             .sum();
                         re.push(T::narrow(sum.re));
                         im.push(T::narrow(sum.im));
@@ -131,7 +131,7 @@ impl<T: Sample> PulseSpectra<T> {
     /// Whether these are of that pulse, as far out.
     pub fn is_of(&self, pulse: &Pulse, reach_hz: f64) -> bool {
         self.pulse == *pulse
-            && -self.first_hz >= reach_hz + self.bin_hz * (MOST_LANES + T::POINTS) as f64
+            && -self.first_hz >= reach_hz + self.bin_hz * (MAX_LANES + T::POINTS) as f64
     }
 
     /// Where `LANES` bins are read whose middle (between its lanes' centres) is to lie at `middle_hz` and that are `stretch` bins apart.
@@ -185,7 +185,7 @@ impl<T: Sample> PulseSpectra<T> {
 }
 
 /// Most bins that are read side by side.
-const MOST_LANES: usize = 32;
+const MAX_LANES: usize = 32;
 
 /// Where a block of bins lies in the tables.
 pub struct Place<T, const LANES: usize> {

@@ -9,11 +9,11 @@ use super::sample::Sample;
 const EXTRA: usize = 4;
 
 /// Terms that are ever looked at.
-pub const MOST_SIZES: usize = 32;
+pub const MAX_SIZES: usize = 32;
 
 /// |coefficients| of the first `count` terms.
-pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MOST_SIZES] {
-    let mut sums = [Complex64::ZERO; MOST_SIZES];
+pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MAX_SIZES] {
+    let mut sums = [Complex64::ZERO; MAX_SIZES];
     for x in chebyshev_nodes(count) {
         let value = f(x) / count as f64;
         let (mut before, mut now) = (1.0, x);

@@ -188,7 +188,7 @@ pub struct Smooth {
 }
 
 /// Of narrower spans of slopes the dilation is a line: a square would run away beside them.
-const LEAST_BOW: f64 = 0.05;
+const MIN_BOW: f64 = 0.05;
 
 /// Orders of the change of strength along a stretch.
 pub const FADES: usize = 2;
@@ -196,14 +196,13 @@ pub const FADES: usize = 2;
 const WINDOWS: usize = 256;
 
 impl Smooth {
-    /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch; `least_bow`: half of the span of slopes from which on there
+    /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch; `min_bow`: half of the span of slopes from which on there
     /// may be a bow; `steepest`: that it may become, per slope.
-    pub fn of(echoes: &Echoes, window_s: f64, half_m: f64, least_bow: f64, steepest: f64) -> Self {
+    pub fn of(echoes: &Echoes, window_s: f64, half_m: f64, min_bow: f64, steepest: f64) -> Self {
         let slope = Span::of(echoes.slope.iter().copied());
         let points = (0..echoes.len()).map(|i| (slope.unit(echoes.slope[i]), echoes.dilation[i]));
         let [a, b, bow] = least_squares(points.clone().map(|(x, d)| ([1.0, x, x * x], d)));
-        let bowed =
-            slope.half > least_bow.max(LEAST_BOW) && 2.0 * bow.abs() <= steepest * slope.half;
+        let bowed = slope.half > min_bow.max(MIN_BOW) && 2.0 * bow.abs() <= steepest * slope.half;
         let (fit, dilation2) = match bowed {
             true => ([a, b], bow / (slope.half * slope.half)),
             false => (least_squares(points.map(|(x, d)| ([1.0, x], d))), 0.0),

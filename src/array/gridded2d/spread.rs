@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use num_complex::Complex64;
 
-use crate::array::gridded::dialect::Kind as Processor;
 use crate::array::gridded::kernel::MAX_WIDTH;
+use crate::array::gridded::simd_level::Kind as Processor;
 use crate::array::phasor::cis;
 use crate::flow::{CHUNK, LineChunk, LineSink};
 
@@ -15,11 +15,11 @@ use super::panel::{PANEL, Row};
 use super::sample::Sample;
 use super::series::chebyshev_terms as chebyshev;
 use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
-use super::task::{KINDS, Kept, Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST, Task};
+use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
 use super::weights::{Taps, taps};
 
 /// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
-const LEAST_BROADSIDE: f64 = 1e-3;
+const MIN_BROADSIDE: f64 = 1e-3;
 
 /// From here on a survey remembers only every second chunk, then every third, ...
 const SURVEYED: usize = 16_384;
@@ -28,7 +28,7 @@ const SURVEYED: usize = 16_384;
 const WHOLE: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Most values of one echo on one row of the grid, and a panel before and behind.
-const MOST_LINE: usize = MAX_WIDTH * MOST_CHANNELS + 2 * PANEL;
+const MAX_LINE: usize = MAX_WIDTH * MAX_CHANNELS + 2 * PANEL;
 
 /// From leading edges to mid-pulse, for one task.
 #[derive(Clone, Copy)]
@@ -81,7 +81,7 @@ impl Centring {
         let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
         let slope = chunk.slope[i];
         // The third order of the pulse's motion that follows from the second: the range changes along the line.
-        let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(LEAST_BROADSIDE);
+        let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(MIN_BROADSIDE);
         let third = 3.0 * slope * per_range_there * self.follows * chunk.swing_m_per_s2[i];
         let twist = chunk.twist_per_s[i] + 0.5 * third * half_s;
         let middle = slope - twist * half_s;
@@ -92,7 +92,7 @@ impl Centring {
             middle_s: delay_s + half_s - self.first_s,
             slope: middle,
             dilation: at_edge + rate * half_s,
-            per_range_per_m: bend / (1.0 - middle * middle).max(LEAST_BROADSIDE),
+            per_range_per_m: bend / (1.0 - middle * middle).max(MIN_BROADSIDE),
             twist_per_s,
             turns: -self.carrier_hz * delay_s,
             stretched,
@@ -221,12 +221,12 @@ impl<T: Sample> Mixing<T> {
         task: &Task<T>,
         p: &Prepared<T>,
         i: usize,
-        mixed: &mut [T; MOST_CHANNELS + PANEL],
+        mixed: &mut [T; MAX_CHANNELS + PANEL],
     ) {
         let (orders, kinds) = (task.orders, task.kinds());
-        let dilation = chebyshev::<T, MOST_DILATION>(p.dilation[i], orders.dilation);
-        let bend = chebyshev::<T, MOST_BEND>(p.bend[i], orders.bend);
-        let twist = chebyshev::<T, MOST_TWIST>(p.twist[i], orders.twist);
+        let dilation = chebyshev::<T, MAX_DILATION>(p.dilation[i], orders.dilation);
+        let bend = chebyshev::<T, MAX_BEND>(p.bend[i], orders.bend);
+        let twist = chebyshev::<T, MAX_TWIST>(p.twist[i], orders.twist);
         mixed[..self.vectors * PANEL].fill(T::ZERO);
         let mut rows = self.into.chunks_exact(self.vectors.max(1));
         for kept in task.kept() {
@@ -427,8 +427,8 @@ impl<'a, T: Sample> Spread<'a, T> {
 
     fn accept_as_can_be(&mut self, chunk: &LineChunk) {
         #[cfg(target_arch = "x86_64")]
-        match self.task.engine.dialect.kind() {
-            // SAFETY: a `Dialect` of that kind is proof that the processor has these.
+        match self.task.engine.simd_level.kind() {
+            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
             Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
             // SAFETY: as above.
             Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
@@ -467,7 +467,7 @@ impl<'a, T: Sample> Spread<'a, T> {
                 last_row: engine.rows - engine.time_kernel.width,
                 last_column: task.columns - engine.slope_kernel.width,
             },
-            engine.dialect,
+            engine.simd_level,
         );
     }
 
@@ -500,9 +500,9 @@ impl<'a, T: Sample> Spread<'a, T> {
         let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
         let channels = task.channels();
         let panel_rows = engine.panel_rows();
-        let mut each = [[T::ZERO; MOST_CHANNELS + PANEL]; 2];
-        let mut mixed = [T::ZERO; MOST_CHANNELS + PANEL];
-        let mut line = [[T::ZERO; MOST_LINE]; 2];
+        let mut each = [[T::ZERO; MAX_CHANNELS + PANEL]; 2];
+        let mut mixed = [T::ZERO; MAX_CHANNELS + PANEL];
+        let mut line = [[T::ZERO; MAX_LINE]; 2];
         let p = &*self.prepared;
         self.echoes += len;
         for i in 0..len.min(CHUNK) {

@@ -5,11 +5,11 @@ use std::arch::x86_64::*;
 use super::panel::{PANEL, Row};
 use super::smooth::FADES;
 use super::spread::Wide;
-use super::task::{Kind, MOST_BEND, MOST_CHANNELS, MOST_DILATION, MOST_TWIST};
+use super::task::{Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST};
 use super::weights::Taps;
 
 /// Most vectors that one echo's row has: sixteen channels in fourteen columns, and the place of the first.
-const MOST_REACH: usize = 15;
+const MAX_REACH: usize = 15;
 /// Rows are fetched so many echoes ahead.
 const AHEAD: usize = 4;
 
@@ -44,14 +44,14 @@ fn chebyshev<const MOST: usize>(x: __m512, terms: usize) -> [__m512; MOST] {
 
 /// Every product of the sixteen echoes from `start` on, `[product][echo]`.
 #[target_feature(enable = "avx512f")]
-fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MOST_CHANNELS]) {
+fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MAX_CHANNELS]) {
     let p = wide.prepared;
     // SAFETY: chunks are whole multiples of sixteen long.
     let load = |values: &[f32]| unsafe { _mm512_loadu_ps(values[start..][..PANEL].as_ptr()) };
     let orders = wide.orders;
-    let dilation = chebyshev::<MOST_DILATION>(load(&p.dilation), orders.dilation);
-    let bend = chebyshev::<MOST_BEND>(load(&p.bend), orders.bend);
-    let twist = chebyshev::<MOST_TWIST>(load(&p.twist), orders.twist);
+    let dilation = chebyshev::<MAX_DILATION>(load(&p.dilation), orders.dilation);
+    let bend = chebyshev::<MAX_BEND>(load(&p.bend), orders.bend);
+    let twist = chebyshev::<MAX_TWIST>(load(&p.twist), orders.twist);
     let mut rows = to.iter_mut();
     for kept in wide.kept {
         let mut share = _mm512_mul_ps(bend[kept.bend], twist[kept.twist]);
@@ -114,8 +114,8 @@ fn add_all<const ROWS: usize>(mut wide: Wide<f32>) -> usize {
         ..
     } = &wide;
     let (lanes, reach) = (&mixing.lanes[..], mixing.reach);
-    assert!(reach <= MOST_REACH && channels <= PANEL);
-    let mut of_echoes = [[0.0f32; PANEL]; MOST_CHANNELS];
+    assert!(reach <= MAX_REACH && channels <= PANEL);
+    let mut of_echoes = [[0.0f32; PANEL]; MAX_CHANNELS];
     let values = slope_width * channels;
     let mut outside = 0;
     for i in 0..len {

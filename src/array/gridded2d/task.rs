@@ -10,26 +10,26 @@ use super::engine::{LineEngine, Orders, PulseMotion, Stretch};
 use super::lanes::BLOCK;
 use super::merge::{MIDWAY, Merge};
 use super::panel::PANEL;
-use super::pulse::{MOST_INSTANTS, PulseSpectra};
+use super::pulse::{MAX_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{chebyshev_terms as chebyshev, sizes, terms_needed};
 use super::smooth::{Echoes, FADES, Smooth, Span};
 
 /// Most terms of each series; what does not converge with them is reported as error.
-pub const MOST_ALONG: usize = 16;
-const MOST_BAND: usize = 10;
-pub const MOST_DILATION: usize = MOST_INSTANTS;
-pub const MOST_BEND: usize = 8;
-pub const MOST_TURN: usize = 12;
-pub const MOST_TWIST: usize = 4;
-const MOST_NODES: usize = 16;
-const MOST_KEPT: usize = KINDS * MOST_BEND * MOST_TWIST;
+pub const MAX_ALONG: usize = 16;
+const MAX_BAND: usize = 10;
+pub const MAX_DILATION: usize = MAX_INSTANTS;
+pub const MAX_BEND: usize = 8;
+pub const MAX_TURN: usize = 12;
+pub const MAX_TWIST: usize = 4;
+const MAX_NODES: usize = 16;
+const MAX_KEPT: usize = KINDS * MAX_BEND * MAX_TWIST;
 /// Most products of the series, and so most channels of the grid.
-pub const MOST_CHANNELS: usize = 96;
+pub const MAX_CHANNELS: usize = 96;
 /// Of what each series may leave out, what the products' sums may leave of an echo.
 const MERGED: f64 = 1.0;
 /// A product's template is at least this much.
-const LEAST_WEIGHT: f64 = 1e-9;
+const MIN_WEIGHT: f64 = 1e-9;
 
 /// Of what a series may leave out, a kind that is left without channels.
 const KIND_SHARE: f64 = 0.5;
@@ -84,7 +84,7 @@ pub struct Task<'a, T: Sample> {
     pub nodes: usize,
     kinds: [Kind; KINDS],
     /// Which products of kinds and terms of bend and twist have channels, and for how many terms of the dilation.
-    kept: [Kept; MOST_KEPT],
+    kept: [Kept; MAX_KEPT],
     kept_len: usize,
     merged: usize,
     pub left_out: f64,
@@ -121,7 +121,7 @@ impl<'a, T: Sample> Task<'a, T> {
             orders: Orders::default(),
             nodes: 1,
             kinds: [Kind::Whole; KINDS],
-            kept: [Kept::default(); MOST_KEPT],
+            kept: [Kept::default(); MAX_KEPT],
             kept_len: 0,
             merged: 0,
             left_out: 0.0,
@@ -273,7 +273,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let twisted = |ray: Ray, twist: f64| Ray { twist, ..ray };
         let instants = most(
             &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
-            MOST_INSTANTS,
+            MAX_INSTANTS,
         );
         // Kinds that matter; what is beyond the last fade is left out with it.
         let mut kinds = 1;
@@ -289,27 +289,27 @@ impl<'a, T: Sample> Task<'a, T> {
         }
         let along = most(
             &|x, s, ray, w| self.shape(s, ray, x, w, 1.0),
-            MOST_ALONG - FADES,
+            MAX_ALONG - FADES,
         );
         // A fade's channels have powers of their own.
         let along = along + if kinds > 1 { FADES } else { 0 };
         let bend = most(
             &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
-            MOST_BEND,
+            MAX_BEND,
         );
         let twist = most(
             &|z, s, ray, x| self.shape(s, twisted(ray, z), x, x, 1.0),
-            MOST_TWIST,
+            MAX_TWIST,
         );
-        let dilation = most(&|d, _, _, _| beyond(rest_rad * d), MOST_DILATION);
+        let dilation = most(&|d, _, _, _| beyond(rest_rad * d), MAX_DILATION);
         let band = most(
             &|b, s, ray, x| self.shape(s, ray, x, x, b) * beyond(self.rest_rad(b)),
-            MOST_BAND,
+            MAX_BAND,
         );
         let all = self.slopes();
         let nodes = most(
             &|p, _, ray, x| self.shape(all.at(p), ray, x, x, 1.0),
-            MOST_NODES,
+            MAX_NODES,
         );
         let turn_rad = self.turn_rad(0, self.greatest_slope());
         // What is left here jumps from block to block and so spreads over the whole slab: it is held against the slab's weakest window.
@@ -351,7 +351,7 @@ impl<'a, T: Sample> Task<'a, T> {
         } = self.orders;
         let rest_rad = self.rest_rad(1.0);
         let dilation_sizes = sizes(|d| Complex64::from_polar(1.0, -rest_rad * d), dilation + 4);
-        let (mut bend_sizes, mut twist_sizes) = ([0.0f64; MOST_BEND], [0.0f64; MOST_TWIST]);
+        let (mut bend_sizes, mut twist_sizes) = ([0.0f64; MAX_BEND], [0.0f64; MAX_TWIST]);
         let widen = |most: &mut [f64], found: &[f64]| {
             for (most, size) in most.iter_mut().zip(found) {
                 *most = most.max(*size);
@@ -387,19 +387,19 @@ impl<'a, T: Sample> Task<'a, T> {
                 &twist_sizes,
             );
             // Where there are too many, all give up alike.
-            if channels <= MOST_CHANNELS {
+            if channels <= MAX_CHANNELS {
                 break left_out;
             }
             share *= 1.5;
         };
         let weights = self.products().map(|(kept, r)| {
-            (dilation_sizes[r] * bend_sizes[kept.bend] * twist_sizes[kept.twist]).max(LEAST_WEIGHT)
+            (dilation_sizes[r] * bend_sizes[kept.bend] * twist_sizes[kept.twist]).max(MIN_WEIGHT)
         });
         let (every, looked) = Merge::sample(echoes.len());
         let midway = Merge::midway(looked);
         merge.start(weights, looked + midway);
         self.look(echoes, every, looked, merge);
-        let unmerged = merge.choose(MERGED * tolerance, self.engine.dialect);
+        let unmerged = merge.choose(MERGED * tolerance, self.engine.simd_level);
         for (number, kind) in self.kinds().iter().enumerate() {
             if matches!(kind, Kind::Fade(_)) {
                 let products = self.products().enumerate();
@@ -441,9 +441,9 @@ impl<'a, T: Sample> Task<'a, T> {
                     std::array::from_fn(|j| 0.5 * (a[j] + b[j]))
                 }
             };
-            let of_dilation = chebyshev::<f64, MOST_DILATION>(dilation, self.orders.dilation);
-            let of_bend = chebyshev::<f64, MOST_BEND>(bend, self.orders.bend);
-            let of_twist = chebyshev::<f64, MOST_TWIST>(twist, self.orders.twist);
+            let of_dilation = chebyshev::<f64, MAX_DILATION>(dilation, self.orders.dilation);
+            let of_bend = chebyshev::<f64, MAX_BEND>(bend, self.orders.bend);
+            let of_twist = chebyshev::<f64, MAX_TWIST>(twist, self.orders.twist);
             for (m, (kept, r)) in self.products().enumerate() {
                 let of_kind = match self.kinds[kept.kind] {
                     Kind::Whole => 1.0,
@@ -462,8 +462,8 @@ impl<'a, T: Sample> Task<'a, T> {
         &mut self,
         share: f64,
         dilation_sizes: &[f64],
-        bend_sizes: &[f64; MOST_BEND],
-        twist_sizes: &[f64; MOST_TWIST],
+        bend_sizes: &[f64; MAX_BEND],
+        twist_sizes: &[f64; MAX_TWIST],
     ) -> (usize, f64) {
         let Orders {
             kinds, bend, twist, ..
@@ -548,7 +548,7 @@ impl<'a, T: Sample> Task<'a, T> {
 /// Terms of exp(j theta) whose remainder is at most `far`.
 fn terms_of_turn(theta: f64, far: f64) -> usize {
     let (mut terms, mut rest) = (1, theta);
-    while rest > far && terms < MOST_TURN {
+    while rest > far && terms < MAX_TURN {
         terms += 1;
         rest *= theta / terms as f64;
     }

@@ -20,7 +20,7 @@ pub fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) -> Stri
             Ok(m) => format!(
                 "<tr data-row=\"{k}\"{class}><td>{:.2}<td>{:.2}<td>{:.2}<td>{:.1e}<td>{:.1e}<td>{}<td>{}<td>{:.3}<td>{name}{}</tr>\n",
                 m.times.median_ms,
-                m.times.least_ms,
+                m.times.min_ms,
                 m.times.greatest_ms,
                 m.errors.elements,
                 row.predicted_error,

@@ -156,8 +156,8 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
 }
 
 /// Errors below this are drawn at it, dB or relative.
-const LEAST_ERROR: f64 = 1e-8;
-const LEAST_DB: f64 = 1e-4;
+const MIN_ERROR: f64 = 1e-8;
+const MIN_DB: f64 = 1e-4;
 
 pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
@@ -185,7 +185,7 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
                 .map(|(_, _, m)| m.errors.elements)
                 .chain([chart.tolerance])
                 .chain(peers.iter().map(|peer| peer.error)),
-            LEAST_ERROR,
+            MIN_ERROR,
         ),
     };
     main.draw(
@@ -194,8 +194,8 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         "relative error of element samples",
         12.0,
     );
-    // Below what the ruler is off by itself nothing can be told apart.
-    if let Some((error, _)) = chart.ruler_error {
+    // Below what the reference solution is off by itself nothing can be told apart.
+    if let Some((error, _)) = chart.reference_error {
         let (_, y) = main.at(1.0, error);
         let bottom = main.top + main.height;
         if y < bottom {
@@ -210,7 +210,7 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
                 11.0,
                 Anchor::Start,
                 GREY,
-                "within the ruler's own error",
+                "within the reference solution's own error",
             );
         }
     }
@@ -243,19 +243,17 @@ pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         &format!("a ping every {:.0} ms", about.period_ms),
     );
     front(&mut svg, &main, chart);
-    points(&mut svg, &main, chart, elements, LEAST_ERROR, 5.5);
+    points(&mut svg, &main, chart, elements, MIN_ERROR, 5.5);
     let mut taken = taken(&main, chart, peers, about.period_ms);
     labels(&mut svg, &main, chart, &mut taken);
     draw_peers(&mut svg, &main, chart, peers, &mut taken);
     type Metric = fn(&Measured) -> Option<f64>;
     let small: [(&str, f64, Metric); 3] = [
-        ("relative error of the lines", LEAST_ERROR, |m| {
-            m.errors.lines
-        }),
-        ("picture: rms of the pixels, dB", LEAST_DB, |m| {
+        ("relative error of the lines", MIN_ERROR, |m| m.errors.lines),
+        ("picture: rms of the pixels, dB", MIN_DB, |m| {
             m.errors.image_db
         }),
-        ("mean level: |error|, dB", LEAST_DB, |m| {
+        ("mean level: |error|, dB", MIN_DB, |m| {
             Some(m.errors.level_db.abs())
         }),
     ];
@@ -288,7 +286,7 @@ fn taken(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4
     let ours = measured(chart).map(|(_, _, m)| (m.times.median_ms, m.errors.elements));
     let theirs = peers.iter().map(|peer| (peer.here_ms(chart), peer.error));
     let around = |(ms, error): (f64, f64)| {
-        let (x, y) = axes.at(ms, error.max(LEAST_ERROR));
+        let (x, y) = axes.at(ms, error.max(MIN_ERROR));
         (x - 5.0, y - 5.0, x + 5.0, y + 5.0)
     };
     let (right, bottom) = (axes.left + axes.width, axes.top + axes.height);
@@ -304,7 +302,7 @@ fn taken(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4
 /// Other people's software on its own points, as if it took this scene's pairs of scatterer and element as fast.
 fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: &mut Vec<Box4>) {
     for peer in peers {
-        let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(LEAST_ERROR));
+        let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(MIN_ERROR));
         let tip = peer.said(chart);
         svg.raw(&format!(
             "<path d=\"M{x:.1} {:.1}l5.5 5.5l-5.5 5.5l-5.5 -5.5z\" fill=\"white\" stroke=\"{INK}\" stroke-width=\"1.3\" data-row=\"peer\" data-tip=\"{}\"/>",
@@ -318,7 +316,7 @@ fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: 
 fn front(svg: &mut Svg, axes: &Axes, chart: &Chart) {
     let mut front: Vec<(f64, f64)> = measured(chart)
         .filter(|(_, row, _)| row.pareto)
-        .map(|(_, _, m)| (m.times.median_ms, m.errors.elements.max(LEAST_ERROR)))
+        .map(|(_, _, m)| (m.times.median_ms, m.errors.elements.max(MIN_ERROR)))
         .collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     // Steps: between two points of the front the better one costs its own time.
@@ -345,7 +343,7 @@ fn points(
         let value = value.max(least);
         let (x, y) = axes.at(m.times.median_ms, value);
         if radius > 4.0 {
-            let (from, _) = axes.at(m.times.least_ms, value);
+            let (from, _) = axes.at(m.times.min_ms, value);
             let (to, _) = axes.at(m.times.greatest_ms, value);
             svg.line((from, y), (to, y), colour(row.method.synthesis), "");
         }
@@ -368,7 +366,7 @@ fn points(
             "{}\n{:.2} ms ({:.2} to {:.2})\nelements {:.1e} (predicted {:.1e})",
             row.method,
             m.times.median_ms,
-            m.times.least_ms,
+            m.times.min_ms,
             m.times.greatest_ms,
             m.errors.elements,
             row.predicted_error
@@ -399,7 +397,7 @@ fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
     let first = measured(chart).filter(|(_, row, _)| chosen(row));
     let rest = measured(chart).filter(|(_, row, _)| row.pareto && !chosen(row));
     for (_, row, m) in first.chain(rest) {
-        let at = axes.at(m.times.median_ms, m.errors.elements.max(LEAST_ERROR));
+        let at = axes.at(m.times.median_ms, m.errors.elements.max(MIN_ERROR));
         let text = match (row.configured, row.planned_ms.is_some()) {
             (true, true) => format!("{} (the plan's, as configured)", row.method),
             (true, false) => format!("{} (configured)", row.method),

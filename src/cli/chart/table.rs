@@ -29,14 +29,14 @@ impl About {
 
 /// One line on everything that is the same for all methods.
 pub fn subtitle(chart: &Chart, about: &About) -> String {
-    let ruler = match chart.ruler_error {
+    let reference = match chart.reference_error {
         Some((error, samples)) => {
-            format!("ruler within {error:.1e} of the reference at {samples} samples")
+            format!("reference solution within {error:.1e} of the reference at {samples} samples")
         }
-        None => "ruler not certified".to_owned(),
+        None => "reference solution not checked".to_owned(),
     };
     format!(
-        "{} scatterers, {} elements, {} pings, {} threads; {ruler}; {}, {}",
+        "{} scatterers, {} elements, {} pings, {} threads; {reference}; {}, {}",
         chart.scatterers,
         chart.elements,
         chart.pings,
@@ -171,7 +171,7 @@ pub fn csv(chart: &Chart, peers: &[Peer]) -> String {
                 out,
                 "{:.4},{:.4},{:.4},{:.3},{:e},{:e},{:e},{},{},{:e},",
                 m.times.median_ms,
-                m.times.least_ms,
+                m.times.min_ms,
                 m.times.greatest_ms,
                 m.making_ms,
                 row.predicted_error,
@@ -240,7 +240,7 @@ pub fn json(chart: &Chart, curves: &[Curve], peers: &[Peer], about: &About) -> S
         "tolerance": chart.tolerance,
         "period_ms": about.period_ms,
         "gather_ms": chart.gather_ms,
-        "ruler": chart.ruler_error.map(|(error, samples)| json!({"error": error, "samples": samples})),
+        "reference": chart.reference_error.map(|(error, samples)| json!({"error": error, "samples": samples})),
         "methods": rows,
         "work": curves,
         "peers": peers,
@@ -265,7 +265,7 @@ fn row(row: &Row) -> serde_json::Value {
     match &row.outcome {
         Ok(m) => {
             value["median_ms"] = json!(m.times.median_ms);
-            value["least_ms"] = json!(m.times.least_ms);
+            value["min_ms"] = json!(m.times.min_ms);
             value["greatest_ms"] = json!(m.times.greatest_ms);
             value["making_ms"] = json!(m.making_ms);
             value["element_error"] = json!(m.errors.elements);

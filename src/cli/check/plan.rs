@@ -8,12 +8,12 @@ use serde_json::{Value, json};
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
 use crate::config::spec::{MadeOutput, RigSpec, SonarSpec};
-use crate::ping::fidelity::{ALONG_PER_RANGE, Candidate, Family, Ranking};
+use crate::ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use crate::ping::period_ns;
-use crate::run::fidelity::calibrate::{self, Calibration};
-use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::first::{First, first};
-use crate::run::fidelity::{Scene, Swell, rank};
+use crate::run::method_selection::calibrate::{self, Calibration};
+use crate::run::method_selection::costs::Costs;
+use crate::run::method_selection::first::{First, first};
+use crate::run::method_selection::{Scene, Swell, rank};
 use crate::run::rig::pool;
 
 /// A tenth of a cell in range: what a picture bears where nobody looks at samples.
@@ -57,7 +57,7 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
 
 fn for_pictures(rig: &RigSpec, sonar: &SonarSpec, first: &First, costs: &Costs) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;
-    let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.certificate;
+    let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.error_check;
     if !asked || !sonar.element_readers().is_empty() {
         return None;
     }

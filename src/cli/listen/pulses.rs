@@ -154,14 +154,14 @@ mod tests {
 
     #[test]
     fn a_trigger_is_sent_and_the_first_sample_after_it_is_its_own() {
-        let door = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let listener = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let patience = Some(Duration::from_secs(30));
-        door.set_read_timeout(patience).expect("set");
-        let to = format!("udp={}", door.local_addr().expect("bound"));
+        listener.set_read_timeout(patience).expect("set");
+        let to = format!("udp={}", listener.local_addr().expect("bound"));
         let to: TriggerTo = to.parse().expect("an address");
         let pulses = Pulses::start(to, Duration::from_millis(1)).expect("sends");
         let mut buffer = [0; 16];
-        let len = door.recv(&mut buffer).expect("a trigger");
+        let len = listener.recv(&mut buffer).expect("a trigger");
         assert_eq!(&buffer[..len], b"ping!");
         pulses.stop.store(true, Ordering::Release);
         while pulses.thread.as_ref().is_some_and(|t| !t.is_finished()) {

@@ -16,7 +16,7 @@ const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// Directions on a ring.
 const AZIMUTHS: usize = 7200;
 /// A floor below this is none, dB: it leaves out next to nothing.
-const LEAST_DB: f64 = -120.0;
+const MIN_DB: f64 = -120.0;
 
 /// For [`ModelChoice::cull_db`](crate::flow::ModelChoice); none where hardly anything may be left out.
 pub fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
@@ -29,7 +29,7 @@ pub fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let least = floors.fold(f64::INFINITY, f64::min);
     // Down to a tenth, so that the number in the records says all.
     let db = (200.0 * libm::log10(least)).floor() / 10.0;
-    (LEAST_DB..0.0).contains(&db).then_some(db)
+    (MIN_DB..0.0).contains(&db).then_some(db)
 }
 
 /// The highest level below which lies no more than a share of a ring's energy.

@@ -12,7 +12,7 @@ pub fn tow(table: &RawTable) -> Option<TowSpec> {
     Some(TowSpec {
         point_m: table.vector("point_m")?,
         cable_out_m: table.number("cable_out_m")?,
-        straightness: table.number("straightness")?,
+        cable_scope: table.number("cable_scope")?,
     })
 }
 

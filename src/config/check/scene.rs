@@ -441,15 +441,15 @@ fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
     let wavelength_m = c / sonar.pulse.center_frequency_hz;
     sonar.receive.iter().map(move |array| {
         let transmit = &sonar.transmit[array.transmit];
-        let lit_m = match transmit.pattern {
+        let insonified_m = match transmit.pattern {
             Pattern::Omnidirectional => 0.0,
             Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => length_m,
         };
         let common = along(&transmit.mounting, &array.mounting);
-        let heard_m = match common > ALONG || lit_m == 0.0 {
+        let heard_m = match common > ALONG || insonified_m == 0.0 {
             true => array.elements as f64 * array.spacing_m,
             false => 0.0,
         };
-        (BEAM_WIDTH * wavelength_m / lit_m.max(heard_m)).min(1.0)
+        (BEAM_WIDTH * wavelength_m / insonified_m.max(heard_m)).min(1.0)
     })
 }

@@ -590,14 +590,14 @@ fn refuse_slow_sampling(
     };
     let shortest_s = limits.pulse_duration_s.0;
     let c = medium.sound_speed_m_per_s;
-    let least_hz = min_sample_rate_hz(pulse, shortest_s, c);
-    if rate_hz < least_hz {
+    let min_hz = min_sample_rate_hz(pulse, shortest_s, c);
+    if rate_hz < min_hz {
         // Rounded up, so that the number named is enough.
-        let least_khz = (least_hz / 10.0).ceil() / 100.0;
+        let min_khz = (min_hz / 10.0).ceil() / 100.0;
         problems.refuse(
             table.entry("sample_rate_khz"),
             format!(
-                "must be at least {least_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
+                "must be at least {min_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
                 pulse.bandwidth_hz / 1e3,
                 shortest_s * 1e3,
                 max_doppler_hz(pulse, c) / 1e3,
@@ -621,13 +621,13 @@ fn refuse_bands_beyond_sampling(
         let apart_hz = (m.pulse.center_frequency_hz - own.center_frequency_hz).abs();
         2.0 * apart_hz + m.pulse.bandwidth_hz
     };
-    let least_hz = OVERSAMPLING * more.iter().flatten().map(reach_hz).fold(0.0, f64::max);
-    if rate_hz < least_hz {
+    let min_hz = OVERSAMPLING * more.iter().flatten().map(reach_hz).fold(0.0, f64::max);
+    if rate_hz < min_hz {
         problems.refuse(
             sonar.entry("more_pulse"),
             format!(
                 "needs receiver.sample_rate_khz of at least {}: all pulses are sampled about the first one's centre",
-                (least_hz / 10.0).ceil() / 100.0
+                (min_hz / 10.0).ceil() / 100.0
             ),
         );
     }
@@ -795,7 +795,7 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
     only_with(table, &keys, line, "synthesis = \"gridded-2d\"", problems);
     Some(SynthesisSpec {
         tolerance: table.number("tolerance")?,
-        certificate: table.bool("certificate")?,
+        error_check: table.bool("error_check")?,
         frequency_step_hz: match table.given("frequency_step_hz") {
             true => Some(table.number("frequency_step_hz")?),
             false => None,

@@ -44,8 +44,8 @@ pub fn refuse_what_has_no_tiles(run: &RawTable, sonars: &[&SonarSpec], problems:
             "model.synthesis must be \"reference\" or \"direct\", and nothing \"auto\": other sums need the whole ping"
         } else if model.doppler == DopplerModel::StretchQuadratic {
             "model.doppler = \"stretch-quadratic\" fits its curves to the whole ping"
-        } else if sonar.synthesis.certificate {
-            "model.certificate needs the whole ping"
+        } else if sonar.synthesis.error_check {
+            "model.error_check needs the whole ping"
         } else if !sonar.more_pulses.is_empty() {
             "further pulses are made with the whole ping"
         } else if sonar.outputs.iter().any(is_passband) {

@@ -30,10 +30,10 @@ pub fn trigger<'t>(
     only_with(table, &keys, triggered, condition, problems);
     let from = match source? {
         "udp" => TriggerFrom::Udp {
-            listen: door(table, "UDP", listeners, problems)?,
+            listen: listener(table, "UDP", listeners, problems)?,
         },
         "tcp" => TriggerFrom::Tcp {
-            listen: door(table, "TCP", listeners, problems)?,
+            listen: listener(table, "TCP", listeners, problems)?,
         },
         "serial-cts" => modem_line(table, ModemLine::ClearToSend)?,
         "serial-dcd" => modem_line(table, ModemLine::CarrierDetect)?,
@@ -58,7 +58,7 @@ pub fn trigger<'t>(
             "queue" => EarlyTrigger::Queue,
             _ => EarlyTrigger::Refuse,
         },
-        least_interval_s: table.scaled("min_interval_ms", -3)?,
+        min_interval_s: table.scaled("min_interval_ms", -3)?,
         watchdog_s: match table.given("watchdog_ms") {
             true => Some(table.scaled("watchdog_ms", -3)?),
             false => None,
@@ -66,7 +66,7 @@ pub fn trigger<'t>(
     })
 }
 
-fn door<'t>(
+fn listener<'t>(
     table: &'t RawTable,
     protocol: &'static str,
     listeners: &mut Vec<Listener<'t>>,

@@ -334,7 +334,7 @@ impl FaultRequest {
             for_s: between("for_s", self.for_s, f64::INFINITY, 0.0, 1e9)?,
             ramp_s: between("ramp_s", self.ramp_s, 0.0, 0.0, 1e9)?,
             probability: between("probability", self.probability, 1.0, 0.0, 1.0)?,
-            burst: self.burst.unwrap_or(1).min(MOST_BURST),
+            burst: self.burst.unwrap_or(1).min(MAX_BURST),
             seed: self.seed.unwrap_or(0),
         })
     }
@@ -458,7 +458,7 @@ impl FaultRequest {
 }
 
 /// Longest burst: every ping looks back so far.
-const MOST_BURST: u32 = 10_000;
+const MAX_BURST: u32 = 10_000;
 
 #[cfg(test)]
 mod tests {

@@ -8,7 +8,7 @@ pub struct TriggerSpec {
     pub from: TriggerFrom,
     pub early: EarlyTrigger,
     /// From pulse to pulse at least, beside what the range needs; seconds.
-    pub least_interval_s: f64,
+    pub min_interval_s: f64,
     /// A trigger that has not come for so long is missed, seconds.
     pub watchdog_s: Option<f64>,
 }

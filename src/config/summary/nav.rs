@@ -67,7 +67,7 @@ pub fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
     };
     line(out, "depth", &format!("of the reference point: {down}"))?;
     if let Some(tow) = &nav.tow {
-        let straight_m = tow.cable_out_m * tow.straightness;
+        let straight_m = tow.cable_out_m * tow.cable_scope;
         let at = |depth_m: f64| {
             (straight_m * straight_m - depth_m * depth_m)
                 .max(0.0)

@@ -6,7 +6,7 @@ use super::*;
 /// So many scatterers are one thread's.
 const PART: usize = 32 * CHUNK;
 
-/// Where what is lit goes: slices as long as the scatterers of a part.
+/// Where what is insonified goes: slices as long as the scatterers of a part.
 struct Room<'a> {
     x_m: &'a mut [f64],
     y_m: &'a mut [f64],
@@ -23,32 +23,32 @@ struct Room<'a> {
 }
 
 impl<'a> Room<'a> {
-    fn of(lit: &'a mut Illuminated, len: usize) -> Self {
-        lit.x_m.resize(len, 0.0);
-        lit.y_m.resize(len, 0.0);
-        lit.z_m.resize(len, 0.0);
-        lit.range_m.resize(len, 0.0);
-        lit.amplitude.resize(len, Complex64::ZERO);
-        lit.level.resize(len, 0.0);
-        lit.bias.resize(len, 0.0);
-        lit.curved.resize(len, false);
-        lit.normal_x.resize(len, 0.0);
-        lit.normal_y.resize(len, 0.0);
-        lit.normal_z.resize(len, 0.0);
-        lit.closing_m_per_s.resize(len, 0.0);
+    fn of(transmit_leg: &'a mut TransmitLeg, len: usize) -> Self {
+        transmit_leg.x_m.resize(len, 0.0);
+        transmit_leg.y_m.resize(len, 0.0);
+        transmit_leg.z_m.resize(len, 0.0);
+        transmit_leg.range_m.resize(len, 0.0);
+        transmit_leg.amplitude.resize(len, Complex64::ZERO);
+        transmit_leg.level.resize(len, 0.0);
+        transmit_leg.bias.resize(len, 0.0);
+        transmit_leg.curved.resize(len, false);
+        transmit_leg.normal_x.resize(len, 0.0);
+        transmit_leg.normal_y.resize(len, 0.0);
+        transmit_leg.normal_z.resize(len, 0.0);
+        transmit_leg.closing_m_per_s.resize(len, 0.0);
         Self {
-            x_m: &mut lit.x_m,
-            y_m: &mut lit.y_m,
-            z_m: &mut lit.z_m,
-            range_m: &mut lit.range_m,
-            amplitude: &mut lit.amplitude,
-            level: &mut lit.level,
-            bias: &mut lit.bias,
-            curved: &mut lit.curved,
-            normal_x: &mut lit.normal_x,
-            normal_y: &mut lit.normal_y,
-            normal_z: &mut lit.normal_z,
-            closing_m_per_s: &mut lit.closing_m_per_s,
+            x_m: &mut transmit_leg.x_m,
+            y_m: &mut transmit_leg.y_m,
+            z_m: &mut transmit_leg.z_m,
+            range_m: &mut transmit_leg.range_m,
+            amplitude: &mut transmit_leg.amplitude,
+            level: &mut transmit_leg.level,
+            bias: &mut transmit_leg.bias,
+            curved: &mut transmit_leg.curved,
+            normal_x: &mut transmit_leg.normal_x,
+            normal_y: &mut transmit_leg.normal_y,
+            normal_z: &mut transmit_leg.normal_z,
+            closing_m_per_s: &mut transmit_leg.closing_m_per_s,
         }
     }
 
@@ -114,29 +114,29 @@ impl<'a> Room<'a> {
 
 /// What decides who is kept.
 pub(super) struct Light<'a> {
-    pub leg: TransmitLeg<'a>,
+    pub leg: TransmitLegTerms<'a>,
     pub scatterers: &'a Scatterers,
     pub floor: f64,
     pub farthest_m: f64,
 }
 
 impl Light<'_> {
-    /// Fills `lit` and leaves it as long as what was kept.
-    pub fn shine(&self, lit: &mut Illuminated) -> EchoCounts {
-        let mut room = Room::of(lit, self.scatterers.len());
+    /// Fills `transmit_leg` and leaves it as long as what was kept.
+    pub fn shine(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
+        let mut room = Room::of(transmit_leg, self.scatterers.len());
         let (kept, counts) = self.part(0, &mut room);
-        lit.x_m.truncate(kept);
-        lit.y_m.truncate(kept);
-        lit.z_m.truncate(kept);
-        lit.range_m.truncate(kept);
-        lit.amplitude.truncate(kept);
-        lit.level.truncate(kept);
-        lit.bias.truncate(kept);
-        lit.curved.truncate(kept);
-        lit.normal_x.truncate(kept);
-        lit.normal_y.truncate(kept);
-        lit.normal_z.truncate(kept);
-        lit.closing_m_per_s.truncate(kept);
+        transmit_leg.x_m.truncate(kept);
+        transmit_leg.y_m.truncate(kept);
+        transmit_leg.z_m.truncate(kept);
+        transmit_leg.range_m.truncate(kept);
+        transmit_leg.amplitude.truncate(kept);
+        transmit_leg.level.truncate(kept);
+        transmit_leg.bias.truncate(kept);
+        transmit_leg.curved.truncate(kept);
+        transmit_leg.normal_x.truncate(kept);
+        transmit_leg.normal_y.truncate(kept);
+        transmit_leg.normal_z.truncate(kept);
+        transmit_leg.closing_m_per_s.truncate(kept);
         counts
     }
 

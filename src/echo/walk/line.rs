@@ -25,7 +25,7 @@ use crate::flow::{
 };
 
 use super::{
-    Batch, Complex64, Heard, Illuminated, Rays, ReceiveLeg, pattern_floor, refine, solve, weigh,
+    Batch, Complex64, Heard, Rays, ReceiveLeg, TransmitLeg, pattern_floor, refine, solve, weigh,
 };
 use super::{Directivity, ElementTrack, Motion, OneWay, amplitude_from_db, wavelength_m};
 
@@ -81,7 +81,7 @@ impl LineWorkspace {
     }
 }
 
-/// Up to [`CHUNK`] points as [`Illuminated`] has them, less their strengths.
+/// Up to [`CHUNK`] points as [`TransmitLeg`] has them, less their strengths.
 struct Places {
     len: usize,
     x_m: [f64; CHUNK],
@@ -173,7 +173,7 @@ impl LineTrack {
 pub struct LineEchoes<'a> {
     pub plan: &'a PingPlan,
     pub array: &'a ArrayGeometry,
-    pub lit: &'a Illuminated,
+    pub transmit_leg: &'a TransmitLeg,
     /// One per thread of the pool: no lock ever waits.
     pub work: &'a [Mutex<LineWorkspace>],
 }
@@ -191,11 +191,11 @@ impl LineEchoes<'_> {
 
 impl LineSource for LineEchoes<'_> {
     fn scatterers(&self) -> u64 {
-        self.lit.len() as u64
+        self.transmit_leg.len() as u64
     }
 
     fn earliest_s(&self) -> f64 {
-        let nearest_m = self.lit.batch_range_m.iter();
+        let nearest_m = self.transmit_leg.batch_range_m.iter();
         let nearest_m =
             nearest_m.fold(f64::INFINITY, |least, &(nearest_m, _)| least.min(nearest_m));
         if !nearest_m.is_finite() {
@@ -206,7 +206,7 @@ impl LineSource for LineEchoes<'_> {
             let track = &mut work.track;
             track
                 .middle
-                .lay_at(self.plan, &self.lit.transmit, self.array, 0.0);
+                .lay_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
             let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
             // What begins later than from the transmitter's place need not be looked at.
             let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
@@ -215,27 +215,45 @@ impl LineSource for LineEchoes<'_> {
     }
 
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink) {
-        self.with_work(|work| line_survey(self.plan, self.array, stretch, self.lit, work, sink));
+        self.with_work(|work| {
+            line_survey(
+                self.plan,
+                self.array,
+                stretch,
+                self.transmit_leg,
+                work,
+                sink,
+            )
+        });
     }
 
     fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts {
-        self.with_work(|work| line_arrivals(self.plan, self.array, stretch, self.lit, work, sink))
+        self.with_work(|work| {
+            line_arrivals(
+                self.plan,
+                self.array,
+                stretch,
+                self.transmit_leg,
+                work,
+                sink,
+            )
+        })
     }
 }
 
-/// Echoes of everything lit at the middle of a stretch of the line, in chunks of at most [`CHUNK`], always in the same order.
+/// Echoes of everything insonified at the middle of a stretch of the line, in chunks of at most [`CHUNK`], always in the same order.
 ///
-/// What [`illuminate`](super::illuminate) was told of the window does not count here: `stretch` does. Counts are of scatterer-element
+/// What [`insonify`](super::illuminate) was told of the window does not count here: `stretch` does. Counts are of scatterer-element
 /// pairs; an echo outside the delays asked for is not counted at all, since another call asks for it.
 pub fn line_arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) -> EchoCounts {
-    walk_batches(plan, array, stretch, lit, 1, work, sink)
+    walk_batches(plan, array, stretch, transmit_leg, 1, work, sink)
 }
 
 /// [`line_arrivals`] of every so many batches.
@@ -243,13 +261,13 @@ fn walk_batches(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     every: usize,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) -> EchoCounts {
     let mut counts = EchoCounts::default();
-    if lit.window.is_none() {
+    if transmit_leg.window.is_none() {
         return counts;
     }
     let c = plan.sound_speed_m_per_s;
@@ -260,7 +278,7 @@ fn walk_batches(
         sensitivity: amplitude_from_db(array.sensitivity_db),
     };
     let floor = pattern_floor(plan);
-    let (nearest_m, farthest_m) = lay(plan, array, stretch, lit, &mut work.track);
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
     let LineWorkspace {
         track,
         rays,
@@ -273,24 +291,24 @@ fn walk_batches(
     } = work;
     let asked = stretch.earliest_s..stretch.latest_s;
 
-    for (b, &(least_range_m, greatest_range_m)) in
-        lit.batch_range_m.iter().enumerate().step_by(every)
+    for (b, &(min_range_m, greatest_range_m)) in
+        transmit_leg.batch_range_m.iter().enumerate().step_by(every)
     {
-        if least_range_m > farthest_m || greatest_range_m < nearest_m {
+        if min_range_m > farthest_m || greatest_range_m < nearest_m {
             continue;
         }
-        let span = b * CHUNK..((b + 1) * CHUNK).min(lit.len());
+        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
         let batch = Batch {
-            x_m: &lit.x_m[span.clone()],
-            y_m: &lit.y_m[span.clone()],
-            z_m: &lit.z_m[span.clone()],
-            range_m: &lit.range_m[span.clone()],
-            least_range_m,
+            x_m: &transmit_leg.x_m[span.clone()],
+            y_m: &transmit_leg.y_m[span.clone()],
+            z_m: &transmit_leg.z_m[span.clone()],
+            range_m: &transmit_leg.range_m[span.clone()],
+            min_range_m,
             greatest_range_m,
         };
         let odd = solve(&track.middle, c, batch, rays);
         if plan.model.path == PathModel::Continuous {
-            refine(plan, &lit.transmit, &track.middle, batch, rays);
+            refine(plan, &transmit_leg.transmit, &track.middle, batch, rays);
         }
         let n = span.len();
         let (first_s, last_s) = rays.delay_s[..n]
@@ -303,7 +321,7 @@ fn walk_batches(
         }
         counts.no_root += odd.no_root * stretch.elements;
         counts.two_roots += odd.two_roots * stretch.elements;
-        weigh(&receive, lit, span.clone(), rays, heard);
+        weigh(&receive, transmit_leg, span.clone(), rays, heard);
 
         let whole = asked.contains(&first_s) && asked.contains(&last_s);
         let mut since_s = first_s;
@@ -312,9 +330,9 @@ fn walk_batches(
             let derivation = Derivation {
                 c,
                 motion: &motion,
-                transmit: lit.transmit.motion,
+                transmit: transmit_leg.transmit.motion,
                 batch,
-                closing_m_per_s: &lit.closing_m_per_s[span.clone()],
+                closing_m_per_s: &transmit_leg.closing_m_per_s[span.clone()],
                 rays,
             };
             derivation.run(&heard.doppler, chunk);
@@ -322,7 +340,7 @@ fn walk_batches(
                 let half_m = stretch.half_m;
                 for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
                     see_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
-                    weigh(&receive, lit, span.clone(), end_rays, end_heard);
+                    weigh(&receive, transmit_leg, span.clone(), end_rays, end_heard);
                     gains[..n].copy_from_slice(&end_heard.gain[..n]);
                 }
                 fade(&mut heard.gain[..n], gains, half_m, chunk);
@@ -338,7 +356,7 @@ fn walk_batches(
                 if !(whole || asked.contains(&delay_s)) || !here {
                     continue;
                 }
-                let amplitude = lit.amplitude[span.start + i] * heard.gain[i];
+                let amplitude = transmit_leg.amplitude[span.start + i] * heard.gain[i];
                 if heard.level[i] < floor || amplitude == Complex64::ZERO {
                     counts.culled += stretch.elements;
                     continue;
@@ -407,13 +425,17 @@ fn lay(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     track: &mut LineTrack,
 ) -> (f64, f64) {
     let c = plan.sound_speed_m_per_s;
     let (middle_m, ahead_m) = (stretch.middle_m, stretch.middle_m + 1.0);
-    track.middle.lay_at(plan, &lit.transmit, array, middle_m);
-    track.ahead.lay_at(plan, &lit.transmit, array, ahead_m);
+    track
+        .middle
+        .lay_at(plan, &transmit_leg.transmit, array, middle_m);
+    track
+        .ahead
+        .lay_at(plan, &transmit_leg.transmit, array, ahead_m);
     let reach_m = track.middle.reach_m(stretch.latest_s) * (1.0 + 1e-9);
     (
         0.5 * (c * stretch.earliest_s - reach_m) * (1.0 - 1e-12),
@@ -427,24 +449,24 @@ pub fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) {
-    if lit.window.is_none() {
+    if transmit_leg.window.is_none() {
         return;
     }
-    let (nearest_m, farthest_m) = lay(plan, array, stretch, lit, &mut work.track);
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
     work.places.len = 0;
-    for (b, &(least_range_m, greatest_range_m)) in lit.batch_range_m.iter().enumerate() {
-        if least_range_m > farthest_m || greatest_range_m < nearest_m {
+    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+        if min_range_m > farthest_m || greatest_range_m < nearest_m {
             continue;
         }
-        let (low_m, high_m) = lit.batch_box_m[b];
+        let (low_m, high_m) = transmit_leg.batch_box_m[b];
         if work.places.len > CHUNK - CORNERS {
-            survey_places(plan, array, stretch, None, lit, work, sink);
+            survey_places(plan, array, stretch, None, transmit_leg, work, sink);
         }
-        if (high_m - low_m).length() < SMALL_BOX * least_range_m {
+        if (high_m - low_m).length() < SMALL_BOX * min_range_m {
             for corner in 0..CORNERS {
                 let pick = |bit: usize, low: f64, high: f64| {
                     if corner >> bit & 1 == 0 { low } else { high }
@@ -455,27 +477,34 @@ pub fn line_survey(
                     pick(2, low_m.z, high_m.z),
                 );
                 let range_m = at_m.length();
-                let closing = lit.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
+                let closing = transmit_leg.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
                 work.places.push(at_m, range_m, closing);
             }
             continue;
         }
-        survey_places(plan, array, stretch, None, lit, work, sink);
-        for i in b * CHUNK..((b + 1) * CHUNK).min(lit.len()) {
-            let at_m = DVec3::new(lit.x_m[i], lit.y_m[i], lit.z_m[i]);
-            work.places
-                .push(at_m, lit.range_m[i], lit.closing_m_per_s[i]);
+        survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+        for i in b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len()) {
+            let at_m = DVec3::new(
+                transmit_leg.x_m[i],
+                transmit_leg.y_m[i],
+                transmit_leg.z_m[i],
+            );
+            work.places.push(
+                at_m,
+                transmit_leg.range_m[i],
+                transmit_leg.closing_m_per_s[i],
+            );
         }
         let asked = stretch.earliest_s..stretch.latest_s;
-        survey_places(plan, array, stretch, Some(asked), lit, work, sink);
+        survey_places(plan, array, stretch, Some(asked), transmit_leg, work, sink);
     }
-    survey_places(plan, array, stretch, None, lit, work, sink);
+    survey_places(plan, array, stretch, None, transmit_leg, work, sink);
     let heard =
-        |&&(least_m, greatest_m): &&(f64, f64)| least_m <= farthest_m && greatest_m >= nearest_m;
-    let every = lit.batch_range_m.iter().filter(heard).count() / SAMPLED;
+        |&&(min_m, greatest_m): &&(f64, f64)| min_m <= farthest_m && greatest_m >= nearest_m;
+    let every = transmit_leg.batch_range_m.iter().filter(heard).count() / SAMPLED;
     let fades = true;
     let sampled = LineStretch { fades, ..stretch };
-    walk_batches(plan, array, sampled, lit, every.max(1), work, sink);
+    walk_batches(plan, array, sampled, transmit_leg, every.max(1), work, sink);
 }
 
 impl Places {
@@ -494,7 +523,7 @@ fn survey_places(
     array: &ArrayGeometry,
     stretch: LineStretch,
     asked: Option<std::ops::Range<f64>>,
-    lit: &Illuminated,
+    transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) {
@@ -517,7 +546,7 @@ fn survey_places(
         y_m: &places.y_m[..n],
         z_m: &places.z_m[..n],
         range_m: &places.range_m[..n],
-        least_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
+        min_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
         greatest_range_m: ranges.fold(0.0, f64::max),
     };
     solve(&track.middle, c, batch, rays);
@@ -533,7 +562,7 @@ fn survey_places(
         let derivation = Derivation {
             c,
             motion: &motion,
-            transmit: lit.transmit.motion,
+            transmit: transmit_leg.transmit.motion,
             batch,
             closing_m_per_s: &places.closing_m_per_s[..n],
             rays,

@@ -9,7 +9,7 @@
 //!
 //! d the scatterer from the middle in array axes, in the middle of the echo, and v the middle's velocity there; Q - D is formed as x (x - 2 d_x)/(Q + D).
 //! This is exact in the near field, at the carrier. What it leaves out: the delay of the envelope (bandwidth times delta), how the part's
-//! answer changes during the echo, and that each element has a level, a pattern and a Doppler of its own. `run::fidelity::parts` says what comes
+//! answer changes during the echo, and that each element has a level, a pattern and a Doppler of its own. `run::method_selection::parts` says what comes
 //! of it.
 
 use glam::{DMat3, DVec3};

@@ -206,8 +206,8 @@ impl Link {
             utc: now,
             by: self.by,
         };
-        let (least_db, most_db) = self.settings.limits().gain_db;
-        let gain_db = least_db + (most_db - least_db) * f64::from(command.data_gain) / 100.0;
+        let (min_db, max_db) = self.settings.limits().gain_db;
+        let gain_db = min_db + (max_db - min_db) * f64::from(command.data_gain) / 100.0;
         let is = self.settings.settings();
         let range_m = f64::from(command.range_m);
         // What is so already is not told again: every ping has its command, and the others would be told of every one.

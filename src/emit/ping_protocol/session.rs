@@ -375,10 +375,10 @@ enum Obeyed {
 
 /// The highest rate to be kept; 0 and below is as fast as it goes.
 fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
-    let (_, most_hz) = limits.ping_rate_hz;
+    let (_, max_hz) = limits.ping_rate_hz;
     SettingChange::MaxPingRateHz(match msec_per_ping {
-        ..=0 => most_hz,
-        msec => (1e3 / msec as f64).min(most_hz),
+        ..=0 => max_hz,
+        msec => (1e3 / msec as f64).min(max_hz),
     })
 }
 

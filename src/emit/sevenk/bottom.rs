@@ -158,13 +158,13 @@ fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
         let at = sounding.twtt_s * source.rate_hz();
         let half = half_footprint_samples(sounding, fan, source.rate_hz()) + SNIPPET_MARGIN;
         let mut samples = if window.flags & 1 == 0 {
-            f64::from(window.most_samples)
+            f64::from(window.max_samples)
         } else {
             2.0 * half + 1.0
         };
         samples = samples
-            .max(f64::from(window.least_samples))
-            .min(f64::from(window.most_samples))
+            .max(f64::from(window.min_samples))
+            .min(f64::from(window.max_samples))
             .max(1.0);
         let half = (0.5 * (samples - 1.0)).round() as u32;
         let detection = (at.round().max(0.0) as u32).clamp(source.silent as u32, last);

@@ -136,8 +136,8 @@ pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SnippetWindow {
     pub flags: u32,
-    pub least_samples: u32,
-    pub most_samples: u32,
+    pub min_samples: u32,
+    pub max_samples: u32,
 }
 
 impl Default for SnippetWindow {
@@ -145,8 +145,8 @@ impl Default for SnippetWindow {
     fn default() -> Self {
         Self {
             flags: 1,
-            least_samples: 1,
-            most_samples: 500,
+            min_samples: 1,
+            max_samples: 500,
         }
     }
 }
@@ -184,10 +184,10 @@ impl Kept {
         Self {
             snippets: snippets.map_or_else(
                 SnippetWindow::default,
-                |[flags, least_samples, most_samples]| SnippetWindow {
+                |[flags, min_samples, max_samples]| SnippetWindow {
                     flags,
-                    least_samples,
-                    most_samples,
+                    min_samples,
+                    max_samples,
                 },
             ),
             water_column_flags: numbers::<1>(settings, name::WATER_COLUMN)

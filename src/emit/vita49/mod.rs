@@ -145,7 +145,7 @@ impl Vita49Emitter {
             over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
             sample_loss: Some(lost),
             // Not stated where nothing is wrong: the bits are those of a machine that keeps up.
-            degraded: output.strain.tolerance.map(|_| true),
+            degraded: output.overload_state.tolerance.map(|_| true),
         };
         self.emit_samples(
             plan.first_sample_s,

@@ -22,14 +22,14 @@ use crate::time::UtcNs;
 /// How it signs what it changes.
 pub const VIA: &str = "wbms";
 /// The greatest amplitude.
-const MOST_AMPLITUDE: f64 = 15.0;
+const MAX_AMPLITUDE: f64 = 15.0;
 /// An unended line longer than this is no command.
-const MOST_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
+const MAX_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
 const READY: &str = "# Echotank, simulated WBMS, ready\r\n";
 
 /// A source level as the device's amplitude.
 pub fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
-    (part_of(limits.source_level_db, source_level_db) * MOST_AMPLITUDE).round() as u8
+    (part_of(limits.source_level_db, source_level_db) * MAX_AMPLITUDE).round() as u8
 }
 
 /// One of the three ports of data: who connects gets everything.
@@ -125,7 +125,7 @@ impl Session for Client {
         for line in lines.split(['\r', '\n']) {
             self.line(line, now, out);
         }
-        if Command::parse(tail.trim()).is_ok() || tail.len() > MOST_HELD_BYTES {
+        if Command::parse(tail.trim()).is_ok() || tail.len() > MAX_HELD_BYTES {
             self.line(tail, now, out);
         } else {
             self.held = tail.to_owned();
@@ -206,7 +206,7 @@ impl Client {
             } => vec![
                 SettingChange::SourceLevelDb(at_part(
                     limits.source_level_db,
-                    f64::from(amplitude) / MOST_AMPLITUDE,
+                    f64::from(amplitude) / MAX_AMPLITUDE,
                 )),
                 SettingChange::PulseDurationS(length_us * 1e-6),
             ],

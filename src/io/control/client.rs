@@ -9,7 +9,7 @@ use serde_json::Value;
 /// For a daemon that does not answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest answer read, bytes.
-const MOST_BYTES: u64 = 16 << 20;
+const MAX_BYTES: u64 = 16 << 20;
 
 /// What came back: the HTTP status and the body.
 pub type Reply = (u16, String);
@@ -37,7 +37,7 @@ fn exchange(address: SocketAddr, head: &str, token: Option<&str>, body: &str) ->
     let request = format!("{head}Host: {address}\r\n{token}Connection: close\r\n\r\n{body}");
     stream.write_all(request.as_bytes())?;
     let mut bytes = Vec::new();
-    stream.take(MOST_BYTES).read_to_end(&mut bytes)?;
+    stream.take(MAX_BYTES).read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
     let broken = || io::Error::new(io::ErrorKind::InvalidData, "that is not an HTTP answer");
     let (head, body) = text.split_once("\r\n\r\n").ok_or_else(broken)?;

@@ -18,7 +18,7 @@ pub const HISTORY_LINES: usize = 600;
 /// Frames that may wait for the slowest page: a few seconds of a sonar with a fan.
 const QUEUE_FRAMES: usize = 64;
 /// Different rows of samples that all pages together get of one ping.
-pub const MOST_SCOPES: usize = 8;
+pub const MAX_SCOPES: usize = 8;
 
 /// One row of samples that a page looks at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
@@ -146,7 +146,7 @@ impl Feed {
             wanted.fan |= want.fan;
             wanted.elements |= want.elements;
             if let Some(scope) = want.scope
-                && wanted.scopes.len() < MOST_SCOPES
+                && wanted.scopes.len() < MAX_SCOPES
                 && !wanted.scopes.contains(&scope)
             {
                 wanted.scopes.push(scope);
@@ -349,7 +349,7 @@ mod tests {
         assert_eq!(feed.wanted(0), Wanted::default());
         let wanted = feed.wanted(1);
         assert!(wanted.fan && !wanted.elements);
-        assert_eq!(wanted.scopes.len(), MOST_SCOPES);
+        assert_eq!(wanted.scopes.len(), MAX_SCOPES);
         assert_eq!(feed.counts().pages, 20);
         drop(pages);
         assert!(!feed.is_watched());

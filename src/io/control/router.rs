@@ -33,7 +33,7 @@ use super::{Command, ControlPort, assets};
 use crate::flow::Asker;
 
 /// Longest command, bytes.
-const MOST_BODY_BYTES: usize = 64 * 1024;
+const MAX_BODY_BYTES: usize = 64 * 1024;
 
 type Port = State<Arc<dyn ControlPort>>;
 
@@ -63,7 +63,7 @@ pub(super) fn router(shared: Shared, token: Option<String>) -> Router {
         .route("/healthz", get(health))
         .merge(assets::routes())
         .merge(guarded)
-        .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
+        .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .with_state(shared)
 }
 

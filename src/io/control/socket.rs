@@ -39,9 +39,9 @@ use super::{Command, ControlPort};
 use crate::flow::Asker;
 
 /// Pages that may be open at once.
-pub const MOST_PAGES: usize = 64;
+pub const MAX_PAGES: usize = 64;
 /// Longest message from a page, bytes.
-const MOST_MESSAGE_BYTES: usize = 16 * 1024;
+const MAX_MESSAGE_BYTES: usize = 16 * 1024;
 /// For a page to take one message; then it is closed.
 const SEND_PATIENCE: Duration = Duration::from_secs(30);
 /// A page is asked whether it is there so often, and closed when it says nothing for [`SILENCE`].
@@ -83,7 +83,7 @@ pub(super) struct Pages {
 impl Pages {
     pub(super) fn new() -> Self {
         Self {
-            seats: Arc::new(Semaphore::new(MOST_PAGES)),
+            seats: Arc::new(Semaphore::new(MAX_PAGES)),
             state: watch::Sender::new(Utf8Bytes::default()),
             relief_turn: Mutex::new(()),
         }
@@ -115,13 +115,13 @@ pub(super) async fn open(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let Ok(seat) = Arc::clone(&shared.pages.seats).try_acquire_owned() else {
-        let why = format!("{MOST_PAGES} pages are open already");
+        let why = format!("{MAX_PAGES} pages are open already");
         return refusal(StatusCode::SERVICE_UNAVAILABLE, &why);
     };
     upgrade
         .protocols(["echotank"])
-        .max_message_size(MOST_MESSAGE_BYTES)
-        .max_frame_size(MOST_MESSAGE_BYTES)
+        .max_message_size(MAX_MESSAGE_BYTES)
+        .max_frame_size(MAX_MESSAGE_BYTES)
         .on_upgrade(move |socket| async move {
             let _seat = seat;
             serve(socket, shared, peer).await;

@@ -3,7 +3,7 @@
 //! | key | |
 //! |---|---|
 //! | `fault`, `kind` | its number in this run and its kind |
-//! | `sonar`, `ping_number`, `utc_ns` | the ping it struck, and the start of its pulse in rig time |
+//! | `sonar`, `ping_number`, `utc_ns` | the ping it injected, and the start of its pulse in rig time |
 //! | `line` | of faults of the line: the family, `7k`, `jsf`, `wbms`, `ping`, `ping-serial`, `imagenex872`, `vita49` or `elements` |
 //! | `record_type` | and the record: its number; of JSF type + 65536 subsystem + 2^24 channel; of packets which one of its ping, from 1 |
 //! | `frame_number` | of an element stream |
@@ -55,7 +55,7 @@ impl FaultLog {
         self.file
             .write_all(self.lines.as_bytes())
             .map_err(|source| {
-                // Whole lines only; if even this fails, the last is torn.
+                // Whole lines only; if even this fails, the last is truncated.
                 let _ = self.file.set_len(self.length_bytes);
                 RecordError::io(&self.path, "write")(source)
             })?;

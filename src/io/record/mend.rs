@@ -360,7 +360,7 @@ mod tests {
                 .push(&testing::plan(number), &testing::output(number))
                 .expect("writes");
         }
-        // What a kill would leave, and the next ping's samples torn.
+        // What a kill would leave, and the next ping's samples truncated.
         let killed = tempfile::tempdir().expect("folder");
         let copy = Paths::of(&killed.path().join("killed"));
         for (from, to) in [

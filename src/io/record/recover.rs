@@ -18,7 +18,7 @@ use super::{RecordError, mend};
 /// Bytes that tell how long a record is.
 const FRAME_BYTES: usize = 64;
 /// No record of ours is longer.
-const MOST_RECORD_BYTES: u32 = 1 << 30;
+const MAX_RECORD_BYTES: u32 = 1 << 30;
 
 /// What came of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,7 +193,7 @@ fn next_record(file: &mut File, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.clear();
     file.take(FRAME_BYTES as u64).read_to_end(bytes)?;
     let size = DataRecordFrame::parse(bytes).map_or(0, |frame| frame.size_bytes);
-    if (FRAME_BYTES as u32..=MOST_RECORD_BYTES).contains(&size) {
+    if (FRAME_BYTES as u32..=MAX_RECORD_BYTES).contains(&size) {
         let rest = u64::from(size) - FRAME_BYTES as u64;
         file.take(rest).read_to_end(bytes)?;
     }

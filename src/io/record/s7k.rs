@@ -59,7 +59,7 @@ impl S7kRecorder {
         self.file.write_all(record).map_err(|source| {
             // The builder counts a record that is not there: no catalogue can be made any more.
             self.builder = None;
-            // If even this fails, readers skip the torn record.
+            // If even this fails, readers skip the truncated record.
             let _ = self.file.set_len(offset);
             RecordError::io(&self.path, "write")(source)
         })

@@ -1,7 +1,7 @@
 //! SigMF recordings: I and Q of the elements, 16 bits each, with a capture and an annotation for every ping.
 //!
 //! `NAME.sigmf-data` grows ping by ping; `NAME.sigmf-meta`, which says what is in it, is written anew after 1, 2, 4, ... pings, every
-//! [`MOST_PINGS_UNSAID`] at the latest, and at the end. The words of the pings since are in `NAME.sigmf-journal`, a line each, which goes with
+//! [`MAX_PINGS_UNSAID`] at the latest, and at the end. The words of the pings since are in `NAME.sigmf-journal`, a line each, which goes with
 //! the end: of a recording that was cut off `recover` puts them where they belong.
 
 use std::fs::File;
@@ -14,10 +14,10 @@ use serde_json::{Value, json};
 use super::RecordError;
 use crate::config::spec::SonarSpec;
 use crate::emit::elements::interleave_iq;
-use crate::flow::{PingOutput, PingPlan, PulseKind, Strain};
+use crate::flow::{OverloadState, PingOutput, PingPlan, PulseKind};
 
 /// Pings that a recording may hold without words for them.
-const MOST_PINGS_UNSAID: usize = 1024;
+const MAX_PINGS_UNSAID: usize = 1024;
 
 /// The files of one recording.
 #[derive(Clone, Debug)]
@@ -149,7 +149,7 @@ impl SigmfRecorder {
         if let Err(source) = self.data.write_all(&self.bytes) {
             return Err(self.stop(source));
         }
-        let (capture, annotation) = words_of(plan, output.strain, self.samples, saturated);
+        let (capture, annotation) = words_of(plan, output.overload_state, self.samples, saturated);
         // The samples first: the journal has words for none that are not there.
         let line = journal_line(&capture, &annotation);
         if let Err(source) = self.journal.write_all(line.as_bytes()) {
@@ -159,7 +159,7 @@ impl SigmfRecorder {
         self.words.annotations.push(annotation);
         self.samples += samples as u64;
         let pings = self.words.captures.len();
-        if pings >= (2 * self.said).min(self.said + MOST_PINGS_UNSAID) {
+        if pings >= (2 * self.said).min(self.said + MAX_PINGS_UNSAID) {
             self.say()?;
         }
         Ok(saturated)
@@ -207,13 +207,15 @@ impl Drop for SigmfRecorder {
 
 fn words_of(
     plan: &PingPlan,
-    strain: Strain,
+    overload_state: OverloadState,
     sample_start: u64,
     saturated: u64,
 ) -> (Capture, Annotation) {
-    let looser = strain.tolerance.map_or_else(String::new, |tolerance| {
-        format!("; computing did not keep up: made within {tolerance:e}")
-    });
+    let looser = overload_state
+        .tolerance
+        .map_or_else(String::new, |tolerance| {
+            format!("; computing did not keep up: made within {tolerance:e}")
+        });
     let (pulse, nav, settings) = (&plan.pulse, &plan.nav, &plan.settings);
     let capture = Capture {
         sample_start,

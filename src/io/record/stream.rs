@@ -43,7 +43,7 @@ impl StreamRecorder {
         }
         self.file.write_all(records).map_err(|source| {
             self.stopped = true;
-            // If even this fails, readers skip the torn record.
+            // If even this fails, readers skip the truncated record.
             let _ = self.file.set_len(self.length_bytes);
             RecordError::io(&self.path, "write")(source)
         })?;

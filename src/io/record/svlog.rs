@@ -75,7 +75,7 @@ impl SvlogRecorder {
         }
         self.file.write_all(frame).map_err(|source| {
             self.stopped = true;
-            // If even this fails, readers pass over the torn frame.
+            // If even this fails, readers pass over the truncated frame.
             let _ = self.file.set_len(self.bytes);
             RecordError::io(&self.path, "write")(source)
         })?;

@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     fn patch() -> Patch {
-        let bell = |x: f64, width: f64| (-(x / width).powi(2)).exp();
+        let wake_up = |x: f64, width: f64| (-(x / width).powi(2)).exp();
         Patch {
             columns: 41,
             rows: 31,
@@ -162,7 +162,9 @@ mod tests {
             pings: 3,
             track_m: 2.0,
             image: (0..31 * 41)
-                .map(|i| bell((i / 41) as f64 - 12.0, 3.0) * bell((i % 41) as f64 - 20.0, 6.0))
+                .map(|i| {
+                    wake_up((i / 41) as f64 - 12.0, 3.0) * wake_up((i % 41) as f64 - 20.0, 6.0)
+                })
                 .map(Complex64::from)
                 .collect(),
         }

@@ -154,7 +154,7 @@ pub fn output(ping_number: u32) -> PingOutput {
         amplitude: iq(1, salt).iter().map(|x| x.norm() as f32).collect(),
     };
     PingOutput {
-        certificate: None,
+        error_check: None,
         elements,
         soundings: Vec::new(),
         beams: vec![BeamFrame {

@@ -9,8 +9,8 @@
 //! | `plan` | settings, pulse, window and models of this ping |
 //! | `segments` | the polyline on which its echoes were computed |
 //! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
-//! | `certificate` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
-//! | `fidelity` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where lines alone are made) with `part_elements` (elements of a line made as one), and, with a certificate, `margin` (tolerance over measured error) |
+//! | `error_check` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
+//! | `methods` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where lines alone are made) with `part_elements` (elements of a line made as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | where the fan looks for the bottom and finds it: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
@@ -31,7 +31,7 @@ use serde_json::Value;
 use super::{RecordError, plan_text};
 use crate::config::spec::SonarSpec;
 use crate::flow::{
-    Certificate, Detection, FidelityMark, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
+    Detection, ErrorCheck, MethodMark, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
 };
 use crate::frames::{Pose, angles_from_rotation};
 
@@ -48,16 +48,16 @@ struct PingTruth<'a> {
     segments: Value,
     scene: SceneTruth,
     #[serde(skip_serializing_if = "Option::is_none")]
-    certificate: Option<CertificateTruth>,
+    error_check: Option<ErrorCheckTruth>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    fidelity: Option<FidelityTruth>,
+    methods: Option<MethodTruth>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     soundings: Vec<SoundingTruth>,
     targets: Vec<TargetTruth<'a>>,
 }
 
 #[derive(Serialize)]
-struct FidelityTruth {
+struct MethodTruth {
     plan: u32,
     predicted_error: f64,
     predicted_ms: f64,
@@ -68,8 +68,8 @@ struct FidelityTruth {
     margin: Option<f64>,
 }
 
-impl FidelityTruth {
-    fn of(mark: FidelityMark, certificate: Option<Certificate>) -> Self {
+impl MethodTruth {
+    fn of(mark: MethodMark, error_check: Option<ErrorCheck>) -> Self {
         Self {
             plan: mark.plan,
             predicted_error: mark.predicted_error,
@@ -77,7 +77,7 @@ impl FidelityTruth {
             tolerance: mark.tolerance,
             output: mark.output(),
             part_elements: mark.part_elements,
-            margin: certificate.map(|c| mark.tolerance / c.error.max(f64::MIN_POSITIVE)),
+            margin: error_check.map(|c| mark.tolerance / c.error.max(f64::MIN_POSITIVE)),
         }
     }
 }
@@ -136,7 +136,7 @@ impl From<SceneCounts> for SceneTruth {
 }
 
 #[derive(Serialize)]
-struct CertificateTruth {
+struct ErrorCheckTruth {
     error: f64,
     low: f64,
     high: f64,
@@ -145,8 +145,8 @@ struct CertificateTruth {
     fault: bool,
 }
 
-impl From<Certificate> for CertificateTruth {
-    fn from(c: Certificate) -> Self {
+impl From<ErrorCheck> for ErrorCheckTruth {
+    fn from(c: ErrorCheck) -> Self {
         Self {
             error: c.error,
             low: c.low,
@@ -221,10 +221,10 @@ impl TruthRecorder {
     ) -> Result<(), RecordError> {
         let truth = PingTruth {
             scene: output.scene.into(),
-            certificate: output.certificate.map(Into::into),
-            fidelity: output
-                .fidelity
-                .map(|mark| FidelityTruth::of(mark, output.certificate)),
+            error_check: output.error_check.map(Into::into),
+            methods: output
+                .methods
+                .map(|mark| MethodTruth::of(mark, output.error_check)),
             soundings: output.soundings.iter().map(Into::into).collect(),
             ..ping_truth(sonar, plan, targets)
         };
@@ -266,8 +266,8 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
         plan: plan_text::plan_summary(plan),
         segments: plan_text::segments(&plan.segments),
         scene: SceneTruth::default(),
-        certificate: None,
-        fidelity: None,
+        error_check: None,
+        methods: None,
         soundings: Vec::new(),
         targets: targets
             .iter()

@@ -203,8 +203,8 @@ impl SonarServer {
         rig_time: RigTime,
         times: ServerTimes,
     ) -> Result<Self, OpenError> {
-        let doors = open(spec)?;
-        let local_addr = doors.local_addr;
+        let listeners = open(spec)?;
+        let local_addr = listeners.local_addr;
         let (dials, dialled) = mpsc::unbounded_channel();
         let shared = Arc::new(Shared {
             rig_time,
@@ -233,7 +233,7 @@ impl SonarServer {
             .name(format!("{} {}", shared.protocol.name(), local_addr.port()))
             .spawn({
                 let shared = Arc::clone(&shared);
-                move || runtime.block_on(serve(doors, shared, dialled, stopped))
+                move || runtime.block_on(serve(listeners, shared, dialled, stopped))
             })
             .map_err(OpenError::Thread)?;
         Ok(Self {
@@ -333,13 +333,13 @@ impl Drop for SonarServer {
 }
 
 /// What a server listens at.
-struct Doors {
+struct ListeningSockets {
     tcp: Option<std::net::TcpListener>,
     udp: Option<std::net::UdpSocket>,
     local_addr: SocketAddr,
 }
 
-fn open(spec: &ServerSpec) -> Result<Doors, OpenError> {
+fn open(spec: &ServerSpec) -> Result<ListeningSockets, OpenError> {
     let failed = |transport, address| {
         move |source| OpenError::Listen {
             transport,
@@ -350,7 +350,7 @@ fn open(spec: &ServerSpec) -> Result<Doors, OpenError> {
     let mut attempt = 0;
     loop {
         attempt += 1;
-        let mut doors = Doors {
+        let mut listeners = ListeningSockets {
             tcp: None,
             udp: None,
             local_addr: spec.listen,
@@ -358,39 +358,39 @@ fn open(spec: &ServerSpec) -> Result<Doors, OpenError> {
         if spec.tcp {
             let failed = failed(Transport::Tcp, spec.listen);
             let listener = std::net::TcpListener::bind(spec.listen).map_err(failed)?;
-            doors.local_addr = listener.local_addr().map_err(failed)?;
+            listeners.local_addr = listener.local_addr().map_err(failed)?;
             listener.set_nonblocking(true).map_err(failed)?;
-            doors.tcp = Some(listener);
+            listeners.tcp = Some(listener);
         }
         if spec.udp {
-            let failed = failed(Transport::Udp, doors.local_addr);
-            let socket = match std::net::UdpSocket::bind(doors.local_addr) {
+            let failed = failed(Transport::Udp, listeners.local_addr);
+            let socket = match std::net::UdpSocket::bind(listeners.local_addr) {
                 Err(_) if spec.tcp && spec.listen.port() == 0 && attempt < PORT_ATTEMPTS => {
                     continue;
                 }
                 result => result.map_err(failed)?,
             };
-            doors.local_addr = socket.local_addr().map_err(failed)?;
+            listeners.local_addr = socket.local_addr().map_err(failed)?;
             socket.set_nonblocking(true).map_err(failed)?;
-            doors.udp = Some(socket);
+            listeners.udp = Some(socket);
         }
-        return Ok(doors);
+        return Ok(listeners);
     }
 }
 
 async fn serve(
-    doors: Doors,
+    listeners: ListeningSockets,
     shared: Arc<Shared>,
     dialled: mpsc::UnboundedReceiver<dial::Dial>,
     stopped: watch::Receiver<bool>,
 ) {
     let tcp = async {
-        if let Some(listener) = doors.tcp {
+        if let Some(listener) = listeners.tcp {
             tcp::serve(listener, Arc::clone(&shared), stopped.clone()).await;
         }
     };
     let udp = async {
-        if let Some(socket) = doors.udp {
+        if let Some(socket) = listeners.udp {
             udp::serve(socket, Arc::clone(&shared), stopped.clone()).await;
         }
     };

@@ -18,7 +18,7 @@ use thiserror::Error;
 use crate::config::spec::{ModemLine, TriggerFrom};
 use crate::io::priority::first_in_first_out_of;
 use crate::io::stamp;
-use sentence::{MOST_BYTES, Said};
+use sentence::{MAX_BYTES, Said};
 use serial::{Edges, LOOK, Level, PortLine};
 
 /// Threads look this often whether they should end.
@@ -26,7 +26,7 @@ const READ_TIMEOUT: Duration = Duration::from_millis(100);
 /// A vanished serial port is looked for this often.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Clients of a TCP door; more are turned away.
-const MOST_CLIENTS: u64 = 16;
+const MAX_CLIENTS: u64 = 16;
 
 /// One trigger as it came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub struct Trigger {
 pub type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
 
 #[derive(Debug, Default)]
-pub struct DoorCounts {
+pub struct TriggerListenerCounts {
     pub received: AtomicU64,
     /// Sentences of ours that were not whole, lines too long.
     pub spoiled: AtomicU64,
@@ -50,15 +50,15 @@ pub struct DoorCounts {
 
 #[derive(Debug, Error)]
 #[error("trigger: cannot open {what}: {why}")]
-pub struct DoorError {
+pub struct ListenerError {
     what: String,
     why: io::Error,
 }
 
 /// A door that is open. Closes when dropped.
-pub struct Door {
+pub struct TriggerListener {
     address: Option<(&'static str, SocketAddr)>,
-    counts: Arc<DoorCounts>,
+    counts: Arc<TriggerListenerCounts>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -67,31 +67,31 @@ pub struct Door {
 #[derive(Clone)]
 struct Keeper {
     sink: Sink,
-    counts: Arc<DoorCounts>,
+    counts: Arc<TriggerListenerCounts>,
     stop: Arc<AtomicBool>,
 }
 
-impl Door {
+impl TriggerListener {
     /// None where triggers do not come by a door.
-    pub fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, DoorError> {
+    pub fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
         let keeper = Keeper {
             sink,
             counts: Arc::default(),
             stop: Arc::default(),
         };
-        let mut door = Self {
+        let mut opened = Self {
             address: None,
             counts: keeper.counts.clone(),
             stop: keeper.stop.clone(),
             thread: None,
         };
-        let refused = |what: String| move |why| DoorError { what, why };
+        let refused = |what: String| move |why| ListenerError { what, why };
         let serve: Box<dyn FnOnce() + Send> = match from {
             TriggerFrom::Udp { listen } => {
                 let refused = refused(format!("udp {listen}"));
                 let socket = UdpSocket::bind(listen).and_then(|socket| {
                     socket.set_read_timeout(Some(READ_TIMEOUT))?;
-                    door.address = Some(("udp", socket.local_addr()?));
+                    opened.address = Some(("udp", socket.local_addr()?));
                     Ok(socket)
                 });
                 let socket = socket.map_err(refused)?;
@@ -101,7 +101,7 @@ impl Door {
                 let refused = refused(format!("tcp {listen}"));
                 let listener = TcpListener::bind(listen).and_then(|listener| {
                     listener.set_nonblocking(true)?;
-                    door.address = Some(("tcp", listener.local_addr()?));
+                    opened.address = Some(("tcp", listener.local_addr()?));
                     Ok(listener)
                 });
                 let listener = listener.map_err(refused)?;
@@ -120,8 +120,8 @@ impl Door {
             }
         };
         let thread = thread::Builder::new().name("trigger".into()).spawn(serve);
-        door.thread = Some(thread.map_err(refused("its thread".to_owned()))?);
-        Ok(Some(door))
+        opened.thread = Some(thread.map_err(refused("its thread".to_owned()))?);
+        Ok(Some(opened))
     }
 
     /// Whoever waits at it does so under SCHED_FIFO from now on, where the system allows it, clients that come later too; 0: as they are. What comes is
@@ -133,7 +133,7 @@ impl Door {
         }
     }
 
-    pub fn counts(&self) -> &Arc<DoorCounts> {
+    pub fn counts(&self) -> &Arc<TriggerListenerCounts> {
         &self.counts
     }
 
@@ -143,7 +143,7 @@ impl Door {
     }
 }
 
-impl Drop for Door {
+impl Drop for TriggerListener {
     fn drop(&mut self) {
         self.stop.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -182,7 +182,7 @@ impl Keeper {
     }
 
     fn udp(&self, socket: &UdpSocket) {
-        let mut buffer = [0; MOST_BYTES];
+        let mut buffer = [0; MAX_BYTES];
         stamp::enable(socket);
         while !self.stopped() {
             match stamp::receive(socket, &mut buffer) {
@@ -199,7 +199,7 @@ impl Keeper {
             clients.retain(|client| !client.is_finished());
             self.counts.clients.store(clients.len() as u64, Relaxed);
             match listener.accept() {
-                Ok((stream, _)) if (clients.len() as u64) < MOST_CLIENTS => {
+                Ok((stream, _)) if (clients.len() as u64) < MAX_CLIENTS => {
                     let keeper = self.clone();
                     let thread = thread::Builder::new().name("trigger client".into());
                     match thread.spawn(move || keeper.client(stream)) {
@@ -240,7 +240,7 @@ impl Keeper {
                         self.said(text, 0);
                     }
                     line.clear();
-                } else if line.len() < MOST_BYTES {
+                } else if line.len() < MAX_BYTES {
                     line.push(byte);
                 } else {
                     // Whoever sends no ends of lines sends no triggers.
@@ -295,13 +295,15 @@ mod tests {
     use std::io::Write;
     use std::sync::mpsc;
 
-    fn open(from: &TriggerFrom) -> (Door, mpsc::Receiver<Trigger>) {
+    fn open(from: &TriggerFrom) -> (TriggerListener, mpsc::Receiver<Trigger>) {
         let (sender, triggers) = mpsc::channel();
         let sink: Sink = Arc::new(move |trigger| {
             let _ = sender.send(trigger);
         });
-        let door = Door::open(from, sink).expect("opens").expect("a door");
-        (door, triggers)
+        let listener = TriggerListener::open(from, sink)
+            .expect("opens")
+            .expect("a door");
+        (listener, triggers)
     }
 
     const PATIENCE: Duration = Duration::from_secs(20);
@@ -309,8 +311,8 @@ mod tests {
 
     #[test]
     fn every_datagram_is_a_trigger_and_a_numbered_one_tells_its_number() {
-        let (door, triggers) = open(&TriggerFrom::Udp { listen: ANY });
-        let (_, to) = door.address().expect("bound");
+        let (listener, triggers) = open(&TriggerFrom::Udp { listen: ANY });
+        let (_, to) = listener.address().expect("bound");
         let sender = UdpSocket::bind(ANY).expect("a socket");
         let numbered = sentence::write(9, crate::time::UtcNs(5), "main");
         for text in [
@@ -327,13 +329,13 @@ mod tests {
         let numbers: Vec<_> = got.iter().map(|trigger| trigger.number).collect();
         assert_eq!(numbers, [None, Some(9), None]);
         assert!(got.iter().all(|trigger| trigger.age_ns >= 0));
-        assert_eq!(door.counts().spoiled.load(Relaxed), 1);
+        assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
     }
 
     #[test]
     fn every_line_of_every_client_is_a_trigger_and_one_without_end_ends_its_client() {
-        let (door, triggers) = open(&TriggerFrom::Tcp { listen: ANY });
-        let (_, to) = door.address().expect("bound");
+        let (listener, triggers) = open(&TriggerFrom::Tcp { listen: ANY });
+        let (_, to) = listener.address().expect("bound");
         let mut first = TcpStream::connect(to).expect("accepted");
         let mut second = TcpStream::connect(to).expect("accepted");
         first.write_all(b"go\r\n\r\n").expect("written");
@@ -343,11 +345,11 @@ mod tests {
         for _ in 0..2 {
             triggers.recv_timeout(PATIENCE).expect("of the second");
         }
-        first.write_all(&[b'x'; 2 * MOST_BYTES]).expect("written");
+        first.write_all(&[b'x'; 2 * MAX_BYTES]).expect("written");
         first.set_read_timeout(Some(PATIENCE)).expect("set");
         // It is closed: its end, or a reset where bytes were left unread.
         assert!(!matches!(first.read(&mut [0; 1]), Ok(1)));
-        assert_eq!(door.counts().spoiled.load(Relaxed), 1);
+        assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
         assert!(triggers.try_recv().is_err());
     }
 
@@ -393,8 +395,8 @@ mod tests {
 
     #[test]
     fn a_door_that_cannot_be_opened_says_which() {
-        let (door, _triggers) = open(&TriggerFrom::Tcp { listen: ANY });
-        let (_, taken) = door.address().expect("bound");
+        let (listener, _triggers) = open(&TriggerFrom::Tcp { listen: ANY });
+        let (_, taken) = listener.address().expect("bound");
         let sink: Sink = Arc::new(|_| {});
         for (from, word) in [
             (TriggerFrom::Tcp { listen: taken }, taken.to_string()),
@@ -407,7 +409,9 @@ mod tests {
                 "/nowhere".to_owned(),
             ),
         ] {
-            let said = Door::open(&from, sink.clone()).err().expect("refused");
+            let said = TriggerListener::open(&from, sink.clone())
+                .err()
+                .expect("refused");
             assert!(said.to_string().contains(&word), "{said}");
         }
     }

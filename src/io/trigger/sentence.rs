@@ -7,7 +7,7 @@ use crate::time::{NS_PER_S, UtcNs};
 
 const TAG: &[u8] = b"$PETKT";
 /// What a sentence may be long, its line's end included.
-pub const MOST_BYTES: usize = 256;
+pub const MAX_BYTES: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Said {

@@ -530,7 +530,7 @@ impl Mounted {
 /// From a towed body to the ship's antenna, north and east: both on the body's heading.
 fn behind(tow: &TowSpec, antenna_m: DVec3, world_from_body: DQuat, down_m: f64) -> DVec3 {
     let (_, _, heading_rad) = angles_from_rotation(world_from_body);
-    let straight_m = tow.cable_out_m * tow.straightness;
+    let straight_m = tow.cable_out_m * tow.cable_scope;
     let under_m = down_m - tow.point_m.z;
     let layback_m = (straight_m * straight_m - under_m * under_m)
         .max(0.0)

@@ -20,7 +20,7 @@ pub struct Method {
 }
 
 /// What all others are held against.
-pub fn ruler() -> Method {
+pub fn reference() -> Method {
     Method::new(
         PathModel::Continuous,
         0.0,

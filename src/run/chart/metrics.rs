@@ -1,4 +1,4 @@
-//! How far a method's ping is from the ruler's, in four ways.
+//! How far a method's ping is from the reference solution's, in four ways.
 
 use num_complex::Complex64;
 
@@ -7,11 +7,11 @@ use crate::flow::PingOutput;
 /// Samples of a line whose energies a pixel of a picture adds up.
 const PIXEL_SAMPLES: usize = 16;
 /// Decibels by which a pixel may differ before more makes no difference to the eye.
-const MOST_DB: f64 = 20.0;
+const MAX_DB: f64 = 20.0;
 /// Pixels this far below a line's strongest are dark in every picture, dB.
 const DARK_DB: f64 = -60.0;
 
-/// All against the ruler.
+/// All against the reference solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
     /// Relative l2 of all element samples.
@@ -22,7 +22,7 @@ pub struct Errors {
     pub lines: Option<f64>,
     /// rms of what a picture's pixels differ by, dB, clipped at 20; none without lines and beams.
     pub image_db: Option<f64>,
-    /// Energy of all samples over the ruler's, dB.
+    /// Energy of all samples over the reference solution's, dB.
     pub level_db: f64,
 }
 
@@ -50,7 +50,7 @@ impl Sums {
 /// Over all pings together.
 pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
     let (mut elements, mut lines) = (Sums::default(), Sums::default());
-    let (mut energy, mut ruler_energy) = (0.0, 0.0);
+    let (mut energy, mut reference_energy) = (0.0, 0.0);
     let mut worst_element = 0.0f64;
     let (mut pixels, mut off_db2) = (0usize, 0.0);
     for (got, want) in got.iter().zip(want) {
@@ -61,7 +61,7 @@ pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
                 worst_element = worst_element.max(this.relative());
                 elements.add(this);
                 energy += got.iter().map(|x| x.norm_sqr()).sum::<f64>();
-                ruler_energy += this.all;
+                reference_energy += this.all;
             }
         }
         let mut compare = |got: &[f32], want: &[f32]| {
@@ -87,7 +87,7 @@ pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
         worst_element,
         lines: (lines.all > 0.0).then(|| lines.relative()),
         image_db: (pixels > 0).then(|| (off_db2 / pixels as f64).sqrt()),
-        level_db: 10.0 * (energy / ruler_energy).log10(),
+        level_db: 10.0 * (energy / reference_energy).log10(),
     }
 }
 
@@ -128,7 +128,7 @@ fn pixels_off_db2(got: &[f32], want: &[f32]) -> (usize, f64) {
     }
     let squares = got.iter().zip(&want).map(|(&got, &want)| {
         let off_db = 10.0 * (got.max(dark) / want.max(dark)).log10();
-        off_db.clamp(-MOST_DB, MOST_DB).powi(2)
+        off_db.clamp(-MAX_DB, MAX_DB).powi(2)
     });
     (want.len(), squares.sum())
 }

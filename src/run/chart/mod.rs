@@ -3,7 +3,7 @@
 //! In: a configuration with recorded navigation. Out: for every method the error of element samples, lines and picture, the error of the
 //! mean level and the milliseconds of a ping; or why it does not apply. Noise and converter are left out: they are the same for all.
 //!
-//! The ruler is the direct sum of all scatterers on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
+//! The reference solution is the direct sum of all scatterers on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
 //! samples by the reference's equation and stands in the results: an error near it is only a bound.
 
 pub mod methods;
@@ -15,13 +15,13 @@ use std::time::Instant;
 use thiserror::Error;
 
 use crate::config::spec::{AutoModel, MadeOutput, MediumSpec, RigSpec, SonarSpec};
-use crate::echo::cards::{doppler_card, path_card};
+use crate::echo::error_models::{doppler_error_model, path_error_model};
 use crate::flow::{PingOutput, PingPlan, Scatterers, Synthesis};
 use crate::run::chart::methods::Method;
 use crate::run::chart::metrics::{Errors, errors};
-use crate::run::conditions::{conditions, sum_card};
-use crate::run::fidelity::costs::{Costs, CostsError};
-use crate::run::fidelity::{self, Swell, rank, sample, with_choice};
+use crate::run::conditions::{conditions, sum_error_model};
+use crate::run::method_selection::costs::{Costs, CostsError};
+use crate::run::method_selection::{self, Swell, rank, sample, with_choice};
 use crate::run::pipeline::SonarPipeline;
 use crate::run::recorded::{RecordedError, RecordedRig};
 use crate::run::rig::pool;
@@ -41,8 +41,8 @@ pub enum ChartError {
     Short(u32),
     #[error("sonar {0} hears nothing in the pings looked at: there is nothing to compare")]
     Silent(String),
-    #[error("the ruler cannot be made for sonar {sonar}: {why}")]
-    Ruler { sonar: String, why: String },
+    #[error("the reference solution cannot be made for sonar {sonar}: {why}")]
+    ReferenceSolution { sonar: String, why: String },
 }
 
 #[derive(Clone, Debug)]
@@ -70,7 +70,7 @@ pub struct Scene {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
     pub median_ms: f64,
-    pub least_ms: f64,
+    pub min_ms: f64,
     pub greatest_ms: f64,
 }
 
@@ -85,7 +85,7 @@ pub struct Measured {
 /// One method with what it promised and what it did.
 pub struct Row {
     pub method: Method,
-    /// Path, Doppler and synthesis, as their cards have it; culling has none.
+    /// Path, Doppler and synthesis, as their error models have it; culling has none.
     pub predicted_error: f64,
     pub outcome: Result<Measured, String>,
     /// Nothing measured is both faster and better, by element samples.
@@ -103,19 +103,19 @@ pub struct Chart {
     pub pings: usize,
     pub threads: usize,
     pub tolerance: f64,
-    /// Of the ruler against the reference: relative l2 over `samples` random samples.
-    pub ruler_error: Option<(f64, u32)>,
+    /// Of the reference solution against the reference: relative l2 over `samples` random samples.
+    pub reference_error: Option<(f64, u32)>,
     /// Gathering the scatterers, the same for every method.
     pub gather_ms: f64,
     pub rows: Vec<Row>,
 }
 
-/// Noise, converter and certificates are no part of what is compared.
+/// Noise, converter and error checks are no part of what is compared.
 pub fn bare(spec: &SonarSpec) -> SonarSpec {
     let mut spec = spec.clone();
     spec.receiver.noise_db = None;
     spec.receiver.adc_bits = None;
-    spec.synthesis.certificate = false;
+    spec.synthesis.error_check = false;
     spec.synthesis.output = MadeOutput::Elements;
     spec
 }
@@ -125,7 +125,7 @@ pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64
     // The rig itself computes nothing here: the cheapest pipeline will do, and it makes no tables.
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {
-        *sonar = methods::ruler().on(&bare(sonar));
+        *sonar = methods::reference().on(&bare(sonar));
     }
     let mut recorded = RecordedRig::open(&spec)?;
     let name = spec.sonars[options.sonar].name.clone();
@@ -188,8 +188,8 @@ pub fn run_method(
     let began = Instant::now();
     let mut pipeline = SonarPipeline::new(spec, medium).map_err(|why| why.to_string())?;
     let making_ms = began.elapsed().as_secs_f64() * 1e3;
-    // Only the ruler has any, and here they need not be cheap.
-    pipeline.allow_certificates(f64::INFINITY);
+    // Only the reference solution has any, and here they need not be cheap.
+    pipeline.allow_error_checks(f64::INFINITY);
     let mut outputs = Vec::new();
     let mut times_ms = Vec::new();
     for scene in scenes {
@@ -211,7 +211,7 @@ pub fn run_method(
     };
     let times = Times {
         median_ms: at(0.5).unwrap_or(0.0),
-        least_ms: at(0.0).unwrap_or(0.0),
+        min_ms: at(0.0).unwrap_or(0.0),
         greatest_ms: at(1.0).unwrap_or(0.0),
     };
     Ok((outputs, times, making_ms))
@@ -230,8 +230,8 @@ pub fn measure(
         let methods = methods::all(&sonar, options.quick);
         progress("scene", methods.len() + 2);
         let (scenes, gather_ms) = scenes(spec, options)?;
-        progress("ruler", methods.len() + 2);
-        let (truth, ruler_error) = ruler(&sonar, medium, &scenes)?;
+        progress("reference", methods.len() + 2);
+        let (truth, reference_error) = reference(&sonar, medium, &scenes)?;
         let run = |under: &SonarSpec| -> Result<Measured, String> {
             let (outputs, times, making_ms) = run_method(under, medium, &scenes, options.repeats)?;
             Ok(Measured {
@@ -280,7 +280,7 @@ pub fn measure(
             pings: scenes.len(),
             threads: rayon::current_num_threads(),
             tolerance: sonar.synthesis.tolerance,
-            ruler_error,
+            reference_error,
             gather_ms,
             rows,
         })
@@ -310,7 +310,7 @@ fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) ->
     }
     let some = sample(&scene.scatterers);
     let ranking = rank(
-        &fidelity::Scene {
+        &method_selection::Scene {
             spec: &spec,
             medium,
             plan: &scene.plan,
@@ -329,17 +329,17 @@ fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) ->
     })
 }
 
-/// Path, Doppler and synthesis together; what culling leaves out has no card.
+/// Path, Doppler and synthesis together; what culling leaves out has no error model.
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
     let model = &spec.model;
-    let synthesis = sum_card(model.synthesis, spec, plan, &conditions).error;
+    let synthesis = sum_error_model(model.synthesis, spec, plan, &conditions).error;
     match model.synthesis {
         // On the trajectory itself, whatever path and Doppler say.
         Synthesis::Reference => synthesis,
         _ => {
-            path_card(model.path, &conditions).error
-                + doppler_card(model.doppler, model.path, &conditions).error
+            path_error_model(model.path, &conditions).error
+                + doppler_error_model(model.doppler, model.path, &conditions).error
                 + synthesis
         }
     }
@@ -347,23 +347,24 @@ fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 
 
 /// The outputs that all others are held against, and how far they are from the reference at random samples.
 #[allow(clippy::type_complexity)]
-fn ruler(
+fn reference(
     sonar: &SonarSpec,
     medium: &MediumSpec,
     scenes: &[Scene],
 ) -> Result<(Vec<PingOutput>, Option<(f64, u32)>), ChartError> {
-    let mut spec = methods::ruler().on(sonar);
-    spec.synthesis.certificate = true;
-    let (truth, ..) = run_method(&spec, medium, scenes, 1).map_err(|why| ChartError::Ruler {
-        sonar: sonar.name.clone(),
-        why,
-    })?;
-    let certificate = truth
+    let mut spec = methods::reference().on(sonar);
+    spec.synthesis.error_check = true;
+    let (truth, ..) =
+        run_method(&spec, medium, scenes, 1).map_err(|why| ChartError::ReferenceSolution {
+            sonar: sonar.name.clone(),
+            why,
+        })?;
+    let error_check = truth
         .iter()
         .rev()
-        .find_map(|output| output.certificate)
+        .find_map(|output| output.error_check)
         .map(|c| (c.error, c.samples));
-    Ok((truth, certificate))
+    Ok((truth, error_check))
 }
 
 fn mark_pareto(rows: &mut [Row]) {

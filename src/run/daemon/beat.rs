@@ -21,13 +21,13 @@ use crate::run::counters::{add, worst};
 use crate::run::faults::{Faults, PingMark};
 use crate::run::overload::Backlog;
 use crate::run::settings::SettingsStore;
-use crate::time::{Bell, Clock, MonoNs, NS_PER_S, Timeline, UtcNs};
+use crate::time::{Clock, MonoNs, NS_PER_S, Timeline, UtcNs, WakeUp};
 
 /// The thread looks this often whether it should end, at least.
 const LOOK_NS: i64 = NS_PER_S / 10;
 
 /// A pulse that waits for the pipeline waits so long, at least: the thread is not to wake for less.
-const LEAST_PUT_OFF_NS: i64 = NS_PER_S / 2000;
+const MIN_PUT_OFF_NS: i64 = NS_PER_S / 2000;
 
 pub(super) struct Beat {
     beats: Beats,
@@ -83,7 +83,7 @@ struct Told {
 /// What the pipeline knows of the beat between two orders.
 pub(super) struct Coming {
     /// Rung when there is an order.
-    pub bell: Bell,
+    pub wake_up: WakeUp,
     next_utc_ns: AtomicI64,
 }
 
@@ -145,7 +145,7 @@ impl Beat {
             }),
             backlog: company.backlog,
             coming: Arc::new(Coming {
-                bell: Bell::default(),
+                wake_up: WakeUp::default(),
                 next_utc_ns: AtomicI64::new(first.0),
             }),
         }
@@ -210,7 +210,7 @@ impl Beat {
             let ready_by = pulse.plus_s(stretch.run.ready_after_s(window_s));
             let put_off_ns = stretch.backlog.put_off_ns(sonar, now.0, ready_by.0);
             if put_off_ns > 0 {
-                let put_off_ns = put_off_ns.max(LEAST_PUT_OFF_NS);
+                let put_off_ns = put_off_ns.max(MIN_PUT_OFF_NS);
                 self.beats.put_off(sonar, at.plus_ns(put_off_ns));
                 stretch.put_off_ns[sonar] += put_off_ns;
             }
@@ -340,7 +340,7 @@ impl Beat {
                     self.backlog.done(sonar);
                     add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
                 }
-                self.coming.bell.ring(&*self.clock);
+                self.coming.wake_up.ring(&*self.clock);
             }
             self.watch(utc);
             let next = self.beats.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
@@ -349,15 +349,15 @@ impl Beat {
             let told = self.untold.front().map(|told| told.at);
             let look = now.plus_ns(LOOK_NS);
             let until = told.map_or(order, |told| told.min(order)).min(look);
-            let bell = self.triggers.bell.clone();
-            self.clock.doze_until(until, &bell);
+            let wake_up = self.triggers.wake_up.clone();
+            self.clock.wait_until(until, &wake_up);
         }
     }
 
     /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
     pub fn start(self, orders: Sender<Ordered>, priority: u8) -> std::io::Result<BeatThread> {
         let stop = Arc::new(AtomicBool::new(false));
-        let (clock, bell) = (self.clock.clone(), self.triggers.bell.clone());
+        let (clock, wake_up) = (self.clock.clone(), self.triggers.wake_up.clone());
         let thread = thread::Builder::new().name("beat".into()).spawn({
             let stop = stop.clone();
             move || {
@@ -371,7 +371,7 @@ impl Beat {
         Ok(BeatThread {
             stop,
             clock,
-            bell,
+            wake_up,
             thread: Some(thread),
         })
     }
@@ -380,14 +380,14 @@ impl Beat {
 pub(super) struct BeatThread {
     stop: Arc<AtomicBool>,
     clock: Arc<dyn Clock>,
-    bell: Arc<Bell>,
+    wake_up: Arc<WakeUp>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Drop for BeatThread {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
-        self.bell.ring(&*self.clock);
+        self.wake_up.ring(&*self.clock);
         if let Some(thread) = self.thread.take() {
             // A panic in it was printed where it happened.
             let _ = thread.join();

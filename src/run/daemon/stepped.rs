@@ -51,7 +51,7 @@ impl Pacer {
             if !gate.wait_open() || self.stop.load(Ordering::Acquire) {
                 return Ok(());
             }
-            self.foresee();
+            self.estimate_cost();
             let Some(at) = beat.next_pulse() else {
                 // Nobody pings: time stands until somebody is told to.
                 self.machine

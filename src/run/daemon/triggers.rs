@@ -8,16 +8,16 @@ use super::DaemonError;
 use crate::config::spec::{ClockSpec, RigSpec, TriggerFrom};
 use crate::flow::TriggerSource;
 use crate::io::trigger::out::TriggerOut;
-use crate::io::trigger::{Door, Sink, Trigger};
+use crate::io::trigger::{Sink, Trigger, TriggerListener};
 use crate::ping::Triggered;
 use crate::ping::trigger::Numbers;
 use crate::run::counters::add;
 use crate::run::gate::Gate;
 use crate::run::triggers::TriggerCounts;
-use crate::time::{Bell, Clock, MonoNs};
+use crate::time::{Clock, MonoNs, WakeUp};
 
 /// Triggers that may wait to be looked at.
-const MOST_WAITING: usize = 1024;
+const MAX_WAITING: usize = 1024;
 
 /// A trigger from outside.
 #[derive(Clone, Copy)]
@@ -29,11 +29,11 @@ pub(super) struct Came {
 
 pub(super) struct Triggers {
     /// Shut when dropped.
-    pub doors: Vec<Option<Door>>,
+    pub listeners: Vec<Option<TriggerListener>>,
     pub outs: Vec<Option<TriggerOut>>,
     pub came: Receiver<Came>,
     /// Rung when one has come.
-    pub bell: Arc<Bell>,
+    pub wake_up: Arc<WakeUp>,
 }
 
 /// What starts a sonar's pings at first.
@@ -53,14 +53,14 @@ impl Triggers {
         gate: &Arc<Gate>,
         counts: &[Arc<TriggerCounts>],
     ) -> Result<Self, DaemonError> {
-        let (sender, came) = bounded(MOST_WAITING);
-        let bell = Arc::new(Bell::default());
-        let (mut doors, mut outs) = (Vec::new(), Vec::new());
+        let (sender, came) = bounded(MAX_WAITING);
+        let wake_up = Arc::new(WakeUp::default());
+        let (mut listeners, mut outs) = (Vec::new(), Vec::new());
         for (sonar, (spec_of, counts)) in spec.sonars.iter().zip(counts).enumerate() {
             let sink: Sink = if spec.run.clock.is_own() {
                 stepping(gate.clone(), counts.clone())
             } else {
-                let (clock, bell, sender) = (clock.clone(), bell.clone(), sender.clone());
+                let (clock, wake_up, sender) = (clock.clone(), wake_up.clone(), sender.clone());
                 let (counts, gate) = (counts.clone(), gate.clone());
                 Arc::new(move |Trigger { age_ns, number }| {
                     let age_ns = (age_ns as f64 * gate.rate().unwrap_or(1.0)) as i64;
@@ -68,15 +68,15 @@ impl Triggers {
                     if sender.try_send(Came { sonar, at, number }).is_err() {
                         add(&counts.dropped, 1);
                     }
-                    bell.ring(&*clock);
+                    wake_up.ring(&*clock);
                 })
             };
-            let door = Door::open(&spec_of.trigger.from, sink)?;
-            if let Some(door) = &door {
-                door.hurry(spec.run.priority);
-                let _ = counts.door.set(door.counts().clone());
+            let listener = TriggerListener::open(&spec_of.trigger.from, sink)?;
+            if let Some(listener) = &listener {
+                listener.hurry(spec.run.priority);
+                let _ = counts.listener.set(listener.counts().clone());
             }
-            doors.push(door);
+            listeners.push(listener);
             let out = TriggerOut::open(&spec_of.trigger_out, &spec_of.name)?;
             if let Some(out) = &out {
                 let _ = counts.out.set(out.counts().clone());
@@ -84,19 +84,19 @@ impl Triggers {
             outs.push(out);
         }
         Ok(Self {
-            doors,
+            listeners,
             outs,
             came,
-            bell,
+            wake_up,
         })
     }
 
     /// Where triggers may come, a line each.
     pub fn addresses(&self, spec: &RigSpec) -> Vec<String> {
-        let named = spec.sonars.iter().zip(&self.doors);
+        let named = spec.sonars.iter().zip(&self.listeners);
         named
-            .filter_map(|(sonar, door)| {
-                let (transport, address) = door.as_ref()?.address()?;
+            .filter_map(|(sonar, listener)| {
+                let (transport, address) = listener.as_ref()?.address()?;
                 Some(format!("trigger {} {transport} {address}", sonar.name))
             })
             .collect()

@@ -25,7 +25,7 @@ pub struct Shape {
     /// At its start: the frame, and a ping number in the body.
     kept_bytes: usize,
     /// Of its length, however it is cut.
-    least_bytes: usize,
+    min_bytes: usize,
     /// Behind the body: a checksum.
     tail_bytes: usize,
     /// Makes the checksum fit; nothing where there is none.
@@ -45,7 +45,7 @@ impl Shape {
         place: no_place,
         kept_bytes: 80,
         // A packetiser takes no less for a record.
-        least_bytes: 68,
+        min_bytes: 68,
         tail_bytes: 4,
         mend: |bytes| {
             if let Some((body, tail)) = bytes.split_last_chunk_mut::<4>() {
@@ -67,7 +67,7 @@ impl Shape {
         name: "ping",
         place: no_place,
         kept_bytes: 12,
-        least_bytes: ping_protocol::HEADER_BYTES,
+        min_bytes: ping_protocol::HEADER_BYTES,
         tail_bytes: ping_protocol::CHECKSUM_BYTES,
         mend: |bytes| {
             if let Some((body, tail)) = bytes.split_last_chunk_mut::<2>() {
@@ -110,7 +110,7 @@ impl Shape {
             name,
             place: no_place,
             kept_bytes,
-            least_bytes: kept_bytes,
+            min_bytes: kept_bytes,
             tail_bytes: 0,
             mend: mend_nothing,
         }
@@ -136,7 +136,7 @@ impl Shape {
     fn cut_bytes(&self, bytes: usize) -> usize {
         let half = self.kept_bytes.max(bytes / 2);
         half.min(bytes.saturating_sub(1))
-            .max(self.least_bytes.min(bytes))
+            .max(self.min_bytes.min(bytes))
     }
 }
 
@@ -412,16 +412,16 @@ mod tests {
                 )
             };
             let whole = |came: &[(u8, u8, bool)]| came.iter().filter(|c| c.2).count();
-            let (came, struck) = all("drop");
-            assert!((20..60).contains(&struck), "{name}: {struck} of 100");
+            let (came, injected) = all("drop");
+            assert!((20..60).contains(&injected), "{name}: {injected} of 100");
             assert_eq!(
                 (came.len(), whole(&came)),
-                (100 - struck, 100 - struck),
+                (100 - injected, 100 - injected),
                 "{name}"
             );
             let (came, doubled) = all("duplicate");
-            assert_eq!(doubled, struck, "the same draws");
-            assert_eq!((came.len(), whole(&came)), (100 + struck, 100 + struck));
+            assert_eq!(doubled, injected, "the same draws");
+            assert_eq!((came.len(), whole(&came)), (100 + injected, 100 + injected));
             for kind in ["corrupt", "corrupt-mended", "truncate"] {
                 let (came, spoiled) = all(kind);
                 assert_eq!(
@@ -438,7 +438,7 @@ mod tests {
                 came.len()
             );
             let (came, _) = all("link-down");
-            assert_eq!(came.len(), 100 - struck, "{name}");
+            assert_eq!(came.len(), 100 - injected, "{name}");
         }
     }
 

@@ -19,7 +19,7 @@ use crate::time::UtcNs;
 /// To a millionth of an earth: how far north a latitude is.
 const MEAN_RADIUS_M: f64 = 6_371_000.0;
 /// Samples that may be held back; more are lost, as in a device whose buffer is full.
-const MOST_HELD: usize = 100_000;
+const MAX_HELD: usize = 100_000;
 /// Keeps these draws apart from all others.
 const TAG: [u8; 8] = *b"faultnav";
 
@@ -147,7 +147,7 @@ impl Spoil for NavSpoiler {
         if self.by_arrival.get(source) == Some(&true) {
             said.valid_utc = sample.valid_utc.plus_s(late_s);
         }
-        if self.held.len() < MOST_HELD {
+        if self.held.len() < MAX_HELD {
             let due = said.arrival_utc;
             let place = self.held.partition_point(|(other, _)| *other <= due);
             self.held.insert(place, (due, said));
@@ -250,7 +250,7 @@ mod tests {
             };
             came.push((sample.arrival_utc.0 / MS, heading_rad.to_degrees()));
         };
-        let mut struck = 0;
+        let mut injected = 0;
         for k in 0..100 {
             let at = UtcNs(k * 10 * MS);
             while let Some(sample) = spoiler.held_back(at) {
@@ -267,14 +267,14 @@ mod tests {
             match spoiler.sample(sample) {
                 Some(same) if same == sample => note(same),
                 Some(other) => {
-                    struck += 1;
+                    injected += 1;
                     note(other);
                 }
-                None => struck += 1,
+                None => injected += 1,
             }
         }
         let log = faults.take_injections();
-        assert!(log.len() >= struck, "{} of {struck}", log.len());
+        assert!(log.len() >= injected, "{} of {injected}", log.len());
         assert!(
             log.iter()
                 .all(|i| i.source.as_deref() == Some("gnss") && i.quantity == Some("heading"))

@@ -121,7 +121,7 @@ mod tests {
         format!("${body}*{sum:02X}\r\n")
     }
 
-    /// A hundred headings over a line that cuts them every `every` bytes, through the fault, and how many it struck.
+    /// A hundred headings over a line that cuts them every `every` bytes, through the fault, and how many it injected.
     fn heard(json: &str, every: usize) -> (String, usize) {
         let faults = Arc::new(super::super::tests::faults());
         faults.begin(UtcNs(0));
@@ -146,30 +146,30 @@ mod tests {
     #[test]
     fn a_wrong_checksum_is_wrong_however_the_line_cuts_the_bytes() {
         let json = r#"{"kind": "nav-checksum", "probability": 0.3, "seed": 2}"#;
-        let (whole, struck) = heard(json, 10_000);
-        assert!((14..=46).contains(&struck), "{struck}");
+        let (whole, injected) = heard(json, 10_000);
+        assert!((14..=46).contains(&injected), "{injected}");
         for every in [1, 2, 7, 19] {
-            assert_eq!(heard(json, every), (whole.clone(), struck), "{every}");
+            assert_eq!(heard(json, every), (whole.clone(), injected), "{every}");
         }
         let wrong = whole.lines().filter(|line| {
             let body = line.trim_start_matches('$').split('*').next();
             format!("{line}\r\n") != sentence(body.expect("a body"))
         });
-        assert_eq!(wrong.count(), struck);
+        assert_eq!(wrong.count(), injected);
         assert_eq!(whole.lines().count(), 100);
     }
 
     #[test]
     fn a_cut_sentence_is_two_lines_and_noise_stands_before_it() {
-        let (cut, struck) = heard(r#"{"kind": "nav-cut", "probability": 0.3}"#, 5);
-        assert_eq!(cut.lines().count(), 100 + struck);
+        let (cut, injected) = heard(r#"{"kind": "nav-cut", "probability": 0.3}"#, 5);
+        assert_eq!(cut.lines().count(), 100 + injected);
         assert!(cut.contains("$GPHDT,00\r\n"), "{cut}");
-        let (noisy, struck) = heard(
+        let (noisy, injected) = heard(
             r#"{"kind": "nav-noise", "value": 4, "probability": 0.3}"#,
             5,
         );
         let noise = noisy.chars().filter(|c| !c.is_ascii()).count();
-        assert_eq!(noise, 4 * struck);
-        assert!((14..=46).contains(&struck), "{struck}");
+        assert_eq!(noise, 4 * injected);
+        assert!((14..=46).contains(&injected), "{injected}");
     }
 }

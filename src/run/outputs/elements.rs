@@ -42,7 +42,7 @@ impl Elements {
         let (unit, spread) = (opening.unit, opening.spread);
         let name = unit.spec.name.clone();
         let queue = opening.queue();
-        let door = ServerSpec {
+        let listener = ServerSpec {
             listen: output.listen,
             tcp: true,
             udp: false,
@@ -52,7 +52,7 @@ impl Elements {
         };
         let protocol = Arc::new(ElementsProtocol);
         let rig_time = Arc::clone(opening.rig_time);
-        let server = SonarServer::start(&door, protocol, rig_time, ServerTimes::default());
+        let server = SonarServer::start(&listener, protocol, rig_time, ServerTimes::default());
         let server = server.map_err(|source| OutputError::Server {
             name: name.clone(),
             source,

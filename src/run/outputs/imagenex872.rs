@@ -24,7 +24,7 @@ pub struct Imagenex872 {
 impl Imagenex872 {
     pub fn open(output: &ImagenexSpec, opening: &Opening) -> Result<Self, OutputError> {
         let head = Arc::new(Head::default());
-        let door = ServerSpec {
+        let listener = ServerSpec {
             listen: output.listen,
             tcp: true,
             udp: false,
@@ -38,7 +38,7 @@ impl Imagenex872 {
         };
         let sonar = &opening.unit.spec;
         let server = SonarServer::start(
-            &door,
+            &listener,
             Arc::new(protocol),
             Arc::clone(opening.rig_time),
             ServerTimes::default(),

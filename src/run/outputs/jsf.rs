@@ -37,7 +37,7 @@ pub struct Jsf {
 pub fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
     let limits = RowLimits {
         sample_rate_hz: sonar.receiver.sample_rate_hz,
-        samples: ping::most_samples(sonar, medium.sound_speed_m_per_s),
+        samples: ping::max_samples(sonar, medium.sound_speed_m_per_s),
         pulse_s: sonar.limits.pulse_duration_s.1,
     };
     let mut filter = MatchedFilter::new(&sonar.pulse, limits, sonar.beams.weighting);
@@ -60,7 +60,7 @@ impl Jsf {
             output: output.clone(),
             sonar: unit.spec.clone(),
         });
-        let door = |listen| ServerSpec {
+        let listener = |listen| ServerSpec {
             listen,
             tcp: true,
             udp: false,
@@ -73,7 +73,7 @@ impl Jsf {
             source,
         };
         let commands = SonarServer::start(
-            &door(output.listen),
+            &listener(output.listen),
             Arc::new(JsfCommands {
                 sheet: Arc::clone(&sheet),
                 settings: Arc::clone(settings) as _,
@@ -83,7 +83,7 @@ impl Jsf {
         )
         .map_err(failed)?;
         let data = SonarServer::start(
-            &door(output.listen_data),
+            &listener(output.listen_data),
             Arc::new(JsfData {
                 sheet: Arc::clone(&sheet),
             }),

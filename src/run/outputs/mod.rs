@@ -174,13 +174,13 @@ impl Spread {
 }
 
 /// Tiles of a ping that wait to leave, at most: each is twice as long as the one before.
-const MOST_TILES: usize = 16;
+const MAX_TILES: usize = 16;
 
 impl Opening<'_> {
     /// Pings, or tiles of pings, that may wait to be sent.
     fn queue(&self) -> usize {
         let tiles = if self.spec.run.stream_tiles {
-            MOST_TILES
+            MAX_TILES
         } else {
             1
         };

@@ -19,14 +19,14 @@ use crate::run::rig::PingSlot;
 use crate::run::world::Placed;
 
 /// Of a line's side: more than a screen shows.
-const MOST_PIXELS: usize = 1000;
+const MAX_PIXELS: usize = 1000;
 /// Of a fan.
-const MOST_BEAMS: usize = 256;
-const MOST_BINS: usize = 500;
+const MAX_BEAMS: usize = 256;
+const MAX_BINS: usize = 500;
 /// Samples of one row that a page gets at once: a spectrum of 16384.
-const MOST_SAMPLES: usize = 16_384;
+const MAX_SAMPLES: usize = 16_384;
 /// Targets told of a ping, those nearest to broadside.
-const MOST_EXPECTED: usize = 24;
+const MAX_EXPECTED: usize = 24;
 /// Targets farther from broadside than this are of no concern to a line.
 const FARTHEST_OFF_RAD: f64 = 0.35;
 
@@ -81,7 +81,7 @@ impl Page {
         let mut samples = 0;
         for (side, pixels) in [Side::Port, Side::Starboard].into_iter().zip(&mut pixels) {
             let begin = self.power.len();
-            self.power.resize(begin + MOST_PIXELS, 0.0);
+            self.power.resize(begin + MAX_PIXELS, 0.0);
             let (n, parts) = source.side(output, side, &mut self.power[begin..]);
             samples = samples.max(n);
             *pixels = parts;
@@ -171,7 +171,7 @@ impl Page {
             }
         }
         expected.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
-        expected.truncate(MOST_EXPECTED);
+        expected.truncate(MAX_EXPECTED);
         let rows = expected.iter().map(|(off_rad, target, side, delay_s)| {
             let side = match side {
                 Side::Port => 0,
@@ -204,11 +204,11 @@ impl Page {
         let Some(beams) = output.beams.first().filter(|beams| beams.samples > 0) else {
             return;
         };
-        let group = beams.beams.div_ceil(MOST_BEAMS).max(1);
-        let bins = beams.samples.min(MOST_BINS);
+        let group = beams.beams.div_ceil(MAX_BEAMS).max(1);
+        let bins = beams.samples.min(MAX_BINS);
         self.power.clear();
         let mut angles_deg = Vec::new();
-        let mut row = [0.0; MOST_BINS];
+        let mut row = [0.0; MAX_BINS];
         for first in (0..beams.beams).step_by(group) {
             let last = (first + group).min(beams.beams) - 1;
             let begin = self.power.len();
@@ -272,7 +272,7 @@ impl Page {
         };
         let part = |all: usize| {
             let first = (scope.first as usize).min(all);
-            first..all.min(first + MOST_SAMPLES)
+            first..all.min(first + MAX_SAMPLES)
         };
         let mut first_s = plan.first_sample_s;
         let found = match scope.of {
@@ -384,7 +384,7 @@ fn loudest<'a>(
     samples: usize,
     into: &mut [f32],
 ) -> (usize, usize) {
-    let mut row = [0.0; MOST_PIXELS];
+    let mut row = [0.0; MAX_PIXELS];
     let pixels = samples.min(into.len());
     into[..pixels].fill(0.0);
     for samples in rows {
@@ -398,7 +398,7 @@ fn loudest<'a>(
 
 /// How the ping was computed, and from how much.
 fn model(plan: &PingPlan, output: &PingOutput) -> Value {
-    let certificate = output.certificate.map(|c| {
+    let error_check = output.error_check.map(|c| {
         json!({ "error": c.error, "low": c.low, "high": c.high, "tolerance": c.tolerance, "fault": c.fault })
     });
     json!({
@@ -411,7 +411,7 @@ fn model(plan: &PingPlan, output: &PingOutput) -> Value {
         "scatterers": output.scene.scatterers,
         "shadowed": output.scene.shadowed,
         "arrivals": output.counts.used,
-        "certificate": certificate,
+        "error_check": error_check,
     })
 }
 

@@ -107,9 +107,9 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
         * ((1.0 - 2.0 / p.density_ratio) / p.speed_ratio.powi(2) + 1.0).powi(2)
         / (1.0 + 3.54 * slope_deg / critical_deg);
     let beyond = 1.0 + 0.81 * (critical_deg / grazing_deg).powi(2);
-    let bell = 1.0 + ((grazing_deg - 90.0) / slope_deg).powi(2) / 2.6;
+    let wake_up = 1.0 + ((grazing_deg - 90.0) / slope_deg).powi(2) / 2.6;
     let rough = low * (PI / beyond).sin().powf(0.7263 * slope.powf(-1.0 / 3.0))
-        + 0.0260 * upright / (slope_squared * bell.powf(1.9) * beyond);
+        + 0.0260 * upright / (slope_squared * wake_up.powf(1.9) * beyond);
 
     // From one to the next, Eqs. 57 to 64.
     let fallen = 1000.0_f64.powf(1.0 / (1.0 + ALPHA)) * (a * q * q).powf(1.0 / ALPHA);

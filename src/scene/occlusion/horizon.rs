@@ -322,13 +322,13 @@ impl RayScan<'_> {
                 s = out_m;
             }
             let falls_m = piece.falls_m(eye_down_m, s);
-            let lit_to_m = falls_m.unwrap_or(piece.to_m);
-            self.highest = self.highest.max(piece.tangent(eye_down_m, lit_to_m));
+            let insonified_to_m = falls_m.unwrap_or(piece.to_m);
+            self.highest = self.highest.max(piece.tangent(eye_down_m, insonified_to_m));
             if falls_m.is_none() {
                 return;
             }
             self.hidden_from_m = falls_m;
-            s = lit_to_m;
+            s = insonified_to_m;
         }
     }
 

@@ -230,11 +230,11 @@ fn the_papers_rule_forgets_an_obstacle_where_the_ground_behind_it_rises() {
         all.0, horizon.0, paper.0
     );
     // The line over the ridge's far edge (14 m out, 2 m below the eye) reaches 17.4 m depth at 38 m, where the ground lies at 16.4.
-    let lit_from_m = (0..2400)
+    let insonified_from_m = (0..2400)
         .map(|k| 14.0 + 0.01 * f64::from(k))
         .find(|e| 12.0 + e * (2.0 / 14.0) > 20.0 - 0.15 * (e - 14.0))
         .unwrap();
-    let want = 10.0 * (38.0 - lit_from_m).max(0.0) * DENSITY;
+    let want = 10.0 * (38.0 - insonified_from_m).max(0.0) * DENSITY;
     assert!(
         (horizon.0 as f64 - want).abs() < 60.0,
         "{} against {want}",

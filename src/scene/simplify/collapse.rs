@@ -12,7 +12,7 @@ use glam::DVec3;
 /// How strongly the rim of an open surface resists, against the area of the triangles along it (Garland and Heckbert 1997, section 6).
 const RIM_WEIGHT: f64 = 10.0;
 /// A collapse may turn a remaining triangle by 78 degrees at most (cosine 0.2), or it folds the surface over.
-const LEAST_TURN_COSINE: f64 = 0.2;
+const MIN_TURN_COSINE: f64 = 0.2;
 /// Springs: squared metres of error per square metre of edge; they decide where the surface is flat and nothing else does.
 const SPRING: f64 = 1e-9;
 
@@ -282,7 +282,7 @@ impl<'a> Surface<'a> {
             };
             let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
             let (before, after) = (normal(place(false)), normal(place(true)));
-            before.dot(after) > LEAST_TURN_COSINE * before.length() * after.length()
+            before.dot(after) > MIN_TURN_COSINE * before.length() * after.length()
         })
     }
 

@@ -198,11 +198,11 @@ fn quadratic(scatterers: &Scatterers, i: usize, near: &[(f64, u32)]) -> Option<[
 /// Gauss elimination with pivoting.
 fn solved(mut m: [[f64; TERMS + 1]; TERMS]) -> Option<[f64; TERMS]> {
     /// Pivots of a sum of a dozen terms of order one: below this the points lie on a conic or a line.
-    const LEAST_PIVOT: f64 = 1e-9;
+    const MIN_PIVOT: f64 = 1e-9;
     for k in 0..TERMS {
         let pivot = (k..TERMS).max_by(|a, b| m[*a][k].abs().total_cmp(&m[*b][k].abs()))?;
         m.swap(k, pivot);
-        if m[k][k].abs() <= LEAST_PIVOT || m[k][k].is_nan() {
+        if m[k][k].abs() <= MIN_PIVOT || m[k][k].is_nan() {
             return None;
         }
         let eliminating = m[k];

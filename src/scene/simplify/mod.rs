@@ -39,7 +39,7 @@ pub struct Settings {
 }
 
 /// The least energy in `Unbiased` (the greatest is of order one): whatever can be heard keeps a chance.
-const LEAST_ENERGY: f64 = 1e-9;
+const MIN_ENERGY: f64 = 1e-9;
 
 /// Which scatterers pass: a rule that holds for any scatterer, so that it can be kept while the sonar moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -216,7 +216,7 @@ fn probability(per_energy: f64, energies: &Energies, i: usize) -> f64 {
     if energies.hidden[i] {
         return 0.0;
     }
-    let energy = energies.energy[i].max(LEAST_ENERGY);
+    let energy = energies.energy[i].max(MIN_ENERGY);
     (per_energy * energy).min(1.0)
 }
 
@@ -231,7 +231,7 @@ fn per_energy(energies: &Energies, free: usize, keep: usize) -> f64 {
             if p >= 1.0 {
                 certain += 1;
             } else if !energies.hidden[i] {
-                rest += energies.energy[i].max(LEAST_ENERGY);
+                rest += energies.energy[i].max(MIN_ENERGY);
             }
         }
         if rest <= 0.0 || certain >= keep {

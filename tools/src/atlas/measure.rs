@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use echotank::config::spec::{AutoModel, SonarSpec};
-use echotank::echo::cards::{doppler_card, path_card};
+use echotank::echo::error_models::{doppler_error_model, path_error_model};
 use echotank::flow::*;
-use echotank::run::certificate::worst_window;
 use echotank::run::chart::methods::Method;
-use echotank::run::conditions::{conditions, sum_card};
-use echotank::run::fidelity::costs::Costs;
-use echotank::run::fidelity::{Scene, Swell, rank, with_choice};
+use echotank::run::conditions::{conditions, sum_error_model};
+use echotank::run::error_check::worst_window;
+use echotank::run::method_selection::costs::Costs;
+use echotank::run::method_selection::{Scene, Swell, rank, with_choice};
 use echotank::run::pipeline::SonarPipeline;
 
 use super::spot::Spot;
@@ -44,7 +44,7 @@ pub enum Outcome {
     Answer {
         /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder.
         error: f64,
-        /// What the cards say of it: at most so much.
+        /// What the error models say of it: at most so much.
         said: f64,
         /// They say that it keeps the tolerance (of an engine made for it: that its models leave it room).
         claims: bool,
@@ -168,7 +168,7 @@ impl Bench {
         };
         let (plan, scatterers) = spot.asked();
         let mut cells = Vec::new();
-        let cards = Cards::of(spot, &plan, &scatterers);
+        let error_models = ErrorModels::of(spot, &plan, &scatterers);
         for synthesis in SUMS {
             for doppler in DOPPLERS {
                 for path in PathModel::ALL {
@@ -176,7 +176,7 @@ impl Bench {
                         (synthesis, doppler, path),
                         spot,
                         (&plan, &scatterers),
-                        &cards,
+                        &error_models,
                         &truth,
                     ));
                 }
@@ -194,7 +194,7 @@ impl Bench {
         (synthesis, doppler, path): (Synthesis, DopplerModel, PathModel),
         spot: &Spot,
         (plan, scatterers): (&PingPlan, &Scatterers),
-        cards: &Cards,
+        error_models: &ErrorModels,
         truth: &PingOutput,
     ) -> Outcome {
         if !synthesis.takes(doppler) {
@@ -207,7 +207,7 @@ impl Bench {
         if let Err(why) = Method::of(&spec).applies(&spec) {
             return Outcome::Refused(why);
         }
-        let said = cards.said(spot, plan, (synthesis, doppler, path));
+        let said = error_models.said(spot, plan, (synthesis, doppler, path));
         match self.run(&spec, spot, plan, scatterers) {
             Err(outcome) => outcome,
             Ok((got, counted)) => {
@@ -358,12 +358,12 @@ fn words(panic: Box<dyn std::any::Any + Send>) -> String {
 }
 
 /// What the stages promise at a spot.
-struct Cards {
+struct ErrorModels {
     conditions: Conditions,
     culling: f64,
 }
 
-impl Cards {
+impl ErrorModels {
     fn of(spot: &Spot, plan: &PingPlan, scatterers: &Scatterers) -> Self {
         let conditions = conditions(&spot.spec, plan, scatterers);
         // What a floor of the patterns leaves out, as the plan has it for a sonar whose methods are all fixed.
@@ -383,7 +383,7 @@ impl Cards {
                 rank(&scene, &[]).map_or(0.0, |ranking| {
                     ranking
                         .chosen()
-                        .part(echotank::ping::fidelity::Family::Culling)
+                        .part(echotank::ping::methods::Family::Culling)
                         .error
                 })
             }
@@ -402,13 +402,13 @@ impl Cards {
     ) -> f64 {
         let mut conditions = self.conditions;
         conditions.tolerance = spot.spec.synthesis.tolerance;
-        path_card(path, &conditions).error
-            + doppler_card(doppler, path, &conditions).error
+        path_error_model(path, &conditions).error
+            + doppler_error_model(doppler, path, &conditions).error
             + self.culling
             + match synthesis.keeps_tolerance() {
                 // Made for the tolerance, and never beyond it by itself.
                 true => conditions.tolerance,
-                false => sum_card(synthesis, &spot.spec, plan, &conditions).error,
+                false => sum_error_model(synthesis, &spot.spec, plan, &conditions).error,
             }
     }
 }

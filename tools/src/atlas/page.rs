@@ -14,7 +14,7 @@ tolerance, orange does not; hatched is refused, in words. A ring is what the pla
 the paper's own formula, Eq. 21 of Meng et al. 2023 on the sum of Eq. 18, as printed.
 
 `tools/atlas` draws it all anew, an hour on a busy machine; `--only NAME` one of them, `--page` writes this page. `tests/stability/regimes.rs` holds the
-boundaries of every regime of the table's first part on a short pulse, two to six columns of each: no number that is none, no panic, no answer that its cards
+boundaries of every regime of the table's first part on a short pulse, two to six columns of each: no number that is none, no panic, no answer that its error models
 promised to be right and is not, no plan inside a failing region.
 
 ";

@@ -92,7 +92,7 @@ pub const ALL: [Regime; 20] = [
         },
         says: "On the transmitter itself nothing divides by zero: nearer than a wavelength the amplitude is held at one wavelength and the echo is counted (`too_close`).",
         paper: "1/r of both legs: infinite on the array",
-        ours: "held at one wavelength and counted; motion bends an echo more and more as it comes nearer, and the cards say so",
+        ours: "held at one wavelength and counted; motion bends an echo more and more as it comes nearer, and the error models say so",
     },
     Regime {
         name: "grazing",
@@ -235,7 +235,7 @@ pub const ALL: [Regime; 20] = [
         },
         says: "The harder the roll, the more of the path models drop out; what accelerates beyond the engines is counted.",
         paper: "its polyline moves the array by steps of attitude",
-        ours: "`continuous` holds as far as the second order of the Doppler does, and its card says how far",
+        ours: "`continuous` holds as far as the second order of the Doppler does, and its error model says how far",
     },
     Regime {
         name: "attitude",
@@ -396,7 +396,7 @@ pub const ALL: [Regime; 20] = [
             spot.spec.synthesis.tolerance = tolerance;
             spot
         },
-        says: "Each method has its own end: engines refuse what they cannot be made for, the others' cards say what they are off by, and below all of them the plan says that nothing keeps it.",
+        says: "Each method has its own end: engines refuse what they cannot be made for, the others' error models say what they are off by, and below all of them the plan says that nothing keeps it.",
         paper: "has no tolerance",
         ours: "a promise, or a refusal with the figure",
     },
@@ -427,7 +427,7 @@ pub const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "A floor costs what it leaves out of flat ground, and the cards say how much at most; a plan that may choose lowers it until the tolerance is kept, and never raises it.",
+        says: "A floor costs what it leaves out of flat ground, and the error models say how much at most; a plan that may choose lowers it until the tolerance is kept, and never raises it.",
         paper: "keeps all",
         ours: "the left-out share of the energy is part of the promise; a plan may lower the floor, never raise it",
     },

@@ -401,7 +401,7 @@ fn together(
     };
     let ((echo, echo_core), (beam, beam_core)) = (said(&echo_ms), said(&beam_ms));
     let per_s = (ended.len() - 3) as f64 / (ended[ended.len() - 1] - ended[2]).as_secs_f64();
-    let echo_error = certified(spec, &medium, &plan, &bottom(count))?;
+    let echo_error = checked(spec, &medium, &plan, &bottom(count))?;
     let line = format!(
         "{ELEMENTS} x {BEAMS} x {SAMPLES} dynamic-focus on one core, echoes of {count} scatterers ({} for {tolerance:e}, error {echo_error:.1e}) on the other: ms median (of these on a core) beams {beam:.1} ({beam_core:.1}), echoes {echo:.1} ({echo_core:.1}); {per_s:.1} pings/s",
         synthesis.name(),
@@ -413,27 +413,27 @@ fn together(
     Ok(())
 }
 
-/// Error of the element samples by the pipeline's own certificate: against the reference, rms at random samples.
-fn certified(
+/// Error of the element samples by the pipeline's own error check: against the reference, rms at random samples.
+fn checked(
     mut spec: SonarSpec,
     medium: &config::spec::MediumSpec,
     plan: &PingPlan,
     scatterers: &Scatterers,
 ) -> Result<f64, String> {
     const PINGS: u32 = 40;
-    spec.synthesis.certificate = true;
+    spec.synthesis.error_check = true;
     let mut pipeline = SonarPipeline::new(&spec, medium).map_err(|e| e.to_string())?;
-    pipeline.allow_certificates(f64::INFINITY);
+    pipeline.allow_error_checks(f64::INFINITY);
     let mut output = pipeline.blank_output();
     let mut plan = plan.clone();
     for ping_number in 1..=PINGS {
         plan.ping_number = ping_number;
         pipeline.compute_ping(&plan, scatterers, &mut output);
-        if let Some(certificate) = output.certificate {
-            return Ok(certificate.error);
+        if let Some(error_check) = output.error_check {
+            return Ok(error_check.error);
         }
     }
-    Err(format!("no certificate in {PINGS} pings"))
+    Err(format!("no error check in {PINGS} pings"))
 }
 
 /// The fan's array in a configuration (found from the repository's root) of its own: the multibeam's, with this pulse and window.

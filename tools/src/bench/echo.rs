@@ -10,7 +10,7 @@ use std::time::Instant;
 use echotank::array::gridded::pulse_spectrum::PulseSpectrum;
 use echotank::array::gridded::transform::grid_size;
 use echotank::array::gridded::{
-    Dialect, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
+    DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, SimdLevel, one_dimensional,
 };
 use echotank::array::{Decimator, Direct};
 use echotank::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
@@ -115,7 +115,7 @@ impl Gridded {
             tolerance,
             level_range_db: 55.0,
             arrivals,
-            dialect: Dialect::best(),
+            simd_level: SimdLevel::best(),
         })?;
         Ok(Self {
             tolerance,
@@ -141,7 +141,7 @@ impl Method for Gridded {
         self.work.finish(out);
     }
     fn says(&self) -> String {
-        self.engine.card().why.clone()
+        self.engine.error_model().why.clone()
     }
 }
 

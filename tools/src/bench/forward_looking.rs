@@ -11,7 +11,7 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
-use echotank::array::gridded::Dialect;
+use echotank::array::gridded::SimdLevel;
 use echotank::array::gridded::transform::{Transform1d, Workspace};
 use echotank_fft::Planned;
 use num_complex::{Complex32, Complex64};
@@ -154,7 +154,7 @@ pub fn run(threads: &[usize], report: &mut Report) -> Result<(), String> {
 
 /// Milliseconds of each ping, and the last one's beams.
 fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
-    let plan = Transform1d::<f32>::new(BINS, PERIOD_S, width, 2.0, Dialect::best());
+    let plan = Transform1d::<f32>::new(BINS, PERIOD_S, width, 2.0, SimdLevel::best());
     let (forward, backward) = (f32::plan_forward(PADDED), f32::plan_inverse(PADDED));
     let inverse = f32::plan_inverse(BINS);
     // The mixing's own spectrum, even in beams.

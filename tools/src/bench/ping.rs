@@ -1,4 +1,4 @@
-//! Pings of a configuration through the whole pipeline: percentiles of milliseconds, and what the certificate says.
+//! Pings of a configuration through the whole pipeline: percentiles of milliseconds, and what the error check says.
 //!
 //! Timed: everything from the ping's order to its element samples, beams and lines (`run::rig::Rig::make`). Not timed: records and
 //! delivery. As fast as it goes, on the navigation's own virtual time.
@@ -25,7 +25,7 @@ pub fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> 
     let mut report = Report::new();
     let mut spec = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
     for sonar in &mut spec.sonars {
-        sonar.synthesis.certificate = true;
+        sonar.synthesis.error_check = true;
     }
     let pings = if quick { 20 } else { 100 };
     for threads in [1, 2] {
@@ -40,7 +40,7 @@ pub fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> 
         ms.sort_by(f64::total_cmp);
         let at = |share: f64| ms[((ms.len() - 1) as f64 * share).round() as usize];
         let synthesis = spec.sonars[0].model.synthesis.name();
-        let error_text = error.map_or("no certificate".into(), |e| format!("error {e:.1e}"));
+        let error_text = error.map_or("no error check".into(), |e| format!("error {e:.1e}"));
         let line = format!(
             "{}, {synthesis}, {threads} threads, {} pings: {error_text}, ms median {:.1}, 95 % {:.1}, greatest {:.1}; {echoes} echoes in the last",
             file.display(),
@@ -99,7 +99,7 @@ fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> 
         if ping >= WARM_UP {
             done.ms.push(start.elapsed().as_secs_f64() * 1e3);
         }
-        done.error = slot.output.certificate.map(|c| c.error).or(done.error);
+        done.error = slot.output.error_check.map(|c| c.error).or(done.error);
         done.echoes = slot.output.counts.used;
     }
     Ok(done)

@@ -2,7 +2,7 @@
 //!
 //! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
 
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::*;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
@@ -96,7 +96,7 @@ impl Scene {
 
     /// The same at one of `elements`.
     pub fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
-        let mut lit = Illuminated::new();
+        let mut transmit_leg = TransmitLeg::new();
         let window = Window {
             first_s: 0.0,
             last_s: WINDOW_S,
@@ -106,14 +106,14 @@ impl Scene {
             transmit,
             scatterers,
         } = self;
-        illuminate(plan, transmit, window, scatterers, &mut lit);
+        insonify(plan, transmit, window, scatterers, &mut transmit_leg);
         let mut kept = Kept(Vec::new());
         let array = self.array(elements);
         arrivals(
             plan,
             &array,
             element,
-            &lit,
+            &transmit_leg,
             &mut Workspace::new(),
             &mut kept,
         );

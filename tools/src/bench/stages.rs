@@ -15,7 +15,7 @@ const PULSE_POINTS: f64 = 8.0;
 /// A ping by stages: of the run that took least.
 #[derive(Default)]
 pub struct Profile {
-    pub illuminate: Duration,
+    pub insonify: Duration,
     pub stages: Stages,
     /// Walls of all that the engine did.
     pub synthesise: Duration,
@@ -23,14 +23,14 @@ pub struct Profile {
 }
 
 impl Profile {
-    pub fn keep(&mut self, illuminate: Duration, synthesise: Duration, reports: Vec<TaskReport>) {
+    pub fn keep(&mut self, insonify: Duration, synthesise: Duration, reports: Vec<TaskReport>) {
         let mut stages = Stages::default();
         for report in &reports {
             stages.add(&report.stages);
         }
         if self.reports.is_empty() || stages.total() < self.stages.total() {
             *self = Self {
-                illuminate,
+                insonify,
                 stages,
                 synthesise,
                 reports,
@@ -51,7 +51,7 @@ impl Profile {
             "stage", "core ms", "GFLOP", "GB", "bound ms", "of bound"
         );
         let ms = |time: Duration| 1e3 * time.as_secs_f64();
-        println!("  {:<10} {:>9.2}", "illuminate", ms(self.illuminate));
+        println!("  {:<10} {:>9.2}", "insonify", ms(self.insonify));
         for stage in Stage::ALL {
             let spent = ms(self.stages.spent(stage));
             let work = self

@@ -5,8 +5,8 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use std::time::Instant;
 
-use echotank::array::gridded::dialect::{Dialect, Kind};
 use echotank::array::gridded::moments::Real;
+use echotank::array::gridded::simd_level::{Kind, SimdLevel};
 use echotank::array::gridded::transform::Transform1d;
 use num_complex::{Complex, Complex64};
 
@@ -153,9 +153,9 @@ impl<T: Real + Into<f64>> Prepared<T> {
         amplitude: &[Complex64],
         width: usize,
         oversampling: f64,
-        dialect: Dialect,
+        simd_level: SimdLevel,
     ) -> Self {
-        let plan = Transform1d::<T>::new(BINS, PERIOD_S, width, oversampling, dialect);
+        let plan = Transform1d::<T>::new(BINS, PERIOD_S, width, oversampling, simd_level);
         let narrow = |c: &Complex64| Complex::new(T::narrow(c.re), T::narrow(c.im));
         Self {
             work: plan.workspace(),
@@ -189,7 +189,7 @@ impl<T: Real + Into<f64>> Runner for Prepared<T> {
     }
 }
 
-/// Answers one line per line of standard input: `f32|f64 WIDTH OVERSAMPLING DIALECT` with `MILLISECONDS ERROR`, one transform each.
+/// Answers one line per line of standard input: `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` with `MILLISECONDS ERROR`, one transform each.
 /// Dialect: portable, avx2, avx512 or best.
 pub fn serve(directory: &Path) -> Result<(), String> {
     let delay_s = std::rc::Rc::new(read(&directory.join("delay_s.f64"))?);
@@ -221,12 +221,12 @@ fn prepare(
 ) -> Result<Box<dyn Runner>, String> {
     let malformed = || format!("{line:?}: expected f32|f64 WIDTH OVERSAMPLING DIALECT");
     let words: Vec<&str> = line.split_whitespace().collect();
-    let [precision, width, oversampling, dialect] = words[..] else {
+    let [precision, width, oversampling, simd_level] = words[..] else {
         return Err(malformed());
     };
     let width: usize = width.parse().map_err(|_| malformed())?;
     let oversampling: f64 = oversampling.parse().map_err(|_| malformed())?;
-    let dialect = dialect_named(dialect)?;
+    let simd_level = simd_level_named(simd_level)?;
     let delay_s = delay_s.clone();
     match precision {
         "f32" => Ok(Box::new(Prepared::<f32>::new(
@@ -234,28 +234,28 @@ fn prepare(
             amplitude,
             width,
             oversampling,
-            dialect,
+            simd_level,
         ))),
         "f64" => Ok(Box::new(Prepared::<f64>::new(
             delay_s,
             amplitude,
             width,
             oversampling,
-            dialect,
+            simd_level,
         ))),
         _ => Err(malformed()),
     }
 }
 
-pub fn dialect_named(name: &str) -> Result<Dialect, String> {
+pub fn simd_level_named(name: &str) -> Result<SimdLevel, String> {
     let kind = match name {
-        "best" => return Ok(Dialect::best()),
+        "best" => return Ok(SimdLevel::best()),
         "portable" => Kind::Portable,
         "avx2" => Kind::Avx2,
         "avx512" => Kind::Avx512,
         _ => return Err(format!("{name:?}: expected best, portable, avx2 or avx512")),
     };
-    Dialect::available()
+    SimdLevel::available()
         .find(|d| d.kind() == kind)
         .ok_or_else(|| format!("this processor has no {name}"))
 }

@@ -8,12 +8,12 @@
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank::array::gridded::{Dialect, DopplerSpan, one_dimensional};
+use echotank::array::gridded::{DopplerSpan, SimdLevel, one_dimensional};
 use echotank::array::gridded2d::{self, Bounds, Gridded2d};
 use echotank::array::{Bins, Decimator, Direct, Spectral, Spectrum};
 use echotank::echo::probe::{self, echoes_at, heard, heard_ranges_m};
 use echotank::echo::{
-    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, doppler_span, illuminate,
+    LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,
 };
 use echotank::flow::*;
 use echotank::run::slabs::{Listener, Sketch};
@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use super::report::Report;
 use super::scene::{ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
 use super::stages::Profile;
-use super::transform::dialect_named;
+use super::transform::simd_level_named;
 
 /// Holds 30 kHz and the Doppler of 10 m/s over +-60 degrees.
 const RATE_HZ: f64 = 52e3;
@@ -43,19 +43,19 @@ pub struct Effort {
     patience_s: f64,
     /// Runs end when they have taken this long together, seconds.
     runs_s: f64,
-    most_scatterers: usize,
+    max_scatterers: usize,
 }
 
 pub const FULL: Effort = Effort {
     patience_s: 12.0,
     runs_s: 3.0,
-    most_scatterers: usize::MAX,
+    max_scatterers: usize::MAX,
 };
 
 pub const QUICK: Effort = Effort {
     patience_s: 1.0,
     runs_s: 0.2,
-    most_scatterers: 50_000,
+    max_scatterers: 50_000,
 };
 
 /// Of `direct` and `spectral`, per scatterer and element, at most.
@@ -85,7 +85,7 @@ const SEAWAY: DVec3 = DVec3::new(5.0, 0.3, 0.3);
 const FAST: DVec3 = DVec3::new(10.0, 0.3, 0.3);
 
 /// Elements from which an engine for lines is asked.
-const LEAST_LINE: usize = 4;
+const MIN_LINE: usize = 4;
 
 impl Ping {
     /// What `--only` looks at.
@@ -231,14 +231,14 @@ impl Ready {
         }
     }
 
-    fn light(&self, plan: &PingPlan, lit: &mut Illuminated) {
+    fn light(&self, plan: &PingPlan, transmit_leg: &mut TransmitLeg) {
         let window = Window::of_samples(0.0, RATE_HZ, plan.sample_count);
         let Scene {
             transmit,
             scatterers,
             ..
         } = &self.scene;
-        illuminate(plan, transmit, window, scatterers, lit);
+        insonify(plan, transmit, window, scatterers, transmit_leg);
     }
 
     fn plan(&self, takes: impl Fn(DopplerModel) -> bool) -> PingPlan {
@@ -404,11 +404,11 @@ fn direct(ready: &mut Ready) -> Outcome {
     let greatest = 2.0 * ready.ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
     let doppler_hz = greatest * plan.pulse.center_frequency_hz;
     let filter = Decimator::new(&plan.pulse, RATE_HZ, doppler_hz, own).expect("as above");
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
     let took = timed(this.effort, || {
-        this.light(&plan, &mut lit);
+        this.light(&plan, &mut transmit_leg);
         iq.par_chunks_mut(plan.sample_count)
             .enumerate()
             .for_each(|(element, out)| {
@@ -416,7 +416,14 @@ fn direct(ready: &mut Ready) -> Outcome {
                 let first_s = filter.dense_first_s(0.0);
                 let mut sink = Direct::new(&plan, filter.dense_rate_hz(), first_s, &mut dense);
                 let mut work = Workspace::new();
-                arrivals(&plan, &this.array, element, &lit, &mut work, &mut sink);
+                arrivals(
+                    &plan,
+                    &this.array,
+                    element,
+                    &transmit_leg,
+                    &mut work,
+                    &mut sink,
+                );
                 filter.apply(&dense, out);
             });
     });
@@ -438,18 +445,25 @@ fn spectral(ready: &mut Ready) -> Outcome {
     let record_s = WINDOW_S + plan.pulse.duration_s + tails_s;
     let mut spectrum = Spectrum::new(RATE_HZ, record_s, None, Some(&ready.filter));
     spectrum.prepare(&plan);
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
     let took = timed(this.effort, || {
-        this.light(&plan, &mut lit);
+        this.light(&plan, &mut transmit_leg);
         iq.par_chunks_mut(plan.sample_count)
             .enumerate()
             .for_each(|(element, out)| {
                 let mut bins = Bins::default();
                 let mut sink = Spectral::new(&plan, &spectrum, plan.first_sample_s, &mut bins);
                 let mut work = Workspace::new();
-                arrivals(&plan, &this.array, element, &lit, &mut work, &mut sink);
+                arrivals(
+                    &plan,
+                    &this.array,
+                    element,
+                    &transmit_leg,
+                    &mut work,
+                    &mut sink,
+                );
                 sink.finish(out);
             });
     });
@@ -457,7 +471,7 @@ fn spectral(ready: &mut Ready) -> Outcome {
     Ok((took, plan.model.doppler.name().into()))
 }
 
-fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
+fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
     patient(ready, GRIDDED_S)?;
     let plan = ready.plan(|d| Synthesis::Gridded1d.takes(d));
     let fastest = 2.0 * ready.ping.velocity_m_per_s.length()
@@ -478,19 +492,19 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
         tolerance: ready.ping.tolerance,
         level_range_db: 60.0,
         arrivals: ready.ping.scatterers,
-        dialect,
+        simd_level,
     };
     let sketch = Sketch::new(&spec, ready.ping.elements).map_err(|e| e.to_string())?;
     let threads = rayon::current_num_threads();
     let engine = sketch.made(threads);
     let walks: Vec<Mutex<Workspace>> = (0..threads).map(|_| Mutex::default()).collect();
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let mut scratch = Workspace::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
     let took = timed(this.effort, || {
-        this.light(&plan, &mut lit);
-        let (least, greatest) = doppler_span(&plan, &this.array, &lit, &mut scratch);
+        this.light(&plan, &mut transmit_leg);
+        let (least, greatest) = doppler_span(&plan, &this.array, &transmit_leg, &mut scratch);
         let span = DopplerSpan {
             least: least.max(-fastest),
             greatest: greatest.min(fastest),
@@ -501,7 +515,7 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
                 plan: &plan,
                 array: &this.array,
                 element,
-                lit: &lit,
+                transmit_leg: &transmit_leg,
                 span,
             };
             let slabs = record.par_chunks_mut(engine.slab_samples()).enumerate();
@@ -515,11 +529,15 @@ fn gridded_1d(ready: &mut Ready, dialect: Dialect) -> Outcome {
     ready.iq = iq;
     Ok((
         took,
-        format!("{}; {}", plan.model.doppler.name(), engine.card().why),
+        format!(
+            "{}; {}",
+            plan.model.doppler.name(),
+            engine.error_model().why
+        ),
     ))
 }
 
-fn gridded_2d(ready: &mut Ready, dialect: Dialect, stages: bool) -> Outcome {
+fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome {
     let plan = ready.plan(|_| true);
     let velocity = ready.ping.velocity_m_per_s;
     let mut engine = Gridded2d::new(&gridded2d::Spec {
@@ -540,30 +558,30 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect, stages: bool) -> Outcome {
         level_range_db: 60.0,
         samples: plan.sample_count,
         scatterers: ready.ping.scatterers,
-        dialect,
+        simd_level,
     })
     .map_err(|e| e.to_string())?;
     let work: Vec<_> = (0..rayon::current_num_threads())
         .map(|_| Mutex::new(LineWorkspace::default()))
         .collect();
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
     let mut profile = Profile::default();
     let took = timed(this.effort, || {
         let start = Instant::now();
-        this.light(&plan, &mut lit);
-        let illuminated = start.elapsed();
+        this.light(&plan, &mut transmit_leg);
+        let insonified = start.elapsed();
         let echoes = LineEchoes {
             plan: &plan,
             array: &this.array,
-            lit: &lit,
+            transmit_leg: &transmit_leg,
             work: &work,
         };
         engine.synthesise(&plan, &echoes, &mut iq);
         if stages {
             let reports = engine.reports().copied().collect();
-            profile.keep(illuminated, start.elapsed() - illuminated, reports);
+            profile.keep(insonified, start.elapsed() - insonified, reports);
         }
     });
     if stages {
@@ -572,23 +590,27 @@ fn gridded_2d(ready: &mut Ready, dialect: Dialect, stages: bool) -> Outcome {
     ready.iq = iq;
     Ok((
         took,
-        format!("{}; {}", plan.model.doppler.name(), engine.card().why),
+        format!(
+            "{}; {}",
+            plan.model.doppler.name(),
+            engine.error_model().why
+        ),
     ))
 }
 
-/// What to run: dialects by name, numbers of threads, a part of a ping's label.
+/// What to run: SIMD levels by name, numbers of threads, a part of a ping's label.
 pub struct Selection<'a> {
     pub only: &'a str,
     /// None: all.
     pub method: Option<&'a str>,
-    pub dialects: &'a [String],
+    pub simd_levels: &'a [String],
     pub threads: &'a [usize],
     pub effort: Effort,
     /// Where the time of `gridded-2d` goes.
     pub stages: bool,
 }
 
-/// Prints and keeps one line per ping, method, dialect and number of threads.
+/// Prints and keeps one line per ping, method, SIMD level and number of threads.
 pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     println!(
         "whole pings: 400 kHz, 30 kHz, 5 ms, 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
@@ -602,7 +624,7 @@ pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
         "deg",
         "m/s",
         "method",
-        "dialect",
+        "simd_level",
         "thr",
         "asked",
         "window",
@@ -613,7 +635,7 @@ pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     );
     for ping in PINGS {
         let label = ping.label();
-        if !label.contains(selection.only) || ping.scatterers > selection.effort.most_scatterers {
+        if !label.contains(selection.only) || ping.scatterers > selection.effort.max_scatterers {
             continue;
         }
         let mut ready = Ready::new(ping, selection.effort);
@@ -634,21 +656,21 @@ fn one(
 ) -> Result<(), String> {
     let ping = ready.ping;
     let wanted = |method: &str| selection.method.is_none_or(|name| name == method);
-    for (k, name) in selection.dialects.iter().enumerate() {
-        let dialect = dialect_named(name)?;
+    for (k, name) in selection.simd_levels.iter().enumerate() {
+        let simd_level = simd_level_named(name)?;
         let mut methods: Vec<(&str, Outcome, Error)> = Vec::new();
         let mut add = |name, ready: &mut Ready, outcome: Outcome| {
             methods.push((name, outcome, ready.error()));
         };
         if wanted("gridded-1d") {
-            let outcome = gridded_1d(ready, dialect);
+            let outcome = gridded_1d(ready, simd_level);
             add("gridded-1d", ready, outcome);
         }
-        if ping.elements >= LEAST_LINE && wanted("gridded-2d") {
-            let outcome = gridded_2d(ready, dialect, selection.stages);
+        if ping.elements >= MIN_LINE && wanted("gridded-2d") {
+            let outcome = gridded_2d(ready, simd_level, selection.stages);
             add("gridded-2d", ready, outcome);
         }
-        // What is the same in every dialect.
+        // What is the same in every SIMD level.
         if k == 0 && wanted("direct") {
             let outcome = direct(ready);
             add("direct", ready, outcome);
@@ -673,7 +695,7 @@ fn one(
             );
             let mut kept = serde_json::json!({
                 "ping": ping.name, "elements": ping.elements, "scatterers": ping.scatterers, "sector_deg": ping.sector_deg,
-                "velocity_m_per_s": [v.x, v.y, v.z], "method": method, "dialect": name, "threads": threads,
+                "velocity_m_per_s": [v.x, v.y, v.z], "method": method, "simd_level": name, "threads": threads,
                 "tolerance": ping.tolerance,
             });
             let line = match outcome {

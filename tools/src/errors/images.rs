@@ -7,7 +7,7 @@
 //! compressed line is its range.
 
 use echotank::array::Direct;
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate, reference};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use echotank::flow::*;
 use glam::DVec3;
 use num_complex::Complex64;
@@ -123,11 +123,18 @@ fn record(
     let mut plan = plan.clone();
     plan.model.path = method.path;
     plan.model.doppler = method.doppler;
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let window = Window::of_samples(first_s, RATE_HZ, count);
-    illuminate(&plan, tx, window, &scatterers, &mut lit);
+    insonify(&plan, tx, window, &scatterers, &mut transmit_leg);
     let mut sink = Direct::new(&plan, RATE_HZ, first_s, &mut out);
-    arrivals(&plan, rx, element, &lit, &mut Workspace::new(), &mut sink);
+    arrivals(
+        &plan,
+        rx,
+        element,
+        &transmit_leg,
+        &mut Workspace::new(),
+        &mut sink,
+    );
     out
 }
 

@@ -1,7 +1,7 @@
 //! The table of what path and Doppler models cost in truth: one point, one element, over speed and angle.
 
 use echotank::array::Direct;
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate, reference};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use echotank::flow::*;
 use echotank::frames::Trajectory;
 use echotank::time::UtcNs;
@@ -166,9 +166,9 @@ pub fn sonar() -> (TransmitArray, ArrayGeometry) {
 
 fn walk(plan: &PingPlan, window: Window, scatterers: &Scatterers, sink: &mut impl ArrivalSink) {
     let (tx, rx) = sonar();
-    let mut lit = Illuminated::new();
-    illuminate(plan, &tx, window, scatterers, &mut lit);
-    arrivals(plan, &rx, 0, &lit, &mut Workspace::new(), sink);
+    let mut transmit_leg = TransmitLeg::new();
+    insonify(plan, &tx, window, scatterers, &mut transmit_leg);
+    arrivals(plan, &rx, 0, &transmit_leg, &mut Workspace::new(), sink);
 }
 
 /// Keeps the last echo's leading edge.

@@ -6,7 +6,7 @@ use echotank::array::Direct;
 use echotank::beam::RowLimits;
 use echotank::beam::sidescan::LineFormer;
 use echotank::config::spec::{LineSpec, PaperShape};
-use echotank::echo::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::*;
 use echotank::frames::Trajectory;
 use echotank::scene::paper::{self, Cloud};
@@ -19,7 +19,7 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-pub const RUNGS: [usize; 4] = [5125, 3000, 1000, 176];
+pub const LEVELS: [usize; 4] = [5125, 3000, 1000, 176];
 
 const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
@@ -171,7 +171,7 @@ impl Ladder {
             })
             .collect();
         let places: Vec<DVec3> = (0..s.len()).map(|i| s.position_m(i)).collect();
-        let collapsed = RUNGS
+        let collapsed = LEVELS
             .par_iter()
             .map(|keep| collapse(&places, &cloud.triangles, *keep))
             .collect();
@@ -209,7 +209,7 @@ impl Ladder {
         for once in Once::ALL {
             for simplifier in Simplifier::ALL {
                 let passes = self.simplified(&all, seed, once, simplifier, &mut imager);
-                for (points, (pass, kept)) in RUNGS.iter().zip(passes) {
+                for (points, (pass, kept)) in LEVELS.iter().zip(passes) {
                     let place = rows()
                         .iter()
                         .position(|row| *row == (*points, once, simplifier));
@@ -230,7 +230,7 @@ impl Ladder {
         })
     }
 
-    /// A simplifier's passes at every rung, with the mean number kept.
+    /// A simplifier's passes at every level, with the mean number kept.
     pub fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
         let all = cloud(0).scatterers;
         self.simplified(&all, 0, once, simplifier, &mut Imager::new())
@@ -267,11 +267,11 @@ impl Ladder {
         simplifier: Simplifier,
         imager: &mut Imager,
     ) -> Vec<(Pass, f64)> {
-        let mut passes = vec![(Pass::default(), 0.0); RUNGS.len()];
+        let mut passes = vec![(Pass::default(), 0.0); LEVELS.len()];
         let mut heard = Scatterers::default();
         let mut chooser = Chooser::new(self);
         for ping in 0..self.pings {
-            for (rung, keep) in RUNGS.into_iter().enumerate() {
+            for (rung, keep) in LEVELS.into_iter().enumerate() {
                 heard.clear();
                 match simplifier.rule() {
                     None => {
@@ -329,7 +329,7 @@ impl Ladder {
                 heard.clear();
                 match simplifier.rule() {
                     None => {
-                        let rung = RUNGS.iter().position(|r| *r == keep).unwrap_or(0);
+                        let rung = LEVELS.iter().position(|r| *r == keep).unwrap_or(0);
                         let kept = &self.collapsed[rung];
                         for (&i, share) in kept.kept.iter().zip(&kept.area_share) {
                             let inherits = simplifier == Simplifier::ConventionalWithArea;
@@ -368,7 +368,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 pub fn rows() -> Vec<(usize, Once, Simplifier)> {
     let mut rows = Vec::new();
-    for points in RUNGS {
+    for points in LEVELS {
         for once in Once::ALL {
             for simplifier in Simplifier::ALL {
                 let collapses = simplifier.rule().is_none();
@@ -432,7 +432,7 @@ struct Chooser {
     energies: Energies,
     selections: Vec<Selection>,
     made: Option<(Option<usize>, Method, Weights)>,
-    /// For the pass: the rungs whose choice stands.
+    /// For the pass: the levels whose choice stands.
     chosen: Vec<bool>,
 }
 
@@ -444,9 +444,9 @@ impl Chooser {
             .clone_values(&ladder.curvatures.curvatures);
         Self {
             energies,
-            selections: RUNGS.iter().map(|_| Selection::default()).collect(),
+            selections: LEVELS.iter().map(|_| Selection::default()).collect(),
             made: None,
-            chosen: vec![false; RUNGS.len()],
+            chosen: vec![false; LEVELS.len()],
         }
     }
 
@@ -489,7 +489,7 @@ struct Imager {
     transmit: TransmitArray,
     receive: ArrayGeometry,
     former: LineFormer,
-    lit: Illuminated,
+    transmit_leg: TransmitLeg,
     work: Workspace,
     frame: ElementFrame,
     line: Line,
@@ -530,7 +530,7 @@ impl Imager {
                 transmit: 0,
             },
             former: LineFormer::new(&side, limits, &PULSE),
-            lit: Illuminated::new(),
+            transmit_leg: TransmitLeg::new(),
             work: Workspace::new(),
             frame: ElementFrame {
                 elements: 1,
@@ -548,14 +548,14 @@ impl Imager {
     fn ping(&mut self, at_m: DVec3, heard: &Scatterers, pass: &mut Pass) {
         let plan = plan(at_m);
         let window = Window::of_samples(FIRST_SAMPLE_S, SAMPLE_RATE_HZ, SAMPLES);
-        illuminate(&plan, &self.transmit, window, heard, &mut self.lit);
+        insonify(&plan, &self.transmit, window, heard, &mut self.transmit_leg);
         self.frame.iq.fill(Complex64::ZERO);
         let mut sink = Direct::new(&plan, SAMPLE_RATE_HZ, FIRST_SAMPLE_S, &mut self.frame.iq);
         arrivals(
             &plan,
             &self.receive,
             0,
-            &self.lit,
+            &self.transmit_leg,
             &mut self.work,
             &mut sink,
         );

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use super::measure::{Ladder, Once, Pass, RUNGS, Simplifier};
+use super::measure::{LEVELS, Ladder, Once, Pass, Simplifier};
 
 /// Samples of range that share a pixel, and rows of a ping.
 const SAMPLES_PER_PIXEL: usize = 6;
@@ -18,7 +18,7 @@ struct Panel {
     pixels: Vec<u8>,
 }
 
-/// Original on top; below it a row for each rung, a column for each of conventional, acoustic and acoustic-unbiased.
+/// Original on top; below it a row for each level, a column for each of conventional, acoustic and acoustic-unbiased.
 pub fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
     let original = ladder.original();
     // White is where 1 % of the original's pixels are brighter; the same for all panels.
@@ -35,7 +35,7 @@ pub fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
         .iter()
         .map(|(once, s)| ladder.passes(*once, *s))
         .collect();
-    for rung in 0..RUNGS.len() {
+    for rung in 0..LEVELS.len() {
         rows.push(passes.iter().map(|p| panel(&p[rung].0, white)).collect());
     }
     let (width, height) = (rows[0][0].width, rows[0][0].height);

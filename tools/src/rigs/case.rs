@@ -90,7 +90,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         true => 0.5 * wavelength_m,
         false => chance.between(0.03, 0.1),
     };
-    let lit_m = wavelength_m * chance.decades(5.0, 60.0);
+    let insonified_m = wavelength_m * chance.decades(5.0, 60.0);
     let omnidirectional = chance.one_in(5);
     let speed = match chance.of(4) {
         0 => chance.decades(1e-4, 0.1),
@@ -128,7 +128,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
     let pattern = match omnidirectional {
         true => String::new(),
         false => format!(
-            "pattern = \"rectangle\"\nlength_m = {lit_m:.5}\nwidth_m = {:.5}\n",
+            "pattern = \"rectangle\"\nlength_m = {insonified_m:.5}\nwidth_m = {:.5}\n",
             wavelength_m * chance.between(1.0, 4.0)
         ),
     };

@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 
 use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
 use echotank::flow::{PingOutput, PingPlan, Scatterers, TimeVaryingGain};
-use echotank::ping::fidelity::{Candidate, Choice, Family, Ranking};
+use echotank::ping::methods::{Candidate, Choice, Family, Ranking};
 use echotank::ping::polyline;
 use echotank::run::chart::bare;
-use echotank::run::fidelity::costs::Costs;
-use echotank::run::fidelity::first::{FirstError, first, pings};
-use echotank::run::fidelity::with_choice;
+use echotank::run::method_selection::costs::Costs;
+use echotank::run::method_selection::first::{FirstError, first, pings};
+use echotank::run::method_selection::with_choice;
 use echotank::run::pipeline::{PipelineError, SonarPipeline};
 
-use super::ruler::Ruler;
+use super::reference::ReferenceSolution;
 
 /// Timed runs of every choice, taken in turn; the least counts.
 const REPEATS: usize = 5;
 /// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
-/// A ruler that is off by more of the tolerance measures nothing.
-const FINE_RULER: f64 = 0.1;
+/// A reference solution that is off by more of the tolerance measures nothing.
+const FINE_REFERENCE: f64 = 0.1;
 /// At most so many other choices.
 const OTHERS: usize = 12;
 
@@ -33,10 +33,10 @@ pub struct Did {
     pub parts: [f64; 5],
     pub predicted_error: f64,
     pub predicted_ms: f64,
-    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as certificates have it. The plan's
-    /// worst windows are computed again by the reference's equation. Where the ruler is too coarse, a certificate's own, over 128 random samples.
+    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as error checks have it. The plan's
+    /// worst windows are computed again by the reference's equation. Where the reference solution is too coarse, an error check's own, over 128 random samples.
     pub error: f64,
-    pub by_certificate: bool,
+    pub by_error_check: bool,
     pub ms: f64,
     /// Within the goal, as predicted.
     pub promised: bool,
@@ -48,8 +48,8 @@ pub struct Measured {
     pub tolerance: f64,
     pub scatterers: usize,
     pub elements: usize,
-    /// What the ruler itself is off by at random samples, by the reference's equation.
-    pub ruler: Option<f64>,
+    /// What the reference solution itself is off by at random samples, by the reference's equation.
+    pub reference: Option<f64>,
     pub plan: Did,
     pub others: Vec<Did>,
     /// The plan says itself that it is not within.
@@ -63,8 +63,8 @@ impl Measured {
             format!(
                 "{:.1e} measured{}, {:.1e} promised ({}), {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
-                if did.by_certificate {
-                    " by certificate"
+                if did.by_error_check {
+                    " by error check"
                 } else {
                     ""
                 },
@@ -77,10 +77,10 @@ impl Measured {
             )
         };
         let mut lines = vec![format!(
-            "{}: tolerance {:.1e}, ruler {:?}, {} scatterers, {} elements: {}",
+            "{}: tolerance {:.1e}, reference solution {:?}, {} scatterers, {} elements: {}",
             self.sonar,
             self.tolerance,
-            self.ruler,
+            self.reference,
             self.scatterers,
             self.elements,
             did(&self.plan)
@@ -172,7 +172,7 @@ struct Runner {
     pipeline: SonarPipeline,
     plan: PingPlan,
     output: PingOutput,
-    least_ms: f64,
+    min_ms: f64,
 }
 
 impl Runner {
@@ -192,7 +192,7 @@ impl Runner {
             pipeline,
             plan,
             output,
-            least_ms: f64::INFINITY,
+            min_ms: f64::INFINITY,
         })
     }
 
@@ -200,7 +200,7 @@ impl Runner {
         let began = Instant::now();
         self.pipeline
             .compute_ping(&self.plan, scatterers, &mut self.output);
-        self.least_ms = self.least_ms.min(began.elapsed().as_secs_f64() * 1e3);
+        self.min_ms = self.min_ms.min(began.elapsed().as_secs_f64() * 1e3);
     }
 }
 
@@ -210,11 +210,11 @@ fn one(
     ranking: &Ranking,
     time: bool,
 ) -> Result<Option<Measured>, MeasureError> {
-    let ruler = Ruler::new(ping)?;
-    if ruler.is_silent() {
+    let reference = ReferenceSolution::new(ping)?;
+    if reference.is_silent() {
         return Ok(None);
     }
-    let own_error = time.then(|| ruler.own_error());
+    let own_error = time.then(|| reference.own_error());
     let mut looked_at: Vec<&Candidate> = vec![ranking.chosen()];
     if time {
         looked_at.extend(others(ranking));
@@ -238,20 +238,20 @@ fn one(
             break;
         }
     }
-    let coarse = own_error.is_some_and(|error| error > FINE_RULER * ranking.goal.tolerance);
+    let coarse = own_error.is_some_and(|error| error > FINE_REFERENCE * ranking.goal.tolerance);
     let chosen = ranking.chosen();
     let mut did = runners.iter().map(|(candidate, _, runner)| Did {
-        by_certificate: coarse,
+        by_error_check: coarse,
         text: candidate.text(),
         parts: Family::ALL.map(|family| candidate.part(family).error),
         predicted_error: candidate.error(),
         predicted_ms: candidate.cost_ms(),
         error: match (coarse, candidate.choice == chosen.choice) {
-            (true, _) => ruler.certificate(&runner.output),
-            (false, true) => ruler.worst_by_reference(&runner.output),
-            (false, false) => ruler.worst(&runner.output),
+            (true, _) => reference.error_check(&runner.output),
+            (false, true) => reference.worst_by_reference(&runner.output),
+            (false, false) => reference.worst(&runner.output),
         },
-        ms: runner.least_ms,
+        ms: runner.min_ms,
         promised: ranking.goal.meets(candidate),
     });
     let Some(plan) = did.next() else {
@@ -262,7 +262,7 @@ fn one(
         tolerance: ranking.goal.tolerance,
         scatterers: gathered.by_floor[runners[0].1].1.len(),
         elements: ping.spec.receive.iter().map(|a| a.elements).sum(),
-        ruler: own_error,
+        reference: own_error,
         plan,
         others: did.collect(),
         out_of_reach: !ranking.is_within(),

@@ -2,4 +2,4 @@
 
 pub mod case;
 pub mod measure;
-pub mod ruler;
+pub mod reference;

@@ -219,8 +219,8 @@ fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
 impl Soundings {
     /// By angle off the boresight, in steps of `step_deg`.
     pub fn rows(&self, step_deg: f64) -> Vec<Row> {
-        let most_deg = (self.angles_rad.iter()).fold(0.0_f64, |a, b| a.max(b.abs().to_degrees()));
-        let steps = (most_deg / step_deg).ceil() as usize;
+        let max_deg = (self.angles_rad.iter()).fold(0.0_f64, |a, b| a.max(b.abs().to_degrees()));
+        let steps = (max_deg / step_deg).ceil() as usize;
         (0..steps)
             .filter_map(|k| {
                 let (from_deg, to_deg) = (k as f64 * step_deg, (k + 1) as f64 * step_deg);

@@ -1,7 +1,7 @@
 //! One sonar over one scene in one motion, and the three families of them: the paper's ping, its variations, anything at all.
 
 use echotank::array::gridded2d::Bounds;
-use echotank::echo::cards;
+use echotank::echo::error_models;
 use echotank::flow::*;
 use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank::ping;
@@ -252,7 +252,7 @@ fn build(
     }
 }
 
-/// What the cards want to know, measured on the trajectory.
+/// What the error models want to know, measured on the trajectory.
 fn conditions(
     plan: &PingPlan,
     tx: &TransmitArray,
@@ -309,10 +309,13 @@ fn conditions(
 }
 
 impl Case {
-    /// Error that path and Doppler model make together, as their cards have it.
+    /// Error that path and Doppler model make together, as their error models have it.
     pub fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
-        let cards = cards::window_cards(path, doppler, &self.conditions);
-        cards.iter().map(|card| card.error).sum()
+        let error_models = error_models::window_error_models(path, doppler, &self.conditions);
+        error_models
+            .iter()
+            .map(|error_model| error_model.error)
+            .sum()
     }
 
     /// What an engine for the whole line must be made for: angles and speeds as they occur.

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use echotank::array::Decimator;
 use echotank::array::filter::occupied_hz;
-use echotank::array::windows::window_card;
+use echotank::array::windows::window_error_model;
 use echotank::echo::reference::reference_with;
 use echotank::flow::*;
 use num_complex::Complex64;
@@ -18,13 +18,13 @@ const TRUTH_DENSITY: f64 = 64.0;
 const DENSEST: f64 = 512.0;
 
 /// ... and at least so many per sample, where a pulse is narrow: its edges are as sharp as the receiver's band lets them be.
-const LEAST_OVERSAMPLE: f64 = 64.0;
+const MIN_OVERSAMPLE: f64 = 64.0;
 
 /// What the engines are told of the range of levels, and where the noise is put that the contract may count a weak window against.
 pub const LEVEL_RANGE_DB: f64 = 55.0;
 
 /// A window is a pulse long, or this many samples.
-const LEAST_WINDOW: usize = 32;
+const MIN_WINDOW: usize = 32;
 
 pub struct Truth {
     /// The receiver filter, as dense as the truth.
@@ -32,17 +32,17 @@ pub struct Truth {
     /// Of the elements looked at.
     pub records: Vec<Vec<Complex64>>,
     /// Of the sums without a tolerance of their own, as they were asked for: none depends on what is asked.
-    cards: Mutex<Vec<(Synthesis, MethodCard)>>,
+    error_models: Mutex<Vec<(Synthesis, ErrorModel)>>,
 }
 
 impl Truth {
-    /// The card of `synthesis` in every window in noise.
-    pub fn card(&self, synthesis: Synthesis, case: &Case) -> MethodCard {
-        let mut cards = self.cards.lock().expect("nobody panics with it");
-        if let Some((_, card)) = cards.iter().find(|(of, _)| *of == synthesis) {
-            return card.clone();
+    /// The error model of `synthesis` in every window in noise.
+    pub fn error_model(&self, synthesis: Synthesis, case: &Case) -> ErrorModel {
+        let mut error_models = self.error_models.lock().expect("nobody panics with it");
+        if let Some((_, error_model)) = error_models.iter().find(|(of, _)| *of == synthesis) {
+            return error_model.clone();
         }
-        let card = window_card(
+        let error_model = window_error_model(
             synthesis,
             &case.conditions,
             &case.plan,
@@ -50,8 +50,8 @@ impl Truth {
             LEVEL_RANGE_DB,
         )
         .expect("the case's sample rate holds its pulse");
-        cards.push((synthesis, card.clone()));
-        card
+        error_models.push((synthesis, error_model.clone()));
+        error_model
     }
 }
 
@@ -61,7 +61,7 @@ pub fn filter(case: &Case, density: f64) -> Option<Decimator> {
         return None;
     }
     let pulse = &case.plan.pulse;
-    let least = LEAST_OVERSAMPLE * density / TRUTH_DENSITY;
+    let least = MIN_OVERSAMPLE * density / TRUTH_DENSITY;
     let oversample = (density * occupied_hz(pulse) / case.rate_hz).max(least);
     let filter = Decimator::new(
         pulse,
@@ -84,7 +84,7 @@ fn truth_of(case: &Case, density: f64) -> Truth {
             .map(|&element| reference_record(case, filter.as_ref(), element))
             .collect(),
         filter,
-        cards: Mutex::default(),
+        error_models: Mutex::default(),
     }
 }
 
@@ -180,7 +180,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Over all windows of `length` samples of all elements' records; `got` and `want` by element.
 pub fn worst_window(got: &[Vec<Complex64>], want: &[Vec<Complex64>], length: usize) -> WorstWindow {
-    let length = length.max(LEAST_WINDOW).min(want[0].len());
+    let length = length.max(MIN_WINDOW).min(want[0].len());
     let size: Vec<Vec<f64>> = want
         .iter()
         .map(|record| energies(record.iter().map(|w| w.norm_sqr()), length))

@@ -1,14 +1,14 @@
-//! From a tolerance to models and a sum, by what their cards promise, or to a refusal.
+//! From a tolerance to models and a sum, by what their error models promise, or to a refusal.
 
 use std::sync::Mutex;
 
 use echotank::array::filter::oversample;
-use echotank::array::gridded::{Dialect, DopplerSpan, Gridded1d, one_dimensional};
+use echotank::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional};
 use echotank::array::gridded2d::{self, Gridded2d};
 use echotank::array::{Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
-use echotank::echo::cards::window_cards;
+use echotank::echo::error_models::window_error_models;
 use echotank::echo::{
-    Illuminated, LineEchoes, LineWorkspace, Window, Workspace, arrivals, illuminate,
+    LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify,
 };
 use echotank::flow::*;
 use num_complex::Complex64;
@@ -17,7 +17,7 @@ use super::case::Case;
 use super::measure::{LEVEL_RANGE_DB, Truth};
 
 /// Elements from which an engine for lines is asked.
-const LEAST_LINE: usize = 8;
+const MIN_LINE: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
@@ -36,7 +36,7 @@ pub struct Chosen {
     pub doppler: DopplerModel,
     /// Of the sum alone; infinite where it has none to keep.
     pub tolerance: f64,
-    /// What the cards add up to.
+    /// What the error models add up to.
     pub predicted: f64,
     pub why: String,
 }
@@ -86,7 +86,7 @@ impl Method {
 
     /// Those that are of use for so many elements.
     pub fn of(case: &Case) -> impl Iterator<Item = Self> {
-        let line = case.rx.elements >= LEAST_LINE;
+        let line = case.rx.elements >= MIN_LINE;
         Self::ALL
             .into_iter()
             .filter(move |&m| line || m != Self::Gridded2d)
@@ -144,13 +144,13 @@ impl Method {
                     continue;
                 }
                 match self.ready(rest, case, truth, path, doppler) {
-                    Ok((card, ready)) => {
+                    Ok((error_model, ready)) => {
                         let chosen = Chosen {
                             path,
                             doppler,
                             tolerance: if self.adapts() { rest } else { f64::INFINITY },
-                            predicted: model_error + card.error,
-                            why: card.why,
+                            predicted: model_error + error_model.error,
+                            why: error_model.why,
                         };
                         return Ok((chosen, ready));
                     }
@@ -172,13 +172,13 @@ impl Method {
         let path = PathModel::Continuous;
         let doppler = self.dopplers().last().copied()?;
         let tolerance = if self.adapts() { 1e-3 } else { f64::INFINITY };
-        let (card, ready) = self.ready(tolerance, case, truth, path, doppler).ok()?;
+        let (error_model, ready) = self.ready(tolerance, case, truth, path, doppler).ok()?;
         let chosen = Chosen {
             path,
             doppler,
             tolerance,
             predicted: f64::INFINITY,
-            why: card.why,
+            why: error_model.why,
         };
         Some((chosen, ready))
     }
@@ -188,7 +188,7 @@ impl Method {
         matches!(self, Self::Gridded1d | Self::Gridded2d)
     }
 
-    /// The sum and its card, if that is within `tolerance`.
+    /// The sum and its error model, if that is within `tolerance`.
     fn ready(
         self,
         tolerance: f64,
@@ -196,7 +196,7 @@ impl Method {
         truth: &Truth,
         path: PathModel,
         doppler: DopplerModel,
-    ) -> Result<(MethodCard, Ready), String> {
+    ) -> Result<(ErrorModel, Ready), String> {
         let plan = case.with_models(path, doppler);
         let synthesis = match self {
             Self::Direct => Synthesis::Direct,
@@ -205,16 +205,19 @@ impl Method {
             Self::Linear => Synthesis::Linear,
             Self::Gridded1d => {
                 let gridded = gridded_1d(tolerance, case, &plan, truth)?;
-                return Ok((gridded.engine.card().clone(), Ready::Elements(gridded)));
+                return Ok((
+                    gridded.engine.error_model().clone(),
+                    Ready::Elements(gridded),
+                ));
             }
             Self::Gridded2d => {
                 let engine = gridded_2d(tolerance, case, &plan, truth)?;
-                return Ok((engine.card().clone(), Ready::Line(Box::new(engine))));
+                return Ok((engine.error_model().clone(), Ready::Line(Box::new(engine))));
             }
         };
-        let card = truth.card(synthesis, case);
-        let card = card.within(tolerance).map_err(|e| e.to_string())?;
-        Ok((card, Ready::Sum))
+        let error_model = truth.error_model(synthesis, case);
+        let error_model = error_model.within(tolerance).map_err(|e| e.to_string())?;
+        Ok((error_model, Ready::Sum))
     }
 
     /// Samples of the elements looked at.
@@ -232,11 +235,12 @@ impl Method {
 }
 
 fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerModel) -> Refused {
-    let [path_card, doppler_card] = window_cards(path, doppler, &case.conditions);
-    let worse = if path_card.error > doppler_card.error {
-        path_card
+    let [path_error_model, doppler_error_model] =
+        window_error_models(path, doppler, &case.conditions);
+    let worse = if path_error_model.error > doppler_error_model.error {
+        path_error_model
     } else {
-        doppler_card
+        doppler_error_model
     };
     // Half of it each where neither alone is too much.
     let refusal = worse.clone().within(tolerance).err();
@@ -269,9 +273,16 @@ fn walk(
     sink: &mut impl ArrivalSink,
 ) {
     let window = Window::of_samples(first_s, rate_hz, count);
-    let mut lit = Illuminated::new();
-    illuminate(plan, &case.tx, window, &case.scatterers, &mut lit);
-    arrivals(plan, &case.rx, element, &lit, &mut Workspace::new(), sink);
+    let mut transmit_leg = TransmitLeg::new();
+    insonify(plan, &case.tx, window, &case.scatterers, &mut transmit_leg);
+    arrivals(
+        plan,
+        &case.rx,
+        element,
+        &transmit_leg,
+        &mut Workspace::new(),
+        sink,
+    );
 }
 
 /// The receiver filter as the pipeline gives it to this synthesis.
@@ -410,7 +421,7 @@ fn gridded_1d(
         tolerance,
         level_range_db: LEVEL_RANGE_DB,
         arrivals: case.scatterers.len(),
-        dialect: Dialect::best(),
+        simd_level: SimdLevel::best(),
     })
     .map_err(|e| e.to_string())?;
     Ok(Gridded {
@@ -453,22 +464,22 @@ fn gridded_2d(
         level_range_db: LEVEL_RANGE_DB,
         samples: plan.sample_count,
         scatterers: case.scatterers.len(),
-        dialect: Dialect::best(),
+        simd_level: SimdLevel::best(),
     })
     .map_err(|e| e.to_string())
 }
 
 fn line_records(mut engine: Gridded2d, case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
-    let mut lit = Illuminated::new();
+    let mut transmit_leg = TransmitLeg::new();
     let window = Window::of_samples(0.0, case.rate_hz, usize::MAX);
-    illuminate(plan, &case.tx, window, &case.scatterers, &mut lit);
+    insonify(plan, &case.tx, window, &case.scatterers, &mut transmit_leg);
     let work: Vec<_> = (0..rayon::current_num_threads())
         .map(|_| Mutex::new(LineWorkspace::default()))
         .collect();
     let echoes = LineEchoes {
         plan,
         array: &case.rx,
-        lit: &lit,
+        transmit_leg: &transmit_leg,
         work: &work,
     };
     let mut iq = vec![Complex64::ZERO; case.rx.elements * plan.sample_count];

@@ -166,9 +166,9 @@ export class Controls {
   }
 
   #faults(state) {
-    say(byId("faults-count"), state.faults.length ? `${state.faults.length} stand, ${state.faults_injected} struck` : "none");
+    say(byId("faults-count"), state.faults.length ? `${state.faults.length} stand, ${state.faults_injected} injected` : "none");
     byId("faults-clear").disabled = state.faults.length === 0;
-    const key = JSON.stringify(state.faults.map((f) => [f.fault, f.struck]));
+    const key = JSON.stringify(state.faults.map((f) => [f.fault, f.injected]));
     const list = byId("faults");
     if (this.faultsKey !== key || state.faults.some((f) => f.for_s)) {
       this.faultsKey = key;
@@ -182,7 +182,7 @@ export class Controls {
     const [name, when, , progress] = item.children;
     say(name, faultInWords(f, this.hello.sonars[this.index]));
     const [words, share, standing] = timeline(f, state.rig_utc_ms);
-    say(when, `${words}, struck ${f.struck}`);
+    say(when, `${words}, injected ${f.injected}`);
     name.dataset.is = standing ? "good" : "";
     progress.value = share;
     progress.hidden = !f.for_s;

@@ -50,10 +50,10 @@ export class Health {
     if (m) {
       rows.push(["Path", `${m.path}, ${digits(m.segment_ms, 0)} ms`], ["Doppler", m.doppler], ["Synthesis", m.synthesis]);
       rows.push(["Culling", m.cull_db === null ? "none" : `${m.cull_db} dB`], ["Scatterers", m.scatterers.toLocaleString("en")], ["In shadow", m.shadowed.toLocaleString("en")]);
-      const cert = m.certificate;
-      rows.push(["Certificate", cert ? `${cert.error.toExponential(1)} of ${cert.tolerance.toExponential(0)}` : "not asked for"]);
-      const plan = s.fidelity;
-      rows.push(["Plan of methods", plan ? `no. ${plan.plan}: ${plan.predicted_error.toExponential(1)} of ${plan.tolerance.toExponential(0)} predicted` : "none: as configured"]);
+      const cert = m.error_check;
+      rows.push(["Error check", cert ? `${cert.error.toExponential(1)} of ${cert.tolerance.toExponential(0)}` : "not asked for"]);
+      const plan = s.methods;
+      rows.push(["Selected methods", plan ? `no. ${plan.plan}: ${plan.predicted_error.toExponential(1)} of ${plan.tolerance.toExponential(0)} predicted` : "none: as configured"]);
       if (cert) rows.push(["95 % interval", `${cert.low.toExponential(1)} to ${cert.high.toExponential(1)}${cert.fault ? ", FAULT" : ""}`]);
     }
     return facts(rows);

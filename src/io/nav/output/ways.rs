@@ -14,7 +14,7 @@ pub const PULSE_BYTE: u8 = 0x07;
 /// A vanished serial port is looked for this often.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Clients of one output; more are turned away.
-const MOST_CLIENTS: usize = 64;
+const MAX_CLIENTS: usize = 64;
 
 pub trait Way: Send {
     /// The whole second begins (`high`), or its pulse ends.
@@ -136,7 +136,7 @@ impl Way for Tcp {
     fn clients(&mut self) -> u64 {
         while let Ok((stream, _)) = self.listener.accept() {
             let ready = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
-            if ready && self.clients.len() < MOST_CLIENTS {
+            if ready && self.clients.len() < MAX_CLIENTS {
                 self.clients.push(stream);
             }
         }

@@ -10,9 +10,9 @@ use crate::io::sonar::verify::{Numbers, PingTally, Seen};
 pub type Sums = HashMap<(Lane, u64), u64>;
 
 /// Of a gap, how many missing numbers have their places kept.
-const MOST_PLACES: usize = 100_000;
+const MAX_PLACES: usize = 100_000;
 /// Findings kept; what is beyond is counted.
-const MOST_FINDINGS: usize = 1_000_000;
+const MAX_FINDINGS: usize = 1_000_000;
 
 /// Fowler, Noll and Vo's hash (1a), 64 bits.
 fn sum_of(bytes: &[u8]) -> u64 {
@@ -80,7 +80,7 @@ impl Accounts {
     }
 
     fn find(&mut self, finding: Finding) {
-        if self.findings.len() < MOST_FINDINGS {
+        if self.findings.len() < MAX_FINDINGS {
             self.findings.push(finding);
         } else {
             self.unkept += 1;
@@ -148,7 +148,7 @@ impl Accounts {
         if let (Some(place), Seen::New) = (place, seen) {
             let newest = self.newest.insert(lane, place);
             if let (Some(before), Some(newest)) = (before, newest) {
-                for missing in (before + 1..number).take(MOST_PLACES) {
+                for missing in (before + 1..number).take(MAX_PLACES) {
                     self.between.insert((lane, missing), (newest, place));
                 }
             }

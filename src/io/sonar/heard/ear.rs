@@ -189,7 +189,7 @@ impl Ear {
         if let Inner::Imagenex872(stream) = &mut self.inner {
             stream.finish();
             stream.feed(&[], |item| self.errors += u64::from(item.is_err()));
-            // Anew: one that searches counts no second torn answer before it has found a whole one.
+            // Anew: one that searches counts no second truncated answer before it has found a whole one.
             *stream = AnswerStream::new(AnswerFraming);
         }
     }

@@ -18,7 +18,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// A server that was reset from is tried again so often, so long.
 const AGAIN: Duration = Duration::from_millis(10);
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A question that has no answer for so long is asked again: the answer was lost or torn.
+/// A question that has no answer for so long is asked again: the answer was lost or truncated.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
 /// After an answer it is listened so long before the next question, or a second one of the same ping would pass for its answer.
 const SETTLE: Duration = Duration::from_millis(10);
@@ -239,7 +239,7 @@ impl Listener {
         }
     }
 
-    /// An answer that has begun is torn: its rest will not come.
+    /// An answer that has begun is truncated: its rest will not come.
     fn give_up(&mut self) {
         let errors = self.heard.ear.errors();
         self.heard.ear.give_up();

@@ -9,14 +9,14 @@ use thiserror::Error;
 
 use crate::config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
 use crate::flow::{DopplerModel, PathModel, PingPlan, Scatterers};
-use crate::ping::fidelity::{Candidate, Ranking};
+use crate::ping::methods::{Candidate, Ranking};
 use crate::ping::polyline;
 use crate::ping::work::{FIGURES, Figure, Work};
 use crate::run::chart::bare;
-use crate::run::fidelity::benches::benches;
-use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::first::{FirstError, first};
-use crate::run::fidelity::{Scene, Swell, rank, with_choice};
+use crate::run::method_selection::benches::benches;
+use crate::run::method_selection::costs::Costs;
+use crate::run::method_selection::first::{FirstError, first};
+use crate::run::method_selection::{Scene, Swell, rank, with_choice};
 use crate::run::pipeline::SonarPipeline;
 use crate::run::rig::pool;
 
@@ -25,7 +25,7 @@ const LONGEST: Duration = Duration::from_secs(130);
 const OWN: Duration = Duration::from_secs(50);
 /// One method is run for so long, and so often at most; the least time counts, since all that disturbs a run makes it longer.
 const EACH: Duration = Duration::from_millis(150);
-const MOST_RUNS: usize = 30;
+const MAX_RUNS: usize = 30;
 /// Methods that would take longer are left out, ms.
 const LONGEST_MS: f64 = 800.0;
 /// A ping shorter than this is not the plan's concern, ms.
@@ -188,7 +188,7 @@ impl Place<'_> {
             if Instant::now() > until {
                 return false;
             }
-            let took_ms = self.least_ms(&with_choice(&spec, &candidate.choice));
+            let took_ms = self.min_ms(&with_choice(&spec, &candidate.choice));
             if let Some(took_ms) = took_ms.filter(|ms| *ms > SHORTEST_MS) {
                 let parts = candidate.parts.iter();
                 timed.push(Timed {
@@ -202,7 +202,7 @@ impl Place<'_> {
         true
     }
 
-    fn least_ms(&self, spec: &SonarSpec) -> Option<f64> {
+    fn min_ms(&self, spec: &SonarSpec) -> Option<f64> {
         let mut pipeline = SonarPipeline::new(spec, self.medium).ok()?;
         let mut plan = self.plan.clone();
         plan.model = spec.model;
@@ -211,19 +211,19 @@ impl Place<'_> {
         polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
         let mut output = pipeline.blank_output();
         let began = Instant::now();
-        let mut least_ms = f64::INFINITY;
-        for run in 0..MOST_RUNS {
+        let mut min_ms = f64::INFINITY;
+        for run in 0..MAX_RUNS {
             let run_began = Instant::now();
             pipeline.compute_ping(&plan, self.scatterers, &mut output);
             // The first warms up.
             if run > 0 {
-                least_ms = least_ms.min(1e3 * run_began.elapsed().as_secs_f64());
+                min_ms = min_ms.min(1e3 * run_began.elapsed().as_secs_f64());
                 if began.elapsed() > EACH {
                     break;
                 }
             }
         }
-        Some(least_ms)
+        Some(min_ms)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The certificate of whole pings: what it says of their error, against the error of every sample.
+//! The error check of whole pings: what it says of their error, against the error of every sample.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use echotank::config::spec::RigSpec;
 use echotank::flow::*;
 use echotank::frames::{Trajectory, rotation_from_angles};
 use echotank::ping::{self, PingOrder};
-use echotank::run::certificate::{FAULT, KEPT, LEAST};
+use echotank::run::error_check::{FAULT, KEPT, LEAST};
 use echotank::run::pipeline::SonarPipeline;
 use echotank::time::UtcNs;
 use glam::DVec3;
@@ -89,24 +89,24 @@ fn plan(rig: &RigSpec, number: u32) -> PingPlan {
     plan
 }
 
-/// Certificates of `pings` pings, and the last one's samples before the receiver's (which does nothing here).
+/// Error checks of `pings` pings, and the last one's samples before the receiver's (which does nothing here).
 fn run(
     rig: &RigSpec,
     scatterers: &Scatterers,
     pings: u32,
-) -> (Vec<Option<Certificate>>, Vec<Complex64>) {
+) -> (Vec<Option<ErrorCheck>>, Vec<Complex64>) {
     let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
     let mut output = pipeline.blank_output();
-    let certificates = (1..=pings)
+    let error_checks = (1..=pings)
         .map(|number| {
             pipeline.compute_ping(&plan(rig, number), scatterers, &mut output);
-            output.certificate
+            output.error_check
         })
         .collect();
-    (certificates, output.elements[0].iq.clone())
+    (error_checks, output.elements[0].iq.clone())
 }
 
-/// The error that a certificate estimates, over every sample: rms of the differences, each over the larger of the rms around it and of the
+/// The error that an error check estimates, over every sample: rms of the differences, each over the larger of the rms around it and of the
 /// element's ping.
 fn true_error(got: &[Complex64], want: &[Complex64], samples: usize, window: usize) -> f64 {
     let mean_square =
@@ -150,12 +150,12 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
         ("doppler = \"stretch\"", "rx_filter = \"none\""),
     ] {
         let lines = format!("{receiver}\n{QUIET}");
-        let certified = rig(&format!("{model}\ncertificate = true"), &lines);
+        let checked = rig(&format!("{model}\ncertificate = true"), &lines);
         // Of a method that costs little, little may be spent on watching it.
         let pings = if model.contains("gridded") { 4000 } else { 400 };
-        let (certificates, got) = run(&certified, &scatterers, pings);
-        let none = certificates.iter().take_while(|c| c.is_none()).count();
-        let last = certificates
+        let (error_checks, got) = run(&checked, &scatterers, pings);
+        let none = error_checks.iter().take_while(|c| c.is_none()).count();
+        let last = error_checks
             .last()
             .copied()
             .flatten()
@@ -177,7 +177,7 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
         let want = &known.as_ref().expect("made above").1;
         let error = true_error(&got, want, reference.sample_count, 120);
         println!(
-            "{model:?}, {receiver:?}: true {error:.2e}, certificate {:.2e} ({:.2e} to {:.2e}) after {none} pings",
+            "{model:?}, {receiver:?}: true {error:.2e}, error check {:.2e} ({:.2e} to {:.2e}) after {none} pings",
             last.error, last.low, last.high
         );
         // The interval is of 95 %: one in twenty may miss, by a little. The seed is fixed, so this either holds or does not.
@@ -192,25 +192,25 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
 #[test]
 fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
     let scatterers = scene(150);
-    let bits = |certificate: bool| {
-        let model = format!("path = \"stop-and-hop\"\ncertificate = {certificate}");
+    let bits = |error_check: bool| {
+        let model = format!("path = \"stop-and-hop\"\ncertificate = {error_check}");
         run(&rig(&model, QUIET), &scatterers, 400)
     };
-    let ((certificates, watched), (nothing, plain)) = (bits(true), bits(false));
+    let ((error_checks, watched), (nothing, plain)) = (bits(true), bits(false));
     assert_eq!(watched, plain);
     assert!(nothing.iter().all(Option::is_none));
-    let last = certificates.last().copied().flatten().expect("enough");
+    let last = error_checks.last().copied().flatten().expect("enough");
     assert!(last.low > 0.5, "{last:?}");
 }
 
-/// One certificate above 1.3 tolerances is chance, two running are a fault; a method that keeps its tolerance has none.
+/// One error check above 1.3 tolerances is chance, two running are a fault; a method that keeps its tolerance has none.
 #[test]
 fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
     let scatterers = scene(150);
     for (tolerance, faulty) in [(1e-1, false), (1e-5, true)] {
-        let model = format!("certificate = true\ntolerance = {tolerance}\nsegment_ms = 5.0");
-        let (certificates, _) = run(&rig(&model, QUIET), &scatterers, 400);
-        let known: Vec<Certificate> = certificates.into_iter().flatten().collect();
+        let model = format!("error_check = true\ntolerance = {tolerance}\nsegment_ms = 5.0");
+        let (error_checks, _) = run(&rig(&model, QUIET), &scatterers, 400);
+        let known: Vec<ErrorCheck> = error_checks.into_iter().flatten().collect();
         let (first, last) = (known[0], known[known.len() - 1]);
         assert_eq!(last.tolerance, tolerance);
         assert!(!first.fault, "one ping is not two");
@@ -222,7 +222,7 @@ fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
 #[test]
 fn a_certificate_is_the_same_for_any_number_of_threads() {
     let scatterers = scene(150);
-    let rig = rig("certificate = true", QUIET);
+    let rig = rig("error_check = true", QUIET);
     let with = |threads: usize| {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -237,7 +237,7 @@ fn a_certificate_is_the_same_for_any_number_of_threads() {
 
 #[test]
 fn an_empty_scene_is_certified_without_a_word() {
-    let rig = rig("certificate = true", QUIET);
-    let (certificates, _) = run(&rig, &Scatterers::default(), 20);
-    assert!(certificates.iter().flatten().all(|c| c.error == 0.0));
+    let rig = rig("error_check = true", QUIET);
+    let (error_checks, _) = run(&rig, &Scatterers::default(), 20);
+    assert!(error_checks.iter().flatten().all(|c| c.error == 0.0));
 }

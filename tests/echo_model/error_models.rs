@@ -4,8 +4,8 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use echotank::array::Direct;
-use echotank::array::cards::synthesis_card;
-use echotank::echo::cards::{doppler_card, doppler_within, path_card};
+use echotank::array::error_models::synthesis_error_model;
+use echotank::echo::error_models::{doppler_error_model, doppler_within, path_error_model};
 use echotank::echo::{Window, reference};
 use echotank::flow::*;
 
@@ -60,7 +60,7 @@ fn around(range_m: (f64, f64)) -> Vec<DVec3> {
         .collect()
 }
 
-/// The product of two models' errors is bounded by the sum of their cards.
+/// The product of two models' errors is bounded by the sum of their error models.
 #[test]
 fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() {
     let range_m = (36.0, 150.0);
@@ -73,15 +73,24 @@ fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() 
                 plan.model.path = path;
                 plan.model.doppler = doppler;
                 let c = conditions(&plan, range_m);
-                let cards = [path_card(path, &c), doppler_card(doppler, path, &c)];
-                let want: f64 = cards.iter().map(|card| card.error).sum();
+                let error_models = [
+                    path_error_model(path, &c),
+                    doppler_error_model(doppler, path, &c),
+                ];
+                let want: f64 = error_models
+                    .iter()
+                    .map(|error_model| error_model.error)
+                    .sum();
                 let got = measured(&plan, DVec3::ZERO, DVec3::ZERO, &at_m);
                 let name = format!("{} {} {v} m/s", path.name(), doppler.name());
-                println!("{name}: {got:.1e}, card {want:.1e}");
-                assert!(got <= 1.1 * want, "{name}: {got:e}, card {want:e}");
+                println!("{name}: {got:.1e}, error model {want:.1e}");
+                assert!(got <= 1.1 * want, "{name}: {got:e}, error model {want:e}");
                 // Below that it is the floor of f64 or of the cubic chirp.
                 let floor = 2e-5;
-                assert!(want < 10.0 * got + floor, "{name}: {got:e}, card {want:e}");
+                assert!(
+                    want < 10.0 * got + floor,
+                    "{name}: {got:e}, error model {want:e}"
+                );
             }
         }
     }
@@ -109,12 +118,18 @@ fn on_a_restless_platform_the_cards_still_bound_the_models() {
                 turning_m_per_s: 0.14 * 3.1,
                 ..conditions(&plan, range_m)
             };
-            let cards = [path_card(path, &c), doppler_card(doppler, path, &c)];
-            let want: f64 = cards.iter().map(|card| card.error).sum();
+            let error_models = [
+                path_error_model(path, &c),
+                doppler_error_model(doppler, path, &c),
+            ];
+            let want: f64 = error_models
+                .iter()
+                .map(|error_model| error_model.error)
+                .sum();
             let got = measured(&plan, tx_m, rx_m, &around(range_m));
             let name = format!("{} of {count}, {}", path.name(), doppler.name());
-            println!("{name}: {got:.1e}, card {want:.1e}");
-            assert!(got <= 1.1 * want, "{name}: {got:e}, card {want:e}");
+            println!("{name}: {got:.1e}, error model {want:.1e}");
+            assert!(got <= 1.1 * want, "{name}: {got:e}, error model {want:e}");
         }
     }
 }
@@ -124,16 +139,22 @@ fn a_method_that_cannot_reach_what_is_asked_refuses_with_its_reason() {
     let plan = ahead(5.144);
     let mut c = conditions(&plan, (36.0, 250.0));
     c.sample_rate_hz = 37.5e3;
-    let card = path_card(PathModel::StopAndHop, &c);
-    let refused = card.within(1e-3).expect_err("a metre is many wavelengths");
+    let error_model = path_error_model(PathModel::StopAndHop, &c);
+    let refused = error_model
+        .within(1e-3)
+        .expect_err("a metre is many wavelengths");
     assert_eq!(
         refused.to_string(),
         "stop-and-hop is off by 2.0e0 here, and 1.0e-3 is asked: the platform moves 1.7e0 m while sound is under way"
     );
-    assert!(path_card(PathModel::Continuous, &c).within(1e-8).is_ok());
+    assert!(
+        path_error_model(PathModel::Continuous, &c)
+            .within(1e-8)
+            .is_ok()
+    );
     // Point-sampled at 1.25 B against band-limited: 5.5e-2 apart at BT = 150 over all places of the ends between samples, pi/2 times that where
     // an end lies on a sample.
-    let spectral = synthesis_card(Synthesis::Spectral, &c);
+    let spectral = synthesis_error_model(Synthesis::Spectral, &c);
     let want = 5.5e-2 * std::f64::consts::FRAC_PI_2;
     assert!((spectral.error - want).abs() < 2e-3, "{spectral:?}");
     assert!(spectral.within(1e-2).is_err());
@@ -147,9 +168,15 @@ fn a_method_that_cannot_reach_what_is_asked_refuses_with_its_reason() {
         (Synthesis::Nearest, 0.72, 0.67),
         (Synthesis::Linear, 0.34, 0.30),
     ] {
-        let card = synthesis_card(synthesis, &c);
-        assert!(card.clone().within(reaches).is_ok(), "{card:?}");
-        assert!(card.clone().within(fails).is_err(), "{card:?}");
+        let error_model = synthesis_error_model(synthesis, &c);
+        assert!(
+            error_model.clone().within(reaches).is_ok(),
+            "{error_model:?}"
+        );
+        assert!(
+            error_model.clone().within(fails).is_err(),
+            "{error_model:?}"
+        );
     }
 }
 

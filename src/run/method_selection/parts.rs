@@ -17,7 +17,7 @@ use num_complex::Complex64;
 use crate::config::spec::SonarSpec;
 use crate::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use crate::flow::{ArrayGeometry, LawCurve, PathModel, PingPlan, ScatterLaw, Scatterers};
-use crate::run::fidelity::heard::drawn;
+use crate::run::method_selection::heard::drawn;
 
 /// Pairs of an echo and an element that are looked at, and echoes at least and at most.
 const PAIRS: usize = 60_000;
@@ -118,7 +118,7 @@ struct Line<'a> {
     window_s: f64,
     transmit_m: DVec3,
     transmit_from_world: DMat3,
-    lit: Directivity,
+    transmit_leg: Directivity,
     element: Directivity,
     one_way: OneWay,
     floor: f64,
@@ -192,7 +192,7 @@ impl<'a> Line<'a> {
             window_s: plan.window_s(rate_hz),
             transmit_m: start.point_m(transmit.mounting.position_m),
             transmit_from_world: DMat3::from_quat(turn.inverse()),
-            lit: Directivity::new(&transmit.pattern, wavelength_m),
+            transmit_leg: Directivity::new(&transmit.pattern, wavelength_m),
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             floor: plan.model.cull_db.map_or(0.0, amplitude_from_db),
@@ -242,7 +242,7 @@ impl<'a> Line<'a> {
             }
             let out = self.transmit_from_world * (out_m / out_range_m);
             let back = from_world * back_m.normalize_or_zero();
-            let sent = self.lit.towards(out.x, out.y, out.z);
+            let sent = self.transmit_leg.towards(out.x, out.y, out.z);
             let received = self.element.towards(back.x, back.y, back.z);
             let level = (sent * received).abs();
             if level == 0.0 || level * f64::from(scatterers.loud[i]) < self.floor {
@@ -336,8 +336,8 @@ impl<'a> Line<'a> {
             let of = &sums.of[k];
             let line = sums.line.max(all.line / among);
             let mut off = [of[OFF] / line, of[TILTED] / line];
-            // Certificates look at parts one by one.
-            if spec.synthesis.certificate {
+            // Error checks look at parts one by one.
+            if spec.synthesis.error_check {
                 let parts = of[PARTS].max(all.of[k][PARTS] / among);
                 off[0] = off[0].max(of[OFF_PARTS] / parts.max(f64::MIN_POSITIVE));
             }

@@ -2,7 +2,7 @@
 
 /// Proof that the processor has what [`Kind`] says; made only by the functions here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Dialect(Kind);
+pub struct SimdLevel(Kind);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -14,7 +14,7 @@ pub enum Kind {
     Avx512,
 }
 
-impl Dialect {
+impl SimdLevel {
     pub const PORTABLE: Self = Self(Kind::Portable);
 
     /// The widest that this processor has.

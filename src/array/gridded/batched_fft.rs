@@ -2,7 +2,7 @@
 //!
 //! A table has a row for every value of the grid of delays and a column for every Doppler. A row is `lanes` real parts and then `lanes` imaginary
 //! ones, so vectors hold the same value of several columns, and nothing is ever moved between their lanes: a transform of all columns is
-//! the transform of one with vectors in place of numbers. Bins come out in an order of their own ([`Abreast::frequencies`]), which costs nothing,
+//! the transform of one with vectors in place of numbers. Bins come out in an order of their own ([`BatchedFft::frequencies`]), which costs nothing,
 //! as templates are kept in it; what the columns add up to is put in its place at the end.
 //!
 //! The transform takes two ways through the table: of every `short`-th row, and then of `short` neighbours at a time, which the innermost cache holds
@@ -12,10 +12,10 @@ use std::f64::consts::TAU;
 
 use num_complex::Complex;
 
-use super::dialect::{Dialect, Kind};
 use super::kernel::MAX_WIDTH;
 use super::lanes::{Lanes, Pair};
 use super::moments::{Across, FlushWeights, MAX_TAPS, Points, Real};
+use super::simd_level::{Kind, SimdLevel};
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
@@ -27,7 +27,7 @@ pub const LANES: usize = 8;
 const SHORT: usize = 256;
 
 /// Lanes that are transformed together, at most: in f32 a vector full, and tables of twenty thousand rows in the second cache.
-pub const MOST_TOGETHER: usize = 16;
+pub const MAX_TOGETHER: usize = 16;
 
 /// Columns to lanes.
 pub fn lanes_for(columns: usize) -> usize {
@@ -35,7 +35,7 @@ pub fn lanes_for(columns: usize) -> usize {
 }
 
 /// The transform of one size.
-pub struct Abreast<T> {
+pub struct BatchedFft<T> {
     size: usize,
     long: Steps<T>,
     short: Steps<T>,
@@ -107,7 +107,7 @@ impl<T: Real> Steps<T> {
     }
 }
 
-impl<T: Real> Abreast<T> {
+impl<T: Real> BatchedFft<T> {
     /// `size`: as [`super::transform::grid_size`] finds them.
     pub fn new(size: usize) -> Self {
         let short = SHORT.min(1 << size.trailing_zeros());
@@ -596,7 +596,7 @@ unsafe fn along<V: Lanes>(
     }
 }
 
-macro_rules! abreast {
+macro_rules! batched_fft {
     ($number:ty, $portable:ty, $avx2:ty, $spread_512:ty, $wide_512:ty, $mod:ident, $spread:ident, $transform:ident) => {
         #[cfg(target_arch = "x86_64")]
         mod $mod {
@@ -624,36 +624,42 @@ macro_rules! abreast {
             }
 
             #[target_feature(enable = "avx2,fma")]
-            pub unsafe fn transform_avx2(abreast: &Abreast<$number>, job: &mut Job<$number>) {
+            pub unsafe fn transform_avx2(
+                batched_fft: &BatchedFft<$number>,
+                job: &mut Job<$number>,
+            ) {
                 for first in (0..job.lanes).step_by(<$avx2>::COUNT) {
-                    unsafe { abreast.group::<$avx2>(job, first) }
+                    unsafe { batched_fft.group::<$avx2>(job, first) }
                 }
             }
 
             #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-            pub unsafe fn transform_avx512(abreast: &Abreast<$number>, job: &mut Job<$number>) {
+            pub unsafe fn transform_avx512(
+                batched_fft: &BatchedFft<$number>,
+                job: &mut Job<$number>,
+            ) {
                 let mut first = 0;
                 while first + <$wide_512>::COUNT <= job.lanes {
-                    unsafe { abreast.group::<$wide_512>(job, first) }
+                    unsafe { batched_fft.group::<$wide_512>(job, first) }
                     first += <$wide_512>::COUNT;
                 }
                 if first < job.lanes {
-                    unsafe { abreast.group::<$spread_512>(job, first) }
+                    unsafe { batched_fft.group::<$spread_512>(job, first) }
                 }
             }
         }
 
         /// See [`Real::spread`].
         pub fn $spread(
-            dialect: Dialect,
+            simd_level: SimdLevel,
             points: Points<$number>,
             across: Across<$number>,
             weights: &FlushWeights<$number>,
             table: &mut [$number],
         ) {
             check_spread(&points, &across, weights.width, table.len());
-            match dialect.kind() {
-                // SAFETY (of the three): a `Dialect` of this kind exists only where the processor has the features; shapes checked above.
+            match simd_level.kind() {
+                // SAFETY (of the three): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
                 #[cfg(target_arch = "x86_64")]
                 Kind::Avx512 => unsafe { $mod::spread_avx512(points, across, weights, table) },
                 #[cfg(target_arch = "x86_64")]
@@ -663,17 +669,21 @@ macro_rules! abreast {
         }
 
         /// See [`Real::transform`].
-        pub fn $transform(dialect: Dialect, abreast: &Abreast<$number>, mut job: Job<$number>) {
-            abreast.check(&job);
-            match dialect.kind() {
-                // SAFETY (of the three): a `Dialect` of this kind exists only where the processor has the features; shapes checked above.
+        pub fn $transform(
+            simd_level: SimdLevel,
+            batched_fft: &BatchedFft<$number>,
+            mut job: Job<$number>,
+        ) {
+            batched_fft.check(&job);
+            match simd_level.kind() {
+                // SAFETY (of the three): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
                 #[cfg(target_arch = "x86_64")]
-                Kind::Avx512 => unsafe { $mod::transform_avx512(abreast, &mut job) },
+                Kind::Avx512 => unsafe { $mod::transform_avx512(batched_fft, &mut job) },
                 #[cfg(target_arch = "x86_64")]
-                Kind::Avx2 => unsafe { $mod::transform_avx2(abreast, &mut job) },
+                Kind::Avx2 => unsafe { $mod::transform_avx2(batched_fft, &mut job) },
                 _ => {
                     for first in (0..job.lanes).step_by(<$portable>::COUNT) {
-                        unsafe { abreast.group::<$portable>(&mut job, first) }
+                        unsafe { batched_fft.group::<$portable>(&mut job, first) }
                     }
                 }
             }
@@ -681,7 +691,7 @@ macro_rules! abreast {
     };
 }
 
-abreast!(
+batched_fft!(
     f32,
     [f32; 8],
     __m256,
@@ -691,7 +701,7 @@ abreast!(
     spread_32,
     transform_32
 );
-abreast!(
+batched_fft!(
     f64,
     [f64; 8],
     __m256d,
@@ -737,8 +747,8 @@ mod tests {
     fn columns_add_up<T: Real + Into<f64>>(limit: f64) {
         for size in [8, 24, 40, 48, 72, 120, 512] {
             for lanes in [8, 16, 24] {
-                let abreast = Abreast::<T>::new(size);
-                let frequencies: Vec<usize> = abreast.frequencies().collect();
+                let batched_fft = BatchedFft::<T>::new(size);
+                let frequencies: Vec<usize> = batched_fft.frequencies().collect();
                 let mut sorted = frequencies.clone();
                 sorted.sort();
                 assert!(sorted.into_iter().eq(0..size), "{size}");
@@ -764,7 +774,7 @@ mod tests {
                     })
                     .map(|x| T::narrow(*x))
                     .collect();
-                for dialect in Dialect::available() {
+                for simd_level in SimdLevel::available() {
                     let mut made: Vec<T> = table.iter().map(|x| T::narrow(*x)).collect();
                     let one = Complex::new(T::one(), T::zero());
                     let mut spectrum = vec![one; 2 * size];
@@ -776,9 +786,9 @@ mod tests {
                         template_lanes: lanes,
                         first_template: 0,
                         spectrum: &mut spectrum,
-                        scratch: &mut vec![T::zero(); abreast.scratch_len()],
+                        scratch: &mut vec![T::zero(); batched_fft.scratch_len()],
                     };
-                    T::transform(dialect, &abreast, job);
+                    T::transform(simd_level, &batched_fft, job);
                     assert!(made.iter().all(|x| *x == T::zero()), "not emptied");
                     let mut worst: f64 = 0.0;
                     for (to, got) in spectrum.iter().enumerate() {
@@ -790,7 +800,7 @@ mod tests {
                     let scale = (lanes * size) as f64;
                     assert!(
                         worst < limit * scale.sqrt(),
-                        "{dialect:?}, {size} rows, {lanes} lanes: {worst:e}"
+                        "{simd_level:?}, {size} rows, {lanes} lanes: {worst:e}"
                     );
                 }
             }
@@ -869,14 +879,14 @@ mod tests {
                 let count = 2 * lanes * (CELLS + width + 1);
                 let mut want = vec![1.0; count];
                 spread_plainly(&points, &across, &kernel, &mut want);
-                for dialect in Dialect::available() {
+                for simd_level in SimdLevel::available() {
                     let mut got = vec![T::one(); count];
-                    T::spread(dialect, points, across, &weights, &mut got);
+                    T::spread(simd_level, points, across, &weights, &mut got);
                     let off = got.iter().zip(&want).map(|(&g, w)| (g.into() - w).abs());
                     let worst = off.fold(0.0, f64::max);
                     assert!(
                         worst < limit,
-                        "{dialect:?}, {width} x {taps} of {lanes}: {worst:e}"
+                        "{simd_level:?}, {width} x {taps} of {lanes}: {worst:e}"
                     );
                 }
             }

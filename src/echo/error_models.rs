@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::flow::{Conditions, DopplerModel, MethodCard, MethodRefused, PathModel, ReceiverFilter};
+use crate::flow::{Conditions, DopplerModel, ErrorModel, MethodRefused, PathModel, ReceiverFilter};
 
 /// f64 delays of 0.3 s at 400 kHz and what follows from them, under way.
 const F64_FLOOR: f64 = 1e-9;
@@ -88,7 +88,7 @@ fn moving(conditions: &Conditions) -> Moving {
 }
 
 /// The phase by which a path model misplaces an echo.
-pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
+pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
     let h = conditions.segment_s;
     let Moving {
@@ -126,7 +126,7 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
     };
     let phase_rad = conditions.wavenumber_per_m() * off_m * spread;
     let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
-    MethodCard {
+    ErrorModel {
         name: path.name(),
         error: Conditions::error_of_phase(phase_rad + edges).max(floor(conditions)),
         cost_ms: cost_ms(conditions, ns),
@@ -135,7 +135,11 @@ pub fn path_card(path: PathModel, conditions: &Conditions) -> MethodCard {
 }
 
 /// The phase that a Doppler model leaves within the pulse, on this path model's idea of the velocity.
-pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditions) -> MethodCard {
+pub fn doppler_error_model(
+    doppler: DopplerModel,
+    path: PathModel,
+    conditions: &Conditions,
+) -> ErrorModel {
     let Conditions {
         speed_m_per_s: v,
         range_m: (nearest_m, farthest_m),
@@ -200,7 +204,7 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
     };
     // At the end of the pulse phases are at their greatest, and the edge is off by as much of a carrier's period.
     let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
-    MethodCard {
+    ErrorModel {
         name: doppler.name(),
         error: Conditions::error_of_phase(phase_rad * spread + edges).max(floor(conditions)),
         cost_ms: cost_ms(conditions, ns),
@@ -208,13 +212,13 @@ pub fn doppler_card(doppler: DopplerModel, path: PathModel, conditions: &Conditi
     }
 }
 
-/// The two cards as of the worst window of a pulse's length and not of whole echoes: one that holds no more than the ends of pulses, where phases are at
+/// The two error models as of the worst window of a pulse's length and not of whole echoes: one that holds no more than the ends of pulses, where phases are at
 /// their greatest, or echoes that weaken one another.
-pub fn window_cards(
+pub fn window_error_models(
     path: PathModel,
     doppler: DopplerModel,
     conditions: &Conditions,
-) -> [MethodCard; 2] {
+) -> [ErrorModel; 2] {
     let weakening = 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz);
     // Of what grows with time, its square, its cube: at the end over the root mean square.
     let end = match doppler {
@@ -222,14 +226,14 @@ pub fn window_cards(
         DopplerModel::Stretch => 5f64.sqrt(),
         DopplerModel::StretchQuadratic => 7f64.sqrt(),
     };
-    let mut cards = [
-        path_card(path, conditions),
-        doppler_card(doppler, path, conditions),
+    let mut error_models = [
+        path_error_model(path, conditions),
+        doppler_error_model(doppler, path, conditions),
     ];
-    for (card, more) in cards.iter_mut().zip([weakening, weakening.max(end)]) {
-        card.error = Conditions::error_of_phase(card.error * more);
+    for (error_model, more) in error_models.iter_mut().zip([weakening, weakening.max(end)]) {
+        error_model.error = Conditions::error_of_phase(error_model.error * more);
     }
-    cards
+    error_models
 }
 
 /// The cheapest Doppler model that reaches `tolerance` on this path model, or why the best does not. Eq. 21 is never it.
@@ -237,15 +241,15 @@ pub fn doppler_within(
     tolerance: f64,
     path: PathModel,
     conditions: &Conditions,
-) -> Result<(DopplerModel, MethodCard), MethodRefused> {
-    let card = |doppler| doppler_card(doppler, path, conditions).within(tolerance);
+) -> Result<(DopplerModel, ErrorModel), MethodRefused> {
+    let error_model = |doppler| doppler_error_model(doppler, path, conditions).within(tolerance);
     for doppler in [DopplerModel::None, DopplerModel::Stretch] {
-        if let Ok(card) = card(doppler) {
-            return Ok((doppler, card));
+        if let Ok(error_model) = error_model(doppler) {
+            return Ok((doppler, error_model));
         }
     }
     let doppler = DopplerModel::StretchQuadratic;
-    card(doppler).map(|card| (doppler, card))
+    error_model(doppler).map(|error_model| (doppler, error_model))
 }
 
 /// Phase of a closing speed off by `speed_m_per_s` at either end, rms over the pulse.

@@ -1,4 +1,4 @@
-//! How what a ping hears moves: the method cards' closed forms are for echoes from any direction, and a beam that looks to the side has none from
+//! How what a ping hears moves: the error models' closed forms are for echoes from any direction, and a beam that looks to the side has none from
 //! ahead. Here the motion along each ray is weighted with the energy that comes along it.
 //!
 //! In: a ping's plan and scatterers. Out: [`Heard`]. Of a seabed only a sample of the scatterers is looked at, evenly over the list; points
@@ -14,8 +14,8 @@ use crate::flow::{ArrayGeometry, Heard, PingPlan, ScatterLaw, Scatterers, Transm
 pub const LOOKED_AT: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 const INSTANTS: usize = 64;
-/// A window is a pulse long, but so many samples at least, as certificates have it.
-pub(super) const LEAST_WINDOW: usize = 32;
+/// A window is a pulse long, but so many samples at least, as error checks have it.
+pub(super) const MIN_WINDOW: usize = 32;
 /// Rounding of finite differences of velocities, m/s^2.
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
@@ -81,7 +81,7 @@ impl Part {
 /// None where nothing is heard.
 pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Option<Heard> {
     let rate_hz = spec.receiver.sample_rate_hz;
-    let window_s = plan.pulse.duration_s.max(LEAST_WINDOW as f64 / rate_hz);
+    let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let part_s = window_s / PARTS as f64;
     let mut worst = [0.0f64; QUANTITIES];
@@ -150,7 +150,7 @@ struct Ear {
     transmit_m_per_s: DVec3,
     transmit_m_per_s2: DVec3,
     transmit_from_world: DMat3,
-    lit: Directivity,
+    transmit_leg: Directivity,
     element: Directivity,
     one_way: OneWay,
     step_s: f64,
@@ -199,7 +199,7 @@ impl Ear {
             transmit_from_world: DMat3::from_quat(
                 (start.world_from_body * transmit.mounting.body_from_array).inverse(),
             ),
-            lit: Directivity::new(&transmit.pattern, wavelength_m),
+            transmit_leg: Directivity::new(&transmit.pattern, wavelength_m),
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             step_s,
@@ -252,7 +252,7 @@ impl Ear {
                 let u = *m * ray;
                 d.towards(u.x, u.y, u.z)
             };
-            let level = towards(&self.lit, &self.transmit_from_world, out)
+            let level = towards(&self.transmit_leg, &self.transmit_from_world, out)
                 * towards(&self.element, &at.array_from_world, back);
             if level.abs() * f64::from(scatterers.loud[i]) < floor {
                 continue;
@@ -319,14 +319,14 @@ impl Ear {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shares {
     /// Above the floor as the transmitter sees them: these are walked.
-    pub lit: f64,
+    pub transmit_leg: f64,
     /// ... and as the element hears them: these are summed.
     pub kept: f64,
 }
 
 impl Shares {
     pub const ALL: Self = Self {
-        lit: 1.0,
+        transmit_leg: 1.0,
         kept: 1.0,
     };
 }
@@ -353,19 +353,19 @@ pub fn kept_shares(
             let out = ear.transmit_from_world * (place_m - ear.transmit_m).normalize_or_zero();
             let back = at.array_from_world * (place_m - at.position_m).normalize_or_zero();
             let loud = f64::from(scatterers.loud[i]);
-            let sent = (ear.lit.towards(out.x, out.y, out.z) * loud).abs();
+            let sent = (ear.transmit_leg.towards(out.x, out.y, out.z) * loud).abs();
             let level = (sent * ear.element.towards(back.x, back.y, back.z)).abs();
             all += pairs;
-            for ((lit, kept), floor) in sums.iter_mut().zip(&floors) {
-                *lit += if sent >= *floor { pairs } else { 0.0 };
+            for ((transmit_leg, kept), floor) in sums.iter_mut().zip(&floors) {
+                *transmit_leg += if sent >= *floor { pairs } else { 0.0 };
                 *kept += if level >= *floor { pairs } else { 0.0 };
             }
         }
     }
     let share = |sum: f64| if all > 0.0 { sum / all } else { 0.0 };
     sums.into_iter()
-        .map(|(lit, kept)| Shares {
-            lit: share(lit),
+        .map(|(transmit_leg, kept)| Shares {
+            transmit_leg: share(transmit_leg),
             kept: share(kept),
         })
         .collect()

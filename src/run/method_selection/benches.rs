@@ -202,8 +202,8 @@ pub fn benches() -> impl Iterator<Item = Bench> {
 mod tests {
     use super::*;
     use crate::ping::work::Figure;
-    use crate::run::fidelity::costs::Costs;
-    use crate::run::fidelity::{Scene, Swell, rank};
+    use crate::run::method_selection::costs::Costs;
+    use crate::run::method_selection::{Scene, Swell, rank};
 
     /// What no bench has, no calibration can tell. The reference is too slow to be looked at, and no bench has a line to be made of parts.
     #[test]

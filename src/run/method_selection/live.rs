@@ -1,4 +1,4 @@
-//! Plans while the sonar runs: made anew when motion or settings have changed enough, when a certificate says that a plan does not hold, and in
+//! Plans while the sonar runs: made anew when motion or settings have changed enough, when an error check says that a plan does not hold, and in
 //! effect a fixed number of pings later.
 //!
 //! ```text
@@ -14,10 +14,10 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::config::spec::{MediumSpec, SonarSpec};
-use crate::flow::{Certificate, FidelityMark, PingPlan, Scatterers, SonarSettings};
-use crate::ping::fidelity::{Choice, Ranking};
-use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::{Scene, Swell, goal, rank, sample, with_choice};
+use crate::flow::{ErrorCheck, MethodMark, PingPlan, Scatterers, SonarSettings};
+use crate::ping::methods::{Choice, Ranking};
+use crate::run::method_selection::costs::Costs;
+use crate::run::method_selection::{Scene, Swell, goal, rank, sample, with_choice};
 use crate::run::pipeline::{PipelineError, SonarPipeline};
 use crate::run::rig::pool;
 
@@ -28,7 +28,7 @@ const REMEMBERED: usize = 32;
 /// A plan made now is in effect after this long, in whole pings: time to make an engine with the finest tolerance.
 const LEAD_S: f64 = 4.0;
 /// In pings, at least.
-const LEAST_LEAD: u32 = 2;
+const MIN_LEAD: u32 = 2;
 /// Motion that has grown by this factor, or fallen to this share in all that is remembered, asks for a new plan.
 const GROWN: f64 = 1.2;
 const FALLEN: f64 = 0.4;
@@ -49,7 +49,7 @@ pub struct Planner {
     medium: MediumSpec,
     costs: Arc<Costs>,
     choice: Choice,
-    mark: FidelityMark,
+    mark: MethodMark,
     /// What the plan in effect was made for; none before the first.
     made_for: Option<(Seen, SonarSettings)>,
     seen: VecDeque<Seen>,
@@ -64,7 +64,7 @@ pub struct PlanCounts {
     /// Times that it was ranked anew, and that another plan came of it.
     pub ranked: u64,
     pub changed: u64,
-    /// Plans given up because a certificate was above their tolerance.
+    /// Plans given up because an error check was above their tolerance.
     pub given_up: u64,
     /// Plans that could not be made; the one before stays.
     pub failed: u64,
@@ -79,7 +79,7 @@ struct Pending {
 /// The rank's, and a pipeline where another choice is worth it.
 type Outcome = Option<(
     Choice,
-    FidelityMark,
+    MethodMark,
     Result<Option<Box<SonarPipeline>>, PipelineError>,
 )>;
 
@@ -93,7 +93,7 @@ impl Planner {
                 nearest_m: spec.synthesis.nearest_m,
                 part_elements: 1,
             },
-            mark: FidelityMark {
+            mark: MethodMark {
                 plan: 0,
                 predicted_error: f64::NAN,
                 predicted_ms: f64::NAN,
@@ -112,7 +112,7 @@ impl Planner {
     }
 
     /// What the pings of the plan in effect carry.
-    pub fn mark(&self) -> Option<FidelityMark> {
+    pub fn mark(&self) -> Option<MethodMark> {
         self.made_for.is_some().then_some(self.mark)
     }
 
@@ -168,9 +168,9 @@ impl Planner {
         &mut self,
         plan: &PingPlan,
         scatterers: &Scatterers,
-        certificate: Option<&Certificate>,
+        error_check: Option<&ErrorCheck>,
     ) {
-        let fault = certificate.is_some_and(|c| c.fault);
+        let fault = error_check.is_some_and(|c| c.fault);
         if self.pending.is_some() {
             return;
         }
@@ -238,7 +238,7 @@ impl Planner {
         let job = self.job(plan, sample(scatterers), scatterers.len(), swell);
         let c = plan.sound_speed_m_per_s;
         let period_s = 1e-9 * crate::ping::period_ns(&plan.settings, c) as f64;
-        let lead = ((LEAD_S / period_s).ceil() as u32).max(LEAST_LEAD);
+        let lead = ((LEAD_S / period_s).ceil() as u32).max(MIN_LEAD);
         let made_for = ([0, 1, 2].map(|k| worst[k].max(now[k])), plan.settings);
         let spawned = thread::Builder::new()
             .name("plan".into())
@@ -310,7 +310,7 @@ impl Job {
             None => (ranking.chosen().choice, ranking.chosen()),
         };
         let is_new = choice != self.current;
-        let mark = FidelityMark {
+        let mark = MethodMark {
             plan: self.number + u32::from(is_new || self.is_first),
             predicted_error: candidate.error(),
             predicted_ms: candidate.cost_ms(),

@@ -1,10 +1,10 @@
-//! What the ways to sum echoes promise, by themselves: path and Doppler models have cards of their own.
+//! What the ways to sum echoes promise, by themselves: path and Doppler models have error models of their own.
 //!
 //! Errors are relative l2 against the same sum made without approximation, behind the same receiver filter. Costs are of one 3.7 GHz core.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use crate::flow::{Conditions, MethodCard, Pulse, ReceiverFilter, Synthesis};
+use crate::flow::{Conditions, ErrorModel, Pulse, ReceiverFilter, Synthesis};
 
 use super::filter::{occupied_hz, oversample};
 use super::gridded::pulse_spectrum::PulseSpectrum;
@@ -18,8 +18,8 @@ const GRIDDED_NS: f64 = 30.0;
 /// ns per echo and sample of the reference.
 const REFERENCE_NS: f64 = 900.0;
 
-/// The card of one synthesis.
-pub fn synthesis_card(synthesis: Synthesis, conditions: &Conditions) -> MethodCard {
+/// The error model of one synthesis.
+pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> ErrorModel {
     let pulse = &conditions.pulse;
     let rate_hz = conditions.sample_rate_hz;
     let filtered = conditions.filter == ReceiverFilter::Fir;
@@ -80,7 +80,7 @@ pub fn synthesis_card(synthesis: Synthesis, conditions: &Conditions) -> MethodCa
             "made for the tolerance, stretches of elements at a time".to_owned(),
         ),
     };
-    MethodCard {
+    ErrorModel {
         name: synthesis.name(),
         error,
         cost_ms: conditions.scatterers as f64 * conditions.elements as f64 * terms_ns * 1e-6,
@@ -90,7 +90,7 @@ pub fn synthesis_card(synthesis: Synthesis, conditions: &Conditions) -> MethodCa
 
 /// Rounding of a run of 512 points made from one start.
 const RECURRENCE: f64 = 512.0 * f64::EPSILON;
-/// A window may hold no more of an echo than one of its ends, where most is left: so much more than of the whole echo, counted as certificates
+/// A window may hold no more of an echo than one of its ends, where most is left: so much more than of the whole echo, counted as error checks
 /// do (which takes the mean of a ping for a weaker window's level).
 const ONE_END: f64 = 3.0;
 const ONE_SHARP_END: f64 = 1.5;

@@ -17,20 +17,20 @@
 use crate::config::spec::SonarSpec;
 use crate::echo::culling::{Ground, LeftOut, Rings, left_out_share};
 use crate::flow::{PingPlan, ScatterLaw, Scatterers};
-use crate::run::fidelity::heard::{LEAST_WINDOW, Shares, kept_shares};
-use crate::run::fidelity::{Culling, Scene};
+use crate::run::method_selection::heard::{MIN_WINDOW, Shares, kept_shares};
+use crate::run::method_selection::{Culling, Scene};
 
 /// What of the tolerance culling may leave out.
 const CULL_SHARES: [f64; 2] = [0.5, 0.2];
 /// Floors are tried in steps of this, dB, and none below the least.
 const CULL_STEP_DB: f64 = 2.0;
-const LEAST_CULL_DB: f64 = -110.0;
+const MIN_CULL_DB: f64 = -110.0;
 /// Where what is left out is looked at: from near the first bottom return to grazing.
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// What a platform that turns on, over ground that is not flat, leaves out more.
 const UNEVEN: f64 = 1.5;
 /// A ping's mean energy is no less than this of what is foreseen.
-const LEAST_MEAN: f64 = 0.8;
+const MIN_MEAN: f64 = 0.8;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
 
@@ -61,7 +61,7 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
         for share in CULL_SHARES {
             let most = share * spec.synthesis.tolerance;
             let mut db = own_db;
-            while db > LEAST_CULL_DB && left_out(db) > most {
+            while db > MIN_CULL_DB && left_out(db) > most {
                 db -= CULL_STEP_DB;
             }
             if !dbs.contains(&db) {
@@ -76,7 +76,7 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
     let shares = dbs.iter().zip(kept).map(|(&db, at_hand)| {
         let grown = seabed.above_m2(db) / seabed.above_m2(own_db).max(f64::MIN_POSITIVE);
         Shares {
-            lit: at_hand.lit.max(own.lit * grown),
+            transmit_leg: at_hand.transmit_leg.max(own.transmit_leg * grown),
             kept: at_hand.kept.max(own.kept * grown),
         }
     });
@@ -112,7 +112,7 @@ impl Seabed {
             ..
         } = *scene;
         let rate_hz = spec.receiver.sample_rate_hz;
-        let window_s = plan.pulse.duration_s.max(LEAST_WINDOW as f64 / rate_hz);
+        let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
         let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
         let windows = (plan.window_s(rate_hz) / window_s).ceil().max(2.0);
         let kept = kept_shares(spec, plan, scatterers, &[Some(own_db)]);
@@ -161,7 +161,7 @@ impl Seabed {
             independent(window.from_left_out),
         );
         // Beside what is louder than this window.
-        let beside = (highest(looks(left_out)) * window.left_out / LEAST_MEAN).sqrt();
+        let beside = (highest(looks(left_out)) * window.left_out / MIN_MEAN).sqrt();
         let share = window.left_out / window.all;
         let ratio = highest_ratio(looks(all.min(left_out)));
         let alone = share + (share * (1.0 - share) * ratio).sqrt();

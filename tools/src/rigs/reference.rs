@@ -6,7 +6,7 @@ use num_complex::Complex64;
 use echotank::array::filter::{self, Decimator};
 use echotank::array::{Direct, receive};
 use echotank::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
-use echotank::echo::walk::{Illuminated, Window, Workspace, arrivals, illuminate};
+use echotank::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank::flow::{
     DopplerModel, Edges, PathModel, PingOutput, PingPlan, Pulse, ReceiverFilter, Synthesis,
 };
@@ -16,7 +16,7 @@ use super::case::Chance;
 use super::measure::Ping;
 
 /// Windows are a pulse long, and so many samples at least.
-const LEAST_WINDOW: usize = 32;
+const MIN_WINDOW: usize = 32;
 /// Samples of a ping that are looked at by chance.
 const LOOKED_AT: usize = 128;
 /// Worst windows of a ping that are computed again by the reference, and how many of their samples, evenly.
@@ -43,7 +43,7 @@ struct Off {
     against: f64,
 }
 
-pub struct Ruler<'a> {
+pub struct ReferenceSolution<'a> {
     ping: &'a Ping<'a>,
     plan: PingPlan,
     decimator: Option<Decimator>,
@@ -52,7 +52,7 @@ pub struct Ruler<'a> {
     window: usize,
 }
 
-impl<'a> Ruler<'a> {
+impl<'a> ReferenceSolution<'a> {
     pub fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
         let spec = ping.spec;
         let rate_hz = spec.receiver.sample_rate_hz;
@@ -75,15 +75,15 @@ impl<'a> Ruler<'a> {
         plan.model.synthesis = Synthesis::Direct;
         plan.model.cull_db = None;
         let window = (plan.pulse.duration_s * rate_hz).ceil() as usize;
-        let mut ruler = Self {
+        let mut reference = Self {
             ping,
             plan,
             decimator,
             records: Vec::new(),
-            window: window.max(LEAST_WINDOW),
+            window: window.max(MIN_WINDOW),
         };
-        ruler.records = ruler.sum();
-        Ok(ruler)
+        reference.records = reference.sum();
+        Ok(reference)
     }
 
     fn sum(&self) -> Vec<Vec<Vec<Complex64>>> {
@@ -97,15 +97,15 @@ impl<'a> Ruler<'a> {
             edges = Edges::Weighted;
         }
         let heard = Window::of_samples(first_s, rate_hz, dense.len());
-        let (mut lit, mut walk) = (Illuminated::default(), Workspace::default());
+        let (mut transmit_leg, mut walk) = (TransmitLeg::default(), Workspace::default());
         let mut records = Vec::new();
         for (index, array) in spec.receive.iter().enumerate() {
             let tx = &spec.transmit[array.transmit];
-            illuminate(plan, tx, heard, self.ping.everything, &mut lit);
+            insonify(plan, tx, heard, self.ping.everything, &mut transmit_leg);
             let of_array = (0..array.elements).map(|element| {
                 dense.fill(Complex64::ZERO);
                 let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense).with_edges(edges);
-                arrivals(plan, array, element, &lit, &mut walk, &mut sink);
+                arrivals(plan, array, element, &transmit_leg, &mut walk, &mut sink);
                 let mut record = vec![Complex64::ZERO; plan.sample_count];
                 match &self.decimator {
                     None => record.copy_from_slice(&dense),
@@ -228,14 +228,14 @@ impl<'a> Ruler<'a> {
         offs
     }
 
-    /// The error of the worst window of any element, by this ruler.
+    /// The error of the worst window of any element, by this reference solution.
     pub fn worst(&self, got: &PingOutput) -> f64 {
         self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
     }
 
-    /// ... and by the reference's equation, of those windows that are the worst by this ruler and of samples by chance.
+    /// ... and by the reference's equation, of those windows that are the worst by this reference solution and of samples by chance.
     pub fn worst_by_reference(&self, got: &PingOutput) -> f64 {
-        let mut worst = self.certificate(got);
+        let mut worst = self.error_check(got);
         for off in self.offs(got).iter().take(WORST) {
             let end = (off.first + self.window).min(self.plan.sample_count);
             let stride = (end - off.first).div_ceil(OF_EACH);
@@ -286,13 +286,13 @@ impl<'a> Ruler<'a> {
         (squares.sum::<f64>() / LOOKED_AT as f64).sqrt()
     }
 
-    /// What this ruler itself is off by.
+    /// What this reference solution itself is off by.
     pub fn own_error(&self) -> f64 {
         self.by_chance(|pick| self.records[pick.array][pick.element][pick.sample])
     }
 
     /// What a ping is off by at the same samples.
-    pub fn certificate(&self, got: &PingOutput) -> f64 {
+    pub fn error_check(&self, got: &PingOutput) -> f64 {
         self.by_chance(|pick| got.elements[pick.array].element(pick.element)[pick.sample])
     }
 }

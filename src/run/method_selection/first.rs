@@ -9,11 +9,11 @@ use thiserror::Error;
 use crate::config::spec::{AnchorSpec, RigSpec, SonarSpec, VerticalSpec};
 use crate::flow::{NavState, PingPlan, Scatterers, SonarSettings, Synthesis};
 use crate::frames::Trajectory;
-use crate::ping::fidelity::Ranking;
+use crate::ping::methods::Ranking;
 use crate::ping::{self, PingOrder};
-use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::{Scene, Swell, rank};
 use crate::run::footprints::footprints;
+use crate::run::method_selection::costs::Costs;
+use crate::run::method_selection::{Scene, Swell, rank};
 use crate::run::recorded::{RecordedError, RecordedRig};
 use crate::run::rig::{Rig, RigError};
 use crate::time::UtcNs;
@@ -83,7 +83,7 @@ fn bare(spec: &RigSpec) -> RigSpec {
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {
         sonar.model.synthesis = Synthesis::Direct;
-        sonar.synthesis.certificate = false;
+        sonar.synthesis.error_check = false;
         sonar.synthesis.auto = Default::default();
         sonar.synthesis.output = Default::default();
         sonar.beams = Default::default();

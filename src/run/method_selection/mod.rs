@@ -1,5 +1,5 @@
-//! The plan of methods for one sonar: asks the stages' cards what every choice would err by and cost in a ping's conditions, and has
-//! [`crate::ping::fidelity`] choose.
+//! The plan of methods for one sonar: asks the stages' error models what every choice would err by and cost in a ping's conditions, and has
+//! [`crate::ping::methods`] choose.
 //!
 //! In: a sonar with what of its model is left to the plan, a ping's plan and scatterers, the table of costs. Out: a [`Ranking`].
 //! The same ping and table always give the same plan.
@@ -17,25 +17,25 @@ mod walked;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use crate::array::cards::synthesis_card;
+use crate::array::error_models::synthesis_error_model;
 use crate::array::filter::{Decimator, oversample};
-use crate::array::gridded::Foreseen;
+use crate::array::gridded::CostEstimate;
 use crate::config::spec::{MadeOutput, MediumSpec, SonarSpec};
-use crate::echo::cards::{doppler_card, path_card};
+use crate::echo::error_models::{doppler_error_model, path_error_model};
 use crate::flow::{
-    Conditions, DopplerModel, MethodCard, PathModel, Pattern, PingPlan, ReceiverFilter, Scatterers,
+    Conditions, DopplerModel, ErrorModel, PathModel, Pattern, PingPlan, ReceiverFilter, Scatterers,
     Synthesis,
 };
-use crate::ping::fidelity::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
+use crate::ping::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::ping::work::{Figure, Work};
-use crate::run::conditions::{conditions, segment_step_s, sum_card};
+use crate::run::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::run::engines::{HARDEST_M_PER_S2, sketch};
-use crate::run::fidelity::costs::Costs;
-use crate::run::fidelity::culled::floors;
-use crate::run::fidelity::heard::Shares;
-use crate::run::fidelity::parts::{Parting, partings};
-use crate::run::fidelity::walked::{Walked, direct_runs, flank_points};
 use crate::run::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
+use crate::run::method_selection::costs::Costs;
+use crate::run::method_selection::culled::floors;
+use crate::run::method_selection::heard::Shares;
+use crate::run::method_selection::parts::{Parting, partings};
+use crate::run::method_selection::walked::{Walked, direct_runs, flank_points};
 use crate::run::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
 use crate::run::slabs;
 
@@ -210,15 +210,15 @@ fn worth_trying(scene: &Scene, conditions: &Conditions) -> Vec<Parting> {
     tried
 }
 
-/// A path and a Doppler model, with their cards.
+/// A path and a Doppler model, with their error models.
 struct Motion {
     path: PathModel,
     segment_s: f64,
     doppler: DopplerModel,
-    cards: [MethodCard; 2],
+    error_models: [ErrorModel; 2],
 }
 
-/// A floor of the patterns, what it leaves out, and the shares of the pairs that are lit and kept.
+/// A floor of the patterns, what it leaves out, and the shares of the pairs that are insonified and kept.
 #[derive(Clone, Copy)]
 struct Culling {
     db: Option<f64>,
@@ -248,7 +248,7 @@ enum Engine {
     One(Rc<slabs::Sketch>),
     Lines {
         error: f64,
-        cost: Foreseen,
+        cost: CostEstimate,
         stretches: f64,
         why: String,
     },
@@ -313,7 +313,10 @@ impl<'a> Maker<'a> {
                     path,
                     segment_s,
                     doppler,
-                    cards: [path_card(path, &under), doppler_card(doppler, path, &under)],
+                    error_models: [
+                        path_error_model(path, &under),
+                        doppler_error_model(doppler, path, &under),
+                    ],
                 });
             }
         }
@@ -360,7 +363,7 @@ impl<'a> Maker<'a> {
                     self.engines(synthesis, &motions, &mut found, &mut refused);
                 }
                 _ => {
-                    let card = sum_card(
+                    let error_model = sum_error_model(
                         synthesis,
                         self.scene.spec,
                         self.scene.plan,
@@ -368,7 +371,7 @@ impl<'a> Maker<'a> {
                     );
                     for motion in motions.iter().filter(|m| synthesis.takes(m.doppler)) {
                         for &culling in &self.cullings {
-                            found.push(self.plain(synthesis, &card, motion, culling));
+                            found.push(self.plain(synthesis, &error_model, motion, culling));
                         }
                     }
                 }
@@ -395,7 +398,7 @@ impl<'a> Maker<'a> {
                 .collect();
             let Some(least) = of
                 .iter()
-                .map(|m| m.cards[0].error + m.cards[1].error)
+                .map(|m| m.error_models[0].error + m.error_models[1].error)
                 .min_by(f64::total_cmp)
             else {
                 continue;
@@ -516,8 +519,11 @@ impl<'a> Maker<'a> {
             _ => (LINE_DOPPLER, LINE_DOPPLER_GRIDS),
         };
         Ok(Engine::Lines {
-            error: choices.iter().map(|c| c.card.error).fold(0.0, f64::max),
-            cost: costs.fold(Foreseen::default(), |sum, cost| Foreseen {
+            error: choices
+                .iter()
+                .map(|c| c.error_model.error)
+                .fold(0.0, f64::max),
+            cost: costs.fold(CostEstimate::default(), |sum, cost| CostEstimate {
                 echoes_ns: sum.echoes_ns + echoes_times * kept * cost.echoes_ns,
                 grids_ns: sum.grids_ns + grids_times * cost.grids_ns,
             }),
@@ -528,7 +534,7 @@ impl<'a> Maker<'a> {
                 .sum(),
             why: choices
                 .first()
-                .map_or(String::new(), |choice| choice.card.why.clone()),
+                .map_or(String::new(), |choice| choice.error_model.why.clone()),
         })
     }
 
@@ -551,13 +557,13 @@ impl<'a> Maker<'a> {
                 let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
                     EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
                 });
-                let one = engine.foreseen(arrivals as usize, self.doppler_share(), bend);
+                let one = engine.cost_estimate(arrivals as usize, self.doppler_share(), bend);
                 (
-                    kept(engine.card().error, KEPT_BY_ONE),
+                    kept(engine.error_model().error, KEPT_BY_ONE),
                     Work::of(Figure::Gridded1dEcho, one.echoes_ns * elements)
                         .and(Figure::Gridded1dGrid, one.grids_ns * elements),
-                    culling.of.lit * scatterers * elements,
-                    engine.card().why,
+                    culling.of.transmit_leg * scatterers * elements,
+                    engine.error_model().why,
                 )
             }
             Engine::Lines {
@@ -571,7 +577,7 @@ impl<'a> Maker<'a> {
                     kept(*error, KEPT_BY_LINES),
                     Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
                         .and(Figure::Gridded2dGrid, cost.grids_ns),
-                    culling.of.lit * scatterers * stretches,
+                    culling.of.transmit_leg * scatterers * stretches,
                     why.clone(),
                 )
             }
@@ -626,7 +632,7 @@ impl<'a> Maker<'a> {
     fn plain(
         &self,
         synthesis: Synthesis,
-        card: &MethodCard,
+        error_model: &ErrorModel,
         motion: &Motion,
         culling: Culling,
     ) -> Candidate {
@@ -667,14 +673,14 @@ impl<'a> Maker<'a> {
             _ => Work::NONE,
         };
         let name = synthesis.name().to_owned();
-        let sum = self.sum(name, card.error, work, card.why.clone());
-        let lit = culling.of.lit * all;
-        self.candidate(synthesis, motion, culling, None, lit, sum)
+        let sum = self.sum(name, error_model.error, work, error_model.why.clone());
+        let transmit_leg = culling.of.transmit_leg * all;
+        self.candidate(synthesis, motion, culling, None, transmit_leg, sum)
     }
 
     fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
         let synthesis = Synthesis::Reference;
-        let card = synthesis_card(synthesis, &self.conditions);
+        let error_model = synthesis_error_model(synthesis, &self.conditions);
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
         let dense = match self.conditions.filter {
@@ -685,7 +691,7 @@ impl<'a> Maker<'a> {
         let points = pairs * pulse.duration_s * rate_hz * dense;
         let work = Work::of(Figure::ReferencePoint, points)
             .and(Figure::FilterTap, self.samples() * self.taps(synthesis));
-        let sum = self.sum("reference".into(), card.error, work, card.why);
+        let sum = self.sum("reference".into(), error_model.error, work, error_model.why);
         let whole = Culling {
             db: culling.db,
             error: 0.0,
@@ -701,7 +707,7 @@ impl<'a> Maker<'a> {
         candidate
     }
 
-    /// The parts that all have. `pairs`: of lit scatterers and elements (or stretches of them), which are solved for.
+    /// The parts that all have. `pairs`: of insonified scatterers and elements (or stretches of them), which are solved for.
     fn candidate(
         &self,
         synthesis: Synthesis,
@@ -712,7 +718,7 @@ impl<'a> Maker<'a> {
         sum: Part,
     ) -> Candidate {
         let spec = self.scene.spec;
-        let [path_card, doppler_card] = &motion.cards;
+        let [path_error_model, doppler_error_model] = &motion.error_models;
         let segmented = matches!(motion.path, PathModel::Polyline | PathModel::KSegment);
         let chords = match motion.path {
             PathModel::StopAndHop => 1.0,
@@ -723,7 +729,7 @@ impl<'a> Maker<'a> {
             _ => 0.0,
         };
         let transmitted = (self.scene.count * spec.transmit.len()) as f64;
-        let legs = Work::of(Figure::TransmitLeg, transmitted)
+        let legs = Work::of(Figure::TransmitLegTerms, transmitted)
             .and(Figure::Pair, pairs)
             .and(Figure::Pattern, pairs * self.walked.patterned)
             .and(Figure::Chord, pairs * chords)
@@ -779,16 +785,16 @@ impl<'a> Maker<'a> {
                 part(
                     Family::Path,
                     path_name,
-                    path_card.error,
+                    path_error_model.error,
                     legs,
-                    &path_card.why,
+                    &path_error_model.why,
                 ),
                 part(
                     Family::Doppler,
                     doppler_name,
-                    doppler_card.error,
+                    doppler_error_model.error,
                     second,
-                    &doppler_card.why,
+                    &doppler_error_model.why,
                 ),
                 sum,
                 part(
@@ -804,7 +810,7 @@ impl<'a> Maker<'a> {
         }
     }
 
-    /// Of elements, or of parts of lines. `pairs`: of lit scatterers and records.
+    /// Of elements, or of parts of lines. `pairs`: of insonified scatterers and records.
     fn output(&self, motion: &Motion, pairs: f64) -> Part {
         let (choice, error, work, why) = match self.parting {
             None => {

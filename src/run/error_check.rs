@@ -1,8 +1,8 @@
 //! The measured error of what goes out: random samples of every few pings, computed again through the reference's equation.
 //!
-//! In: the samples of a ping before noise, gain and converter. Out: a [`Certificate`] over the newest [`KEPT`] of them. Which samples are
+//! In: the samples of a ping before noise, gain and converter. Out: a [`ErrorCheck`] over the newest [`KEPT`] of them. Which samples are
 //! looked at depends on seed and ping number alone, and how many on the ping's predicted cost, of which they may use [`SHARE`]: the same
-//! pings are certified the same on every machine. One sample sees every scatterer whose echo is under way at it, and those alone.
+//! pings are checked the same on every machine. One sample sees every scatterer whose echo is under way at it, and those alone.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -11,35 +11,35 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use crate::array::cards::synthesis_card;
 use crate::array::direct::Direct;
+use crate::array::error_models::synthesis_error_model;
 use crate::array::filter::{self, Decimator, FilterError};
 use crate::config::spec::SonarSpec;
-use crate::echo::cards::{doppler_card, path_card};
+use crate::echo::error_models::{doppler_error_model, path_error_model};
 use crate::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
 use crate::flow::{
-    Certificate, Conditions, Edges, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers,
+    Conditions, Edges, ErrorCheck, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers,
     Synthesis,
 };
 
-/// Samples that a certificate rests on, at most.
+/// Samples that an error check rests on, at most.
 pub const KEPT: usize = 128;
 /// ... and at least: with 64 an error of 0.9 of what is allowed shows above it 4 times in 100, with 4 samples 27 times.
 pub const LEAST: usize = 64;
 /// Of a ping's predicted cost. Of the real one, as CPU time: 3.3 % (5 elements, 42,936 points, continuous) and 3.2 % (the quickstart).
 pub const SHARE: f64 = 0.03;
-/// A certified error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
+/// A checked error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
 pub const FAULT: f64 = 1.3;
 /// Looked at in one ping, at most.
-pub const MOST_PER_PING: usize = 64;
+pub const MAX_PER_PING: usize = 64;
 /// A window's rms is taken over a pulse, but over this many samples at least.
-const LEAST_WINDOW: usize = 32;
+const MIN_WINDOW: usize = 32;
 
 fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
-    ((pulse_s * rate_hz).ceil() as usize).max(LEAST_WINDOW)
+    ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
 }
 
-/// The worst window of any element of a whole ping, in the certificate's norm: rms of what is off over the truth's rms in the window or in the
+/// The worst window of any element of a whole ping, in the error check's norm: rms of what is off over the truth's rms in the window or in the
 /// ping, whichever is larger. Infinite where something is heard and nothing is there, no number where a sample is none.
 pub fn worst_window(got: &PingOutput, truth: &PingOutput, pulse_s: f64, rate_hz: f64) -> f64 {
     let window = window_samples(pulse_s, rate_hz);
@@ -88,7 +88,7 @@ struct Probe {
     error: f64,
 }
 
-pub struct Certifier {
+pub struct ErrorChecker {
     /// The receiver filter at the reference's density.
     decimator: Option<Decimator>,
     /// The first `active` are this ping's.
@@ -107,12 +107,12 @@ pub struct Certifier {
     recent: [f64; KEPT],
     seen: usize,
     tolerance: f64,
-    /// The newest certificate was above [`FAULT`] tolerances, and so was the one before it.
+    /// The newest error check was above [`FAULT`] tolerances, and so was the one before it.
     above: bool,
     fault: bool,
 }
 
-impl Certifier {
+impl ErrorChecker {
     /// To be made inside the pool that will run it. `shortest`: the pulse that the receiver filter is made for.
     pub fn new(spec: &SonarSpec, shortest: &Pulse, doppler_hz: f64) -> Result<Self, FilterError> {
         let rate_hz = spec.receiver.sample_rate_hz;
@@ -123,12 +123,12 @@ impl Certifier {
         };
         Ok(Self {
             decimator,
-            probes: (0..MOST_PER_PING).map(|_| Mutex::default()).collect(),
+            probes: (0..MAX_PER_PING).map(|_| Mutex::default()).collect(),
             active: 0,
             dense: (0..rayon::current_num_threads())
                 .map(|_| Mutex::default())
                 .collect(),
-            ranges_m: Vec::with_capacity(MOST_PER_PING),
+            ranges_m: Vec::with_capacity(MAX_PER_PING),
             candidates: Vec::new(),
             pair_ns: pair_ns(spec),
             credit_ns: 0.0,
@@ -141,7 +141,7 @@ impl Certifier {
         })
     }
 
-    /// How much certificates may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
+    /// How much error checks may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
     pub fn allow(&mut self, share: f64) {
         self.share = share;
         self.credit_ns = 0.0;
@@ -166,7 +166,7 @@ impl Certifier {
         let find_ns = FIND_NS * scatterers as f64;
         self.credit_ns += self.share * self.pair_ns * (scatterers * elements) as f64;
         // Nothing is saved up beyond a full ping's worth: scenes change.
-        let most = MOST_PER_PING as f64;
+        let most = MAX_PER_PING as f64;
         self.credit_ns = self.credit_ns.min(find_ns + most * probe_ns);
         self.active = 0;
         let affordable = ((self.credit_ns - find_ns) / probe_ns).floor();
@@ -228,12 +228,12 @@ impl Certifier {
     }
 
     /// Computes this ping's samples again, and says what the newest ones tell together.
-    pub fn certify(
+    pub fn check_error(
         &mut self,
         plan: &PingPlan,
         spec: &SonarSpec,
         scatterers: &Scatterers,
-    ) -> Option<Certificate> {
+    ) -> Option<ErrorCheck> {
         let rate_hz = spec.receiver.sample_rate_hz;
         let half_span_s = 0.5 * self.span_s(rate_hz);
         let instant = |probe: &Probe| Instant {
@@ -292,7 +292,7 @@ impl Certifier {
             self.fault = above && self.above;
             self.above = above;
         }
-        Some(Certificate {
+        Some(ErrorCheck {
             samples,
             error,
             low,
@@ -368,14 +368,14 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         heard: None,
     };
     let model = &spec.model;
-    let walk_ms = path_card(model.path, &conditions).cost_ms
-        + doppler_card(model.doppler, model.path, &conditions).cost_ms;
+    let walk_ms = path_error_model(model.path, &conditions).cost_ms
+        + doppler_error_model(model.doppler, model.path, &conditions).cost_ms;
     // A whole line is walked once for a stretch of it.
     let shared_by = match model.synthesis {
         Synthesis::Gridded2d => NOMINAL_STRETCH,
         _ => 1.0,
     };
-    let sum_ms = synthesis_card(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;
+    let sum_ms = synthesis_error_model(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;
     sum_ms * 1e6
 }
 

@@ -29,13 +29,13 @@ impl Walked {
         let mut first = 0;
         while first < scatterers.len() {
             let end = (first + batch).min(scatterers.len());
-            let (mut least_m, mut most_m) = (f64::INFINITY, 0.0f64);
+            let (mut min_m, mut max_m) = (f64::INFINITY, 0.0f64);
             for i in first..end {
                 let range_m = from_m.distance(scatterers.position_m(i));
-                least_m = least_m.min(range_m);
-                most_m = most_m.max(range_m);
+                min_m = min_m.min(range_m);
+                max_m = max_m.max(range_m);
             }
-            sum_m += most_m - least_m;
+            sum_m += max_m - min_m;
             batches += 1.0;
             first = end;
         }
