@@ -1,3 +1,7 @@
+//! The program: its command line.
+
+mod cli;
+
 fn main() -> std::process::ExitCode {
-    echotank::cli::main()
+    cli::main()
 }

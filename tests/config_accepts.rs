@@ -4,8 +4,8 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use echotank::config::{self, spec::*};
-use echotank::flow::{
+use echotank_config::{self as config, spec::*};
+use echotank_core::flow::{
     DopplerModel, PathModel, Pattern, PulseKind, ReceiverFilter, Side, Synthesis, TimeVaryingGain,
 };
 use glam::DVec3;
@@ -1111,7 +1111,7 @@ fn every_rig_of_the_repository_is_accepted() {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
         if path.extension().is_some_and(|e| e == "toml") {
-            let loaded = echotank::config::load(&path);
+            let loaded = echotank_config::load(&path);
             assert!(loaded.is_ok(), "{}: {:?}", path.display(), loaded.err());
             seen += 1;
         }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use echotank::config;
+use echotank_config as config;
 use proptest::prelude::*;
 
 fn broken_dir() -> PathBuf {

@@ -38,10 +38,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::verify::{Verifier, ping_number};
 use echotank_protocols::sevenk::file::FileReader;
 use echotank_protocols::sevenk::{Command as Request, RecordBody};
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::verify::{Verifier, ping_number};
 
 /// Longest that anything may take before the test gives up; far beyond what a loaded machine needs.
 const PATIENCE: Duration = Duration::from_secs(60);

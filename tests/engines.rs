@@ -3,16 +3,16 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config::spec::{Density, NavMode, RigSpec, SonarSpec};
-use echotank::config::{load, parse};
-use echotank::flow::*;
-use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::{self, PingOrder, Schedule};
-use echotank::run::pipeline::{PipelineError, SonarPipeline, engine_error_models};
-use echotank::run::rig::Rig;
-use echotank::time::{UtcNs, VirtualClock};
+use echotank_config::spec::{Density, NavMode, RigSpec, SonarSpec};
+use echotank_config::{load, parse};
+use echotank_core::flow::*;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_nav::Coverage;
+use echotank_ping::pipeline::{PipelineError, SonarPipeline, engine_error_models};
+use echotank_ping::{self as ping, PingOrder, Schedule};
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -622,7 +622,7 @@ fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
 
 /// So many pings of the first sonar along its log, each shown with its plan.
 fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &PingOutput)) {
-    let mut rig = Rig::open(spec).expect("a rig");
+    let mut rig = echotank_runtime::rig::open(spec).expect("a rig");
     let clock = Arc::new(VirtualClock::default());
     let mut inputs = NavInputs::open(&spec.nav, clock).expect("nav");
     while rig.history.first_usable_utc().is_none() {

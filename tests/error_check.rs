@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use echotank::config::parse;
-use echotank::config::spec::RigSpec;
-use echotank::flow::*;
-use echotank::frames::{Trajectory, rotation_from_angles};
-use echotank::ping::{self, PingOrder};
-use echotank::run::error_check::{FAULT, KEPT, LEAST};
-use echotank::run::pipeline::SonarPipeline;
-use echotank::time::UtcNs;
+use echotank_config::parse;
+use echotank_config::spec::RigSpec;
+use echotank_core::flow::*;
+use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_ping::error_check::{FAULT, KEPT, LEAST};
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::{self as ping, PingOrder};
 use glam::DVec3;
 use num_complex::Complex64;
 

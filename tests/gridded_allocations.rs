@@ -2,10 +2,12 @@
 
 mod counting;
 
-use echotank::array::Decimator;
-use echotank::array::gridded::transform::Transform1d;
-use echotank::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional::Spec};
-use echotank::flow::{ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, Pulse, PulseKind};
+use echotank_core::flow::{ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, Pulse, PulseKind};
+use echotank_synthesis::array::Decimator;
+use echotank_synthesis::array::gridded::transform::Transform1d;
+use echotank_synthesis::array::gridded::{
+    DopplerSpan, Gridded1d, SimdLevel, one_dimensional::Spec,
+};
 use num_complex::{Complex32, Complex64};
 
 #[test]

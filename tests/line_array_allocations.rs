@@ -4,9 +4,9 @@ mod counting;
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::simd_level::SimdLevel;
-use echotank::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
-use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
+use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_synthesis::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
+use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
 

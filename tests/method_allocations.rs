@@ -4,12 +4,12 @@ mod counting;
 
 use std::path::Path;
 
-use echotank::config;
-use echotank::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
-use echotank::frames::{Trajectory, rotation_from_angles};
-use echotank::ping::{self, PingOrder};
-use echotank::run::pipeline::SonarPipeline;
-use echotank::time::UtcNs;
+use echotank_config as config;
+use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
+use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::{self as ping, PingOrder};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -1,11 +1,11 @@
 //! Bytes to samples: real logs, epochs, signs, policies, and what random bytes do.
 
-use echotank::config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
-use echotank::flow::{NavQuantity, NavSample};
-use echotank::nav::log::read_log;
-use echotank::nav::stamp::split_line;
-use echotank::nav::{NavCounters, NavDecoder};
-use echotank::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_nav::log::read_log;
+use echotank_nav::stamp::split_line;
+use echotank_nav::{NavCounters, NavDecoder};
 use glam::DVec3;
 use proptest::prelude::*;
 

@@ -5,13 +5,14 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::*;
-use echotank::flow::{FixQuality, NavQuantity, NavSample, NavState};
-use echotank::frames::Trajectory;
-use echotank::io::nav::NavInputs;
-use echotank::nav::health::State;
-use echotank::nav::{NavGap, NavHistory};
-use echotank::time::{SystemClock, UtcNs};
+use echotank_config::spec::*;
+use echotank_core::flow::{FixQuality, NavQuantity, NavSample, NavState};
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_nav::health::State;
+use echotank_nav::{NavGap, NavHistory};
+use echotank_runtime::clock::SystemClock;
+use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 
 fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSourceSpec {

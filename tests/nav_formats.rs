@@ -2,16 +2,16 @@
 
 use std::f64::consts::TAU;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed,
     TimePolicy,
 };
-use echotank::flow::{NavQuantity, NavSample};
-use echotank::nav::log::{LogKind, read_log};
-use echotank::nav::records::seapath_crc;
-use echotank::nav::sentence::{decode_by_crate, decode_own};
-use echotank::nav::{NavCounters, NavDecoder};
-use echotank::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_nav::log::{LogKind, read_log};
+use echotank_nav::records::seapath_crc;
+use echotank_nav::sentence::{decode_by_crate, decode_own};
+use echotank_nav::{NavCounters, NavDecoder};
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -980,7 +980,7 @@ fn paced_bytes_give_every_sentence_the_arrival_of_its_own_first_byte() {
         let bytes: Vec<u8> = (0..5).flat_map(|_| (f.encode)(&motion(0.0))).collect();
         let mut samples = Vec::new();
         let mut decoder = NavDecoder::new(0, &spec);
-        let quiet = &mut |_: &echotank::nav::decoder::Heard| {};
+        let quiet = &mut |_: &echotank_nav::decoder::Heard| {};
         decoder.push_paced(&bytes, UtcNs(0), byte_ns, &mut samples, quiet);
         let mut arrivals: Vec<i64> = samples.iter().map(|s| s.arrival_utc.0).collect();
         arrivals.dedup();
@@ -1119,7 +1119,7 @@ proptest! {
                 _ => false,
             };
             // The crate's fractions of a second are f32 in places, and its headings, speeds and heights f32.
-            let time = |r: &echotank::nav::reading::Reading| r.time_of_day_ns().map(|ns| ns as f64 / 1e9);
+            let time = |r: &echotank_nav::reading::Reading| r.time_of_day_ns().map(|ns| ns as f64 / 1e9);
             prop_assert!(close(time(&ours), time(&theirs), 1e-6), "{:?} {:?}", ours, theirs);
             prop_assert_eq!(ours.day_ns(), theirs.day_ns());
             prop_assert_eq!(ours.fix, theirs.fix);

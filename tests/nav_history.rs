@@ -5,14 +5,14 @@ mod nav_mounting;
 
 use std::f64::consts::TAU;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
-use echotank::flow::{FixQuality, NavQuantity, NavSample, NavState};
-use echotank::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
-use echotank::nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
-use echotank::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::{FixQuality, NavQuantity, NavSample, NavState};
+use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
+use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
 use glam::DVec3;
 
 const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
@@ -240,7 +240,7 @@ fn heading_goes_through_north_the_short_way() {
 /// PSXN,23 and PASHR call port up positive; a starboard transducer must then go down.
 #[test]
 fn roll_to_starboard_puts_the_starboard_side_deeper_and_heave_down_sinks() {
-    use echotank::nav::NavDecoder;
+    use echotank_nav::NavDecoder;
     for sentence in [
         "$PSXN,23,10.00,5.00,90.00,1.50",
         "$PASHR,000000.500,90.00,T,10.00,5.00,1.50,,,,1,0",

@@ -14,16 +14,17 @@ use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
-use echotank::flow::NavState;
-use echotank::frames::Trajectory;
-use echotank::io::nav::{LiveCounters, NavInputs, NavOpenError};
-use echotank::nav::stamp::split_line;
-use echotank::nav::{Coverage, NavGap, NavHistory};
-use echotank::time::{Clock, MonoNs, NS_PER_S, SystemClock, Timeline, UtcNs};
+use echotank_core::flow::NavState;
+use echotank_core::frames::Trajectory;
+use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
+use echotank_nav::stamp::split_line;
+use echotank_nav::{Coverage, NavGap, NavHistory};
+use echotank_runtime::clock::{Clock, SystemClock};
+use echotank_runtime::io::nav::{LiveCounters, NavInputs, NavOpenError};
 use glam::DVec3;
 use serialport::{SerialPort, TTYPort};
 

@@ -7,11 +7,12 @@ use std::net::UdpSocket;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::*;
-use echotank::frames::Trajectory;
-use echotank::io::nav::NavInputs;
-use echotank::nav::NavHistory;
-use echotank::time::{Clock, SystemClock, UtcNs};
+use echotank_config::spec::*;
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_nav::NavHistory;
+use echotank_runtime::clock::{Clock, SystemClock};
+use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 use serialport::{SerialPort, TTYPort};
 

@@ -5,14 +5,14 @@ mod counting;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config;
-use echotank::config::spec::{Density, NavMode};
-use echotank::flow::Synthesis;
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::Schedule;
-use echotank::run::rig::{Rig, pool};
-use echotank::time::VirtualClock;
+use echotank_config as config;
+use echotank_config::spec::{Density, NavMode};
+use echotank_core::flow::Synthesis;
+use echotank_nav::Coverage;
+use echotank_ping::Schedule;
+use echotank_ping::rig::pool;
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
 
 /// Allocations in each of the last pings of `count`.
 fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
@@ -33,7 +33,7 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {
-        let mut rig = Rig::open(&spec).expect("rig");
+        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
         let mut inputs =
             NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
         while rig.history.first_usable_utc().is_none() {

@@ -125,8 +125,10 @@ fn a_part_of_a_replay_is_the_same_as_in_the_whole() {
             .filter_map(Result::ok)
             .filter(|found| {
                 let record = &found.record;
-                echotank::io::sonar::verify::ping_number(record.frame.record_type_id, record.body())
-                    == Some(ping)
+                echotank_runtime::io::sonar::verify::ping_number(
+                    record.frame.record_type_id,
+                    record.body(),
+                ) == Some(ping)
             })
             .map(|found| found.record.bytes().to_vec())
             .collect()

@@ -2,13 +2,13 @@
 
 mod counting;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
 };
-use echotank::flow::{Footprint, Scatterers};
-use echotank::scene::Scene;
-use echotank::scene::tiles::TILE_BYTES;
+use echotank_core::flow::{Footprint, Scatterers};
+use echotank_scene::Scene;
+use echotank_scene::tiles::TILE_BYTES;
 use glam::DVec3;
 
 #[test]

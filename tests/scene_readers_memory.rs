@@ -6,9 +6,9 @@ mod peak;
 #[path = "scene_readers/seeds.rs"]
 mod seeds;
 
-use echotank::config::spec::SeabedFileSpec;
-use echotank::scene::read::Survey;
-use echotank::scene::read::mesh::{self, MeshAxes};
+use echotank_config::spec::SeabedFileSpec;
+use echotank_scene::read::Survey;
+use echotank_scene::read::mesh::{self, MeshAxes};
 use seeds::Tiff;
 
 fn refusal(name: &str, bytes: Vec<u8>) -> String {

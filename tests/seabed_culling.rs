@@ -5,23 +5,24 @@ use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config;
-use echotank::config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
-use echotank::echo::culling::left_out_share;
-use echotank::echo::levels::Directivity;
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::{
+use echotank_config as config;
+use echotank_config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
+use echotank_core::flow::{
     ArrivalChunk, ArrivalSink, Footprint, Mounting, NavState, PingPlan, Scatterers,
 };
-use echotank::frames::{Pose, Trajectory};
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::{self, PingOrder, Schedule};
-use echotank::run::pipeline::SonarPipeline;
-use echotank::run::rig::{Rig, pool};
-use echotank::scene::Scene;
-use echotank::scene::targets::Targets;
-use echotank::time::{UtcNs, VirtualClock};
+use echotank_core::frames::{Pose, Trajectory};
+use echotank_core::time::UtcNs;
+use echotank_nav::Coverage;
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::rig::pool;
+use echotank_ping::{self as ping, PingOrder, Schedule};
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
+use echotank_scene::Scene;
+use echotank_scene::targets::Targets;
+use echotank_synthesis::echo::culling::left_out_share;
+use echotank_synthesis::echo::levels::Directivity;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -41,7 +42,7 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
     spec.sonars[0].model.cull_db = Some(-24.0);
     let sonar = spec.sonars[0].clone();
     pool(1).expect("thread").install(|| {
-        let mut rig = Rig::open(&spec).expect("rig");
+        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
         let mut inputs =
             NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
         while rig.history.first_usable_utc().is_none() {
@@ -279,7 +280,7 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
     let spec = config::load(&folder.join("seabed.toml")).expect("a good configuration");
     let sonar = spec.sonars[0].clone();
     pool(2).expect("threads").install(|| {
-        let mut rig = Rig::open(&spec).expect("rig");
+        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
         let mut inputs =
             NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
         while rig.history.first_usable_utc().is_none() {

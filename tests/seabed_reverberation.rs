@@ -5,10 +5,10 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use echotank::config::spec::*;
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::*;
-use echotank::scene::Scene;
+use echotank_config::spec::*;
+use echotank_core::flow::*;
+use echotank_scene::Scene;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
 use rig::{C, CARRIER_HZ, WAVELENGTH_M, ahead, cw, element, transmitter};
@@ -134,8 +134,11 @@ fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
             let mut plan = ahead(0.0);
             plan.pulse = cw(2.0 * CELL / C);
             plan.absorption_db_per_m = ABSORPTION_DB_PER_M;
-            plan.trajectory =
-                echotank::frames::Trajectory::uniform(at_m, DVec3::ZERO, glam::DQuat::IDENTITY);
+            plan.trajectory = echotank_core::frames::Trajectory::uniform(
+                at_m,
+                DVec3::ZERO,
+                glam::DQuat::IDENTITY,
+            );
             plan.segments[0].position_m = at_m;
             let footprint = Footprint::fan(at_m, range_m, DVec3::X, MAX_SINE);
             used += scene.gather(&[footprint], &mut scatterers).scatterers;

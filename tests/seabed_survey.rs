@@ -1,9 +1,9 @@
 //! A survey that no memory could hold: what a ping costs does not depend on how much of it there is.
 
-use echotank::config::spec::*;
-use echotank::flow::{Footprint, Scatterers};
-use echotank::scene::Scene;
-use echotank::scene::tiles::TILE_BYTES;
+use echotank_config::spec::*;
+use echotank_core::flow::{Footprint, Scatterers};
+use echotank_scene::Scene;
+use echotank_scene::tiles::TILE_BYTES;
 use glam::DVec3;
 
 /// 10 km along the track at 500 scatterers per square metre; room for 500 tiles, less than two pings need.

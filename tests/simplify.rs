@@ -6,14 +6,14 @@ mod counting;
 #[path = "../tools/src/ladder/measure.rs"]
 mod measure;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, EnergyWeights, IncidenceSpec, OcclusionSpec, PaperShape,
     SceneSpec, SeabedShape, SeabedSpec, SimplifyMethod, SimplifySpec,
 };
-use echotank::flow::{Footprint, Scatterers};
-use echotank::scene::Scene;
-use echotank::scene::simplify::energy::{Beam, View};
-use echotank::scene::simplify::stage::Stage;
+use echotank_core::flow::{Footprint, Scatterers};
+use echotank_scene::Scene;
+use echotank_scene::simplify::energy::{Beam, View};
+use echotank_scene::simplify::stage::Stage;
 use glam::DVec3;
 use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
 

@@ -3,7 +3,7 @@
 mod counting;
 mod wire_rig;
 
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use wire_rig::*;
 
 #[test]

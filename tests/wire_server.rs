@@ -7,17 +7,17 @@ use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::SevenKSpec;
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::Datagram;
-use echotank::io::sonar::client::{ClientError, OwnedRecord, SevenKClient};
-use echotank::io::sonar::verify::{PingTally, Verifier};
-use echotank::io::sonar::{
-    ClientReport, OpenError, ServerTimes, SonarServer, Transport, start_sevenk, start_sevenk_with,
-};
-use echotank::run::settings::SettingsStore;
+use echotank_config::spec::SevenKSpec;
+use echotank_core::flow::Datagram;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::RawIq7038;
 use echotank_protocols::sevenk::{Command, ErrorCode, NetworkFrame, Reassembler};
+use echotank_runtime::io::sonar::client::{ClientError, OwnedRecord, SevenKClient};
+use echotank_runtime::io::sonar::verify::{PingTally, Verifier};
+use echotank_runtime::io::sonar::{
+    ClientReport, OpenError, ServerTimes, SonarServer, Transport, start_sevenk, start_sevenk_with,
+};
+use echotank_runtime::settings::SettingsStore;
 use wire_rig::*;
 
 /// Nothing here should take long; a test that waits this long has failed.
@@ -312,7 +312,7 @@ fn a_setting_over_the_wire_is_in_the_snapshot_once_acknowledged_and_echoed_to_li
         assert_eq!(
             rig.store.snapshot(),
             (
-                echotank::flow::SonarSettings {
+                echotank_core::flow::SonarSettings {
                     range_m: f64::from(range_m),
                     ..SETTINGS
                 },

@@ -8,12 +8,11 @@ mod wire_rig;
 
 use std::sync::Arc;
 
-use echotank::emit::sevenk::RecordSet;
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::emit::sevenk::session::{Outgoing, Session, SessionContext};
-use echotank::flow::Asked;
-use echotank::run::settings::SettingsStore;
-use echotank::time::UtcNs;
+use echotank_core::flow::Asked;
+use echotank_core::time::UtcNs;
+use echotank_emit::sevenk::RecordSet;
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::session::{Outgoing, Session, SessionContext};
 use echotank_protocols::sevenk::control::{
     Ack7501, GainType, Nack7502, PulseEnvelope, PulseType, ThirdParty, Transport,
 };
@@ -21,6 +20,7 @@ use echotank_protocols::sevenk::records::RemoteSettings7503;
 use echotank_protocols::sevenk::{
     Command, ControlRequest, ErrorCode, Packetiser, Record, RecordBody,
 };
+use echotank_runtime::settings::SettingsStore;
 use proptest::prelude::*;
 use wire_rig::*;
 
@@ -369,7 +369,7 @@ fn what_the_model_does_not_use_is_acknowledged_and_reported_in_7503() {
 
 #[test]
 fn pings_by_number_and_by_a_foreign_trigger_are_asked_for_and_ended() {
-    use echotank::time::MonoNs;
+    use echotank_core::time::MonoNs;
     let mut rig = Rig::tcp();
     assert_eq!(rig.ask(Command::SinglePing, 1), Ok(()));
     assert!(rig.store.snapshot().0.pinging, "one is owed");
@@ -401,7 +401,7 @@ fn pings_by_number_and_by_a_foreign_trigger_are_asked_for_and_ended() {
 
 #[test]
 fn a_third_party_is_dialled_and_hung_up() {
-    use echotank::emit::session as seam;
+    use echotank_emit::session as seam;
     let mut rig = Rig::tcp();
     let party = ThirdParty {
         ipv4: u32::from_le_bytes([127, 0, 0, 1]),

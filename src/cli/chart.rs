@@ -13,8 +13,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use crate::run::chart::work::{self, Work};
-use crate::run::chart::{self, ChartOptions};
+use echotank_runtime::chart::work::{self, Work};
+use echotank_runtime::chart::{self, ChartOptions};
 
 /// Timed runs of each ping and method, and of each point of the second chart.
 const REPEATS: usize = 3;
@@ -108,7 +108,7 @@ pub fn main(args: &ChartArgs) -> Result<(), Failure> {
                 pings: 1,
                 ..options.clone()
             };
-            let pool = crate::run::rig::pool(options.threads).map_err(Failure::running)?;
+            let pool = echotank_ping::rig::pool(options.threads).map_err(Failure::running)?;
             pool.install(|| -> Result<Vec<work::Curve>, Failure> {
                 let (scenes, _) = chart::scenes(&spec, &one).map_err(Failure::running)?;
                 let mut curves = Vec::new();

@@ -7,11 +7,11 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::{Failure, load};
-use crate::config;
-use crate::config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
-use crate::echo::culling::left_out_share;
-use crate::flow::{ErrorModel, Synthesis};
-use crate::run::pipeline::{PipelineError, engine_error_models};
+use echotank_config as config;
+use echotank_config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
+use echotank_core::flow::{ErrorModel, Synthesis};
+use echotank_ping::pipeline::{PipelineError, engine_error_models};
+use echotank_synthesis::echo::culling::left_out_share;
 
 #[derive(Args, Clone, Debug)]
 pub struct CheckArgs {

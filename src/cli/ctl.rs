@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::Failure;
-use crate::io::control::{Command, Settings, TriggerName, client};
+use echotank_runtime::io::control::{Command, Settings, TriggerName, client};
 
 #[derive(Args, Clone, Debug)]
 pub struct CtlArgs {
@@ -78,8 +78,16 @@ pub struct SetArgs {
     #[arg(long)]
     pub pinging: Option<bool>,
     /// internal: the sonar's own beat; external: it pings only when asked
-    #[arg(long)]
+    #[arg(long, value_parser = trigger_name)]
     pub trigger: Option<TriggerName>,
+}
+
+fn trigger_name(text: &str) -> Result<TriggerName, String> {
+    match text {
+        "internal" => Ok(TriggerName::Internal),
+        "external" => Ok(TriggerName::External),
+        _ => Err("must be internal or external".to_owned()),
+    }
 }
 
 pub fn main(args: &CtlArgs) -> Result<(), Failure> {

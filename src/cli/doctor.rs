@@ -6,7 +6,7 @@ use std::path::Path;
 use clap::Args;
 
 use super::Failure;
-use crate::io::priority::{self, Limit};
+use echotank_runtime::io::priority::{self, Limit};
 
 /// Wanted of the kernel's limits on socket buffers: a ping of 128 elements at once.
 const SOCKET_BUFFER_BYTES: u64 = 4 << 20;

@@ -11,10 +11,10 @@ use clap::Args;
 use echotank_protocols::sevenk::describe;
 
 use super::Failure;
-use crate::io::sonar::client::SevenKClient;
-use crate::io::sonar::elements::{ElementClient, FrameTally};
-use crate::run::histograms::Spread;
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_runtime::histograms::Spread;
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::elements::{ElementClient, FrameTally};
 use pulses::{Pulses, TriggerTo};
 use verify::FamilyName;
 

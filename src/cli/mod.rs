@@ -20,7 +20,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::config::{self, spec::RigSpec};
+use echotank_config::{self as config, spec::RigSpec};
 
 /// Feeds a real sonar topside, DSP or acquisition board as though it were in the water.
 ///

@@ -6,12 +6,12 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 
 use super::Failure;
-use crate::config::spec::{ColourMap, Contrast, Overlap};
-use crate::geodesy::LocalTangentPlane;
-use crate::image::line::first_return_m;
-use crate::image::mosaic::{MosaicBuilder, MosaicSpec, Place};
-use crate::io::record::lines::{self, RecordedPing};
-use crate::io::record::picture::write_mosaic;
+use echotank_config::spec::{ColourMap, Contrast, Overlap};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_imaging::image::line::first_return_m;
+use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicSpec, Place};
+use echotank_runtime::io::record::lines::{self, RecordedPing};
+use echotank_runtime::io::record::picture::write_mosaic;
 
 /// First returns are the median over so many pings to either side: one fish is no bottom.
 const NEIGHBOURS: usize = 7;
@@ -238,7 +238,7 @@ fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
     let [port, starboard] = ping.arms_m;
     let middle = match ping.lines.as_slice() {
-        [one] => ping.arms_m[usize::from(one.side == crate::flow::Side::Starboard)],
+        [one] => ping.arms_m[usize::from(one.side == echotank_core::flow::Side::Starboard)],
         _ => 0.5 * (port + starboard),
     };
     let (latitude_rad, longitude_rad) = plane.geodetic_rad(middle.x, middle.y);

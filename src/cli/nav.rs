@@ -9,14 +9,14 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::Failure;
-use crate::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, SensorMounting,
     TimePolicy,
 };
-use crate::nav::decoder::Outcome;
-use crate::nav::log::LogKind;
-use crate::nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_nav::decoder::Outcome;
+use echotank_nav::log::LogKind;
+use echotank_nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
 
 /// As sources are called in the output.
 fn channel_names() -> impl Iterator<Item = &'static str> {
@@ -115,7 +115,7 @@ pub fn main(args: &NavArgs) -> Result<(), Failure> {
         return Err(Failure::running(text));
     }
     let bytes = std::fs::read(&args.log).map_err(failed)?;
-    if let Some(why) = crate::nav::log::refusal(&bytes) {
+    if let Some(why) = echotank_nav::log::refusal(&bytes) {
         return Err(Failure::running(format!("{} {why}", args.log.display())));
     }
     let report = report(&bytes, &spec(args), args.plain_rate_hz);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Failure;
-use crate::io::record::recover::recover;
+use echotank_runtime::io::record::recover::recover;
 
 #[derive(Args, Clone, Debug)]
 pub struct RecoverArgs {

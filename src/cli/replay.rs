@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use crate::config::spec::{NavInputSpec, RigSpec, SonarSpec};
-use crate::run::replay::{Formats, Replay, ReplayOptions};
+use echotank_config::spec::{NavInputSpec, RigSpec, SonarSpec};
+use echotank_runtime::replay::{Formats, Replay, ReplayOptions};
 
 #[derive(Args, Clone, Debug)]
 pub struct ReplayArgs {

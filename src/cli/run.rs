@@ -9,9 +9,9 @@ use std::time::Duration;
 use clap::Args;
 
 use super::{Failure, load};
-use crate::config::spec::{NavInputSpec, RigSpec, SeabedShape};
-use crate::io::signals;
-use crate::run::daemon::Daemon;
+use echotank_config::spec::{NavInputSpec, RigSpec, SeabedShape};
+use echotank_runtime::daemon::Daemon;
+use echotank_runtime::io::signals;
 
 /// Runs when no configuration is named: a real navigation log over a real seabed, both in the repository.
 const QUICKSTART: &str = "hil-configs/quickstart.toml";

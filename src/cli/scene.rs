@@ -10,10 +10,10 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::Failure;
-use crate::config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
-use crate::scene::read::mesh::{self, MeshAxes};
-use crate::scene::read::relief;
-use crate::scene::read::survey::{Layout, Lookup, Survey};
+use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_scene::read::mesh::{self, MeshAxes};
+use echotank_scene::read::relief;
+use echotank_scene::read::survey::{Layout, Lookup, Survey};
 
 /// Shares of the depths that are printed.
 const PERCENTILES: [f64; 7] = [0.0, 0.01, 0.05, 0.5, 0.95, 0.99, 1.0];

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Failure;
-use crate::io::sonar::heard::report::Report;
-use crate::io::text_of;
-use crate::run::score::{Score, log_of, score};
+use echotank_runtime::io::sonar::heard::report::Report;
+use echotank_runtime::io::text_of;
+use echotank_runtime::score::{Score, log_of, score};
 
 #[derive(Args, Clone, Debug)]
 pub struct ScoreArgs {

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 
-use crate::flow::{
+use echotank_core::flow::{
     ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
 };
 
@@ -1055,7 +1055,7 @@ impl Default for SynthesisSpec {
     }
 }
 
-pub use crate::flow::SettingLimits as LimitsSpec;
+pub use echotank_core::flow::SettingLimits as LimitsSpec;
 pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 
 #[derive(Clone, Debug, Default)]

@@ -12,11 +12,11 @@ use super::check::sonar::{
 use glam::DVec3;
 
 use super::spec::*;
-use crate::flow::{
+use echotank_core::flow::{
     ArrayGeometry, DopplerModel, PathModel, Pattern, PulseKind, Receiver, ReceiverFilter, Side,
     Synthesis, TimeVaryingGain,
 };
-use crate::frames::rotation_from_angles;
+use echotank_core::frames::rotation_from_angles;
 
 /// How far the platform is tilted to show what the signs mean.
 const SIGN_TEST_DEG: f64 = 10.0;

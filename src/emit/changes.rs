@@ -1,6 +1,8 @@
 //! Several changes of the settings at once, as commands of some protocols hold them: all of them, or none.
 
-use crate::flow::{Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort};
+use echotank_core::flow::{
+    Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
+};
 
 /// What is outside a limit by no more than an f32 can tell is the limit itself.
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;

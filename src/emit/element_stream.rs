@@ -10,9 +10,9 @@ use super::elements::{elements_of, interleave_iq};
 use super::packets::Packets;
 use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use super::sevenk::quantise::IQ_FULL_SCALE;
-use crate::config::spec::{ElementStreamSpec, SonarSpec};
-use crate::flow::{PingOutput, PingPlan};
-use crate::time::UtcNs;
+use echotank_config::spec::{ElementStreamSpec, SonarSpec};
+use echotank_core::flow::{PingOutput, PingPlan};
+use echotank_core::time::UtcNs;
 
 /// Turns pings into frames. Holds its buffers and the frames' count; one thread's.
 pub struct ElementStreamEmitter {

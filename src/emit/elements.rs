@@ -3,7 +3,7 @@
 use num_complex::Complex64;
 
 use super::sevenk::quantise::IQ_FULL_SCALE;
-use crate::flow::{ElementFrame, PingOutput};
+use echotank_core::flow::{ElementFrame, PingOutput};
 
 /// The elements of `arrays` one after the other: samples of each.
 pub fn elements_of<'a>(

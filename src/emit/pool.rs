@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::flow::Datagram;
+use echotank_core::flow::Datagram;
 
 /// Buffers of one record type, at most `capacity`: as many as may wait in the queues. Beyond that a record gets a buffer of its own, and
 /// `misses` counts it.

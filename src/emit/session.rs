@@ -6,8 +6,8 @@
 use std::net::SocketAddr;
 use std::ops::Range;
 
-use crate::flow::Datagram;
-use crate::time::UtcNs;
+use echotank_core::flow::Datagram;
+use echotank_core::time::UtcNs;
 
 /// A set of a protocol's classes of records, small enough for an atomic. What the bits mean is the protocol's ([`Protocol::class`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -4,7 +4,7 @@
 //! Ethernet (with VLAN tags), Linux cooked, loopback and raw IP; IPv4 and IPv6. Not put together: fragments, TCP. A file cut in the middle of a packet ends
 //! before it. Sources: tcpdump's `pcap-savefile(5)`, IETF draft-tuexen-opsawg-pcapng.
 
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// No packet of a sound file is longer, bytes.
 const MAX_PACKET: usize = 256 * 1024;

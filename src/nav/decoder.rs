@@ -5,9 +5,9 @@ use super::message_time::{MessageClock, Stamp};
 use super::reading::{Decoded, Invalid, Reading, Refusal};
 use super::records::{Record, Records};
 use super::sentence::decode;
-use crate::config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec, TimePolicy};
-use crate::flow::{NavQuantity, NavSample};
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec, TimePolicy};
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Of [`NavChannel`].
 const CHANNEL_COUNT: usize = 6;

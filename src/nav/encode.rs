@@ -6,8 +6,8 @@
 use std::io::Write;
 
 use super::framing::checksum_of;
-use crate::flow::FixQuality;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::FixQuality;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Minutes of arc are written to this many of a minute: 0.2 mm.
 const MINUTE_STEPS: i64 = 10_000_000;
@@ -118,8 +118,8 @@ pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::spec::NavDialect;
-    use crate::nav::sentence::{decode_by_crate, decode_own};
+    use crate::sentence::{decode_by_crate, decode_own};
+    use echotank_config::spec::NavDialect;
 
     const T: i64 = 1_406_851_199; // 2014-07-31T23:59:59Z
 

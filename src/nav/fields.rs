@@ -1,7 +1,7 @@
 //! The comma-separated fields of a sentence, and the numbers, times and angles in them.
 
 use super::reading::Refusal::{self, Malformed};
-use crate::time::NS_PER_S;
+use echotank_core::time::NS_PER_S;
 
 /// Fields looked at; the sentences decoded here have at most 16.
 const MAX_FIELDS: usize = 32;

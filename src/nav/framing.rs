@@ -3,7 +3,7 @@
 //! NMEA 0183 is a line protocol, but logs and gateways lose line ends, so a sentence ends at its checksum, at a line end, or where the
 //! next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are stepped over. Memory is bounded by [`MAX_SENTENCE`].
 
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// Longest sentence taken, bytes. NMEA allows 82; proprietary attitude reaches about 130.
 pub const MAX_SENTENCE: usize = 256;

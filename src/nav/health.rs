@@ -3,7 +3,7 @@
 //! A source is on HOLD when it misses a few of its own intervals, STALE and LOST after configured times. From STALE and LOST it comes back only
 //! after several samples in a row, so that one stray sentence does not count as recovery.
 
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// Usual intervals without a sample before a source is on hold.
 const HOLD_INTERVALS: f64 = 3.0;

@@ -16,9 +16,9 @@ use super::decoder::{Heard, NavCounters, NavDecoder, unwatched};
 use super::mavlink;
 use super::message_time::nearest_day;
 use super::stamp::{LineStamp, split_line};
-use crate::config::spec::{NavFormat, NavSourceSpec, TimePolicy};
-use crate::flow::NavSample;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::{NavFormat, NavSourceSpec, TimePolicy};
+use echotank_core::flow::NavSample;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// Time zones differ by multiples of this.

@@ -12,8 +12,8 @@ use super::framing::Checksum;
 use super::reading::Refusal::{Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, When};
 use super::records::Record;
-use crate::flow::FixQuality;
-use crate::time::UtcNs;
+use echotank_core::flow::FixQuality;
+use echotank_core::time::UtcNs;
 
 const STAMP_BYTES: usize = 8;
 /// Ground stations' clocks stand between 2001 and 2100.

@@ -7,7 +7,7 @@
 //! nobody downstream sees the step. In a log without stamps a step cannot be told from a pause, and is one.
 
 use super::reading::{Reading, When};
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// A pause in the arrivals longer than this ends a burst: a Seapath at 1 Hz pauses up to 0.13 s inside one and 0.76 s between two; logs that
@@ -206,8 +206,8 @@ fn nearest_week(of_week_ns: i64, reference: UtcNs) -> UtcNs {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::spec::NavDialect;
-    use crate::nav::sentence::decode;
+    use crate::sentence::decode;
+    use echotank_config::spec::NavDialect;
 
     fn reading(body: &str) -> Reading {
         decode(body, &NavDialect::default(), &mut String::new()).expect("decodes")

@@ -7,9 +7,9 @@
 use super::fields::Fields;
 use super::reading::Refusal::{self, Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, When, date_ns, seconds_ns, sound};
-use crate::config::spec::NavDialect;
-use crate::flow::FixQuality;
-use crate::time::UtcNs;
+use echotank_config::spec::NavDialect;
+use echotank_core::flow::FixQuality;
+use echotank_core::time::UtcNs;
 
 /// GPS time began 1980-01-06T00:00:00Z, seconds since 1970.
 const GPS_EPOCH_S: i64 = 315_964_800;
@@ -341,7 +341,7 @@ pub fn vectornav(f: &Fields) -> Decoded {
             if let (Some(seconds), Some(week)) = (f.number(1)?, f.number(2)?) {
                 sound((0.0..WEEK_S as f64).contains(&seconds) && (0.0..10_000.0).contains(&week))?;
                 let gps_s = GPS_EPOCH_S + week as i64 * WEEK_S;
-                let gps_ns = gps_s * crate::time::NS_PER_S + seconds_ns(seconds);
+                let gps_ns = gps_s * echotank_core::time::NS_PER_S + seconds_ns(seconds);
                 r.when = Some(When::Instant(UtcNs(super::message_time::utc_of_gps(
                     gps_ns,
                 ))));

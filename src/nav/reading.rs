@@ -2,8 +2,8 @@
 
 use chrono::{NaiveDate, NaiveTime};
 
-use crate::flow::FixQuality;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::FixQuality;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 const KNOT_M_PER_S: f64 = 1852.0 / 3600.0;
 /// Largest heave that a format can say, metres; the tallest ocean wave recorded stands 30 m.

@@ -7,9 +7,9 @@
 use super::framing::Checksum;
 use super::reading::Refusal::Malformed;
 use super::reading::{Decoded, Kind, Reading, When, sound};
-use crate::config::spec::NavFormat;
-use crate::flow::FixQuality;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::NavFormat;
+use echotank_core::flow::FixQuality;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 const EM3000_BYTES: usize = 10;
 const SEAPATH_BYTES: usize = 52;

@@ -7,10 +7,10 @@ use super::decoder::{Heard, NavCounters, Outcome};
 use super::framing::Checksum;
 use super::log::{LogCounts, read_log_watched};
 use super::reading::Kind;
-use crate::config::spec::{NavChannel, NavSourceSpec};
-use crate::flow::{NavQuantity, NavSample};
-use crate::geodesy::LocalTangentPlane;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::{NavChannel, NavSourceSpec};
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Quantities told apart.
 pub const CHANNEL_COUNT: usize = 6;

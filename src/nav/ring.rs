@@ -5,9 +5,9 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec3};
 
-use crate::flow::FixQuality;
-use crate::frames::{AttitudeKnot, VectorKnot};
-use crate::time::UtcNs;
+use echotank_core::flow::FixQuality;
+use echotank_core::frames::{AttitudeKnot, VectorKnot};
+use echotank_core::time::UtcNs;
 
 /// Hard bound of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.
 pub const MAX_KNOTS: usize = 16_384;

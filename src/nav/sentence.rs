@@ -18,9 +18,9 @@ use super::framing::checksum_of;
 use super::proprietary;
 use super::reading::Refusal::{self, Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, date_ns, midnight_ns, sound};
-use crate::config::spec::NavDialect;
-use crate::flow::FixQuality;
-use crate::time::NS_PER_S;
+use echotank_config::spec::NavDialect;
+use echotank_core::flow::FixQuality;
+use echotank_core::time::NS_PER_S;
 
 /// The longest sentence the crate `nmea` looks at.
 const NMEA_CRATE_MAX: usize = nmea::SENTENCE_MAX_LEN;

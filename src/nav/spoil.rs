@@ -1,7 +1,7 @@
 //! Where navigation may go wrong: every sample passes here on its way from its source to the history, and what live sources say before that.
 
-use crate::flow::NavSample;
-use crate::time::UtcNs;
+use echotank_core::flow::NavSample;
+use echotank_core::time::UtcNs;
 
 pub trait Spoil: Send {
     /// Bytes that a live source has said, before they are decoded.

@@ -1,7 +1,7 @@
 //! The time that a logger put before a sentence, each in its own way. Comes in: a line. Goes out: its stamp and its sentence.
 
 use super::fields::{fraction_ns, time_of_day_ns};
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineStamp {

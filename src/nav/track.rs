@@ -6,9 +6,9 @@
 use thiserror::Error;
 
 use super::fields::fraction_ns;
-use crate::config::spec::NavChannel;
-use crate::flow::{NavQuantity, NavSample};
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::NavChannel;
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 pub const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
 const COLUMNS: [&str; 7] = [

@@ -6,9 +6,9 @@
 use std::collections::VecDeque;
 
 use super::{Early, PingOrder, Refusal, Schedule, Triggered};
-use crate::config::spec::{TriggerFrom, TriggerSpec};
-use crate::flow::SonarSettings;
-use crate::time::UtcNs;
+use echotank_config::spec::{TriggerFrom, TriggerSpec};
+use echotank_core::flow::SonarSettings;
+use echotank_core::time::UtcNs;
 
 /// Triggers of a followed sonar that may lie ahead: more than its pulses in the longest delay there is.
 const MAX_AHEAD: usize = 4096;
@@ -213,8 +213,8 @@ impl Beats {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::spec::EarlyTrigger;
-    use crate::time::NS_PER_S;
+    use echotank_config::spec::EarlyTrigger;
+    use echotank_core::time::NS_PER_S;
 
     const MS: i64 = NS_PER_S / 1000;
 

@@ -7,8 +7,8 @@
 //! the norm of a sum of differences is at most the sum of their norms (the triangle inequality). So parts are added as they are; parts of random
 //! phase would add as squares, and the bound is then up to twice too high with four parts alike.
 
-use crate::flow::ModelChoice;
-use crate::ping::work::Work;
+use crate::work::Work;
+use echotank_core::flow::ModelChoice;
 
 /// What is chosen in one place of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -279,7 +279,7 @@ impl Ranking {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::{DopplerModel, PathModel, Synthesis};
+    use echotank_core::flow::{DopplerModel, PathModel, Synthesis};
 
     fn candidate(error: f64, cost_ms: f64) -> Candidate {
         let part = |family: Family| Part {

@@ -5,9 +5,9 @@
 //! bind who triggers it. Not modelled: a trigger's own delay within the device.
 
 use super::{PingOrder, Schedule};
-use crate::config::spec::EarlyTrigger;
-use crate::flow::SonarSettings;
-use crate::time::UtcNs;
+use echotank_config::spec::EarlyTrigger;
+use echotank_core::flow::SonarSettings;
+use echotank_core::time::UtcNs;
 
 /// What becomes of triggers that come too early.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,7 +120,7 @@ impl Numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::NS_PER_S;
+    use echotank_core::time::NS_PER_S;
     use proptest::prelude::*;
 
     const MS: i64 = NS_PER_S / 1000;

@@ -23,8 +23,8 @@
 
 use std::sync::Arc;
 
-use crate::config::spec::{BottomSpec, Sediment, ThreeTerm};
-use crate::flow::{LawCurve, ScatterLaw};
+use echotank_config::spec::{BottomSpec, Sediment, ThreeTerm};
+use echotank_core::flow::{LawCurve, ScatterLaw};
 
 /// What is known of a sediment: the handbook's values, and the terms fitted to them.
 #[derive(Clone, Copy, Debug, PartialEq)]

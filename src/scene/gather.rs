@@ -12,7 +12,7 @@ use super::pool::{Place, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::{Recipe, Tile, TileBox, TileId};
-use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
+use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
 /// Farther from the scene's zero there is no seabed, metres.
 const EDGE_M: f64 = 1e9;

@@ -17,8 +17,8 @@ use glam::{DVec2, DVec3};
 use super::occlusion::Piece;
 use super::seabed::Depth;
 use super::targets::chance::Chance;
-use crate::config::spec::PaperShape;
-use crate::flow::{ScatterLaw, Scatterers};
+use echotank_config::spec::PaperShape;
+use echotank_core::flow::{ScatterLaw, Scatterers};
 
 /// Of the level bottoms.
 pub const DEPTH_M: f64 = 30.0;

@@ -7,7 +7,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, optional, required};
-use crate::flow::{ScatterLaw, Scatterers};
+use echotank_core::flow::{ScatterLaw, Scatterers};
 
 /// Rows at most: 16 million points hold a gigabyte.
 pub const MAX_POINTS: usize = 1 << 24;

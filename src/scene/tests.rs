@@ -12,11 +12,11 @@ use super::read::HeightField;
 use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Scene, SceneError};
-use crate::config::spec::{
+use echotank_config::spec::{
     AnchorSpec, BottomSpec, CrsSpec, Density, HeightSign, IncidenceSpec, MosaicSpec, MosaicValues,
     OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
 };
-use crate::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
+use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
 const FLAT: SeabedShape = SeabedShape::Plane {
     depth_m: 50.0,
@@ -609,7 +609,7 @@ proptest! {
 
 #[test]
 fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
         .join("hil-configs/data/jd211_crop_400x400_2m.asc");
     let shape = surveyed(path);
     let mut scene = Scene::open(&spec(Some(seabed(shape, 4.0, true)), 10)).unwrap();
@@ -835,7 +835,8 @@ fn faults_name_their_file_and_limits_their_key() {
 
 #[test]
 fn the_quickstart_targets_open_over_the_recorded_seabed() {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("hil-configs/data");
+    let data =
+        PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("hil-configs/data");
     let shape = surveyed(data.join("jd211_crop_400x400_2m.asc"));
     let mut spec = spec(Some(seabed(shape, 1.0, true)), 10);
     spec.mirror = true;
@@ -1146,9 +1147,9 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
 /// images too; and whatever is moved moves the strengths.
 #[test]
 fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bathy");
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/bathy");
     let file = SeabedFileSpec::of(folder.join("laparguera_hitw_bathy.tif"));
-    let survey = crate::scene::read::Survey::open(&file).unwrap();
+    let survey = crate::read::Survey::open(&file).unwrap();
     let extent_m = (survey.field.extent_north_m(), survey.field.extent_east_m());
     let (shift_north_m, shift_east_m) = (0.2 * extent_m.0, -0.1 * extent_m.1);
     let opened = |mosaic: Option<MosaicSpec>| {

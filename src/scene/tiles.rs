@@ -21,8 +21,8 @@ use num_complex::Complex32;
 use super::bottoms::Bottom;
 use super::draws;
 use super::seabed::{Depth, Surface};
-use crate::config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
-use crate::flow::Footprint;
+use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
+use echotank_core::flow::Footprint;
 
 /// Cells on a tile's side. 1024 scatterers: enough that a tile's upkeep is small beside them, few enough that little is made in vain.
 pub const CELLS_ON_SIDE: usize = 32;

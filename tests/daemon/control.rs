@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use echotank::io::control::client;
+use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::Daemon;

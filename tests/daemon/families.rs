@@ -9,7 +9,7 @@ use echotank_protocols::ping_protocol::{Frame, Message, PingFraming, PingStream}
 use echotank_protocols::vita49::{Context, Packet, PacketType};
 use echotank_protocols::wbms::{self, Bathymetry, WbmsFraming, WbmsStream};
 
-use echotank::io::control::client;
+use echotank_runtime::io::control::client;
 
 use super::{Daemon, PATIENCE};
 

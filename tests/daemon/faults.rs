@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::verify::{PingTally, Verifier, ping_number};
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::verify::{PingTally, Verifier, ping_number};
 use serde_json::{Value, json};
 
 use super::PATIENCE;

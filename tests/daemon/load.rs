@@ -3,8 +3,8 @@
 
 use std::time::{Duration, Instant};
 
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::verify::Verifier;
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::verify::Verifier;
 
 use super::modes::status;
 use super::{Daemon, PATIENCE};

@@ -7,8 +7,8 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use echotank::io::control::client;
 use echotank_protocols::sevenk::file::FileReader;
+use echotank_runtime::io::control::client;
 use serde_json::{Value, json};
 
 use super::triggers::{records, three};

@@ -9,16 +9,16 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use echotank::config;
-use echotank::config::spec::NavDialect;
-use echotank::flow::FixQuality;
-use echotank::io::sonar::client::SevenKClient;
-use echotank::nav::framing::{Checksum, Framing};
-use echotank::nav::reading::{Kind, Reading};
-use echotank::nav::sentence::decode_own;
-use echotank::run::daemon::Daemon;
-use echotank::time::UtcNs;
+use echotank_config as config;
+use echotank_config::spec::NavDialect;
+use echotank_core::flow::FixQuality;
+use echotank_core::time::UtcNs;
+use echotank_nav::framing::{Checksum, Framing};
+use echotank_nav::reading::{Kind, Reading};
+use echotank_nav::sentence::decode_own;
 use echotank_protocols::sevenk::RecordBody;
+use echotank_runtime::daemon::Daemon;
+use echotank_runtime::io::sonar::client::SevenKClient;
 use serialport::{SerialPort, TTYPort};
 
 /// Longest that anything may take before the test gives up.

@@ -28,7 +28,9 @@ fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let mut last = Value::Null;
     // Until the log ends, and the daemon with it.
     while daemon.child.try_wait().expect("a child").is_none() {
-        if let Ok((200, body)) = echotank::io::control::client::get(control, "/status", None) {
+        if let Ok((200, body)) =
+            echotank_runtime::io::control::client::get(control, "/status", None)
+        {
             last = serde_json::from_str(&body).expect("JSON");
         }
         std::thread::sleep(std::time::Duration::from_millis(20));

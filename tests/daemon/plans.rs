@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::net::SocketAddr;
 
-use echotank::io::control::client;
+use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::Daemon;

@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use echotank::io::control::client;
-use echotank::io::sonar::elements::ElementClient;
-use echotank::io::sonar::heard::accounts::Sums;
-use echotank::io::sonar::heard::ear::Family;
-use echotank::io::sonar::heard::listener::{Listener, Listening};
-use echotank::io::sonar::heard::report::Report;
-use echotank::run::score::{Logged, Score, log_of, score};
+use echotank_runtime::io::control::client;
+use echotank_runtime::io::sonar::elements::ElementClient;
+use echotank_runtime::io::sonar::heard::accounts::Sums;
+use echotank_runtime::io::sonar::heard::ear::Family;
+use echotank_runtime::io::sonar::heard::listener::{Listener, Listening};
+use echotank_runtime::io::sonar::heard::report::Report;
+use echotank_runtime::score::{Logged, Score, log_of, score};
 use serde_json::{Value, json};
 
 use super::modes::{rig, tell, wait_delivered};

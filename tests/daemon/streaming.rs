@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
-use echotank::io::sonar::elements::ElementClient;
 use echotank_protocols::vita49::{Packet, PacketType};
+use echotank_runtime::io::sonar::elements::ElementClient;
 
 use super::{Daemon, PATIENCE};
 

@@ -8,10 +8,10 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use echotank::io::sonar::verify::ping_number;
-use echotank::io::trigger::sentence;
-use echotank::time::UtcNs;
+use echotank_core::time::UtcNs;
 use echotank_protocols::sevenk::file::FileReader;
+use echotank_runtime::io::sonar::verify::ping_number;
+use echotank_runtime::io::trigger::sentence;
 use serde_json::{Value, json};
 
 use super::modes::{rig, status, tell, wait_delivered};

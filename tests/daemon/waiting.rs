@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use echotank::io::control::client;
+use echotank_runtime::io::control::client;
 
 use super::modes::status;
 use super::{Daemon, LIVE, PATIENCE, sentence};

@@ -3,11 +3,13 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank::array::Direct;
-use echotank::array::error_models::synthesis_error_model;
-use echotank::echo::error_models::{doppler_error_model, doppler_within, path_error_model};
-use echotank::echo::{Window, reference};
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::Direct;
+use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::echo::error_models::{
+    doppler_error_model, doppler_within, path_error_model,
+};
+use echotank_synthesis::echo::{Window, reference};
 
 use crate::paths::restless;
 use crate::rig::*;

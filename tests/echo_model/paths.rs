@@ -1,8 +1,8 @@
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
-use echotank::flow::*;
-use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::flow::*;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 
 use crate::rig::*;
 

@@ -3,10 +3,10 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank::array::{Decimator, Direct};
-use echotank::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
-use echotank::echo::reference::reference_with;
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::reference::reference_with;
 
 use crate::paths::restless;
 use crate::rig::*;

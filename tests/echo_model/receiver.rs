@@ -1,8 +1,8 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank::array::receive;
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::receive;
 
 use crate::rig::*;
 

@@ -1,9 +1,9 @@
 //! A sonar, a plan and a sink for the tests of the echo model.
 
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::*;
-use echotank::frames::{Trajectory, rotation_from_angles};
-use echotank::time::UtcNs;
+use echotank_core::flow::*;
+use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

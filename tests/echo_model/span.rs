@@ -2,8 +2,8 @@
 
 use glam::{DQuat, DVec3};
 
-use echotank::echo::{TransmitLeg, Workspace, arrivals, doppler_span, insonify};
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::echo::{TransmitLeg, Workspace, arrivals, doppler_span, insonify};
 
 use crate::paths::restless;
 use crate::rig::*;

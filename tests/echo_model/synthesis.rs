@@ -3,15 +3,15 @@ use std::f64::consts::{PI, TAU};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank::array::error_models::synthesis_error_model;
-use echotank::array::filter::occupied_hz;
-use echotank::array::{
+use echotank_core::flow::*;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot};
+use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::array::filter::occupied_hz;
+use echotank_synthesis::array::{
     Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum, oversample,
 };
-use echotank::echo::reference::reference_with;
-use echotank::echo::{Window, reference};
-use echotank::flow::*;
-use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot};
+use echotank_synthesis::echo::reference::reference_with;
+use echotank_synthesis::echo::{Window, reference};
 
 use crate::paths::restless;
 use crate::rig::*;

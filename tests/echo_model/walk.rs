@@ -3,9 +3,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank::echo::Window;
-use echotank::flow::*;
-use echotank::frames::rotation_from_angles;
+use echotank_core::flow::*;
+use echotank_core::frames::rotation_from_angles;
+use echotank_synthesis::echo::Window;
 
 use crate::paths::restless;
 use crate::rig::*;

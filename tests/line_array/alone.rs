@@ -1,10 +1,10 @@
 //! What one echo by itself loses beside it.
 
-use echotank::array::Decimator;
-use echotank::array::filter;
-use echotank::array::gridded::kernel::Kernel;
-use echotank::array::gridded2d::alone::Alone;
-use echotank::flow::{Pulse, PulseKind, Synthesis};
+use echotank_core::flow::{Pulse, PulseKind, Synthesis};
+use echotank_synthesis::array::Decimator;
+use echotank_synthesis::array::filter;
+use echotank_synthesis::array::gridded::kernel::Kernel;
+use echotank_synthesis::array::gridded2d::alone::Alone;
 
 fn pulse(taper: f64) -> Pulse {
     Pulse {

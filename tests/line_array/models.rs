@@ -2,11 +2,11 @@
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::simd_level::SimdLevel;
-use echotank::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
-use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
-use echotank::flow::*;
-use echotank::frames::AttitudeKnot;
+use echotank_core::flow::*;
+use echotank_core::frames::AttitudeKnot;
+use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
+use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

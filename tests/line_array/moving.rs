@@ -1,6 +1,6 @@
 //! A platform under way: surge, sway and heave.
 
-use echotank::array::gridded2d::{Fineness, PulseMotion};
+use echotank_synthesis::array::gridded2d::{Fineness, PulseMotion};
 use glam::DVec3;
 
 use crate::scene::*;

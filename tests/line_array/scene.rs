@@ -2,13 +2,13 @@
 
 use std::sync::Mutex;
 
-use echotank::array::gridded::simd_level::SimdLevel;
-use echotank::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
-use echotank::array::{Decimator, Direct};
-use echotank::echo::{
+use echotank_core::flow::*;
+use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_synthesis::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
+use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify, reference,
 };
-use echotank::flow::*;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

@@ -2,9 +2,9 @@
 
 use std::sync::Mutex;
 
-use echotank::array::gridded2d::{Fineness, PulseMotion};
-use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::gridded2d::{Fineness, PulseMotion};
+use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 
 use crate::rig::ALWAYS;

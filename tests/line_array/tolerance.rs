@@ -1,7 +1,9 @@
 //! The tolerance asked for is the tolerance kept, in every window.
 
-use echotank::array::gridded::simd_level::SimdLevel;
-use echotank::array::gridded2d::{Bounds, Choice, Fineness, Precision, Refusal, Spec, choose};
+use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_synthesis::array::gridded2d::{
+    Bounds, Choice, Fineness, Precision, Refusal, Spec, choose,
+};
 use glam::DVec3;
 
 use crate::rig::C;

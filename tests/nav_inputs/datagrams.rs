@@ -4,10 +4,11 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{NavChannel, NavInputSpec, ParitySpec, SerialLine, TimePolicy};
-use echotank::io::nav::NavInputs;
-use echotank::nav::NavHistory;
-use echotank::time::{SystemClock, UtcNs};
+use echotank_config::spec::{NavChannel, NavInputSpec, ParitySpec, SerialLine, TimePolicy};
+use echotank_core::time::UtcNs;
+use echotank_nav::NavHistory;
+use echotank_runtime::clock::SystemClock;
+use echotank_runtime::io::nav::NavInputs;
 use serialport::SerialPort;
 use socket2::{Domain, Protocol, Socket, Type};
 

@@ -4,13 +4,14 @@ use std::net::UdpSocket;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::FaultRequest;
-use echotank::io::nav::NavInputs;
-use echotank::nav::NavHistory;
-use echotank::nav::decoder::NavCounters;
-use echotank::run::faults::Faults;
-use echotank::run::faults::nav::NavSpoiler;
-use echotank::time::{SystemClock, UtcNs};
+use echotank_config::spec::FaultRequest;
+use echotank_core::time::UtcNs;
+use echotank_nav::NavHistory;
+use echotank_nav::decoder::NavCounters;
+use echotank_ping::faults::Faults;
+use echotank_runtime::clock::SystemClock;
+use echotank_runtime::faults::nav::NavSpoiler;
+use echotank_runtime::io::nav::NavInputs;
 
 use super::{PATIENCE, nav_spec, sentences, source, udp};
 

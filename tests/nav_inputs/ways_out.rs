@@ -6,17 +6,18 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     NavDialect, NavOutputSpec, NavSentence, NavTargetSpec, PulseSpec, SerialLine, VerticalSpec,
 };
-use echotank::flow::{FixQuality, NavQuantity, NavSample};
-use echotank::io::nav::output::{ClockFaults, NavOutputs, OutputTime};
-use echotank::nav::NavHistory;
-use echotank::nav::framing::{Checksum, Framing};
-use echotank::nav::reading::{Kind, Reading, When};
-use echotank::nav::sentence::decode_own;
-use echotank::run::faults::Faults;
-use echotank::time::{Clock, SystemClock, UtcNs};
+use echotank_core::flow::{FixQuality, NavQuantity, NavSample};
+use echotank_core::time::UtcNs;
+use echotank_nav::NavHistory;
+use echotank_nav::framing::{Checksum, Framing};
+use echotank_nav::reading::{Kind, Reading, When};
+use echotank_nav::sentence::decode_own;
+use echotank_ping::faults::Faults;
+use echotank_runtime::clock::{Clock, SystemClock};
+use echotank_runtime::io::nav::output::{ClockFaults, NavOutputs, OutputTime};
 use serialport::TTYPort;
 
 use super::{PATIENCE, nav_spec, pseudo_terminal, source, udp};

@@ -3,11 +3,11 @@
 use std::process::Command;
 
 use chrono::{DateTime, TimeDelta, Utc};
-use echotank::config::spec::{ChecksumPolicy, TimePolicy};
-use echotank::flow::NavSample;
-use echotank::nav::log::read_log;
-use echotank::nav::stamp::split_line;
-use echotank::time::UtcNs;
+use echotank_config::spec::{ChecksumPolicy, TimePolicy};
+use echotank_core::flow::NavSample;
+use echotank_core::time::UtcNs;
+use echotank_nav::log::read_log;
+use echotank_nav::stamp::split_line;
 
 use super::{bytes, spec};
 

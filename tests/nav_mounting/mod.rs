@@ -2,14 +2,14 @@
 
 use std::f64::consts::TAU;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost,
     OriginSpec, SensorMounting, StampSpec, TimePolicy, TowSpec, VerticalSpec,
 };
-use echotank::flow::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
-use echotank::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
-use echotank::nav::{Coverage, NavDecoder, NavGap, NavHistory};
-use echotank::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
+use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
+use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_nav::{Coverage, NavDecoder, NavGap, NavHistory};
 use glam::DVec3;
 
 const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);

@@ -6,16 +6,16 @@ use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank::config;
-use echotank::config::spec::{Density, RigSpec};
-use echotank::flow::{DopplerModel, ErrorCheck, PathModel, PingPlan, Scatterers, Synthesis};
-use echotank::frames::Trajectory;
-use echotank::run::method_selection::costs::Costs;
-use echotank::run::method_selection::first::{first, pings};
-use echotank::run::method_selection::{Scene, Swell, rank};
-use echotank::run::recorded::RecordedRig;
-use echotank::run::rig::pool;
-use echotank::time::UtcNs;
+use echotank_config as config;
+use echotank_config::spec::{Density, RigSpec};
+use echotank_core::flow::{DopplerModel, ErrorCheck, PathModel, PingPlan, Scatterers, Synthesis};
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::rig::pool;
+use echotank_runtime::first_pings::{first, pings};
+use echotank_runtime::recorded::RecordedRig;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 

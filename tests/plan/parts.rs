@@ -3,24 +3,24 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank::config;
-use echotank::config::spec::{MadeOutput, RigSpec, SonarSpec};
-use echotank::flow::{
+use echotank_config as config;
+use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
+use echotank_core::flow::{
     DopplerModel, PathModel, PingOutput, PingPlan, ScatterLaw, Scatterers, Synthesis,
 };
-use echotank::ping::methods::{Choice, Family, Ranking};
-use echotank::ping::polyline;
-use echotank::run::conditions::conditions;
-use echotank::run::error_check::worst_window;
-use echotank::run::method_selection::costs::Costs;
-use echotank::run::method_selection::first::pings;
-use echotank::run::method_selection::parts::partings;
-use echotank::run::method_selection::{Scene, Swell, rank, with_choice};
-use echotank::run::pipeline::SonarPipeline;
-use echotank::run::recorded::RecordedRig;
-use echotank::run::replay::{Formats, Replay, ReplayOptions};
-use echotank::run::rig::pool;
-use echotank::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_ping::conditions::conditions;
+use echotank_ping::error_check::worst_window;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::parts::partings;
+use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
+use echotank_ping::methods::{Choice, Family, Ranking};
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::polyline;
+use echotank_ping::rig::pool;
+use echotank_runtime::first_pings::pings;
+use echotank_runtime::recorded::RecordedRig;
+use echotank_runtime::replay::{Formats, Replay, ReplayOptions};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -355,8 +355,8 @@ fn look_of_a_picture_is_chosen_in_the_configuration_and_raw_is_darker_far_away()
 /// The command reads what the replay wrote, both ways, and puts the box where it is; what is no recording is refused.
 #[test]
 fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
-    use echotank::geodesy::LocalTangentPlane;
-    use echotank::utm::UtmZone;
+    use echotank_core::geodesy::LocalTangentPlane;
+    use echotank_core::utm::UtmZone;
     let folder = tempfile::tempdir().expect("a folder");
     let rig = rig(folder.path());
     let out = replay_file(&["--formats", "s7k,npz", "--pings", PINGS], &rig);
@@ -418,7 +418,7 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
 /// Both files tell the lines of each of two pulses in one ping, and where the sonar was when it left; the command lays either.
 #[test]
 fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
-    use echotank::io::record::lines::read;
+    use echotank_runtime::io::record::lines::read;
     const DELAY_S: f64 = 0.02;
     const PINGS: usize = 12;
     let rig = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/multipulse.toml");

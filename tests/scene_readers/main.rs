@@ -5,11 +5,11 @@ mod seeds;
 use std::path::PathBuf;
 use std::process::Command;
 
-use echotank::config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
-use echotank::geodesy::LocalTangentPlane;
-use echotank::scene::read::mesh::{self, MeshAxes};
-use echotank::scene::read::survey::{Layout, Source};
-use echotank::scene::read::{Crs, Survey, TriangleMesh};
+use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_scene::read::mesh::{self, MeshAxes};
+use echotank_scene::read::survey::{Layout, Source};
+use echotank_scene::read::{Crs, Survey, TriangleMesh};
 use glam::DVec3;
 use seeds::{Random, Tiff, data};
 

@@ -3,9 +3,9 @@
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use echotank::config::spec::SeabedFileSpec;
-use echotank::scene::read::Survey;
-use echotank::scene::read::mesh::{self, MeshAxes};
+use echotank_config::spec::SeabedFileSpec;
+use echotank_scene::read::Survey;
+use echotank_scene::read::mesh::{self, MeshAxes};
 
 pub struct Seed {
     /// Its extension tells formats without a signature apart.

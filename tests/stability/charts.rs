@@ -1,6 +1,6 @@
 //! What `echotank chart` measures, on a small random rig that leaves its methods to the plan.
 
-use echotank::run::chart::{ChartOptions, measure};
+use echotank_runtime::chart::{ChartOptions, measure};
 
 use crate::rigs::case;
 

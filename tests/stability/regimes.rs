@@ -4,11 +4,11 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use echotank::flow::{DopplerModel, PathModel, ScatterLaw, Scatterers, Synthesis};
-use echotank::geodesy::LocalTangentPlane;
-use echotank::run::rig::pool;
-use echotank::scene::simplify::energy::{Energies, View};
-use echotank::scene::simplify::{Method, Selection, Settings, Weights};
+use echotank_core::flow::{DopplerModel, PathModel, ScatterLaw, Scatterers, Synthesis};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_ping::rig::pool;
+use echotank_scene::simplify::energy::{Energies, View};
+use echotank_scene::simplify::{Method, Selection, Settings, Weights};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -11,17 +11,17 @@ use echotank_protocols::ping_protocol::{Frame, Message, emit_frame};
 
 use std::sync::Arc;
 
-use echotank::config::spec::{PingDevice, PingProtocolSpec};
-use echotank::emit::ping_protocol::session::PingPort;
-use echotank::emit::ping_protocol::{Device, PingEmitter};
-use echotank::emit::session::{Outgoing, Protocol, Session, Transport};
-use echotank::flow::{
+use echotank_config::spec::{PingDevice, PingProtocolSpec};
+use echotank_core::flow::{
     Asked, Datagram, Detection, KeptKey, KeptValue, PingOutput, PingPlan, SettingChange,
     SettingsPort, Side, Sounding,
 };
-use echotank::run::settings::SettingsStore;
-use echotank::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_emit::ping_protocol::session::PingPort;
+use echotank_emit::ping_protocol::{Device, PingEmitter};
+use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
 use echotank_protocols::ping_protocol::message_id;
+use echotank_runtime::settings::SettingsStore;
 use proptest::prelude::*;
 
 use crate::wire_rig;

@@ -3,15 +3,15 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use echotank::emit::session::{Outgoing, Protocol, Session, Transport};
-use echotank::emit::wbms::control::ControlPort;
-use echotank::emit::wbms::{Device, Wanted, WbmsEmitter};
-use echotank::flow::{
+use echotank_core::flow::{
     Datagram, Detection, PingOutput, PingPlan, SettingsPort, Sounding, TriggerSource,
 };
-use echotank::run::settings::SettingsStore;
-use echotank::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
+use echotank_emit::wbms::control::ControlPort;
+use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
 use echotank_protocols::wbms::{Backscatter, Bathymetry, Packet, packet_type};
+use echotank_runtime::settings::SettingsStore;
 use proptest::prelude::*;
 
 use crate::wire_rig;
@@ -138,8 +138,8 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
 #[test]
 fn queries_say_what_is_in_force_whoever_changed_it() {
     let mut bench = bench();
-    let asked = echotank::flow::Asked::from(NOW);
-    let change = echotank::flow::SettingChange::RangeM(42.5);
+    let asked = echotank_core::flow::Asked::from(NOW);
+    let change = echotank_core::flow::SettingChange::RangeM(42.5);
     bench
         .settings
         .apply(change, asked)

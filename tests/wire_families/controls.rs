@@ -1,7 +1,7 @@
 //! What was asked, what was answered, what the next ping did.
 
-use echotank::emit::session::Wants;
-use echotank::flow::{KeptKey, SettingsPort, TriggerSource};
+use echotank_core::flow::{KeptKey, SettingsPort, TriggerSource};
+use echotank_emit::session::Wants;
 use echotank_protocols::imagenex872::{Side, SwitchCommand};
 use echotank_protocols::jsf::control::{error_code, system_type, trigger};
 use echotank_protocols::jsf::{Value, command_type, message_type as t};
@@ -35,7 +35,7 @@ fn every_jsf_setting_that_the_model_has_is_obeyed_by_the_next_ping() {
     assert_eq!(client.get(t::PING, 0), N(0));
     assert_eq!(client.set(t::PING, 0, N(2)), None);
     assert!(client.store.snapshot().0.pinging, "one is owed");
-    client.store.pinged(echotank::time::MonoNs(1));
+    client.store.pinged(echotank_core::time::MonoNs(1));
     assert!(!client.store.snapshot().0.pinging, "and then none");
     assert_eq!(client.set(t::PING, 0, N(1)), None);
     assert_eq!(client.get(t::PING, 0), N(1));
@@ -75,7 +75,7 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
     }
     assert_eq!(client.store.snapshot().0, before, "no ping knows of them");
     // 83 switches a channel's data off and on.
-    use echotank::emit::jsf::session::is_active;
+    use echotank_emit::jsf::session::is_active;
     let active = |channel| is_active(client.store.as_ref(), 20, channel);
     assert_eq!([0, 1, 2].map(active), [false, true, true]);
     let key = |place| KeptKey {
@@ -90,7 +90,7 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
 fn jsf_says_what_it_is_and_what_time_it_is() {
     let mut client = JsfClient::new();
     let millis = 1_750_000_000_123_000_000;
-    client.now = echotank::time::UtcNs(millis);
+    client.now = echotank_core::time::UtcNs(millis);
     let time = Value::Time {
         seconds: 1_750_000_000,
         milliseconds: 123,
@@ -231,7 +231,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
     session.receive(&switch(50, 50, Side::Port), TRANSMIT_UTC, &mut Vec::new());
     assert_eq!(store.version(), version, "told again, nothing changes");
     // A sonar that rests pings once for it.
-    use echotank::flow::SettingChange;
+    use echotank_core::flow::SettingChange;
     store
         .apply(SettingChange::Stop, TRANSMIT_UTC)
         .expect("stops");
@@ -245,7 +245,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
         Wants::class(0).union(Wants::class(2))
     );
     assert!(store.snapshot().0.pinging);
-    store.pinged(echotank::time::MonoNs(1));
+    store.pinged(echotank_core::time::MonoNs(1));
     assert!(!store.snapshot().0.pinging);
 }
 
@@ -253,10 +253,10 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
 fn a_switch_command_out_of_range_torn_or_wrong_moves_nothing() {
     let mut limits = sonar().limits;
     limits.range_m.1 = 100.0;
-    let store = std::sync::Arc::new(echotank::run::settings::SettingsStore::new(
+    let store = std::sync::Arc::new(echotank_runtime::settings::SettingsStore::new(
         SETTINGS,
         limits,
-        std::sync::Arc::new(echotank::time::VirtualClock::default()),
+        std::sync::Arc::new(echotank_runtime::clock::VirtualClock::default()),
     ));
     let (_, mut session) = imagenex(&store);
     let none = &mut Vec::new();

@@ -3,15 +3,15 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use echotank::config::spec::{JsfChannels, JsfFormat};
-use echotank::emit::imagenex872::emit_ping as emit_imagenex;
-use echotank::emit::session::Wants;
-use echotank::emit::sevenk::kept::Kept;
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::{
+use echotank_config::spec::{JsfChannels, JsfFormat};
+use echotank_core::flow::{
     Asked, Detection, KeptKey, KeptValue, PingOutput, PingPlan, SettingsPort, Sounding,
 };
+use echotank_emit::imagenex872::emit_ping as emit_imagenex;
+use echotank_emit::session::Wants;
+use echotank_emit::sevenk::kept::Kept;
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::imagenex872::{Side, SwitchCommand, parse_answer};
 use echotank_protocols::jsf::{SonarData80, message_type};
 use echotank_protocols::sevenk::Record;

@@ -5,14 +5,14 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{FanForm, FanSpec, SevenKSpec, Shading, SonarSpec};
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::{BeamFrame, ElementFrame, PingOutput};
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::verify::Verifier;
-use echotank::io::sonar::{SonarServer, start_sevenk};
+use echotank_config::spec::{FanForm, FanSpec, SevenKSpec, Shading, SonarSpec};
+use echotank_core::flow::{BeamFrame, ElementFrame, PingOutput};
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::Command;
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::verify::Verifier;
+use echotank_runtime::io::sonar::{SonarServer, start_sevenk};
 use num_complex::Complex64;
 
 use super::wire_rig::*;

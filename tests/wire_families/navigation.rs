@@ -1,8 +1,8 @@
 //! One state of the platform, read back from every family to its resolution and with its sign.
 
-use echotank::config::spec::{JsfChannels, JsfFormat};
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::PingPlan;
+use echotank_config::spec::{JsfChannels, JsfFormat};
+use echotank_core::flow::PingPlan;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::{
     PitchRoll2020, Situation2091, SonarData80, message_type as jsf_type,
 };

@@ -6,23 +6,22 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     JsfChannels, JsfFormat, JsfSpec, NavMode, PingDevice, PingProtocolSpec, RigSpec, SonarSpec,
     Vita49Spec, XtfSpec,
 };
-use echotank::emit::imagenex872::{Head, ImagenexProtocol, emit_ping as emit_imagenex};
-use echotank::emit::jsf::{JsfEmitter, JsfSheet};
-use echotank::emit::packets::Packets;
-use echotank::emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
-use echotank::emit::session::{Protocol, Transport};
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::emit::vita49::Vita49Emitter;
-use echotank::emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
-use echotank::emit::xtf::XtfEmitter;
-use echotank::flow::{PingOutput, PingPlan, Side, Sounding};
-use echotank::run::recorded::RecordedRig;
-use echotank::run::rig::pool;
+use echotank_core::flow::{PingOutput, PingPlan, Side, Sounding};
+use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping as emit_imagenex};
+use echotank_emit::jsf::{JsfEmitter, JsfSheet};
+use echotank_emit::packets::Packets;
+use echotank_emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
+use echotank_emit::session::{Protocol, Transport};
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_emit::vita49::Vita49Emitter;
+use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
+use echotank_emit::xtf::XtfEmitter;
+use echotank_ping::rig::pool;
 use echotank_protocols::imagenex872::{Side as HeadSide, SwitchCommand, parse_answer};
 use echotank_protocols::jsf::{Message as JsfMessage, SonarData80, message_type};
 use echotank_protocols::ping_protocol::{Frame, Message as PingMessage};
@@ -34,6 +33,7 @@ use echotank_protocols::sevenk::records::{
 use echotank_protocols::vita49::{Packet, PacketType, complex_samples};
 use echotank_protocols::wbms::{Backscatter, Bathymetry, Packet as WbmsPacket, packet_type};
 use echotank_protocols::xtf::{FileHeader, Ping};
+use echotank_runtime::recorded::RecordedRig;
 
 use super::wire_rig::output_spec;
 
@@ -152,7 +152,7 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     }
     std::fs::write(folder.join("points.csv"), points).expect("written");
     std::fs::write(folder.join("track.csv"), track).expect("written");
-    let spec = echotank::config::parse(RIG, folder).unwrap_or_else(|e| panic!("{e}"));
+    let spec = echotank_config::parse(RIG, folder).unwrap_or_else(|e| panic!("{e}"));
     let (plan, output) = pool(1).expect("a thread").install(|| {
         let mut recorded = RecordedRig::open(&spec).unwrap_or_else(|e| panic!("{e}"));
         let (sonar, order) = recorded.next_order(1).expect("a ping");

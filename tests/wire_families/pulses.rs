@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
-use echotank::config::spec::{JsfChannels, JsfFormat, JsfSpec, MorePulseSpec, SonarSpec};
-use echotank::emit::jsf::session::{JsfCommands, is_active};
-use echotank::emit::jsf::{JsfEmitter, JsfSheet};
-use echotank::emit::session::{Protocol, Transport};
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::flow::{Datagram, PingOutput, Pulse, PulseKind, PulseLines};
-use echotank::io::sonar::verify::Verifier;
+use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, MorePulseSpec, SonarSpec};
+use echotank_core::flow::{Datagram, PingOutput, Pulse, PulseKind, PulseLines};
+use echotank_emit::jsf::session::{JsfCommands, is_active};
+use echotank_emit::jsf::{JsfEmitter, JsfSheet};
+use echotank_emit::session::{Protocol, Transport};
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::control::{error_code, system_type};
 use echotank_protocols::jsf::{SonarData80, Value, command_type, message_type};
 use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::{SideScan7007, SonarSettings7000};
 use echotank_protocols::xtf::{FileHeader, Ping};
+use echotank_runtime::io::sonar::verify::Verifier;
 
 use super::rig::*;
 use super::wire_rig::*;

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use echotank::config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec, XtfSpec};
-use echotank::emit::imagenex872::{Head, ImagenexProtocol};
-use echotank::emit::jsf::session::JsfCommands;
-use echotank::emit::jsf::{JsfEmitter, JsfSheet};
-use echotank::emit::session::{Outgoing, Protocol, Session, Transport};
-use echotank::emit::xtf::XtfEmitter;
-use echotank::flow::{Datagram, PingOutput, PingPlan};
-use echotank::run::settings::SettingsStore;
-use echotank::time::UtcNs;
+use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec, XtfSpec};
+use echotank_core::flow::{Datagram, PingOutput, PingPlan};
+use echotank_core::time::UtcNs;
+use echotank_emit::imagenex872::{Head, ImagenexProtocol};
+use echotank_emit::jsf::session::JsfCommands;
+use echotank_emit::jsf::{JsfEmitter, JsfSheet};
+use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
+use echotank_emit::xtf::XtfEmitter;
 use echotank_protocols::jsf::{Control, Message, Value, command_type};
+use echotank_runtime::settings::SettingsStore;
 
 use super::wire_rig::*;
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use echotank::emit::sevenk::RecordSet;
+use echotank_emit::sevenk::RecordSet;
 use echotank_protocols::sevenk::Command;
 
 use super::load::{SAMPLES, frames, start};

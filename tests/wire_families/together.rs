@@ -5,16 +5,16 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{JsfChannels, JsfFormat};
-use echotank::emit::jsf::session::{JsfCommands, JsfData};
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::{
-    ServerSpec, ServerTimes, SonarServer, Transport, WhenFull, start_sevenk,
-};
-use echotank::run::settings::SettingsStore;
+use echotank_config::spec::{JsfChannels, JsfFormat};
+use echotank_emit::jsf::session::{JsfCommands, JsfData};
 use echotank_protocols::jsf::{Control, JsfStream, Message, Value, command_type, message_type};
 use echotank_protocols::sevenk::control::{ThirdParty, Transport as WireTransport};
 use echotank_protocols::sevenk::{Command, ControlRequest};
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::{
+    ServerSpec, ServerTimes, SonarServer, Transport, WhenFull, start_sevenk,
+};
+use echotank_runtime::settings::SettingsStore;
 
 use super::rig::*;
 use super::wire_rig::*;
@@ -42,7 +42,7 @@ fn listener() -> ServerSpec {
 impl Rig {
     fn new() -> Self {
         let store = store();
-        let now: echotank::io::sonar::RigTime = Arc::new(|| TRANSMIT_UTC);
+        let now: echotank_runtime::io::sonar::RigTime = Arc::new(|| TRANSMIT_UTC);
         let sheet_of_jsf = jsf_sheet(JsfChannels::Sides, JsfFormat::Envelope);
         let commands = JsfCommands {
             sheet: sheet_of_jsf.clone(),
@@ -285,9 +285,9 @@ fn a_third_party_gets_the_records_it_was_promised_over_tcp_and_udp() {
     eventually("both seated", || {
         dialled(Transport::Tcp) && dialled(Transport::Udp)
     });
-    let mut emitter = echotank::emit::sevenk::SevenKEmitter::new(sheet(), 1);
+    let mut emitter = echotank_emit::sevenk::SevenKEmitter::new(sheet(), 1);
     let mut records = Vec::new();
-    let wanted = echotank::emit::sevenk::RecordSet::of(&[7000, 7503]);
+    let wanted = echotank_emit::sevenk::RecordSet::of(&[7000, 7503]);
     emitter.emit_ping(&plan(8, 6), &output(6), wanted, &mut records);
     rig.sevenk.deliver(&records);
     let want = packet(&records[0].bytes).len();

@@ -4,20 +4,21 @@
 use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, SevenKSpec, Shading, SonarSpec,
     SynthesisSpec, TriggerOutSpec, TriggerSpec,
 };
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::flow::{
+use echotank_core::flow::{
     ArrayGeometry, BeamFrame, DopplerModel, ElementFrame, FixQuality, Line, ModelChoice, Mounting,
     NavState, PathModel, Pattern, PingOutput, PingPlan, Pulse, PulseKind, Receiver, ReceiverFilter,
     Segment, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
 };
-use echotank::frames::{Trajectory, rotation_from_angles};
-use echotank::run::settings::SettingsStore;
-use echotank::time::{UtcNs, VirtualClock};
+use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, RecordStamp, SevenKTime};
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::settings::SettingsStore;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

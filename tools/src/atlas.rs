@@ -22,7 +22,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Parser;
-use echotank::flow::PathModel;
+use echotank_core::flow::PathModel;
 
 use atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
 use atlas::regimes::{ALL, Regime};
@@ -65,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     // Panics are cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
-    let pool = echotank::run::rig::pool(given.threads)?;
+    let pool = echotank_ping::rig::pool(given.threads)?;
     let size = if given.small {
         Size::SMALL
     } else {
@@ -133,7 +133,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
     for doppler in DOPPLERS {
         for path in PathModel::ALL {
             let name = match doppler {
-                echotank::flow::DopplerModel::None => "no Doppler",
+                echotank_core::flow::DopplerModel::None => "no Doppler",
                 doppler => doppler.name(),
             };
             rows.push(format!("{}, {name}", path.name()));

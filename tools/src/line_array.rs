@@ -8,10 +8,10 @@ use std::collections::HashMap;
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank::array::gridded::simd_level::SimdLevel;
-use echotank::array::gridded2d::{Bounds, Gridded2d, Spec};
-use echotank::echo::{LineEchoes, LineWorkspace, TransmitLeg, Window, insonify};
-use echotank::flow::{EchoCounts, Scatterers};
+use echotank_core::flow::{EchoCounts, Scatterers};
+use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Spec};
+use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, Window, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use clap::Parser;
 use serde::{Deserialize, Serialize};
 
-use echotank::config;
-use echotank::run::method_selection::costs::Costs;
-use echotank::run::rig::pool;
+use echotank_config as config;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::rig::pool;
 use rigs::case;
 use rigs::measure::{Did, Measured, measure};
 
@@ -66,7 +66,7 @@ struct Row {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let given = Arguments::parse();
-    let costs = Costs::of(given.costs.as_deref())?;
+    let costs = echotank_runtime::rig::costs_of(given.costs.as_deref())?;
     let load_before = load();
     let mut rows = Vec::new();
     let mut failed = Vec::new();

@@ -3,7 +3,8 @@
 #[path = "soundings/measure.rs"]
 mod measure;
 
-use echotank::image::colour::ColourMap;
+use echotank_config::spec::ColourMap;
+use echotank_imaging::image::colour;
 use measure::{Case, Soundings, agreement};
 
 const HELP: &str = "\
@@ -96,7 +97,7 @@ fn draw(soundings: &Soundings, file: &std::path::Path) -> Result<(), Box<dyn std
             let colour = match cell.2 >= LEAST {
                 true => {
                     let depth = if half == 0 { cell.0 } else { cell.1 } / cell.2 as f64;
-                    ColourMap::Rainbow.at(((high - depth) / (high - low)) as f32)
+                    colour::rgb(ColourMap::Rainbow, ((high - depth) / (high - low)) as f32)
                 }
                 false => [30, 34, 60],
             };

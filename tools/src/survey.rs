@@ -8,13 +8,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use echotank::config;
-use echotank::flow::{NavState, PingOutput, Scatterers};
-use echotank::frames::Trajectory;
-use echotank::ping::{self, PingOrder};
-use echotank::run::pipeline::SonarPipeline;
-use echotank::scene::Scene;
-use echotank::time::UtcNs;
+use echotank_config as config;
+use echotank_core::flow::{NavState, PingOutput, Scatterers};
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::{self as ping, PingOrder};
+use echotank_scene::Scene;
 use glam::{DQuat, DVec3};
 
 const LENGTH_M: f64 = 10_000.0;

@@ -6,9 +6,9 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use echotank::io::words::of_capture;
-use echotank::nav::capture;
+use echotank_nav::capture;
 use echotank_protocols::words::{Datagrams, Format, Words};
+use echotank_runtime::io::words::of_capture;
 
 #[derive(Parser)]
 #[command(about = "Any of our protocols in words, a line a message")]

@@ -1,6 +1,6 @@
 //! The chart as a page that shows values under the pointer, without a network.
 
-use crate::run::chart::Chart;
+use echotank_runtime::chart::Chart;
 
 use super::draw::escaped;
 use super::table::{About, note, subtitle};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::run::chart::Chart;
+use echotank_runtime::chart::Chart;
 
 use super::super::Failure;
 

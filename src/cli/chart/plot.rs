@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::flow::Synthesis;
-use crate::run::chart::methods::Method;
-use crate::run::chart::work::{Curve, Work};
-use crate::run::chart::{Chart, Measured, Row};
+use echotank_core::flow::Synthesis;
+use echotank_runtime::chart::methods::Method;
+use echotank_runtime::chart::work::{Curve, Work};
+use echotank_runtime::chart::{Chart, Measured, Row};
 
 use super::draw::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
 use super::peers::Peer;

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use serde_json::json;
 
-use crate::run::chart::work::Curve;
-use crate::run::chart::{Chart, Row};
+use echotank_runtime::chart::work::Curve;
+use echotank_runtime::chart::{Chart, Row};
 
 use super::peers::Peer;
 

@@ -7,14 +7,14 @@ use serde_json::{Value, json};
 
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
-use crate::config::spec::{MadeOutput, RigSpec, SonarSpec};
-use crate::ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
-use crate::ping::period_ns;
-use crate::run::method_selection::calibrate::{self, Calibration};
-use crate::run::method_selection::costs::Costs;
-use crate::run::method_selection::first::{First, first};
-use crate::run::method_selection::{Scene, Swell, rank};
-use crate::run::rig::pool;
+use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
+use echotank_ping::period_ns;
+use echotank_ping::rig::pool;
+use echotank_runtime::calibrate::{self, Calibration};
+use echotank_runtime::first_pings::{First, first};
 
 /// A tenth of a cell in range: what a picture bears where nobody looks at samples.
 const PICTURE_CELLS: f64 = 0.1;
@@ -31,7 +31,8 @@ struct Told<'a> {
 
 fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
     let refuse = |why: &dyn std::fmt::Display| Failure::Configuration(why.to_string());
-    let costs = Costs::of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
+    let costs =
+        echotank_runtime::rig::costs_of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
     let pool = pool(spec.run.threads).map_err(Failure::running)?;
     let found = pool
         .install(|| first(spec, &costs))
@@ -307,7 +308,7 @@ fn sonar_json(told: &Told) -> Value {
 
 /// Measures this machine and writes the table.
 pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
-    let costs = Costs::of(spec.run.costs.as_deref())
+    let costs = echotank_runtime::rig::costs_of(spec.run.costs.as_deref())
         .map_err(|why| Failure::Configuration(why.to_string()))?;
     let load = load_average().map_or("unknown".into(), |load| format!("{load:.1}"));
     let Calibration {

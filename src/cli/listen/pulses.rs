@@ -13,9 +13,9 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::json;
 
 use crate::cli::Failure;
-use crate::io::control::client;
-use crate::run::histograms::Spread;
-use crate::time::{Clock, SystemClock};
+use echotank_runtime::clock::{Clock, SystemClock};
+use echotank_runtime::histograms::Spread;
+use echotank_runtime::io::control::client;
 
 /// Nothing has been sent since a first sample came.
 const NONE: i64 = i64::MIN;

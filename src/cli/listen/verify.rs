@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 
 use super::ListenArgs;
 use crate::cli::Failure;
-use crate::io::signals::stop_on_signals;
-use crate::io::sonar::heard::accounts::{sums_of, sums_text};
-use crate::io::sonar::heard::ear::{Family, Lane};
-use crate::io::sonar::heard::listener::{Listener, Listening};
-use crate::io::{text_of, write_text};
+use echotank_runtime::io::signals::stop_on_signals;
+use echotank_runtime::io::sonar::heard::accounts::{sums_of, sums_text};
+use echotank_runtime::io::sonar::heard::ear::{Family, Lane};
+use echotank_runtime::io::sonar::heard::listener::{Listener, Listening};
+use echotank_runtime::io::{text_of, write_text};
 
 /// Which family, on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

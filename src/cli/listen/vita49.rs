@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use echotank_protocols::vita49::{Context, Packet, PacketType, PayloadFormat, SampleKind};
 
 use super::{Failure, ListenArgs, print_spread};
-use crate::run::histograms::Spread;
-use crate::time::{Clock, SystemClock};
+use echotank_runtime::clock::{Clock, SystemClock};
+use echotank_runtime::histograms::Spread;
 
 /// Asked of the operating system: a second of 8 elements at 40 kS/s.
 const RECEIVE_BUFFER_BYTES: usize = 2 << 20;

@@ -3,10 +3,10 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::flow::{NavQuantity, NavSample};
-use crate::geodesy::LocalTangentPlane;
-use crate::nav::report::LogReport;
-use crate::time::UtcNs;
+use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::time::UtcNs;
+use echotank_nav::report::LogReport;
 
 const WIDTH: usize = 1400;
 const HEIGHT: usize = 800;

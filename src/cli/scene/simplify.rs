@@ -7,12 +7,12 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 
 use crate::cli::Failure;
-use crate::config::spec::{EnergyWeights, SeabedFileSpec, SimplifyMethod};
-use crate::flow::Scatterers;
-use crate::scene::read::Survey;
-use crate::scene::simplify::collapse::collapse;
-use crate::scene::simplify::energy::{Beam, View};
-use crate::scene::simplify::{Selection, Settings, field, select};
+use echotank_config::spec::{EnergyWeights, SeabedFileSpec, SimplifyMethod};
+use echotank_core::flow::Scatterers;
+use echotank_scene::read::Survey;
+use echotank_scene::simplify::collapse::collapse;
+use echotank_scene::simplify::energy::{Beam, View};
+use echotank_scene::simplify::{Selection, Settings, field, select};
 
 /// -3 dB width of a uniform line, in wavelengths over its length.
 const BEAM_WIDTH: f64 = 0.886;
@@ -257,7 +257,7 @@ mod tests {
             let args = args(dir.path(), *method);
             main(&args).expect("simplified");
             let bytes = std::fs::read(&args.out).expect("read");
-            let points = crate::scene::points::parse(&bytes).expect("points");
+            let points = echotank_scene::points::parse(&bytes).expect("points");
             let wanted = match method {
                 MethodArg::AcousticUnbiased => 60..140,
                 _ => 100..101,

@@ -7,7 +7,7 @@
 use glam::DVec3;
 
 use super::super::spec::SonarSpec;
-use crate::flow::{ArrayGeometry, Pattern, TransmitArray};
+use echotank_core::flow::{ArrayGeometry, Pattern, TransmitArray};
 
 /// Errors of engines and of models need the rest.
 const SHARE_OF_TOLERANCE: f64 = 0.5;
@@ -18,7 +18,7 @@ const AZIMUTHS: usize = 7200;
 /// A floor below this is none, dB: it leaves out next to nothing.
 const MIN_DB: f64 = -120.0;
 
-/// For [`ModelChoice::cull_db`](crate::flow::ModelChoice); none where hardly anything may be left out.
+/// For [`ModelChoice::cull_db`](echotank_core::flow::ModelChoice); none where hardly anything may be left out.
 pub fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
     let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);

@@ -3,7 +3,7 @@
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::{Listener, address, needed_with, only_with};
-use crate::flow::Side;
+use echotank_core::flow::Side;
 
 /// Ports that WBMS takes in a row.
 const WBMS_PORTS: u16 = 4;

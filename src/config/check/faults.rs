@@ -1,8 +1,8 @@
 //! `[[fault]]` to requests that make sense.
 
 use super::Problems;
-use crate::config::raw::RawTable;
-use crate::config::spec::FaultRequest;
+use crate::raw::RawTable;
+use crate::spec::FaultRequest;
 
 /// Checked against the catalogue here, and against the sonars when the rig is opened.
 pub(super) fn faults(tables: &[RawTable], problems: &mut Problems) -> Vec<FaultRequest> {

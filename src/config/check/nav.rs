@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 
 use super::{Listener, address, all, needed_with, only_with, unique_names};
-use crate::config::raw::{Problems, RawTable};
-use crate::config::spec::{
+use crate::raw::{Problems, RawTable};
+use crate::spec::{
     NavOutputSpec, NavSentence, NavTargetSpec, ParitySpec, PulseSpec, SerialLine, TowSpec,
 };
 

@@ -1,8 +1,8 @@
 //! Whether a sonar's pings may be made without elements.
 
 use super::Problems;
-use crate::config::raw::RawTable;
-use crate::config::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
+use crate::raw::RawTable;
+use crate::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
 
 /// Notes why elements are needed, and refuses to do without them there.
 pub(super) fn who_needs_elements(

@@ -4,7 +4,7 @@ use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::sonar::Arrays;
 use super::{Listener, address, only_with};
-use crate::flow::Pulse;
+use echotank_core::flow::Pulse;
 use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
 /// What stands around the samples of a VITA 49 packet.

@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::{MIB, needed_with, only_with};
-use crate::flow::{Pattern, PulseKind};
+use echotank_core::flow::{Pattern, PulseKind};
 
 /// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
 const BYTES_PER_SCATTERER: f64 = 34.0;
@@ -421,8 +421,8 @@ fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
 }
 
 /// How parallel two lines lie, 0 to 1.
-fn along(a: &crate::flow::Mounting, b: &crate::flow::Mounting) -> f64 {
-    let axis = |mounting: &crate::flow::Mounting| mounting.body_from_array * DVec3::X;
+fn along(a: &echotank_core::flow::Mounting, b: &echotank_core::flow::Mounting) -> f64 {
+    let axis = |mounting: &echotank_core::flow::Mounting| mounting.body_from_array * DVec3::X;
     axis(a).dot(axis(b)).abs()
 }
 

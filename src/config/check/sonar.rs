@@ -13,11 +13,11 @@ use super::picture::picture;
 use super::samples::{self, Source};
 use super::trigger;
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
-use crate::flow::{
+use echotank_core::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
     Receiver, ReceiverFilter, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
 };
-use crate::frames::rotation_from_angles;
+use echotank_core::frames::rotation_from_angles;
 
 /// The fastest platform the sample rate is made for, m/s.
 pub const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;

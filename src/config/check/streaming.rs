@@ -3,7 +3,7 @@
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::only_with;
-use crate::flow::{DopplerModel, Synthesis};
+use echotank_core::flow::{DopplerModel, Synthesis};
 
 /// With streaming, unless it is given, seconds.
 const AHEAD_S: f64 = 0.1;

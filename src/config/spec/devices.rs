@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use crate::flow::Side;
+use echotank_core::flow::Side;
 
 /// What a device of the Ping protocol is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! What is left to the plan of methods.
 
 /// Which parts of a sonar's model the plan chooses; the rest is the operator's. What stands in their place in
-/// [`ModelChoice`](crate::flow::ModelChoice) is where a sonar starts whose motion is not known yet.
+/// [`ModelChoice`](echotank_core::flow::ModelChoice) is where a sonar starts whose motion is not known yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AutoModel {
     pub path: bool,

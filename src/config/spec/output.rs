@@ -1,7 +1,7 @@
 //! Whether elements have to be made, and who asks for them.
 
 use super::{OutputSpec, SonarSpec, SynthesisSpec};
-use crate::flow::{PathModel, Synthesis};
+use echotank_core::flow::{PathModel, Synthesis};
 
 /// What a sonar's pings are made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -5,10 +5,10 @@ use std::fmt;
 use glam::DVec3;
 
 use super::{SIGN_TEST_DEG, line, tilted};
-use crate::config::spec::{
+use crate::spec::{
     NavChannel, NavSourceSpec, NavSpec, NavTargetSpec, OnLost, PulseSpec, VerticalSpec,
 };
-use crate::frames::{angles_from_rotation, rotation_from_angles};
+use echotank_core::frames::{angles_from_rotation, rotation_from_angles};
 
 /// How a motion sensor sits, and what it says when the platform tilts: a wrong sign shows at once.
 pub fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::Result {
@@ -84,7 +84,7 @@ pub fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
         );
         line(out, "tow", &text)?;
     }
-    if nav.mode == crate::config::spec::NavMode::Predict {
+    if nav.mode == crate::spec::NavMode::Predict {
         let becomes = match nav.on_lost {
             OnLost::Hold => "pings go on with the last known motion come to rest, flagged invalid",
             OnLost::Skip => "pings are skipped",

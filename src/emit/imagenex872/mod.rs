@@ -16,11 +16,11 @@ use echotank_protocols::imagenex872::{
 };
 
 use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use crate::flow::{
+use echotank_core::flow::{
     Asked, Asker, Datagram, KeptKey, KeptValue, PingOutput, PingPlan, SettingChange, SettingsPort,
     Side,
 };
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
 pub const VIA: &str = "imagenex872";

@@ -26,9 +26,9 @@ use echotank_protocols::jsf::{
     SonarDataHeader, SystemInformation182, emit_80, message_type,
 };
 
-use crate::config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
-use crate::flow::{Datagram, Line, NavState, PingOutput, PingPlan, Pulse, PulseKind, Side};
-use crate::time::UtcNs;
+use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
+use echotank_core::flow::{Datagram, Line, NavState, PingOutput, PingPlan, Pulse, PulseKind, Side};
+use echotank_core::time::UtcNs;
 
 /// Thousandths of a pound per square inch in a metre of sea water: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
 const MPSI_PER_M: f64 = 1025.0 * 9.81 / 6.894_757;

@@ -21,11 +21,11 @@ use echotank_protocols::jsf::{
 };
 
 use super::{JsfSheet, record_type};
-use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use crate::flow::{
+use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use echotank_core::flow::{
     Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingsPort, TriggerSource,
 };
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// How JSF signs what it changes.
 pub const VIA: &str = "jsf";

@@ -20,11 +20,11 @@ use echotank_protocols::ping_protocol::surveyor240::{
     AtofHead, AtofPoint, AttitudeReport, YzHead, emit_3011, emit_3012,
 };
 
-use crate::config::spec::{PingDevice, PingProtocolSpec, SonarSpec};
-use crate::emit::changes::part_of;
-use crate::emit::pool::DatagramPool;
-use crate::flow::{Datagram, Line, PingOutput, PingPlan, Side};
-use crate::time::UtcNs;
+use crate::changes::part_of;
+use crate::pool::DatagramPool;
+use echotank_config::spec::{PingDevice, PingProtocolSpec, SonarSpec};
+use echotank_core::flow::{Datagram, Line, PingOutput, PingPlan, Side};
+use echotank_core::time::UtcNs;
 
 /// What 16 bits of a result span at most, dB.
 const RANGE_OF_RESULTS_DB: f64 = 100.0;

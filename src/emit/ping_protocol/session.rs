@@ -19,13 +19,13 @@ use echotank_protocols::ping_protocol::surveyor240::{SetPingParameters, emit_utc
 use echotank_protocols::ping_protocol::{Frame, Message, PingFraming, PingStream, message_id};
 
 use super::{Device, GAIN_PERCENT, GAIN_STEPS};
-use crate::config::spec::PingDevice;
-use crate::emit::changes::{apply_all, at_part};
-use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use crate::flow::{
+use crate::changes::{apply_all, at_part};
+use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use echotank_config::spec::PingDevice;
+use echotank_core::flow::{
     Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
 };
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
 pub const VIA: &str = "ping";

@@ -16,8 +16,8 @@ use echotank_protocols::sevenk::records::{
 
 use super::kept::Kept;
 use super::quantise::MAGNITUDE_FULL_SCALE;
-use crate::config::spec::SonarSpec;
-use crate::flow::{
+use echotank_config::spec::SonarSpec;
+use echotank_core::flow::{
     BeamFrame, Detection, PingOutput, PingPlan, PulseKind, Sounding, TimeVaryingGain,
 };
 

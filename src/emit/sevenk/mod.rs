@@ -6,7 +6,7 @@
 //! - [`session`]: one client's commands and subscriptions, bytes in and records out
 //! - [`protocol`]: both, as the servers know them
 //!
-//! Of several pulses in one ping ([`crate::flow::PulseLines`]) each has a 7000 and a 7007 of its own, with the ping's number and 1, 2 .. as multi-ping
+//! Of several pulses in one ping ([`echotank_core::flow::PulseLines`]) each has a 7000 and a 7007 of its own, with the ping's number and 1, 2 .. as multi-ping
 //! sequence; those of the further pulses come last. Everything else is the sonar's own pulse's.
 //!
 //! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
@@ -28,9 +28,11 @@ use echotank_protocols::sevenk::records::{
     emit_7038_element_major, emit_7057, emit_10038,
 };
 
-use crate::emit::pool::DatagramPool;
-use crate::flow::{BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Pulse, Side};
+use crate::pool::DatagramPool;
 use bottom::{Source, Workspace};
+use echotank_core::flow::{
+    BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Pulse, Side,
+};
 use kept::Kept;
 use records::{DeviceSheet, View};
 

@@ -10,9 +10,9 @@ use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, Reassemble
 use super::RecordSet;
 use super::records::DeviceSheet;
 use super::session::{MAX_COMMAND_BYTES, Session as Inner, SessionContext};
-use crate::emit::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use crate::flow::{Asker, Changed, Datagram, SettingChange, SettingsPort, TriggerSource};
-use crate::time::UtcNs;
+use crate::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use echotank_core::flow::{Asker, Changed, Datagram, SettingChange, SettingsPort, TriggerSource};
+use echotank_core::time::UtcNs;
 
 /// How 7k signs what it changes.
 pub const VIA: &str = "7k";

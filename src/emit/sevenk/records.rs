@@ -16,12 +16,12 @@ use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_fla
 
 use super::RecordSet;
 use super::kept::Kept;
-use crate::config::spec::{SevenKSpec, SonarSpec};
-use crate::flow::{
+use echotank_config::spec::{SevenKSpec, SonarSpec};
+use echotank_core::flow::{
     BeamFrame, Datagram, FixQuality, NavState, Pattern, PingPlan, Pulse, PulseKind, SettingsPort,
     SonarSettings, TimeVaryingGain,
 };
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// Where sinc(pi u) falls to -3 dB (1/sqrt 2): half the width of a line source's beam is asin(HALF_POWER lambda / length); the customary
 /// 0.886 lambda / length is twice this for small angles.
@@ -555,8 +555,8 @@ fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
     xml
 }
 
-fn placed(mounting: &crate::flow::Mounting) -> String {
-    let (roll, pitch, yaw) = crate::frames::angles_from_rotation(mounting.body_from_array);
+fn placed(mounting: &echotank_core::flow::Mounting) -> String {
+    let (roll, pitch, yaw) = echotank_core::frames::angles_from_rotation(mounting.body_from_array);
     let p = mounting.position_m;
     format!(
         "x_m=\"{}\" y_m=\"{}\" z_m=\"{}\" roll_rad=\"{roll}\" pitch_rad=\"{pitch}\" yaw_rad=\"{yaw}\"",

@@ -28,10 +28,12 @@ use super::bottom::can_compress;
 use super::kept;
 use super::records::DeviceSheet;
 use super::{RECORDS, RecordSet};
-use crate::emit::session::Transport;
-pub use crate::emit::session::{Outgoing, SessionCounts};
-use crate::flow::{Asked, Asker, Datagram, KeptValue, SettingChange, SettingsPort, TriggerSource};
-use crate::time::UtcNs;
+use crate::session::Transport;
+pub use crate::session::{Outgoing, SessionCounts};
+use echotank_core::flow::{
+    Asked, Asker, Datagram, KeptValue, SettingChange, SettingsPort, TriggerSource,
+};
+use echotank_core::time::UtcNs;
 
 /// The longest record a client may send: a command with some thousands of record types.
 pub const MAX_COMMAND_BYTES: u32 = 64 * 1024;

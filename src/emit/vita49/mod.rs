@@ -12,8 +12,8 @@ use super::elements::{counts, elements_of, interleave_iq};
 use super::packets::Packets;
 use super::passband::Passband;
 use super::sevenk::EmitCounts;
-use crate::config::spec::{SonarSpec, Vita49Spec};
-use crate::flow::{PingOutput, PingPlan};
+use echotank_config::spec::{SonarSpec, Vita49Spec};
+use echotank_core::flow::{PingOutput, PingPlan};
 
 /// Turns pings into packets. Holds its buffers and the streams' counts; one thread's.
 pub struct Vita49Emitter {

@@ -4,10 +4,10 @@ use echotank_protocols::vita49::{
 use num_complex::Complex64;
 
 use super::*;
-use crate::config::spec::*;
-use crate::flow::testing::plan_at_rest;
-use crate::flow::{ElementFrame, Pulse, PulseKind, ReceiverFilter};
-use crate::time::UtcNs;
+
+use echotank_core::flow::testing::plan_at_rest;
+use echotank_core::flow::{ElementFrame, Pulse, PulseKind, ReceiverFilter};
+use echotank_core::time::UtcNs;
 
 const PULSE: Pulse = Pulse {
     kind: PulseKind::LfmUp,
@@ -22,8 +22,8 @@ const SAMPLES: usize = 1001;
 /// Two arrays, of three elements and one.
 fn sonar() -> SonarSpec {
     let text = include_str!("../../../hil-configs/points.toml");
-    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/hil-configs"));
-    let rig = crate::config::parse(text, folder).expect("right");
+    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
+    let rig = echotank_config::parse(text, folder).expect("right");
     let mut sonar = rig.sonars.into_iter().next().expect("one");
     sonar.pulse = PULSE;
     sonar.receiver.sample_rate_hz = RATE_HZ;

@@ -11,13 +11,13 @@ use std::sync::Arc;
 use echotank_protocols::wbms::control::{Command, answer};
 
 use super::{Device, Told};
-use crate::emit::changes::{apply_all, at_part, part_of};
-use crate::emit::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use crate::flow::{
+use crate::changes::{apply_all, at_part, part_of};
+use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
+use echotank_core::flow::{
     Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
     TriggerSource,
 };
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
 pub const VIA: &str = "wbms";

@@ -17,11 +17,13 @@ use echotank_protocols::wbms::{
 };
 use num_complex::Complex64;
 
-use crate::config::spec::{BeamSpacing, SonarSpec};
-use crate::emit::elements::counts;
-use crate::emit::pool::DatagramPool;
-use crate::flow::{BeamFrame, Datagram, Detection, Line, PingOutput, PingPlan, Side, Sounding};
-use crate::time::UtcNs;
+use crate::elements::counts;
+use crate::pool::DatagramPool;
+use echotank_config::spec::{BeamSpacing, SonarSpec};
+use echotank_core::flow::{
+    BeamFrame, Datagram, Detection, Line, PingOutput, PingPlan, Side, Sounding,
+};
+use echotank_core::time::UtcNs;
 
 /// Samples of a snippet before and after its detection.
 const SNIPPET_HALF: usize = 16;

@@ -12,9 +12,9 @@ use echotank_protocols::xtf::{
 
 use super::jsf::altitude_m;
 use super::sevenk::quantise;
-use crate::config::spec::{LineSpec, SonarSpec, XtfSpec};
-use crate::flow::{Pattern, PingOutput, PingPlan, Pulse, Side};
-use crate::frames::angles_from_rotation;
+use echotank_config::spec::{LineSpec, SonarSpec, XtfSpec};
+use echotank_core::flow::{Pattern, PingOutput, PingPlan, Pulse, Side};
+use echotank_core::frames::angles_from_rotation;
 
 const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
 

@@ -3,8 +3,8 @@
 //! Sources stand in the file's order. The best one that is not silent speaks; a worse one takes over when it has been silent for a configured
 //! time, and it takes the word back when it has come without such a silence for another. Without fail-over the first one owns the quantity.
 
-use crate::config::spec::FailoverSpec;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_config::spec::FailoverSpec;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {

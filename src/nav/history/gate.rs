@@ -7,8 +7,8 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use crate::config::spec::{JumpGateSpec, NavChannel};
-use crate::time::UtcNs;
+use echotank_config::spec::{JumpGateSpec, NavChannel};
+use echotank_core::time::UtcNs;
 
 /// Samples in a row that agree away from the old place before they are believed.
 const CONFIRMATIONS: u32 = 5;

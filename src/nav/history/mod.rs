@@ -4,7 +4,7 @@
 //!   else's samples are taken. A change of source is a seam.
 //! - With a jump gate, samples that no platform can have made are set aside (`gate`).
 //! - Positions, heaves and depths are reduced from antenna and sensor to the body's reference point each at its own time: between two fixes
-//!   the antenna sways with the roll, the reference point does not. So [`crate::frames::Trajectory::lever_arm_m`] leaves here as zero. A
+//!   the antenna sways with the roll, the reference point does not. So [`echotank_core::frames::Trajectory::lever_arm_m`] leaves here as zero. A
 //!   static list counts as induced heave too, though no heave sensor shows it.
 //! - What a motion sensor says is turned by its mounting into what the body does (`mounted`).
 //! - A towed body lies behind the ship on the heading, as far as cable and depth say.
@@ -25,14 +25,14 @@ use self::arbiter::{Arbiter, Word};
 use self::gate::{Gate, Passage};
 use super::health::{Health, Limits, State};
 use super::ring::{Inserted, Knot, Ring};
-use crate::config::spec::{
+use echotank_config::spec::{
     FailoverSpec, JumpGateSpec, NavChannel, NavInputSpec, NavSourceSpec, NavSpec, OnLost,
     OriginSpec, SensorMounting, TowSpec, VerticalSpec,
 };
-use crate::flow::{FixQuality, NavQuantity, NavSample};
-use crate::frames::VectorKnot;
-use crate::geodesy::LocalTangentPlane;
-use crate::time::{NS_PER_S, UtcNs};
+use echotank_core::flow::{FixQuality, NavQuantity, NavSample};
+use echotank_core::frames::VectorKnot;
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Below this speed, metres per second, course is noise: the last one is kept.
 const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;

@@ -3,14 +3,14 @@
 use glam::{DQuat, DVec2, DVec3};
 
 use super::{HeadingFrom, MIN_COURSE_SPEED_M_PER_S, NavGap, NavHistory, index};
-use crate::config::spec::{NavChannel, NavMode, OnLost, TowSpec, VerticalSpec};
-use crate::flow::{FixQuality, NavInvalid, NavState};
-use crate::frames::{
+use crate::ring::{Knot, Stretch, set_body_rates, set_rates};
+use echotank_config::spec::{NavChannel, NavMode, OnLost, TowSpec, VerticalSpec};
+use echotank_core::flow::{FixQuality, NavInvalid, NavState};
+use echotank_core::frames::{
     AttitudeKnot, Trajectory, VectorKnot, angles_from_rotation, attitude_at, hermite,
     rotation_from_angles,
 };
-use crate::nav::ring::{Knot, Stretch, set_body_rates, set_rates};
-use crate::time::UtcNs;
+use echotank_core::time::UtcNs;
 
 /// Knots are handed over from this long before the pulse, seconds, so that slopes at its start are those of a known track.
 const LOOKBACK_S: f64 = 1.0;

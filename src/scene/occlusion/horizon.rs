@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::Piece;
-use crate::config::spec::OcclusionSpec;
-use crate::scene::seabed::Surface;
+use crate::seabed::Surface;
+use echotank_config::spec::OcclusionSpec;
 
 /// At the longest range, where the rays are widest.
 const RAYS_TO_A_SPACING: usize = 2;
@@ -379,7 +379,7 @@ impl RayScan<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::read::HeightField;
+    use crate::read::HeightField;
 
     #[test]
     fn turns_and_directions_are_each_others_inverse_and_grow_with_the_azimuth() {

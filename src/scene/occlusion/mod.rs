@@ -32,8 +32,8 @@ use rayon::prelude::*;
 use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::TileBox;
-use crate::config::spec::OcclusionSpec;
-use crate::flow::Footprint;
+use echotank_config::spec::OcclusionSpec;
+use echotank_core::flow::Footprint;
 use horizon::{Horizon, Verdict};
 pub use piece::Piece;
 

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::config::spec::{
+use crate::Scene;
+use crate::read::Survey;
+use crate::seabed::Surface;
+use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
 };
-use crate::flow::{Footprint, Scatterers};
-use crate::scene::Scene;
-use crate::scene::read::Survey;
-use crate::scene::seabed::Surface;
+use echotank_core::flow::{Footprint, Scatterers};
 
 const ROWS: usize = 61;
 /// Metres.

@@ -11,7 +11,7 @@ use roxmltree::{Document, Node};
 use super::{
     Crs, Facts, Fault, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
-use crate::config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
 
 const ELEVATION: &str = "/BAG_root/elevation";
 const UNCERTAINTY: &str = "/BAG_root/uncertainty";

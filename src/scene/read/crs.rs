@@ -7,8 +7,8 @@
 use std::fmt;
 
 use super::Fault;
-use crate::config::spec::CrsSpec;
-use crate::utm;
+use echotank_config::spec::CrsSpec;
+use echotank_core::utm;
 
 /// Name of a system that the operator laid down.
 const CONFIGURED: &str = "as configured";

@@ -6,7 +6,7 @@
 
 use super::text::{self, Misread};
 use super::{Facts, Fault, Raw, RawGrid, RawShape, Reader, checked_size, south_first};
-use crate::config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
 /// Cell sizes, metres or degrees.
 const CELL_SIZES: std::ops::RangeInclusive<f64> = 1e-7..=1e5;

@@ -12,7 +12,7 @@ use tiff::tags::Tag;
 use super::{
     Crs, Facts, Fault, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
-use crate::config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
 /// Largest strip or tile that is held besides the picture, bytes.
 const MAX_CHUNK_BYTES: usize = 64 << 20;

@@ -6,7 +6,7 @@ use glam::DVec3;
 use las::{PointDataBuilder, Reader as LasReader};
 
 use super::{Crs, Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
-use crate::config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Points decoded at once.
 const BATCH: u64 = 1 << 16;

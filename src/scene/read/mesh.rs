@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::{Fault, MAX_POINTS, TriangleMesh, ply};
-use crate::scene::SceneError;
+use crate::SceneError;
 
 /// Triangles at most: as a target's they take some 700 MiB.
 pub const MAX_TRIANGLES: usize = 1 << 22;

@@ -24,7 +24,7 @@ mod ply;
 pub mod relief;
 mod shapes;
 pub mod survey;
-pub(in crate::scene) mod text;
+pub(crate) mod text;
 mod triangulate;
 mod xyz;
 
@@ -35,7 +35,7 @@ pub use survey::{Georeference, Survey};
 
 use glam::DVec3;
 
-use crate::config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Cells at most: 256 MiB of f32.
 pub const MAX_CELLS: usize = 1 << 26;

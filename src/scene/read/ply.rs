@@ -5,7 +5,7 @@ use ply_rs_bw::parser::{Parser, Reader as PlyReader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
 use super::{Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
-use crate::config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 pub struct Ply;
 

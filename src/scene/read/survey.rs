@@ -17,9 +17,9 @@ use super::{
     Crs, Facts, Fault, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape, Reader,
     mesh,
 };
-use crate::config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
-use crate::geodesy::LocalTangentPlane;
-use crate::scene::SceneError;
+use crate::SceneError;
+use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
+use echotank_core::geodesy::LocalTangentPlane;
 
 /// Bytes of a file that tell its format.
 const HEAD_BYTES: usize = 512;

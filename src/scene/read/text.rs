@@ -5,15 +5,15 @@ use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use crate::scene::SceneError;
+use crate::SceneError;
 
 /// Largest scene file that is read, bytes: it is held in memory whole while it is parsed.
 pub const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// Largest horizontal coordinate in a scene's tables, metres; the tangent plane is of no use beyond.
-pub(in crate::scene) const MAX_HORIZONTAL_M: f64 = 1e6;
+pub(crate) const MAX_HORIZONTAL_M: f64 = 1e6;
 /// Largest depth or height, metres; the sea is 11 km deep.
-pub(in crate::scene) const MAX_VERTICAL_M: f64 = 2e4;
+pub(crate) const MAX_VERTICAL_M: f64 = 2e4;
 
 /// Characters of an offending value that are repeated in the error.
 const SHOWN_CHARACTERS: usize = 40;
@@ -30,7 +30,7 @@ pub struct Misread {
 }
 
 impl Misread {
-    pub(in crate::scene) fn new(line: usize, value: &str, rule: impl Into<String>) -> Self {
+    pub(crate) fn new(line: usize, value: &str, rule: impl Into<String>) -> Self {
         Self {
             line,
             column: None,
@@ -38,14 +38,14 @@ impl Misread {
             rule: rule.into(),
         }
     }
-    pub(in crate::scene) fn in_column(mut self, column: &str) -> Self {
+    pub(crate) fn in_column(mut self, column: &str) -> Self {
         self.column = Some(column.chars().take(SHOWN_CHARACTERS).collect());
         self
     }
 }
 
 /// The bytes of a file of at most [`MAX_FILE_BYTES`].
-pub(in crate::scene) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
+pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
     let unreadable = |source| SceneError::Unreadable {
         path: path.to_owned(),
         source,
@@ -65,12 +65,12 @@ pub(in crate::scene) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
 }
 
 /// The text without a byte order mark, as spreadsheets write it.
-pub(in crate::scene) fn without_mark(bytes: &[u8]) -> &[u8] {
+pub(crate) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
 /// A number inside `allowed`, or the rule that it breaks.
-pub(in crate::scene) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, String> {
+pub(crate) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
     if allowed.contains(&value) {
         Ok(value)
@@ -84,18 +84,18 @@ pub(in crate::scene) fn number(text: &str, allowed: RangeInclusive<f64>) -> Resu
 }
 
 /// A column of a table, found by its name in the header.
-pub(in crate::scene) struct Column {
+pub(crate) struct Column {
     pub name: &'static str,
     pub required: bool,
 }
 
-pub(in crate::scene) const fn required(name: &'static str) -> Column {
+pub(crate) const fn required(name: &'static str) -> Column {
     Column {
         name,
         required: true,
     }
 }
-pub(in crate::scene) const fn optional(name: &'static str) -> Column {
+pub(crate) const fn optional(name: &'static str) -> Column {
     Column {
         name,
         required: false,
@@ -103,7 +103,7 @@ pub(in crate::scene) const fn optional(name: &'static str) -> Column {
 }
 
 /// One line of a table; columns are counted in the order of the `columns` given to [`read_table`].
-pub(in crate::scene) struct Row<'a> {
+pub(crate) struct Row<'a> {
     pub line: usize,
     columns: &'a [Column],
     places: &'a [Option<usize>],
@@ -135,7 +135,7 @@ impl Row<'_> {
 
 /// Reads comma-separated text: a header of column names in any order, then rows. No quoting. Blank lines and lines that begin with `#`
 /// are skipped. Hands each row to `take`.
-pub(in crate::scene) fn read_table(
+pub(crate) fn read_table(
     bytes: &[u8],
     columns: &[Column],
     mut take: impl FnMut(&Row) -> Result<(), Misread>,

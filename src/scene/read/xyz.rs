@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use super::text::{self, MAX_VERTICAL_M, Misread};
 use super::{Crs, Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
-use crate::config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Any projection's numbers.
 const COORDINATES: std::ops::RangeInclusive<f64> = -1e9..=1e9;

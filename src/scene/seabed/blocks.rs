@@ -1,6 +1,6 @@
 //! Bounds of the depth and of the slope over blocks of a grid's squares, so that a rectangle's bounds cost a few look-ups.
 
-use crate::scene::read::HeightField;
+use crate::read::HeightField;
 
 pub const NOTHING: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 

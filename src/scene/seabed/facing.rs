@@ -206,7 +206,7 @@ fn all_faces(block: &Block, eye_down_m: f64, v: Strip, u: Strip) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::read::HeightField;
+    use crate::read::HeightField;
 
     /// Rough ground with a hole, mirrored: whatever no rectangle holds faces the eye, and no rectangle holds only ground that does.
     #[test]

@@ -14,8 +14,8 @@ use super::occlusion::Piece;
 use super::paper;
 pub use super::read::Depth;
 use super::read::{Fault, Georeference, HeightField, Survey};
-use crate::config::spec::{MosaicSpec, PaperShape, SeabedShape};
 use blocks::{Blocks, NOTHING, united};
+use echotank_config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
 impl Depth {
     /// Unit normal away from the solid (up: its down component is negative).

@@ -5,7 +5,7 @@
 
 use glam::DVec2;
 
-use crate::flow::Scatterers;
+use echotank_core::flow::Scatterers;
 
 /// Twice the coefficients, so that jitter averages out.
 const NEIGHBOURS: usize = 12;

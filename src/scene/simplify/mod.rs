@@ -24,8 +24,8 @@ pub mod stage;
 #[cfg(test)]
 mod tests;
 
-pub use crate::config::spec::{EnergyWeights as Weights, SimplifyMethod as Method};
-use crate::flow::Scatterers;
+pub use echotank_config::spec::{EnergyWeights as Weights, SimplifyMethod as Method};
+use echotank_core::flow::Scatterers;
 use energy::{Energies, View};
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::energy::incidence_from_vertical;
-use crate::flow::Scatterers;
+use echotank_core::flow::Scatterers;
 
 #[derive(Debug, Default)]
 pub struct Horizon {

@@ -6,8 +6,8 @@
 
 use super::energy::{Energies, View, Yardstick};
 use super::{Rule, Selection, Settings};
-use crate::config::spec::SimplifySpec;
-use crate::flow::Scatterers;
+use echotank_config::spec::SimplifySpec;
+use echotank_core::flow::Scatterers;
 
 /// What one call did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -12,9 +12,9 @@ use super::energy::{Beam, Energies, View};
 use super::shadow::Horizon;
 use super::stage::Stage;
 use super::*;
-use crate::config::spec::PaperShape;
-use crate::flow::ScatterLaw;
-use crate::scene::paper;
+use crate::paper;
+use echotank_config::spec::PaperShape;
+use echotank_core::flow::ScatterLaw;
 
 const SONAR_M: DVec3 = DVec3::new(10.0, 0.0, 0.0);
 

@@ -26,9 +26,9 @@ use super::solid::Solid;
 use super::{
     Body, MAX_TARGETS, Placed, STRENGTHS_DB, check_name, lambert_of_mean, mean_strength_db,
 };
-use crate::flow::Target;
-use crate::scene::read::mesh::{self, MeshAxes};
-use crate::scene::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
+use crate::read::mesh::{self, MeshAxes};
+use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
+use echotank_core::flow::Target;
 
 /// Radii and sides, metres: from a fishing line to an island.
 const SIZES_M: RangeInclusive<f64> = 1e-4..=1e4;

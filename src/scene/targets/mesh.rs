@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::solid::{SKIN_M, SurfacePoint};
-use crate::scene::read::TriangleMesh;
+use crate::read::TriangleMesh;
 
 /// Triangles in a leaf of the tree.
 const LEAF: usize = 8;

@@ -9,7 +9,7 @@
 //! shadow is for the occlusion to find, through [`Targets::hits`].
 //! Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
 
-pub(in crate::scene) mod chance;
+pub(crate) mod chance;
 mod file;
 pub mod mesh;
 pub mod solid;
@@ -24,8 +24,8 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, required};
-use crate::flow::{ScatterLaw, Scatterers, Target};
 use chance::Chance;
+use echotank_core::flow::{ScatterLaw, Scatterers, Target};
 use solid::Solid;
 
 /// Rows at most; every ping's truth record carries them all.

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::mesh::Mesh;
 use super::solid::SurfacePoint;
 use super::*;
-use crate::scene::read::TriangleMesh;
+use crate::read::TriangleMesh;
 
 const HEAD: &str = "name,north_m,east_m,height_above_seabed_m,target_strength_db\n";
 

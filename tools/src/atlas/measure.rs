@@ -3,15 +3,15 @@
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use echotank::config::spec::{AutoModel, SonarSpec};
-use echotank::echo::error_models::{doppler_error_model, path_error_model};
-use echotank::flow::*;
-use echotank::run::chart::methods::Method;
-use echotank::run::conditions::{conditions, sum_error_model};
-use echotank::run::error_check::worst_window;
-use echotank::run::method_selection::costs::Costs;
-use echotank::run::method_selection::{Scene, Swell, rank, with_choice};
-use echotank::run::pipeline::SonarPipeline;
+use echotank_config::spec::{AutoModel, SonarSpec};
+use echotank_core::flow::*;
+use echotank_ping::conditions::{conditions, sum_error_model};
+use echotank_ping::error_check::worst_window;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_runtime::chart::methods::Method;
+use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 
 use super::spot::Spot;
 
@@ -262,7 +262,7 @@ impl Bench {
         let mut under = plan.clone();
         under.model = fixed.model;
         let window_s = plan.window_s(spot.rate_hz());
-        echotank::ping::polyline(
+        echotank_ping::polyline(
             &plan.trajectory,
             window_s,
             fixed.model.segment_s,
@@ -383,7 +383,7 @@ impl ErrorModels {
                 rank(&scene, &[]).map_or(0.0, |ranking| {
                     ranking
                         .chosen()
-                        .part(echotank::ping::methods::Family::Culling)
+                        .part(echotank_ping::methods::Family::Culling)
                         .error
                 })
             }

@@ -1,6 +1,6 @@
 //! What is swept, and what comes of it in words.
 
-use echotank::flow::*;
+use echotank_core::flow::*;
 use glam::DVec3;
 
 use super::spot::{Base, DOWN_M, Said, Spot, place, scatter};
@@ -168,7 +168,7 @@ pub const ALL: [Regime; 20] = [
         few: &[1.5, 1.0, 0.5, 1e-3, 0.0, -0.5],
         spot: |base, pulses| {
             let mut spot = base.spot();
-            let window_s = echotank::ping::window_s(&spot.spec.settings, super::spot::C);
+            let window_s = echotank_ping::window_s(&spot.spec.settings, super::spot::C);
             let edge_s = window_s - pulses * spot.spec.pulse.duration_s;
             let far_m = 0.5 * super::spot::C * edge_s;
             spot.scatterers = scatter(&[place(30.0, 90.0, 0.0), place(far_m, 90.0, 0.0)]);
@@ -337,7 +337,7 @@ pub const ALL: [Regime; 20] = [
         spot: |base, share| {
             let mut spot = base.spot();
             let settings = &spot.spec.settings;
-            let record_s = echotank::ping::window_s(settings, super::spot::C);
+            let record_s = echotank_ping::window_s(settings, super::spot::C);
             spot.spec.synthesis.frequency_step_hz = Some(share / record_s);
             spot
         },

@@ -1,10 +1,10 @@
 //! Maps of what is no method of summing: simplification where surfaces have no curvature, and places where longitudes end.
 
-use echotank::flow::{ScatterLaw, Scatterers};
-use echotank::geodesy::LocalTangentPlane;
-use echotank::scene::simplify::collapse::collapse;
-use echotank::scene::simplify::energy::{Energies, View};
-use echotank::scene::simplify::{Method, Selection, Settings, Weights};
+use echotank_core::flow::{ScatterLaw, Scatterers};
+use echotank_core::geodesy::LocalTangentPlane;
+use echotank_scene::simplify::collapse::collapse;
+use echotank_scene::simplify::energy::{Energies, View};
+use echotank_scene::simplify::{Method, Selection, Settings, Weights};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -1,12 +1,12 @@
 //! One sonar in one motion over a handful of points, and how a regime bends it.
 
-use echotank::config;
-use echotank::config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
-use echotank::flow::*;
-use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
-use echotank::nav::NavHistory;
-use echotank::ping::{self, PingOrder};
-use echotank::time::{NS_PER_S, UtcNs};
+use echotank_config as config;
+use echotank_config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
+use echotank_core::flow::*;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_nav::NavHistory;
+use echotank_ping::{self as ping, PingOrder};
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -13,14 +13,14 @@ use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
-use echotank::beam::RowLimits;
-use echotank::beam::fan::Fan;
-use echotank::beam::matched::MatchedFilter;
-use echotank::config;
-use echotank::config::spec::{FanForm, FanSpec, Former, Shading, SonarSpec};
-use echotank::flow::*;
-use echotank::run::pipeline::SonarPipeline;
-use echotank::run::rig::pool;
+use echotank_config as config;
+use echotank_config::spec::{FanForm, FanSpec, Former, Shading, SonarSpec};
+use echotank_core::flow::*;
+use echotank_imaging::beam::RowLimits;
+use echotank_imaging::beam::fan::Fan;
+use echotank_imaging::beam::matched::MatchedFilter;
+use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::rig::pool;
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -347,7 +347,7 @@ fn together(
     let velocity = DVec3::X * 2.572;
     plan.segments[0].velocity_m_per_s = velocity;
     plan.trajectory =
-        echotank::frames::Trajectory::uniform(DVec3::ZERO, velocity, glam::DQuat::IDENTITY);
+        echotank_core::frames::Trajectory::uniform(DVec3::ZERO, velocity, glam::DQuat::IDENTITY);
     let scatterers = bottom(count);
     let (synthesiser, former) = (
         pool(1).map_err(|e| e.to_string())?,

@@ -7,14 +7,14 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use echotank::array::gridded::pulse_spectrum::PulseSpectrum;
-use echotank::array::gridded::transform::grid_size;
-use echotank::array::gridded::{
+use echotank_core::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
+use echotank_fft::{Fft, Planned};
+use echotank_synthesis::array::gridded::pulse_spectrum::PulseSpectrum;
+use echotank_synthesis::array::gridded::transform::grid_size;
+use echotank_synthesis::array::gridded::{
     DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, SimdLevel, one_dimensional,
 };
-use echotank::array::{Decimator, Direct};
-use echotank::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
-use echotank_fft::{Fft, Planned};
+use echotank_synthesis::array::{Decimator, Direct};
 use num_complex::Complex64;
 
 use super::report::Report;

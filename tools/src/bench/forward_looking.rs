@@ -11,9 +11,9 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
-use echotank::array::gridded::SimdLevel;
-use echotank::array::gridded::transform::{Transform1d, Workspace};
 use echotank_fft::Planned;
+use echotank_synthesis::array::gridded::SimdLevel;
+use echotank_synthesis::array::gridded::transform::{Transform1d, Workspace};
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 

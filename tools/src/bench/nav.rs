@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavSourceSpec, TimePolicy,
 };
-use echotank::nav::NavDecoder;
-use echotank::nav::stamp::split_line;
-use echotank::time::UtcNs;
+use echotank_core::time::UtcNs;
+use echotank_nav::NavDecoder;
+use echotank_nav::stamp::split_line;
 use glam::DVec3;
 
 use super::report::Report;

@@ -7,13 +7,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use echotank::config;
-use echotank::config::spec::NavMode;
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::Schedule;
-use echotank::run::rig::{Rig, pool};
-use echotank::time::VirtualClock;
+use echotank_config as config;
+use echotank_config::spec::NavMode;
+use echotank_nav::Coverage;
+use echotank_ping::Schedule;
+use echotank_ping::rig::pool;
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
 
 use super::report::Report;
 
@@ -65,7 +65,7 @@ struct Pinged {
 }
 
 fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> {
-    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
     let clock = Arc::new(VirtualClock::default());
     let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
     let ended = || "the navigation log ends before the pings do".to_string();

@@ -2,8 +2,8 @@
 //!
 //! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
 
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;

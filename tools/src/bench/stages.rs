@@ -5,7 +5,7 @@
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use echotank::array::gridded2d::{Stage, Stages, TaskReport};
+use echotank_synthesis::array::gridded2d::{Stage, Stages, TaskReport};
 
 /// One complex number of a grid in f32.
 const COMPLEX_BYTES: f64 = 8.0;

@@ -5,9 +5,9 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use std::time::Instant;
 
-use echotank::array::gridded::moments::Real;
-use echotank::array::gridded::simd_level::{Kind, SimdLevel};
-use echotank::array::gridded::transform::Transform1d;
+use echotank_synthesis::array::gridded::moments::Real;
+use echotank_synthesis::array::gridded::simd_level::{Kind, SimdLevel};
+use echotank_synthesis::array::gridded::transform::Transform1d;
 use num_complex::{Complex, Complex64};
 
 use super::scene::{BINS, CARRIER_HZ, PERIOD_S, Scene, Shape};
@@ -141,7 +141,7 @@ trait Runner {
 
 struct Prepared<T: Real> {
     plan: Transform1d<T>,
-    work: echotank::array::gridded::transform::Workspace<T>,
+    work: echotank_synthesis::array::gridded::transform::Workspace<T>,
     delay_s: std::rc::Rc<Vec<f64>>,
     amplitude: Vec<Complex<T>>,
     out: Vec<Complex<T>>,

@@ -8,15 +8,15 @@
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank::array::gridded::{DopplerSpan, SimdLevel, one_dimensional};
-use echotank::array::gridded2d::{self, Bounds, Gridded2d};
-use echotank::array::{Bins, Decimator, Direct, Spectral, Spectrum};
-use echotank::echo::probe::{self, echoes_at, heard, heard_ranges_m};
-use echotank::echo::{
+use echotank_core::flow::*;
+use echotank_synthesis::array::gridded::{DopplerSpan, SimdLevel, one_dimensional};
+use echotank_synthesis::array::gridded2d::{self, Bounds, Gridded2d};
+use echotank_synthesis::array::{Bins, Decimator, Direct, Spectral, Spectrum};
+use echotank_synthesis::echo::probe::{self, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,
 };
-use echotank::flow::*;
-use echotank::run::slabs::{Listener, Sketch};
+use echotank_synthesis::slabs::{Listener, Sketch};
 use glam::DVec3;
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -204,7 +204,7 @@ impl Ready {
         by_tiles(&mut scene.scatterers);
         let plan = &mut scene.plan;
         plan.sample_count = (WINDOW_S * RATE_HZ) as usize;
-        plan.trajectory = echotank::frames::Trajectory::uniform(
+        plan.trajectory = echotank_core::frames::Trajectory::uniform(
             DVec3::ZERO,
             ping.velocity_m_per_s,
             glam::DQuat::IDENTITY,
@@ -400,7 +400,7 @@ fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
 fn direct(ready: &mut Ready) -> Outcome {
     patient(ready, DIRECT_S)?;
     let plan = ready.plan(|_| true);
-    let own = echotank::array::oversample(&plan.pulse, RATE_HZ, Synthesis::Direct);
+    let own = echotank_synthesis::array::oversample(&plan.pulse, RATE_HZ, Synthesis::Direct);
     let greatest = 2.0 * ready.ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
     let doppler_hz = greatest * plan.pulse.center_frequency_hz;
     let filter = Decimator::new(&plan.pulse, RATE_HZ, doppler_hz, own).expect("as above");

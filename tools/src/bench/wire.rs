@@ -11,28 +11,28 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, Shading,
     SonarSpec, Vita49Spec, XtfSpec,
 };
-use echotank::emit::imagenex872::{Head, emit_ping as emit_imagenex};
-use echotank::emit::jsf::{JsfEmitter, JsfSheet};
-use echotank::emit::packets::Packets;
-use echotank::emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
-use echotank::emit::session::Wants;
-use echotank::emit::sevenk::records::DeviceSheet;
-use echotank::emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank::emit::vita49::Vita49Emitter;
-use echotank::emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
-use echotank::emit::xtf::XtfEmitter;
-use echotank::flow::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
-use echotank::io::sonar::client::SevenKClient;
-use echotank::io::sonar::start_sevenk;
-use echotank::io::sonar::verify::Verifier;
+use echotank_core::flow::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
+use echotank_emit::imagenex872::{Head, emit_ping as emit_imagenex};
+use echotank_emit::jsf::{JsfEmitter, JsfSheet};
+use echotank_emit::packets::Packets;
+use echotank_emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
+use echotank_emit::session::Wants;
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_emit::vita49::Vita49Emitter;
+use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
+use echotank_emit::xtf::XtfEmitter;
 use echotank_protocols::jsf::{Message, SonarData80, message_type};
 use echotank_protocols::sevenk::records::RawIq7038;
 use echotank_protocols::sevenk::{Command, Record};
 use echotank_protocols::vita49::{Packet, PacketType, complex_samples};
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::start_sevenk;
+use echotank_runtime::io::sonar::verify::Verifier;
 use num_complex::Complex64;
 
 use super::report::Report;

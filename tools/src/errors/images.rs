@@ -6,9 +6,9 @@
 //! echo that a still sonar would hear. The strongest line, by a parabola, is where the picture has the point along the track; the peak of the
 //! compressed line is its range.
 
-use echotank::array::Direct;
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::Direct;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use glam::DVec3;
 use num_complex::Complex64;
 

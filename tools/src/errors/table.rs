@@ -1,10 +1,10 @@
 //! The table of what path and Doppler models cost in truth: one point, one element, over speed and angle.
 
-use echotank::array::Direct;
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
-use echotank::flow::*;
-use echotank::frames::Trajectory;
-use echotank::time::UtcNs;
+use echotank_core::flow::*;
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_synthesis::array::Direct;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

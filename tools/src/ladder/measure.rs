@@ -2,19 +2,19 @@
 
 use std::time::Instant;
 
-use echotank::array::Direct;
-use echotank::beam::RowLimits;
-use echotank::beam::sidescan::LineFormer;
-use echotank::config::spec::{LineSpec, PaperShape};
-use echotank::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::*;
-use echotank::frames::Trajectory;
-use echotank::scene::paper::{self, Cloud};
-use echotank::scene::simplify::collapse::{Collapsed, collapse};
-use echotank::scene::simplify::energy::{Beam, Energies, View};
-use echotank::scene::simplify::shadow::Horizon;
-use echotank::scene::simplify::{Method, Selection, Settings, Weights};
-use echotank::time::UtcNs;
+use echotank_config::spec::{LineSpec, PaperShape};
+use echotank_core::flow::*;
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_imaging::beam::RowLimits;
+use echotank_imaging::beam::sidescan::LineFormer;
+use echotank_scene::paper::{self, Cloud};
+use echotank_scene::simplify::collapse::{Collapsed, collapse};
+use echotank_scene::simplify::energy::{Beam, Energies, View};
+use echotank_scene::simplify::shadow::Horizon;
+use echotank_scene::simplify::{Method, Selection, Settings, Weights};
+use echotank_synthesis::array::Direct;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use echotank::config::spec::{PaperShape, RigSpec};
-use echotank::image::colour::ColourMap;
-use echotank::scene::paper;
+use echotank_config::spec::ColourMap;
+use echotank_config::spec::{PaperShape, RigSpec};
+use echotank_scene::paper;
 use glam::DVec3;
 use serde_json::{Value, json};
 

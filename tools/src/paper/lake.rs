@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use echotank::flow::Target;
-use echotank::image::colour::ColourMap;
-use echotank::image::line::{RangeAxis, mean_intensity};
+use echotank_config::spec::ColourMap;
+use echotank_core::flow::Target;
+use echotank_imaging::image::line::{RangeAxis, mean_intensity};
 use serde_json::{Value, json};
 
 use super::picture::{self, Grid, Look};

@@ -3,7 +3,8 @@
 use std::io::BufWriter;
 use std::path::Path;
 
-use echotank::image::colour::ColourMap;
+use echotank_config::spec::ColourMap;
+use echotank_imaging::image::colour::rgb;
 
 /// Row-major levels; NaN is nothing.
 pub struct Grid {
@@ -73,7 +74,7 @@ pub fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
     for (grid, look) in panels {
         let first = palette.len() / 3;
         for shade in 0..SHADES {
-            palette.extend(look.map.at(shade as f32 / (SHADES - 1) as f32));
+            palette.extend(rgb(look.map, shade as f32 / (SHADES - 1) as f32));
         }
         for y in 0..grid.height {
             for x in 0..grid.width {

@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config::{self, spec::NavMode, spec::RigSpec};
-use echotank::flow::{PingOutput, PingPlan, Scatterers, Target};
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::Schedule;
-use echotank::run::rig::{Rig, pool};
-use echotank::time::VirtualClock;
+use echotank_config::{self as config, spec::NavMode, spec::RigSpec};
+use echotank_core::flow::{PingOutput, PingPlan, Scatterers, Target};
+use echotank_nav::Coverage;
+use echotank_ping::Schedule;
+use echotank_ping::rig::pool;
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
 
 /// The checked configuration of a figure.
 pub fn load(name: &str) -> Result<RigSpec, String> {
@@ -33,7 +33,7 @@ pub fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
 }
 
 fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
-    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
     let clock = Arc::new(VirtualClock::default());
     let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
     while rig.history.first_usable_utc().is_none() {
@@ -81,7 +81,7 @@ pub fn point(at_m: glam::DVec3) -> Scatterers {
         at_m,
         [0.0; 3],
         num_complex::Complex64::ONE,
-        echotank::flow::ScatterLaw::Point,
+        echotank_core::flow::ScatterLaw::Point,
     );
     points
 }

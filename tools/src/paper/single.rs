@@ -3,9 +3,9 @@
 
 use std::path::Path;
 
-use echotank::image::colour::ColourMap;
-use echotank::image::line::RangeAxis;
-use echotank::run::pipeline::SonarPipeline;
+use echotank_config::spec::ColourMap;
+use echotank_imaging::image::line::RangeAxis;
+use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
 
@@ -106,7 +106,7 @@ fn fractured_to_m(grid: &Grid) -> Option<f64> {
 
 /// Range at which the echo of a point half way between two pings lies 6 dB (two ways of 3 dB) under that of one on the beam's axis.
 fn half_way_echo_m(
-    spec: &echotank::config::spec::RigSpec,
+    spec: &echotank_config::spec::RigSpec,
     ping: &Heard,
 ) -> Result<Option<f64>, String> {
     let sonar = &spec.sonars[0];

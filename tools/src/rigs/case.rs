@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank::config;
-use echotank::config::spec::RigSpec;
+use echotank_config as config;
+use echotank_config::spec::RigSpec;
 
 use crate::track::{ALONG_TRACK, COLUMNS};
 

@@ -4,15 +4,15 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use echotank::config::spec::{MediumSpec, RigSpec, SonarSpec};
-use echotank::flow::{PingOutput, PingPlan, Scatterers, TimeVaryingGain};
-use echotank::ping::methods::{Candidate, Choice, Family, Ranking};
-use echotank::ping::polyline;
-use echotank::run::chart::bare;
-use echotank::run::method_selection::costs::Costs;
-use echotank::run::method_selection::first::{FirstError, first, pings};
-use echotank::run::method_selection::with_choice;
-use echotank::run::pipeline::{PipelineError, SonarPipeline};
+use echotank_config::spec::{MediumSpec, RigSpec, SonarSpec};
+use echotank_core::flow::{PingOutput, PingPlan, Scatterers, TimeVaryingGain};
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::with_choice;
+use echotank_ping::methods::{Candidate, Choice, Family, Ranking};
+use echotank_ping::pipeline::{PipelineError, SonarPipeline};
+use echotank_ping::polyline;
+use echotank_runtime::chart::bare;
+use echotank_runtime::first_pings::{FirstError, first, pings};
 
 use super::reference::ReferenceSolution;
 

@@ -3,14 +3,14 @@
 
 use num_complex::Complex64;
 
-use echotank::array::filter::{self, Decimator};
-use echotank::array::{Direct, receive};
-use echotank::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
-use echotank::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank::flow::{
+use echotank_core::flow::{
     DopplerModel, Edges, PathModel, PingOutput, PingPlan, Pulse, ReceiverFilter, Synthesis,
 };
-use echotank::run::pipeline::{FASTEST_PLATFORM_M_PER_S, PipelineError};
+use echotank_ping::pipeline::{FASTEST_PLATFORM_M_PER_S, PipelineError};
+use echotank_synthesis::array::filter::{self, Decimator};
+use echotank_synthesis::array::{Direct, receive};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 
 use super::case::Chance;
 use super::measure::Ping;

@@ -4,16 +4,16 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank::config::spec::{
+use echotank_config::spec::{
     BottomSpec, Density, IncidenceSpec, NavInputSpec, NavMode, RigSpec, SeabedShape, SeabedSpec,
     VerticalSpec,
 };
-use echotank::flow::{Detection, PingPlan, Sounding};
-use echotank::io::nav::NavInputs;
-use echotank::nav::Coverage;
-use echotank::ping::Schedule;
-use echotank::run::rig::{Rig, pool};
-use echotank::time::VirtualClock;
+use echotank_core::flow::{Detection, PingPlan, Sounding};
+use echotank_nav::Coverage;
+use echotank_ping::Schedule;
+use echotank_ping::rig::pool;
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 
 /// A bottom and a motion.
@@ -79,7 +79,7 @@ pub struct Row {
 /// What is changed in `hil-configs/multibeam.toml` for a case. `folder` takes the track.
 pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<RigSpec, String> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut spec = echotank::config::load(&root.join("hil-configs/multibeam.toml"))
+    let mut spec = echotank_config::load(&root.join("hil-configs/multibeam.toml"))
         .map_err(|e| e.to_string())?;
     let sonar = &mut spec.sonars[0];
     sonar.receive[0].elements = elements;
@@ -146,7 +146,7 @@ pub fn measure(
 }
 
 fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
-    let mut rig = Rig::open(spec).map_err(|e| e.to_string())?;
+    let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
     let clock = Arc::new(VirtualClock::default());
     let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
     while rig.history.first_usable_utc().is_none() {

@@ -1,11 +1,11 @@
 //! One sonar over one scene in one motion, and the three families of them: the paper's ping, its variations, anything at all.
 
-use echotank::array::gridded2d::Bounds;
-use echotank::echo::error_models;
-use echotank::flow::*;
-use echotank::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
-use echotank::ping;
-use echotank::time::UtcNs;
+use echotank_core::flow::*;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::time::UtcNs;
+use echotank_ping as ping;
+use echotank_synthesis::array::gridded2d::Bounds;
+use echotank_synthesis::echo::error_models;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

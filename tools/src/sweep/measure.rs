@@ -2,11 +2,11 @@
 
 use std::sync::Mutex;
 
-use echotank::array::Decimator;
-use echotank::array::filter::occupied_hz;
-use echotank::array::windows::window_error_model;
-use echotank::echo::reference::reference_with;
-use echotank::flow::*;
+use echotank_core::flow::*;
+use echotank_synthesis::array::Decimator;
+use echotank_synthesis::array::filter::occupied_hz;
+use echotank_synthesis::array::windows::window_error_model;
+use echotank_synthesis::echo::reference::reference_with;
 use num_complex::Complex64;
 
 use super::case::Case;

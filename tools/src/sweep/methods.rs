@@ -2,15 +2,17 @@
 
 use std::sync::Mutex;
 
-use echotank::array::filter::oversample;
-use echotank::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional};
-use echotank::array::gridded2d::{self, Gridded2d};
-use echotank::array::{Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
-use echotank::echo::error_models::window_error_models;
-use echotank::echo::{
+use echotank_core::flow::*;
+use echotank_synthesis::array::filter::oversample;
+use echotank_synthesis::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional};
+use echotank_synthesis::array::gridded2d::{self, Gridded2d};
+use echotank_synthesis::array::{
+    Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum,
+};
+use echotank_synthesis::echo::error_models::window_error_models;
+use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify,
 };
-use echotank::flow::*;
 use num_complex::Complex64;
 
 use super::case::Case;

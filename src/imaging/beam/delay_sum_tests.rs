@@ -1,0 +1,589 @@
+//! Beams by delay and sum against closed forms and exact element sums.
+
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::*;
+use crate::beam::conventional::line_array_response;
+use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
+use crate::beam::weights;
+use echotank_config::spec::{BeamSpacing, FanForm};
+use echotank_core::flow::testing::plan_at_rest;
+use echotank_core::flow::{Mounting, Pattern, PulseKind, Segment};
+
+const C: f64 = 1500.0;
+const CARRIER_HZ: f64 = 400e3;
+const LAMBDA_M: f64 = C / CARRIER_HZ;
+const RATE_HZ: f64 = 40e3;
+/// Samples that hold one echo, on its way along any of these lines.
+const AROUND: usize = 240;
+
+fn transmitter(at_m: DVec3) -> TransmitArray {
+    TransmitArray {
+        mounting: Mounting {
+            position_m: at_m,
+            body_from_array: glam::DQuat::IDENTITY,
+        },
+        pattern: Pattern::Omnidirectional,
+        level_offset_db: 0.0,
+    }
+}
+
+fn fan(beams: usize, sector_rad: f64, shading: Shading, former: Former) -> FanSpec {
+    FanSpec {
+        array: 0,
+        beams,
+        sector_rad,
+        shading,
+        form: FanForm {
+            former,
+            ..FanForm::default()
+        },
+    }
+}
+
+fn single(sine: f64, former: Former) -> FanSpec {
+    let mut fan = fan(1, 1.0, Shading::Uniform, former);
+    fan.form.center_rad = sine.asin();
+    fan
+}
+
+/// Tapered, so that no sample falls on a jump.
+fn sweep(duration_s: f64) -> Pulse {
+    Pulse {
+        kind: PulseKind::LfmUp,
+        center_frequency_hz: CARRIER_HZ,
+        bandwidth_hz: 30e3,
+        duration_s,
+        taper: 0.2,
+    }
+}
+
+struct Rig {
+    array: ArrayGeometry,
+    transmit_m: DVec3,
+    velocity_m_per_s: DVec3,
+    pulse: Pulse,
+    samples: usize,
+}
+
+impl Rig {
+    /// Fore and aft, looking down, at rest.
+    fn new(elements: usize, spacing_m: f64, samples: usize) -> Self {
+        Self {
+            array: array(elements, spacing_m, 0.0),
+            transmit_m: DVec3::ZERO,
+            velocity_m_per_s: DVec3::ZERO,
+            pulse: sweep(1e-3),
+            samples,
+        }
+    }
+
+    fn former(&self, fan: &FanSpec) -> DelaySumFormer {
+        let limits = RowLimits {
+            sample_rate_hz: RATE_HZ,
+            samples: self.samples,
+            pulse_s: self.pulse.duration_s,
+        };
+        let transmit = transmitter(self.transmit_m);
+        DelaySumFormer::new(
+            &self.array,
+            &transmit,
+            fan,
+            limits,
+            &self.pulse,
+            Shading::Uniform,
+            C,
+        )
+    }
+
+    fn plan(&self, velocity_m_per_s: DVec3) -> PingPlan {
+        let mut plan = plan_at_rest(&self.pulse, self.samples, C);
+        plan.segments.push(Segment {
+            start_s: 0.0,
+            position_m: DVec3::ZERO,
+            velocity_m_per_s,
+            world_from_body: glam::DQuat::IDENTITY,
+        });
+        plan
+    }
+
+    fn beams(&self, fan: &FanSpec, frame: &ElementFrame) -> BeamFrame {
+        let mut out = BeamFrame::default();
+        self.former(fan)
+            .form(&self.plan(self.velocity_m_per_s), frame, &mut out);
+        out
+    }
+
+    /// Exact two-way delay of a point at a place along the moving line: bisection in f64, no closed form shared with the former.
+    fn delay_s(&self, point_m: DVec3, x_m: f64) -> f64 {
+        let out_m = point_m.distance(self.transmit_m);
+        let late = |u: f64| {
+            let at = DVec3::new(x_m, 0.0, 0.0) + self.velocity_m_per_s * u;
+            C * u - out_m - point_m.distance(at)
+        };
+        let (mut low, mut high) = (0.0, 4.0 * (out_m + 10.0) / C);
+        for _ in 0..200 {
+            let middle = 0.5 * (low + high);
+            if late(middle) > 0.0 {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        0.5 * (low + high)
+    }
+
+    fn point(sine: f64, range_m: f64) -> DVec3 {
+        DVec3::new(range_m * sine, 0.0, range_m * (1.0 - sine * sine).sqrt())
+    }
+
+    /// The point near `range_m` whose echo meets the array's centre on a sample, and that sample.
+    fn on_a_sample(&self, sine: f64, range_m: f64) -> (DVec3, usize) {
+        let sample = (self.delay_s(Self::point(sine, range_m), 0.0) * RATE_HZ).round();
+        let (mut low, mut high) = (0.5 * range_m, 2.0 * range_m + 1.0);
+        for _ in 0..200 {
+            let middle = 0.5 * (low + high);
+            if self.delay_s(Self::point(sine, middle), 0.0) * RATE_HZ > sample {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        (Self::point(sine, 0.5 * (low + high)), sample as usize)
+    }
+
+    /// The echo of a point and the samples around `sample`, where it meets the array's centre, alone; the plan that says so; where `sample` is.
+    fn around(
+        &self,
+        point_m: DVec3,
+        sample: usize,
+        velocity_m_per_s: DVec3,
+    ) -> (ElementFrame, PingPlan, usize) {
+        let first = sample.saturating_sub(AROUND / 3);
+        let first_s = first as f64 / RATE_HZ;
+        let frame = elements_of_plane_wave(&self.array, RATE_HZ, self.samples, |e| {
+            let delay_s = self.delay_s(point_m, self.array.element_x_m(e));
+            (self.pulse, delay_s - first_s)
+        });
+        let mut plan = self.plan(velocity_m_per_s);
+        plan.first_sample_s = first_s;
+        (frame, plan, sample - first)
+    }
+
+    /// Each element hears the point with unit amplitude.
+    fn echo(&self, point_m: DVec3) -> ElementFrame {
+        elements_of_plane_wave(&self.array, RATE_HZ, self.samples, |e| {
+            (self.pulse, self.delay_s(point_m, self.array.element_x_m(e)))
+        })
+    }
+}
+
+fn db(x: f64) -> f64 {
+    20.0 * x.log10()
+}
+
+/// Level of an endless tone from `sine` in a beam, in the middle of the row.
+fn tone_level(former: &mut DelaySumFormer, rig: &Rig, hz: f64, sine: f64) -> f64 {
+    let mut out = BeamFrame::default();
+    let frame = tone(&rig.array, rig.samples, hz, sine, C);
+    former.form(&rig.plan(DVec3::ZERO), &frame, &mut out);
+    out.beam(0)[rig.samples / 2].norm()
+}
+
+/// A long CW: a narrow band, so that the envelope plays no part.
+fn narrow(elements: usize, spacing_wavelengths: f64) -> Rig {
+    Rig {
+        pulse: Pulse {
+            kind: PulseKind::Cw,
+            bandwidth_hz: 0.0,
+            duration_s: 5e-3,
+            taper: 0.0,
+            ..sweep(5e-3)
+        },
+        ..Rig::new(elements, spacing_wavelengths * LAMBDA_M, 600)
+    }
+}
+
+fn array_response(weights: &[f64], spacing_wavelengths: f64, sine: f64) -> f64 {
+    let middle = (weights.len() as f64 - 1.0) / 2.0;
+    let sum: Complex64 = weights
+        .iter()
+        .enumerate()
+        .map(|(e, w)| {
+            Complex64::from_polar(*w, TAU * (e as f64 - middle) * spacing_wavelengths * sine)
+        })
+        .sum();
+    sum.norm() / weights.iter().sum::<f64>()
+}
+
+#[test]
+fn side_lobes_are_within_0p2_db_of_the_exact_pattern_for_every_shading() {
+    for shading in [
+        Shading::Uniform,
+        Shading::Hann,
+        Shading::Taylor { side_lobe_db: 35.0 },
+        Shading::Chebyshev { side_lobe_db: 30.0 },
+    ] {
+        for former in [Former::Phase, Former::TimeDelay] {
+            let rig = narrow(48, 0.5);
+            let mut weights = vec![0.0; 48];
+            weights::fill(shading, &mut weights);
+            let beam_sine = 0.3;
+            let mut spec = single(beam_sine, former);
+            spec.shading = shading;
+            let mut beams = rig.former(&spec);
+            let mut worst: f64 = 0.0;
+            for step in -60..=60 {
+                let sine = beam_sine + f64::from(step) * 0.0101;
+                let want = array_response(&weights, 0.5, sine - beam_sine);
+                // Between the side lobes everything is small: 50 dB down nobody measures.
+                if want < 10f64.powf(-50.0 / 20.0) {
+                    continue;
+                }
+                let got = tone_level(&mut beams, &rig, CARRIER_HZ, sine);
+                worst = worst.max((db(got) - db(want)).abs());
+            }
+            println!("{shading:?} {former:?}: within {worst:.4} dB");
+            assert!(worst < 0.2, "{shading:?} {former:?}: {worst:.3} dB");
+        }
+    }
+}
+
+#[test]
+fn beam_widths_are_those_of_the_exact_pattern_within_1_percent() {
+    for (elements, spacing, sine) in [(16, 0.5, 0.0), (64, 0.5, 0.5), (5, 2.0, 0.0)] {
+        let rig = narrow(elements, spacing);
+        let spec = single(sine, Former::TimeDelay);
+        let mut beams = rig.former(&spec);
+        let mut half = |toward: f64| {
+            let (mut inside, mut outside) = (0.0, 0.7 / (elements as f64 * spacing));
+            for _ in 0..40 {
+                let middle = 0.5 * (inside + outside);
+                let level = tone_level(&mut beams, &rig, CARRIER_HZ, sine + toward * middle);
+                if level > 0.5_f64.sqrt() {
+                    inside = middle;
+                } else {
+                    outside = middle;
+                }
+            }
+            inside
+        };
+        let (above, below) = (half(1.0), half(-1.0));
+        let got = (sine + above).asin() - (sine - below).asin();
+        let told = rig
+            .beams(&spec, &tone(&rig.array, 600, CARRIER_HZ, sine, C))
+            .width_rad[0];
+        assert!(
+            (got / told - 1.0).abs() < 0.01,
+            "{elements}: measured {got:.5}, told {told:.5}"
+        );
+        if elements >= 16 && sine == 0.0 {
+            let closed = 0.886 / (elements as f64 * spacing);
+            assert!((got / closed - 1.0).abs() < 0.01, "{got} want {closed}");
+        }
+    }
+}
+
+#[test]
+fn grating_lobes_stand_where_the_spacing_puts_them() {
+    let rig = narrow(16, 1.6);
+    let mut beams = rig.former(&single(0.1, Former::TimeDelay));
+    for order in [-1.0, 0.0, 1.0] {
+        let sine = 0.1 + order / 1.6;
+        let level = tone_level(&mut beams, &rig, CARRIER_HZ, sine);
+        assert!(db(level).abs() < 0.05, "order {order}: {:.3} dB", db(level));
+        let beside = tone_level(&mut beams, &rig, CARRIER_HZ, sine + 0.5 / 16.0 / 1.6);
+        let want = line_array_response(16, 1.6, 0.5 / 16.0 / 1.6);
+        assert!((beside - want).abs() < 0.01, "{beside} want {want}");
+    }
+}
+
+/// Off the middle of the band too: true time delays do not squint, phases do.
+#[test]
+fn time_delays_keep_the_beam_at_the_edges_of_the_band_where_phases_squint() {
+    let rig = Rig {
+        pulse: Pulse {
+            center_frequency_hz: CARRIER_HZ,
+            ..sweep(1e-3)
+        },
+        ..Rig::new(128, 2.0 * LAMBDA_M, 900)
+    };
+    let sine = 0.5;
+    let frame = elements_of_plane_wave(&rig.array, RATE_HZ, 900, |e| {
+        let late_s = -rig.array.element_x_m(e) * sine / C;
+        (rig.pulse, 400.0 / RATE_HZ + late_s)
+    });
+    let level = |former| rig.beams(&single(sine, former), &frame).beam(0)[400].norm();
+    let (delayed, phased) = (level(Former::TimeDelay), level(Former::Phase));
+    println!(
+        "0.96 m at 30 degrees, 30 kHz: time delay {:.3} dB, phase {:.2} dB",
+        db(delayed),
+        db(phased)
+    );
+    assert!(db(delayed).abs() < 0.1, "{:.3} dB", db(delayed));
+    // The echo lasts 8 samples along the line, the compressed pulse 1.2.
+    assert!(db(phased) < -8.0, "{:.2} dB", db(phased));
+}
+
+#[test]
+fn focusing_gain_is_within_0p1_db_of_the_exact_element_sum_from_2_m_to_the_far_field() {
+    for (elements, spacing_m) in [(128, 0.5 * LAMBDA_M), (64, 0.01), (5, 0.1)] {
+        let rig = Rig::new(elements, spacing_m, AROUND);
+        let mut worst: f64 = 0.0;
+        for sine in [0.0, 0.1, -0.4, 0.7] {
+            let mut former = rig.former(&single(sine, Former::DynamicFocus));
+            let mut out = BeamFrame::default();
+            for range_m in [2.0, 2.31, 3.7, 5.0, 11.0, 27.0, 75.0, 200.0] {
+                let (point, sample) = rig.on_a_sample(sine, range_m);
+                let (frame, plan, at) = rig.around(point, sample, DVec3::ZERO);
+                former.form(&plan, &frame, &mut out);
+                let gain_db = db(out.beam(0)[at].norm());
+                worst = worst.max(gain_db.abs());
+                assert!(
+                    gain_db.abs() < 0.1,
+                    "{elements} x {spacing_m} m, sine {sine}, {range_m} m: {gain_db:.3} dB"
+                );
+            }
+        }
+        println!(
+            "{elements} x {:.2} mm: within {worst:.3} dB",
+            spacing_m * 1e3
+        );
+    }
+}
+
+#[test]
+fn unfocused_beams_lose_in_the_near_field_what_the_exact_element_sum_loses() {
+    let rig = Rig {
+        pulse: narrow(2, 0.5).pulse,
+        ..Rig::new(64, 0.01, 2000)
+    };
+    for range_m in [8.0, 15.0, 30.0] {
+        let (point, sample) = rig.on_a_sample(0.0, range_m);
+        let out = rig.beams(&single(0.0, Former::Phase), &rig.echo(point));
+        let exact: Complex64 = (0..64)
+            .map(|e| {
+                let late_m = point.distance(DVec3::X * rig.array.element_x_m(e)) - point.length();
+                Complex64::from_polar(1.0 / 64.0, -TAU * late_m / LAMBDA_M)
+            })
+            .sum();
+        // A rectangular pulse may lose one of its 201 samples.
+        let got = out.beam(0)[sample].norm();
+        assert!(
+            (db(got) - db(exact.norm())).abs() < 0.15,
+            "{range_m} m: {:.2} dB want {:.2}",
+            db(got),
+            db(exact.norm())
+        );
+        assert!(db(exact.norm()) < -1.0);
+    }
+}
+
+#[test]
+fn steering_follows_the_moving_receiver_and_both_legs() {
+    for (velocity, transmit_m) in [
+        (DVec3::new(5.144, 0.0, 0.0), DVec3::ZERO),
+        (DVec3::new(-9.0, 0.0, 0.6), DVec3::new(0.8, 0.0, 0.1)),
+    ] {
+        let mut rig = Rig::new(96, 0.01, AROUND);
+        rig.velocity_m_per_s = velocity;
+        rig.transmit_m = transmit_m;
+        for sine in [0.0, 0.03, -0.3] {
+            let spec = single(sine, Former::DynamicFocus);
+            let mut former = rig.former(&spec);
+            for range_m in [3.0, 10.0, 40.0, 180.0] {
+                let (point, sample) = rig.on_a_sample(sine, range_m);
+                let (frame, mut plan, at) = rig.around(point, sample, velocity);
+                let mut out = BeamFrame::default();
+                former.form(&plan, &frame, &mut out);
+                let got_db = db(out.beam(0)[at].norm());
+                assert!(
+                    got_db.abs() < 0.1,
+                    "sine {sine}, {range_m} m, {velocity}: {got_db:.3} dB"
+                );
+                if range_m > 30.0 {
+                    plan.segments[0].velocity_m_per_s = DVec3::ZERO;
+                    former.form(&plan, &frame, &mut out);
+                    let still = out.beam(0)[at - 4..at + 5]
+                        .iter()
+                        .fold(0.0_f64, |m, y| m.max(y.norm()));
+                    assert!(db(still) < -3.0, "motion left out: {:.2} dB", db(still));
+                }
+            }
+        }
+    }
+}
+
+/// Every sample's delays against those of its zone's focus, exactly.
+#[test]
+fn zones_err_by_no_more_than_the_phase_asked_for() {
+    for error_rad in [0.05, 0.2] {
+        let rig = Rig::new(128, 0.01, 4000);
+        let mut spec = single(0.0, Former::DynamicFocus);
+        spec.form.focus_error_rad = error_rad;
+        let mut former = rig.former(&spec);
+        former.make_zones(4000, 0.0);
+        assert_eq!(
+            (former.zones[0].first, former.zones.last().map(|z| z.end)),
+            (0, Some(4000))
+        );
+        let mut worst: f64 = 0.0;
+        for pair in former.zones.windows(2) {
+            assert_eq!(pair[0].end, pair[1].first);
+        }
+        for zone in &former.zones {
+            for sample in [zone.first, zone.end - 1] {
+                let range_m = (0.5 * C * sample as f64 / RATE_HZ).max(NEAREST_M);
+                let at_m = 0.5 * C * zone.time_s;
+                let x = former.half_aperture_m(range_m);
+                let late = |r: f64| r.hypot(x) - r;
+                worst = worst.max(TAU * (late(range_m) - late(at_m)).abs() / LAMBDA_M);
+            }
+        }
+        println!(
+            "{} zones, {worst:.4} rad of {error_rad}",
+            former.zones.len()
+        );
+        assert!(worst <= error_rad * 1.001, "{worst}");
+        assert!(
+            worst > 0.3 * error_rad,
+            "zones shorter than they need be: {worst}"
+        );
+    }
+}
+
+/// Along-track width of a point: lambda r / L, and from a range on where the aperture grows with it, the same at every range.
+#[test]
+fn a_dynamic_aperture_keeps_the_width_until_the_line_is_used_up() {
+    let rig = Rig::new(128, 0.01, 8000);
+    let f_number = 40.0;
+    for range_m in [12.0, 24.0, 40.0, 100.0] {
+        let (point, sample) = rig.on_a_sample(0.0, range_m);
+        let frame = rig.echo(point);
+        let mut spec = fan(161, 0.0, Shading::Uniform, Former::DynamicFocus);
+        spec.form.f_number = Some(f_number);
+        spec.form.spacing = BeamSpacing::EquiSine;
+        let used_m = 1.28_f64.min(range_m / f_number);
+        spec.sector_rad = 4.0 * LAMBDA_M / used_m;
+        let out = rig.beams(&spec, &frame);
+        let level: Vec<f64> = (0..161).map(|b| out.beam(b)[sample].norm()).collect();
+        let crossing = |mut b: usize, step: isize| {
+            while level[b] > level[80] * 0.5_f64.sqrt() {
+                b = b.strict_add_signed(step);
+            }
+            let inner = b.strict_add_signed(-step);
+            let part = (level[inner] - level[80] * 0.5_f64.sqrt()) / (level[inner] - level[b]);
+            let sine = |b: usize| out.angle_rad[b].sin();
+            sine(inner) + (sine(b) - sine(inner)) * part
+        };
+        let width_m = range_m * (crossing(80, 1) - crossing(80, -1));
+        let want_m = 0.886 * LAMBDA_M * range_m / used_m;
+        println!(
+            "{range_m} m: {:.1} mm, closed form {:.1} mm",
+            width_m * 1e3,
+            want_m * 1e3
+        );
+        // Whole elements: the aperture comes in steps of a centimetre, and zones let it lag by a twentieth.
+        assert!(
+            (width_m / want_m - 1.0).abs() < 0.08,
+            "{range_m} m: {width_m} want {want_m}"
+        );
+    }
+}
+
+#[test]
+fn beams_are_the_same_bits_on_one_thread_and_on_five_and_ping_after_ping() {
+    let rig = Rig::new(40, 0.01, 3000);
+    let spec = fan(23, 0.6, Shading::Hann, Former::DynamicFocus);
+    let frame = rig.echo(Rig::point(0.1, 20.0));
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("a pool").install(|| {
+            let mut former = rig.former(&spec);
+            let mut out = BeamFrame::default();
+            former.form(&rig.plan(DVec3::X), &frame, &mut out);
+            let first = out.clone();
+            former.form(&rig.plan(DVec3::X), &frame, &mut out);
+            assert_eq!(first, out);
+            out
+        })
+    };
+    assert_eq!(on(1), on(5));
+}
+
+#[test]
+fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
+    let rig = Rig::new(40, 0.01, 1500);
+    let spec = fan(9, 0.6, Shading::Hann, Former::DynamicFocus);
+    let frame = rig.echo(Rig::point(0.1, 15.0));
+    let with = |simd_level| {
+        let mut former = rig.former(&spec);
+        former.simd_level = simd_level;
+        let mut out = BeamFrame::default();
+        former.form(&rig.plan(DVec3::X), &frame, &mut out);
+        out
+    };
+    let (plain, best) = (with(SimdLevel::Plain), with(SimdLevel::best()));
+    let worst = plain
+        .iq
+        .iter()
+        .zip(&best.iq)
+        .fold(0.0_f64, |w, (a, b)| w.max((a - b).norm()));
+    assert!(
+        worst < 2e-4,
+        "{worst:.1e}: a row's nearest fraction may differ by rounding"
+    );
+}
+
+/// Equi-distant beams meet a flat bottom at equal steps, stabilised ones look to the same place whatever the roll.
+#[test]
+fn spacings_and_roll_stabilisation_point_the_beams_where_they_say() {
+    let mut rig = Rig::new(16, 0.01, 10);
+    rig.array = array(16, 0.01, 90.0);
+    let frame = ElementFrame {
+        elements: 16,
+        samples: 10,
+        iq: vec![Complex64::ZERO; 160],
+        ..ElementFrame::default()
+    };
+    let mut spec = fan(11, 2.0, Shading::Uniform, Former::TimeDelay);
+    spec.form.spacing = BeamSpacing::EquiDistant;
+    let out = rig.beams(&spec, &frame);
+    let steps: Vec<f64> = out
+        .angle_rad
+        .windows(2)
+        .map(|a| a[1].tan() - a[0].tan())
+        .collect();
+    assert!(steps.iter().all(|s| (s / steps[0] - 1.0).abs() < 1e-12));
+    assert!((out.angle_rad[0] + 1.0).abs() < 1e-12);
+    spec.form.spacing = BeamSpacing::EquiSine;
+    let out = rig.beams(&spec, &frame);
+    let step = 2.0 * 1.0_f64.sin() / 10.0;
+    assert!((out.angle_rad[6].sin() - step).abs() < 1e-12);
+    spec.form.roll_stabilised = true;
+    let mut plan = rig.plan(DVec3::ZERO);
+    plan.nav.roll_rad = 0.1;
+    let mut rolled = BeamFrame::default();
+    rig.former(&spec).form(&plan, &frame, &mut rolled);
+    for (level, array) in out.angle_rad.iter().zip(&rolled.angle_rad) {
+        // The body's direction at this angle, rolled starboard down, from the vertical.
+        let direction = echotank_core::frames::rotation_from_angles(0.1, 0.0, 0.0)
+            * DVec3::new(0.0, array.sin(), array.cos());
+        let seen = direction.y.atan2(direction.z);
+        assert!((seen - level).abs() < 1e-12, "{seen} want {level}");
+    }
+}
+
+#[test]
+fn sines_and_cosines_of_many_turns_are_right_to_f32() {
+    for step in -20_000..20_000 {
+        let cycles = step as f32 * 0.003_7;
+        let (sin, cos) = turn(cycles);
+        let want = (f64::from(cycles) * 2.0 * PI).sin_cos();
+        let off = (f64::from(sin) - want.0).hypot(f64::from(cos) - want.1);
+        assert!(off < 1e-6, "{cycles}: {off:e}");
+    }
+}

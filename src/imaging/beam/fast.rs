@@ -1,0 +1,443 @@
+//! A far-field fan of a line array by fast transforms, over time and over the line, in f32: what `exact` computes, at a fraction of its cost.
+//!
+//! At every frequency of the record the fan is one sum over equally spaced elements,
+//!
+//! ```text
+//! Y_b(f) = sum_e w_e X_e(f) exp(-j 2pi u_b (e - (E-1)/2)),    u_b = (f + f_c) d sin(theta_b)/c cycles per element
+//! ```
+//!
+//! whose directions u_b lie anywhere: equal steps of angle, of distance, of sine, stabilised. (A chirp-z transform gives equal steps of sine
+//! alone, with two transforms of E + B points; this takes one of 2 E, and the steps are free.) So: a transform of the elements onto a grid of
+//! at least 2 E directions, and for each beam [`TAPS`] of its values, weighted with a kernel whose own transform has been divided out of the
+//! elements' weights (a nonuniform transform of type 2; Kaiser-Bessel kernel, Fessler and Sutton 2003). Directions repeat with the period 1 of
+//! u: sparse arrays (subarrays with grating lobes) need no more than dense ones.
+//!
+//! Rows are transformed and matched-filtered in f64; the sum over elements and the way back to time are f32: rounding lies about 140 dB below
+//! the loudest sample of a beam. Work is split by element, by frequency and by beam: no sum crosses threads.
+//!
+//! Not modelled: near-field focus, motion, element patterns (they are in the samples).
+
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+use echotank_fft::{Fft, Planned};
+use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
+
+use super::RowLimits;
+use super::aimed::Aimed;
+use super::kernel::SimdLevel;
+use super::weights;
+use echotank_config::spec::{FanSpec, Shading};
+use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
+
+/// Width of the interpolating kernel in steps of the grid of directions; with a grid twice as dense as need be its error is 1e-7.
+const TAPS: usize = 8;
+/// Places between two steps at which the kernel is tabulated; linear between them, to 5e-7.
+const PLACES: usize = 512;
+/// Frequencies handled together: one line of a cache of every element.
+const TILE: usize = 16;
+/// The fan of one receive array.
+pub struct FastFan {
+    aimed: Aimed,
+    /// The weights over the kernel's transform.
+    spread: Vec<f32>,
+    inverse: Arc<dyn Fft<f32>>,
+    /// Over the elements.
+    line: Arc<dyn Fft<f32>>,
+    /// exp(-j pi k/N) over the unwrapped grid of an even number of elements, whose middle lies between two; ones for an odd number.
+    half_step: Vec<Complex32>,
+    kernel: Vec<[f32; TAPS]>,
+    /// Element-major, f32, after the matched filter; a tile longer than the transform, so that elements do not fall on each other in the caches.
+    spectra: Vec<Complex32>,
+    stride: usize,
+    /// By tiles of frequencies: beam by beam the tile's values.
+    mixed: Vec<Complex32>,
+    simd_level: SimdLevel,
+    workers: Vec<Worker>,
+}
+
+/// What one share of the work needs for itself.
+struct Worker {
+    row: Vec<Complex64>,
+    scratch: Vec<Complex64>,
+    beam: Vec<Complex32>,
+    beam_scratch: Vec<Complex32>,
+    /// One tile: frequency by frequency all elements, weighted.
+    tile: Vec<Complex32>,
+    line: Vec<Complex32>,
+    line_scratch: Vec<Complex32>,
+    grid: Grid,
+    places: Vec<Place>,
+}
+
+/// One frequency's values over the directions from -1/2 to 1/2 and half a kernel beyond: real parts, imaginary parts.
+struct Grid {
+    re: Vec<f32>,
+    im: Vec<f32>,
+}
+
+/// Where one beam lies on the grid.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    first: u32,
+    /// Into the table of the kernel: whole part, fraction.
+    entry: u32,
+    fraction: f32,
+    sign: f32,
+}
+
+impl FastFan {
+    /// As [`FanFormer::new`](super::conventional::FanFormer::new).
+    pub fn new(
+        array: &ArrayGeometry,
+        fan: &FanSpec,
+        limits: RowLimits,
+        pulse: &Pulse,
+        weighting: Shading,
+        sound_speed_m_per_s: f64,
+    ) -> Self {
+        let (elements, c) = (array.elements, sound_speed_m_per_s);
+        let silence = Aimed::far_field_silence(array, &limits, c);
+        let aimed = Aimed::new(array, fan, (limits, silence), pulse, weighting, c);
+        let correlator = &aimed.correlator;
+        let length = correlator.length();
+        let grid = (2 * elements).next_power_of_two().max(2 * TAPS);
+        let kernel = Kernel::new(grid as f64 / elements as f64);
+        let spread = aimed.weights.iter().enumerate().map(|(e, w)| {
+            let place = e as f64 - (elements / 2) as f64 + middle(elements);
+            (w / kernel.transform(place / grid as f64)) as f32
+        });
+        let (inverse, line) = (f32::plan_inverse(length), f32::plan_forward(grid));
+        let zero = Complex32::new(0.0, 0.0);
+        let worker = || Worker {
+            row: vec![Complex64::ZERO; length],
+            scratch: correlator.make_scratch(),
+            beam: vec![zero; length],
+            beam_scratch: vec![zero; inverse.get_inplace_scratch_len()],
+            tile: vec![zero; TILE * elements],
+            line: vec![zero; grid],
+            line_scratch: vec![zero; line.get_inplace_scratch_len()],
+            grid: Grid {
+                re: vec![0.0; grid + TAPS + 1],
+                im: vec![0.0; grid + TAPS + 1],
+            },
+            places: vec![Place::default(); fan.beams],
+        };
+        let half_step = (0..grid + TAPS + 1).map(|i| {
+            let k = i as f64 - (grid / 2 + TAPS / 2) as f64;
+            let turn = Complex64::from_polar(1.0, -TAU * middle(elements) * k / grid as f64);
+            Complex32::new(turn.re as f32, turn.im as f32)
+        });
+        Self {
+            spread: spread.collect(),
+            half_step: half_step.collect(),
+            kernel: kernel.table(),
+            spectra: vec![zero; (length + TILE) * elements],
+            stride: length + TILE,
+            mixed: vec![zero; length * fan.beams],
+            simd_level: SimdLevel::best(),
+            workers: (0..rayon::current_num_threads().max(1))
+                .map(|_| worker())
+                .collect(),
+            aimed,
+            inverse,
+            line,
+        }
+    }
+
+    /// Index of the receive array it belongs to.
+    pub fn array(&self) -> usize {
+        self.aimed.array()
+    }
+
+    /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
+    pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
+        self.aimed.begin(plan, frame, out);
+        if frame.samples == 0 {
+            return;
+        }
+        self.transform_elements(frame);
+        self.mix();
+        self.transform_beams(frame.samples, &mut out.iq);
+    }
+
+    fn transform_elements(&mut self, frame: &ElementFrame) {
+        let (correlator, stride) = (&self.aimed.correlator, self.stride);
+        let share = self.aimed.elements().div_ceil(self.workers.len());
+        self.spectra
+            .par_chunks_mut(share * stride)
+            .zip(&mut self.workers)
+            .enumerate()
+            .for_each(|(w, (spectra, worker))| {
+                for (i, spectrum) in spectra.chunks_exact_mut(stride).enumerate() {
+                    let (head, tail) = worker.row.split_at_mut(frame.samples);
+                    head.copy_from_slice(frame.element(w * share + i));
+                    tail.fill(Complex64::ZERO);
+                    correlator.forward(&mut worker.row, &mut worker.scratch);
+                    for (to, from) in spectrum.iter_mut().zip(&worker.row) {
+                        *to = Complex32::new(from.re as f32, from.im as f32);
+                    }
+                }
+            });
+    }
+
+    /// All beams at every frequency.
+    fn mix(&mut self) {
+        let (beams, length) = (self.aimed.beams(), self.aimed.correlator.length());
+        let share = (length / TILE).div_ceil(self.workers.len());
+        let mut workers = std::mem::take(&mut self.workers);
+        let mut mixed = std::mem::take(&mut self.mixed);
+        let this = &*self;
+        mixed
+            .par_chunks_mut(share * TILE * beams)
+            .zip(&mut workers)
+            .enumerate()
+            .for_each(|(w, (mixed, worker))| {
+                for (t, tile) in mixed.chunks_exact_mut(TILE * beams).enumerate() {
+                    let first = (w * share + t) * TILE;
+                    this.gather(first, &mut worker.tile);
+                    for bin in 0..TILE {
+                        this.mix_one(first + bin, bin, worker, tile);
+                    }
+                }
+            });
+        self.workers = workers;
+        self.mixed = mixed;
+    }
+
+    /// The elements' values at a tile of frequencies, weighted.
+    fn gather(&self, first: usize, tile: &mut [Complex32]) {
+        let elements = self.aimed.elements();
+        for (e, w) in self.spread.iter().enumerate() {
+            let from = &self.spectra[e * self.stride + first..][..TILE];
+            for (i, x) in from.iter().enumerate() {
+                tile[i * elements + e] = x * *w;
+            }
+        }
+    }
+
+    /// All beams at frequency `bin`, the `at`th of its tile.
+    fn mix_one(&self, bin: usize, at: usize, worker: &mut Worker, tile: &mut [Complex32]) {
+        let (elements, grid) = (self.aimed.elements(), worker.line.len());
+        // Element E/2 is the grid's zero; those before it lie at its far end.
+        let values = &worker.tile[at * elements..][..elements];
+        let (before, behind) = values.split_at(elements / 2);
+        worker.line[..behind.len()].copy_from_slice(behind);
+        worker.line[behind.len()..grid - before.len()].fill(Complex32::new(0.0, 0.0));
+        worker.line[grid - before.len()..].copy_from_slice(before);
+        self.line
+            .process_with_scratch(&mut worker.line, &mut worker.line_scratch);
+        // From -1/2 cycle per element on, half a kernel earlier; positive u is the transform's positive index.
+        let start = grid - grid / 2 - TAPS / 2;
+        for (i, turn) in self.half_step.iter().enumerate() {
+            let y = worker.line[(start + i) & (grid - 1)] * turn;
+            worker.grid.re[i] = y.re;
+            worker.grid.im[i] = y.im;
+        }
+        let band = Band {
+            per_sine: self.aimed.band().frequency_hz(bin) * self.aimed.spacing_m()
+                / self.aimed.sound_speed_m_per_s,
+            grid: grid as f64,
+            alternates: elements.is_multiple_of(2),
+        };
+        let steering = (&band, &self.aimed.directions.sine[..]);
+        let (kernel, out) = (&self.kernel[..], &mut tile[at..]);
+        let places = &mut worker.places[..];
+        interpolate(self.simd_level, kernel, &worker.grid, steering, places, out);
+    }
+
+    fn transform_beams(&mut self, samples: usize, out: &mut [Complex64]) {
+        let beams = self.aimed.beams();
+        let (mixed, inverse) = (&self.mixed, &self.inverse);
+        let share = beams.div_ceil(self.workers.len());
+        out.par_chunks_mut(share * samples)
+            .zip(&mut self.workers)
+            .enumerate()
+            .for_each(|(w, (rows, worker))| {
+                for (i, row) in rows.chunks_exact_mut(samples).enumerate() {
+                    let b = w * share + i;
+                    for (to, tile) in worker
+                        .beam
+                        .chunks_exact_mut(TILE)
+                        .zip(mixed.chunks_exact(TILE * beams))
+                    {
+                        to.copy_from_slice(&tile[b * TILE..][..TILE]);
+                    }
+                    inverse.process_with_scratch(&mut worker.beam, &mut worker.beam_scratch);
+                    for (y, x) in row.iter_mut().zip(&worker.beam) {
+                        *y = Complex64::new(f64::from(x.re), f64::from(x.im));
+                    }
+                }
+            });
+    }
+}
+
+/// From the element that is counted from to the line's middle: half a step where the number is even.
+fn middle(elements: usize) -> f64 {
+    match elements.is_multiple_of(2) {
+        true => 0.5,
+        false => 0.0,
+    }
+}
+
+/// How the directions of one frequency lie on the grid.
+struct Band {
+    /// Cycles per element for a sine of 1.
+    per_sine: f64,
+    grid: f64,
+    /// A whole cycle per element turns an even number of elements, counted from their middle, by half a cycle.
+    alternates: bool,
+}
+
+impl Band {
+    #[inline(always)]
+    fn place(&self, sine: f64) -> Place {
+        // To the nearest whole number without a call, so that loops vectorise.
+        const SHIFT: f64 = 6_755_399_441_055_744.0;
+        let u = self.per_sine * sine;
+        let whole = (u + SHIFT) - SHIFT;
+        // The kernel's first tap lies TAPS/2 - 1 steps before the direction's step, and the grid begins TAPS/2 before -1/2.
+        let at = (u - whole + 0.5) * self.grid + 1.0;
+        let first = at as i32;
+        let entry = (at - f64::from(first)) * PLACES as f64;
+        let odd = (whole as i32) & 1 != 0;
+        Place {
+            first: first as u32,
+            entry: entry as i32 as u32,
+            fraction: (entry - f64::from(entry as i32)) as f32,
+            sign: if self.alternates && odd { -1.0 } else { 1.0 },
+        }
+    }
+}
+
+/// Beam b's value into `out[b TILE]`. `places` is room.
+fn interpolate(
+    simd_level: SimdLevel,
+    kernel: &[[f32; TAPS]],
+    grid: &Grid,
+    steering: (&Band, &[f64]),
+    places: &mut [Place],
+    out: &mut [Complex32],
+) {
+    match simd_level {
+        SimdLevel::Plain => interpolate_plain(kernel, grid, steering, places, out),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
+        SimdLevel::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, places, out) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        SimdLevel::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, places, out) },
+    }
+}
+
+/// The same arithmetic, compiled for wider registers.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn interpolate_avx2(
+    kernel: &[[f32; TAPS]],
+    grid: &Grid,
+    steering: (&Band, &[f64]),
+    places: &mut [Place],
+    out: &mut [Complex32],
+) {
+    interpolate_plain(kernel, grid, steering, places, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn interpolate_avx512(
+    kernel: &[[f32; TAPS]],
+    grid: &Grid,
+    steering: (&Band, &[f64]),
+    places: &mut [Place],
+    out: &mut [Complex32],
+) {
+    interpolate_plain(kernel, grid, steering, places, out);
+}
+
+#[inline(always)]
+fn interpolate_plain(
+    kernel: &[[f32; TAPS]],
+    grid: &Grid,
+    (band, sines): (&Band, &[f64]),
+    places: &mut [Place],
+    out: &mut [Complex32],
+) {
+    for (place, sine) in places.iter_mut().zip(sines) {
+        *place = band.place(*sine);
+    }
+    for (place, out) in places.iter().zip(out.iter_mut().step_by(TILE)) {
+        let entry = place.entry as usize;
+        let (near, next) = (&kernel[entry], &kernel[entry + 1]);
+        let first = place.first as usize;
+        let re: &[f32; TAPS] = grid.re[first..first + TAPS].try_into().expect("as long");
+        let im: &[f32; TAPS] = grid.im[first..first + TAPS].try_into().expect("as long");
+        let (mut a, mut b) = ([0.0f32; TAPS], [0.0f32; TAPS]);
+        for i in 0..TAPS {
+            let w = near[i] + place.fraction * (next[i] - near[i]);
+            a[i] = w * re[i];
+            b[i] = w * im[i];
+        }
+        *out = Complex32::new(sum(a) * place.sign, sum(b) * place.sign);
+    }
+}
+
+/// In a fixed order that adds side by side.
+#[inline(always)]
+fn sum(x: [f32; TAPS]) -> f32 {
+    ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
+}
+
+/// Kaiser-Bessel: I0(beta sqrt(1 - (x / half)^2)).
+struct Kernel {
+    beta: f64,
+}
+
+impl Kernel {
+    /// For a grid `oversampling` times as dense as the elements need (Beatty, Nishimura and Pauly 2005, Eq. 5).
+    fn new(oversampling: f64) -> Self {
+        let s = oversampling;
+        let width = TAPS as f64;
+        Self {
+            beta: PI * ((width / s * (s - 0.5)).powi(2) - 0.8).sqrt(),
+        }
+    }
+
+    fn at(&self, x: f64) -> f64 {
+        let half = 0.5 * TAPS as f64;
+        weights::Taper::Kaiser(self.beta).at(0.5 * x / half)
+    }
+
+    /// integral of kernel(x) exp(-j 2pi x xi) dx, scaled as [`Kernel::at`] is: 1 at its middle.
+    fn transform(&self, xi: f64) -> f64 {
+        let half = 0.5 * TAPS as f64;
+        let s2 = self.beta.powi(2) - (TAU * half * xi).powi(2);
+        // sinh(beta) and I0(beta) both grow as exp(beta): taken out.
+        let scale = 2.0 * half * (-self.beta).exp() / scaled_i0(self.beta);
+        match s2 > 0.0 {
+            true => scale * s2.sqrt().sinh() / s2.sqrt(),
+            false => scale * (-s2).sqrt().sin() / (-s2).sqrt().max(1e-12),
+        }
+    }
+
+    /// Weights of the taps at every place between two steps of the grid, one more than [`PLACES`].
+    fn table(&self) -> Vec<[f32; TAPS]> {
+        (0..=PLACES)
+            .map(|p| {
+                let place = p as f64 / PLACES as f64;
+                // Tap i lies i - (TAPS/2 - 1) - place from the direction.
+                std::array::from_fn(|i| self.at(i as f64 - (TAPS / 2 - 1) as f64 - place) as f32)
+            })
+            .collect()
+    }
+}
+
+/// I0(x) exp(-x).
+fn scaled_i0(x: f64) -> f64 {
+    weights::bessel_i0(x) * (-x).exp()
+}
+
+#[cfg(test)]
+#[path = "fast_tests.rs"]
+mod tests;

@@ -1,0 +1,210 @@
+//! The fast fan swept against the exact one.
+
+use glam::DVec3;
+
+use super::*;
+use crate::beam::conventional::FanFormer;
+use crate::beam::test_rig::array;
+use echotank_config::spec::{BeamSpacing, FanForm, Former};
+use echotank_core::flow::testing::plan_at_rest;
+use echotank_core::flow::{Mounting, Pattern, PulseKind};
+
+const C: f64 = 1500.0;
+const RATE_HZ: f64 = 160e3;
+const SAMPLES: usize = 700;
+
+fn pulse() -> Pulse {
+    Pulse {
+        kind: PulseKind::LfmUp,
+        center_frequency_hz: 200e3,
+        bandwidth_hz: 100e3,
+        duration_s: 1e-3,
+        taper: 0.1,
+    }
+}
+
+fn limits() -> RowLimits {
+    RowLimits {
+        sample_rate_hz: RATE_HZ,
+        samples: SAMPLES,
+        pulse_s: 1e-3,
+    }
+}
+
+/// Every sample of every element drawn by itself: no direction is empty, nothing cancels.
+fn noise(elements: usize, samples: usize) -> ElementFrame {
+    let mut state = 7u64;
+    let mut draw = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
+    };
+    ElementFrame {
+        array: 0,
+        elements,
+        samples,
+        iq: (0..elements * samples)
+            .map(|_| Complex64::new(draw(), draw()))
+            .collect(),
+        saturated: 0,
+    }
+}
+
+fn fan(beams: usize, sector_rad: f64, spacing: BeamSpacing) -> FanSpec {
+    FanSpec {
+        array: 0,
+        beams,
+        sector_rad,
+        shading: Shading::Hann,
+        form: FanForm {
+            former: Former::Fft,
+            spacing,
+            ..FanForm::default()
+        },
+    }
+}
+
+/// rms of the differences over rms, and the greatest over the greatest.
+fn error(got: &BeamFrame, want: &BeamFrame) -> (f64, f64) {
+    let (mut off, mut all, mut worst, mut most) = (0.0, 0.0, 0.0_f64, 0.0_f64);
+    for (g, w) in got.iq.iter().zip(&want.iq) {
+        let d = (g - w).norm_sqr();
+        off += d;
+        all += w.norm_sqr();
+        worst = worst.max(d);
+        most = most.max(w.norm_sqr());
+    }
+    ((off / all).sqrt(), (worst / most).sqrt())
+}
+
+/// Dense and sparse lines, odd and even, few and many beams, every spacing: 1e-6 of the exact fan, half the band's frequencies off its middle.
+#[test]
+fn equals_the_exact_fan_to_2e_minus_6_for_any_line_and_any_directions() {
+    for (elements, spacing_m, beams, sector_rad, spacing) in [
+        (128, 0.003, 101, 2.4, BeamSpacing::EquiAngle),
+        (33, 0.003, 64, 2.0, BeamSpacing::EquiSine),
+        (48, 0.011, 40, 2.9, BeamSpacing::EquiDistant),
+        (5, 0.2, 25, 0.02, BeamSpacing::EquiSine),
+        (2, 0.004, 3, 3.1, BeamSpacing::EquiAngle),
+        (6, 0.1, 1, 0.0, BeamSpacing::EquiAngle),
+    ] {
+        let array = array(elements, spacing_m, 90.0);
+        let mut spec = fan(beams, sector_rad, spacing);
+        spec.form.center_rad = 0.01;
+        let frame = noise(elements, SAMPLES);
+        let plan = plan_at_rest(&pulse(), SAMPLES, C);
+        let (mut got, mut want) = (BeamFrame::default(), BeamFrame::default());
+        let weighting = Shading::Hamming;
+        FastFan::new(&array, &spec, limits(), &pulse(), weighting, C).form(&plan, &frame, &mut got);
+        FanFormer::new(&array, &spec, limits(), &pulse(), weighting, C)
+            .form(&plan, &frame, &mut want);
+        assert_eq!(got.angle_rad, want.angle_rad);
+        assert_eq!(got.width_rad, want.width_rad);
+        let (rms, worst) = error(&got, &want);
+        println!(
+            "{elements} x {spacing_m} m, {beams} beams {spacing:?}: rms {rms:.1e}, worst {worst:.1e}"
+        );
+        assert!(
+            rms < 2e-6 && worst < 2e-6,
+            "{elements}: {rms:.1e} {worst:.1e}"
+        );
+    }
+}
+
+#[test]
+fn roll_shorter_rows_and_other_pulses_are_followed() {
+    let array = array(16, 0.004, 90.0);
+    let mut spec = fan(9, 1.0, BeamSpacing::EquiAngle);
+    spec.form.roll_stabilised = true;
+    let mut fast = FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
+    let mut exact = FanFormer::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
+    let other = Pulse {
+        kind: PulseKind::LfmDown,
+        duration_s: 0.7e-3,
+        ..pulse()
+    };
+    let (mut got, mut want) = (BeamFrame::default(), BeamFrame::default());
+    for (pulse, samples, roll_rad, c) in [
+        (pulse(), SAMPLES, 0.0, C),
+        (other, 300, 0.1, C),
+        (pulse(), 0, 0.1, C),
+        (pulse(), 500, -0.2, 1460.0),
+    ] {
+        let frame = noise(16, samples);
+        let mut plan = plan_at_rest(&pulse, samples, c);
+        plan.nav.roll_rad = roll_rad;
+        fast.form(&plan, &frame, &mut got);
+        exact.form(&plan, &frame, &mut want);
+        assert_eq!((got.beams, got.samples), (9, samples));
+        assert_eq!(got.angle_rad, want.angle_rad);
+        if samples > 0 {
+            let (rms, worst) = error(&got, &want);
+            assert!(
+                rms < 2e-6 && worst < 2e-6,
+                "{samples}: {rms:.1e} {worst:.1e}"
+            );
+        }
+    }
+}
+
+#[test]
+fn beams_are_the_same_bits_on_one_thread_and_on_five() {
+    let array = array(40, 0.004, 90.0);
+    let spec = fan(23, 2.0, BeamSpacing::EquiAngle);
+    let frame = noise(40, SAMPLES);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("a pool").install(|| {
+            let mut out = BeamFrame::default();
+            FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C).form(
+                &plan_at_rest(&pulse(), SAMPLES, C),
+                &frame,
+                &mut out,
+            );
+            out
+        })
+    };
+    assert_eq!(on(1), on(5));
+}
+
+#[test]
+fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
+    let array = array(32, 0.004, 90.0);
+    let spec = fan(33, 2.0, BeamSpacing::EquiAngle);
+    let frame = noise(32, SAMPLES);
+    let with = |simd_level| {
+        let mut former = FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
+        former.simd_level = simd_level;
+        let mut out = BeamFrame::default();
+        former.form(&plan_at_rest(&pulse(), SAMPLES, C), &frame, &mut out);
+        out
+    };
+    let (rms, worst) = error(&with(SimdLevel::best()), &with(SimdLevel::Plain));
+    assert!(rms < 1e-6 && worst < 1e-6, "{rms:.1e} {worst:.1e}");
+}
+
+/// As the configuration names it.
+#[test]
+fn the_fan_of_the_configuration_is_this_one() {
+    let array = array(8, 0.004, 90.0);
+    let transmit = echotank_core::flow::TransmitArray {
+        mounting: Mounting {
+            position_m: DVec3::ZERO,
+            body_from_array: glam::DQuat::IDENTITY,
+        },
+        pattern: Pattern::Omnidirectional,
+        level_offset_db: 0.0,
+    };
+    let spec = fan(3, 1.0, BeamSpacing::EquiAngle);
+    let fan = super::super::fan::Fan::new(
+        &array,
+        &transmit,
+        &spec,
+        limits(),
+        &pulse(),
+        Shading::Uniform,
+        C,
+    );
+    assert!(matches!(fan, super::super::fan::Fan::Fast(_)));
+}

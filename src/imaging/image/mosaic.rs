@@ -1,0 +1,705 @@
+//! The mosaic: side-scan lines laid on the ground, in metres of the UTM zone of the survey, north up.
+//!
+//! A sample of slant range r lies at ground range sqrt(r^2 - h^2) to its side, h the altitude (flat bottom across the ping). Each ping covers
+//! the stretch of track half way to its neighbours, so that no gap opens while the track bends; where a pixel is met more than once,
+//! [`Overlap`] decides. The water column is left out, and with `nadir_rad` what lies under the sonar, where resolution is poor: other lines may
+//! fill it. A towed body lies `layback_m` behind the navigation's reference, along the heading. Pitch carries the beam ahead of the sonar, and so
+//! does its way during the echo. With [`LineTruth`]s the map has [`Mask`]s, pixel for pixel.
+//!
+//! Pictures go north up, a row of pixels per row of cells; [`Mosaic::write_geotiff`] writes intensity in dB as 32-bit floats with the
+//! coordinate system, [`Mosaic::write_png`] the same in a colour map.
+//!
+//! Not modelled: slope of the bottom across the ping, refraction, beam width (a pixel takes the line's value, however wide the beam is there).
+
+use std::io::{self, Seek, Write};
+
+use glam::DVec2;
+use tiff::encoder::{TiffEncoder, colortype};
+use tiff::tags::Tag;
+
+use super::line::{Projection, RangeAxis, cell_intensity};
+use super::masks::{Mask, cell_masks};
+use crate::image::colour::rgb;
+pub use echotank_config::spec::Overlap;
+use echotank_config::spec::{ColourMap, Contrast};
+use echotank_core::flow::{Line, LineTruth, Side};
+use echotank_core::utm::UtmZone;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MosaicSpec {
+    pub metres_per_pixel: f64,
+    pub overlap: Overlap,
+    pub range_m: f64,
+    /// Directions nearer to the vertical than this are left out.
+    pub nadir_rad: f64,
+    /// How far behind the reference the sonar lies.
+    pub layback_m: f64,
+    /// Pixels at most, in the whole picture.
+    pub max_pixels: usize,
+}
+
+impl Default for MosaicSpec {
+    fn default() -> Self {
+        Self {
+            metres_per_pixel: 0.25,
+            overlap: Overlap::Mean,
+            range_m: 100.0,
+            nadir_rad: 0.0,
+            layback_m: 0.0,
+            max_pixels: 100_000_000,
+        }
+    }
+}
+
+/// One ping's place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    pub latitude_rad: f64,
+    pub longitude_rad: f64,
+    /// Clockwise from true north.
+    pub heading_rad: f64,
+    /// Over the bottom.
+    pub altitude_m: f64,
+    /// Bow up.
+    pub pitch_rad: f64,
+    /// Speed ahead over the speed of sound: the beam's middle lies so many metres ahead for a metre of range.
+    pub drift: f64,
+    /// Where the arrays sit, to starboard of the place: port and starboard.
+    pub starboard_m: [f64; 2],
+}
+
+impl Place {
+    /// Of a level sonar at rest in the place itself.
+    pub fn level(latitude_rad: f64, longitude_rad: f64, heading_rad: f64, altitude_m: f64) -> Self {
+        Self {
+            latitude_rad,
+            longitude_rad,
+            heading_rad,
+            altitude_m,
+            pitch_rad: 0.0,
+            drift: 0.0,
+            starboard_m: [0.0; 2],
+        }
+    }
+}
+
+/// One ping, kept until the next tells how far it reaches.
+struct Ping {
+    /// East, north: metres of the zone.
+    at_m: DVec2,
+    ahead: DVec2,
+    altitude_m: f64,
+    pitch_tan: f64,
+    drift: f64,
+    starboard_m: [f64; 2],
+    /// Intensity in cells of half a pixel of ground range, port and starboard; NaN is nothing.
+    sides: [Vec<f32>; 2],
+    /// What they show; empty where nobody said.
+    masks: [Vec<Mask>; 2],
+}
+
+impl Ping {
+    /// Where a place `across_m` to one side (0 port, 1 starboard) lies: east, north.
+    fn at_m(&self, side: usize, across_m: f64) -> DVec2 {
+        let ahead_m =
+            self.altitude_m * self.pitch_tan + self.drift * across_m.hypot(self.altitude_m);
+        let starboard_m = match side {
+            0 => self.starboard_m[0] - across_m,
+            _ => self.starboard_m[1] + across_m,
+        };
+        self.at_m + self.ahead * ahead_m + DVec2::new(self.ahead.y, -self.ahead.x) * starboard_m
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum MosaicError {
+    #[error("nothing was laid")]
+    Empty,
+    #[error("{pixels} pixels, {most} allowed: larger pixels, or less of the survey")]
+    TooLarge { pixels: usize, most: usize },
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    #[error("TIFF: {0}")]
+    Tiff(#[from] tiff::TiffError),
+    #[error("PNG: {0}")]
+    Png(#[from] png::EncodingError),
+}
+
+/// Ranges within this of each other are equally near: pings of one pass.
+const NEARER: f32 = 0.98;
+
+/// What was laid on one pixel.
+#[derive(Clone, Copy)]
+struct Pixel {
+    sum: f32,
+    weight: f32,
+    nearest_m: f32,
+}
+
+impl Pixel {
+    const NOTHING: Self = Self {
+        sum: 0.0,
+        weight: 0.0,
+        nearest_m: f32::INFINITY,
+    };
+
+    fn intensity(&self) -> f32 {
+        match self.weight > 0.0 {
+            true => self.sum / self.weight,
+            false => f32::NAN,
+        }
+    }
+}
+
+/// Pings in, a map out.
+pub struct MosaicBuilder {
+    spec: MosaicSpec,
+    zone: Option<UtmZone>,
+    pings: Vec<Ping>,
+}
+
+/// Mean intensities on a grid, north up.
+pub struct Mosaic {
+    pub zone: UtmZone,
+    pub metres_per_pixel: f64,
+    /// Easting and northing of the picture's north-west corner.
+    pub west_m: f64,
+    pub north_m: f64,
+    pub width: usize,
+    pub height: usize,
+    /// Row-major from the north; NaN is nothing.
+    pub intensity: Vec<f32>,
+    /// The same pixels' masks; empty where no ping was labelled.
+    pub masks: Vec<Mask>,
+}
+
+impl MosaicBuilder {
+    pub fn new(spec: MosaicSpec) -> Self {
+        Self {
+            spec,
+            zone: None,
+            pings: Vec::new(),
+        }
+    }
+
+    /// One ping's lines (envelopes). The zone is that of the first ping.
+    pub fn push(&mut self, place: &Place, axis: RangeAxis, lines: &[Line]) {
+        self.push_labelled(place, axis, lines, &[]);
+    }
+
+    /// The same with what the lines show.
+    pub fn push_labelled(
+        &mut self,
+        place: &Place,
+        axis: RangeAxis,
+        lines: &[Line],
+        truths: &[LineTruth],
+    ) {
+        let zone = *self
+            .zone
+            .get_or_insert_with(|| UtmZone::of(place.latitude_rad, place.longitude_rad));
+        let (east_m, north_m) = zone.project_m(place.latitude_rad, place.longitude_rad);
+        // The map's own direction of heading: a metre ahead, projected (grid convergence and scale are in it).
+        let (sin, cos) = place.heading_rad.sin_cos();
+        const METRE_RAD: f64 = 1e-6;
+        let (e1, n1) = zone.project_m(
+            place.latitude_rad + METRE_RAD * cos,
+            place.longitude_rad + METRE_RAD * sin / place.latitude_rad.cos(),
+        );
+        let ahead = DVec2::new(e1 - east_m, n1 - north_m).normalize_or(DVec2::new(sin, cos));
+        let cell_m = 0.5 * self.spec.metres_per_pixel;
+        let cells = (self.spec.range_m / cell_m).ceil() as usize;
+        let projection = Projection::Ground {
+            altitude_m: place.altitude_m,
+        };
+        let min_m = place.altitude_m / self.spec.nadir_rad.cos();
+        let mut sides = [vec![f32::NAN; cells], vec![f32::NAN; cells]];
+        for line in lines {
+            let side = &mut sides[usize::from(line.side == Side::Starboard)];
+            cell_intensity(&line.amplitude, axis, projection, cell_m, min_m, side);
+        }
+        let mut masks = [Vec::new(), Vec::new()];
+        for truth in truths {
+            let side = &mut masks[usize::from(truth.side == Side::Starboard)];
+            side.resize(cells, Mask::NOTHING);
+            cell_masks(truth, axis, projection, cell_m, side);
+        }
+        self.pings.push(Ping {
+            at_m: DVec2::new(east_m, north_m) - ahead * self.spec.layback_m,
+            ahead,
+            altitude_m: place.altitude_m,
+            pitch_tan: place.pitch_rad.tan(),
+            drift: place.drift,
+            starboard_m: place.starboard_m,
+            sides,
+            masks,
+        });
+    }
+
+    /// Lays all pings.
+    pub fn finish(self) -> Result<Mosaic, MosaicError> {
+        let (Some(zone), false) = (self.zone, self.pings.is_empty()) else {
+            return Err(MosaicError::Empty);
+        };
+        let cell_m = self.spec.metres_per_pixel;
+        let reach = DVec2::splat(self.spec.range_m + cell_m);
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for ping in &self.pings {
+            for side in 0..2 {
+                let at_m = ping.at_m(side, 0.0);
+                low = low.min(at_m - reach);
+                high = high.max(at_m + reach);
+            }
+        }
+        // Whole multiples of a pixel, so that maps of one survey fit each other.
+        let low = (low / cell_m).floor() * cell_m;
+        let size = ((high - low) / cell_m).ceil();
+        let area = size.x * size.y;
+        if area.is_nan() || area > self.spec.max_pixels as f64 {
+            return Err(MosaicError::TooLarge {
+                pixels: area as usize,
+                most: self.spec.max_pixels,
+            });
+        }
+        let (width, height) = (size.x as usize, size.y as usize);
+        let north_m = low.y + height as f64 * cell_m;
+        let mut pixels = vec![Pixel::NOTHING; width * height];
+        let labelled = self
+            .pings
+            .iter()
+            .flat_map(|p| &p.masks)
+            .any(|m| !m.is_empty());
+        let mut masks = match labelled {
+            true => vec![Mask::NOTHING; width * height],
+            false => Vec::new(),
+        };
+        for i in 0..self.pings.len() {
+            self.lay(i, |at, value, range_m, mask| {
+                let x = (at.x - low.x) / cell_m;
+                let y = (north_m - at.y) / cell_m;
+                if x < 0.0 || y < 0.0 || x >= width as f64 || y >= height as f64 {
+                    return;
+                }
+                let p = y as usize * width + x as usize;
+                let met = self.meet(value, range_m, &mut pixels[p]);
+                if let (Some(mask), Some(there)) = (mask, masks.get_mut(p)) {
+                    met.label(*mask, there);
+                }
+            });
+        }
+        let intensity = pixels.iter().map(Pixel::intensity).collect();
+        Ok(Mosaic {
+            zone,
+            metres_per_pixel: cell_m,
+            west_m: low.x,
+            north_m,
+            width,
+            height,
+            intensity,
+            masks,
+        })
+    }
+
+    /// One ping's strip, half way to its neighbours, in steps of half a pixel: place, intensity, range and mask of every step.
+    fn lay(&self, i: usize, mut put: impl FnMut(DVec2, f32, f32, Option<&Mask>)) {
+        let ping = &self.pings[i];
+        let step_m = 0.5 * self.spec.metres_per_pixel;
+        // A jump of the track is no stretch to be filled.
+        let longest_m = 50.0 * self.spec.metres_per_pixel;
+        let neighbours = [
+            i.checked_sub(1).map(|k| &self.pings[k]),
+            self.pings.get(i + 1),
+        ];
+        for (side, cells) in ping.sides.iter().enumerate() {
+            for (k, value) in cells.iter().enumerate().filter(|c| !c.1.is_nan()) {
+                let across_m = (k as f64 + 0.5) * step_m;
+                // What lies between the two sides' arrays is the bottom's first echo.
+                if k == 0 {
+                    let inward = ping.starboard_m[side] * [-1.0, 1.0][side];
+                    for back in 0..(inward / step_m).ceil().max(0.0) as usize {
+                        let here = ping.at_m(side, -(back as f64 + 0.5) * step_m);
+                        put(
+                            here,
+                            *value,
+                            ping.altitude_m as f32,
+                            ping.masks[side].first(),
+                        );
+                    }
+                }
+                let range_m = across_m.hypot(ping.altitude_m) as f32;
+                let here = ping.at_m(side, across_m);
+                let mask = ping.masks[side].get(k);
+                for other in neighbours {
+                    let to = other.map_or(DVec2::ZERO, |o| 0.5 * (o.at_m(side, across_m) - here));
+                    let way = match to.length() <= longest_m {
+                        true => to,
+                        false => DVec2::ZERO,
+                    };
+                    let steps = (way.length() / step_m).ceil().max(1.0) as usize;
+                    for s in 0..steps {
+                        let at = here + way * ((s as f64 + 0.5) / steps as f64);
+                        put(at, *value, range_m, mask);
+                    }
+                }
+            }
+        }
+    }
+
+    fn meet(&self, value: f32, range_m: f32, pixel: &mut Pixel) -> Met {
+        let Pixel {
+            sum,
+            weight,
+            nearest_m,
+        } = pixel;
+        match self.spec.overlap {
+            Overlap::Mean => {
+                *sum += value;
+                *weight += 1.0;
+                match *weight > 1.0 {
+                    true => Met::Added,
+                    false => Met::Replaced,
+                }
+            }
+            Overlap::Last => {
+                (*sum, *weight) = (value, 1.0);
+                Met::Replaced
+            }
+            Overlap::Nearest if range_m < *nearest_m * NEARER => {
+                (*sum, *weight, *nearest_m) = (value, 1.0, range_m);
+                Met::Replaced
+            }
+            Overlap::Nearest if range_m * NEARER <= *nearest_m => {
+                *sum += value;
+                *weight += 1.0;
+                Met::Added
+            }
+            Overlap::Nearest => Met::Passed,
+        }
+    }
+}
+
+/// What became of what a pixel met.
+#[derive(Clone, Copy)]
+enum Met {
+    Replaced,
+    Added,
+    Passed,
+}
+
+impl Met {
+    /// A mean over pings shows a target that any of them shows, and shadow where all of them do.
+    fn label(self, mask: Mask, there: &mut Mask) {
+        match self {
+            Self::Replaced => *there = mask,
+            Self::Passed => {}
+            Self::Added => {
+                if there.target == 0 {
+                    there.target = mask.target;
+                }
+                there.shadow &= mask.shadow && there.target == 0;
+                if there.down_m.is_nan() {
+                    there.down_m = mask.down_m;
+                }
+            }
+        }
+    }
+}
+
+/// GeoTIFF's keys (OGC 19-008r4): model projected, raster pixel is area, the projected system by its EPSG number, metres.
+const MODEL_TYPE: u16 = 1024;
+const RASTER_TYPE: u16 = 1025;
+const PROJECTED_CRS: u16 = 3072;
+const LINEAR_UNITS: u16 = 3076;
+const METRE: u16 = 9001;
+
+impl Mosaic {
+    /// Pixel (column, row) of an easting and a northing; none outside.
+    pub fn pixel(&self, east_m: f64, north_m: f64) -> Option<(usize, usize)> {
+        let x = (east_m - self.west_m) / self.metres_per_pixel;
+        let y = (self.north_m - north_m) / self.metres_per_pixel;
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        inside.then_some((x as usize, y as usize))
+    }
+
+    fn db(&self) -> impl Iterator<Item = f32> + '_ {
+        self.intensity.iter().map(|i| 10.0 * i.log10())
+    }
+
+    /// Intensity in dB, 32-bit floats, with its coordinate system; NaN where nothing is.
+    pub fn write_geotiff(&self, to: impl Write + Seek) -> Result<(), MosaicError> {
+        let mut encoder = TiffEncoder::new(to)?;
+        let mut image =
+            encoder.new_image::<colortype::Gray32Float>(self.width as u32, self.height as u32)?;
+        let tags = image.encoder();
+        let m = self.metres_per_pixel;
+        tags.write_tag(Tag::ModelPixelScaleTag, &[m, m, 0.0][..])?;
+        tags.write_tag(
+            Tag::ModelTiepointTag,
+            &[0.0, 0.0, 0.0, self.west_m, self.north_m, 0.0][..],
+        )?;
+        let keys: [[u16; 4]; 5] = [
+            [1, 1, 0, 4],
+            [MODEL_TYPE, 0, 1, 1],
+            [RASTER_TYPE, 0, 1, 1],
+            [PROJECTED_CRS, 0, 1, self.zone.epsg()],
+            [LINEAR_UNITS, 0, 1, METRE],
+        ];
+        tags.write_tag(Tag::GeoKeyDirectoryTag, &keys.concat()[..])?;
+        tags.write_tag(Tag::GdalNodata, "nan")?;
+        let db: Vec<f32> = self.db().collect();
+        image.write_data(&db)?;
+        Ok(())
+    }
+
+    /// The same as a picture; transparent where nothing is.
+    pub fn write_png(
+        &self,
+        to: impl Write,
+        map: ColourMap,
+        contrast: Contrast,
+    ) -> Result<(), MosaicError> {
+        let mut levels: Vec<f32> = self.db().filter(|x| x.is_finite()).collect();
+        if levels.is_empty() {
+            return Err(MosaicError::Empty);
+        }
+        levels.sort_by(f32::total_cmp);
+        let at = |share: f64| levels[((levels.len() - 1) as f64 * share.clamp(0.0, 1.0)) as usize];
+        let (low, high) = match contrast {
+            Contrast::Percentiles { low, high } => (at(low), at(high)),
+            Contrast::Fixed { low_db, high_db } => (low_db as f32, high_db as f32),
+        };
+        let mut pixels = Vec::with_capacity(4 * self.intensity.len());
+        for level in self.db() {
+            if level.is_nan() {
+                pixels.extend([0, 0, 0, 0]);
+            } else {
+                let [r, g, b] = rgb(map, (level - low) / (high - low).max(1e-6));
+                pixels.extend([r, g, b, 255]);
+            }
+        }
+        let mut encoder = png::Encoder::new(to, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgba);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&pixels)?;
+        writer.finish()?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echotank_core::geodesy::LocalTangentPlane;
+
+    const AXIS: RangeAxis = RangeAxis {
+        metres_per_sample: 0.02,
+    };
+
+    /// A straight line at 40 degrees over a flat bottom 12 m down, with a bright point; and back on the same track.
+    fn survey(spec: MosaicSpec, ways: &[f64]) -> (Mosaic, (f64, f64)) {
+        let plane = LocalTangentPlane::new(0.6, -1.2);
+        let mut builder = MosaicBuilder::new(spec);
+        let altitude_m = 12.0;
+        let target = DVec2::new(37.3, 61.8); // north, east
+        for (way, turn) in ways.iter().enumerate() {
+            for ping in 0..400 {
+                let heading = 40f64.to_radians() + turn;
+                let ahead = DVec2::new(heading.cos(), heading.sin());
+                let along_m = 0.2 * f64::from(ping) - if *turn == 0.0 { 0.0 } else { 80.0 };
+                let at = ahead * along_m + DVec2::new(-1.0, 3.0) * way as f64;
+                let to = target - at;
+                let (along, across) = (to.dot(ahead), to.dot(DVec2::new(-ahead.y, ahead.x)));
+                let lines = [(Side::Port, -1.0), (Side::Starboard, 1.0)].map(|(side, sign)| {
+                    let mut amplitude = vec![0.1f32; 4000];
+                    if along.abs() <= 0.1001 && across * sign > 0.0 {
+                        amplitude[AXIS.sample(across.hypot(altitude_m))] = 30.0;
+                    }
+                    Line { side, amplitude }
+                });
+                let fish = at + ahead * spec.layback_m;
+                let (latitude_rad, longitude_rad) = plane.geodetic_rad(fish.x, fish.y);
+                let place = Place::level(latitude_rad, longitude_rad, heading, altitude_m);
+                builder.push(&place, AXIS, &lines);
+            }
+        }
+        let (latitude, longitude) = plane.geodetic_rad(target.x, target.y);
+        let mosaic = builder.finish().expect("a map");
+        let place = mosaic.zone.project_m(latitude, longitude);
+        (mosaic, place)
+    }
+
+    fn brightest(mosaic: &Mosaic) -> (usize, usize) {
+        let p = (0..mosaic.intensity.len())
+            .filter(|&p| !mosaic.intensity[p].is_nan())
+            .max_by(|&a, &b| mosaic.intensity[a].total_cmp(&mosaic.intensity[b]))
+            .expect("pixels");
+        (p % mosaic.width, p / mosaic.width)
+    }
+
+    #[test]
+    fn a_target_lies_within_a_pixel_of_its_place_with_layback_and_from_both_ways() {
+        use std::f64::consts::PI;
+        for (layback_m, ways) in [
+            (0.0, &[0.0][..]),
+            (25.0, &[0.0]),
+            (0.0, &[PI]),
+            (0.0, &[0.0, PI]),
+        ] {
+            let spec = MosaicSpec {
+                layback_m,
+                range_m: 70.0,
+                overlap: Overlap::Nearest,
+                ..MosaicSpec::default()
+            };
+            let (mosaic, (east, north)) = survey(spec, ways);
+            let (x, y) = brightest(&mosaic);
+            let want = mosaic.pixel(east, north).expect("inside");
+            assert!(
+                x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
+                "layback {layback_m}, {ways:?}: {x} {y}, want {want:?}"
+            );
+        }
+    }
+
+    /// A pitching, moving body with its arrays off its middle: the target is heard by the ping whose beam, not whose place, passes it.
+    #[test]
+    fn pitch_drift_arms_and_masks_put_a_target_where_it_is() {
+        let plane = LocalTangentPlane::new(0.6, -1.2);
+        let altitude_m = 20.0;
+        let spec = MosaicSpec {
+            range_m: 60.0,
+            ..MosaicSpec::default()
+        };
+        let mut builder = MosaicBuilder::new(spec);
+        // Due north; the target 30 m to starboard of the track.
+        let (target_north, target_east) = (41.2, 30.3);
+        for ping in 0..400 {
+            let north = 0.2 * f64::from(ping);
+            let pitch_rad = 4f64.to_radians() * (0.05 * f64::from(ping)).sin();
+            let drift = 0.004;
+            let starboard_m = [-1.0, 1.5];
+            let across_m: f64 = target_east - starboard_m[1];
+            let slant_m = across_m.hypot(altitude_m);
+            let beam_north = north + altitude_m * pitch_rad.tan() + drift * slant_m;
+            let mut amplitude = vec![0.1f32; 4000];
+            let mut truth = LineTruth {
+                side: Side::Starboard,
+                target: vec![0; 4000],
+                target_energy: vec![0.0; 4000],
+                other_energy: vec![0.01; 4000],
+                ground: vec![echotank_core::flow::GroundSeen::Seen; 4000],
+                down_m: vec![20.0; 4000],
+            };
+            if (beam_north - target_north).abs() < 0.15 {
+                let k = AXIS.sample(slant_m);
+                amplitude[k] = 30.0;
+                (truth.target[k], truth.target_energy[k]) = (7, 900.0);
+            }
+            let (latitude_rad, longitude_rad) = plane.geodetic_rad(north, 0.0);
+            let place = Place {
+                pitch_rad,
+                drift,
+                starboard_m,
+                ..Place::level(latitude_rad, longitude_rad, 0.0, altitude_m)
+            };
+            let line = Line {
+                side: Side::Starboard,
+                amplitude,
+            };
+            builder.push_labelled(&place, AXIS, &[line], &[truth]);
+        }
+        let (latitude, longitude) = plane.geodetic_rad(target_north, target_east);
+        let mosaic = builder.finish().expect("a map");
+        let (east, north) = mosaic.zone.project_m(latitude, longitude);
+        let want = mosaic.pixel(east, north).expect("inside");
+        let (x, y) = brightest(&mosaic);
+        assert!(
+            x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
+            "{x} {y}, want {want:?}"
+        );
+        let labelled: Vec<usize> = (0..mosaic.masks.len())
+            .filter(|&p| mosaic.masks[p].target == 7)
+            .collect();
+        assert!(!labelled.is_empty());
+        for p in labelled {
+            let (x, y) = (p % mosaic.width, p / mosaic.width);
+            assert!(
+                x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 2,
+                "labelled {x} {y}, want {want:?}"
+            );
+        }
+        // Ground where there is a picture, and nothing where there is none.
+        for (mask, intensity) in mosaic.masks.iter().zip(&mosaic.intensity) {
+            assert_eq!(mask.down_m.is_nan(), intensity.is_nan());
+        }
+    }
+
+    #[test]
+    fn no_gap_opens_inside_the_swath_and_the_nadir_is_left_out_where_asked() {
+        for nadir_deg in [0.0, 30.0_f64] {
+            let spec = MosaicSpec {
+                range_m: 60.0,
+                nadir_rad: nadir_deg.to_radians(),
+                ..MosaicSpec::default()
+            };
+            let (mosaic, _) = survey(spec, &[0.0]);
+            let laid = mosaic.intensity.iter().filter(|i| !i.is_nan()).count();
+            let area_m2 = laid as f64 * mosaic.metres_per_pixel.powi(2);
+            let nadir_m = 12.0 * nadir_deg.to_radians().tan();
+            let want_m2 = 79.8 * 2.0 * (60.0 - nadir_m);
+            // Edges of the swath: half a pixel all round.
+            assert!(
+                (area_m2 / want_m2 - 1.0).abs() < 0.02,
+                "{area_m2} want {want_m2}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_geotiff_is_read_back_with_its_place_and_values() {
+        let (mosaic, _) = survey(
+            MosaicSpec {
+                range_m: 30.0,
+                ..MosaicSpec::default()
+            },
+            &[0.0],
+        );
+        let mut bytes = io::Cursor::new(Vec::new());
+        mosaic.write_geotiff(&mut bytes).expect("written");
+        bytes.set_position(0);
+        let mut decoder = tiff::decoder::Decoder::new(bytes).expect("a TIFF");
+        assert_eq!(
+            decoder.dimensions().expect("a size"),
+            (mosaic.width as u32, mosaic.height as u32)
+        );
+        let tie = decoder
+            .get_tag_f64_vec(Tag::ModelTiepointTag)
+            .expect("a tie point");
+        assert_eq!(tie[3..5], [mosaic.west_m, mosaic.north_m]);
+        let keys = decoder
+            .get_tag_u16_vec(Tag::GeoKeyDirectoryTag)
+            .expect("keys");
+        assert!(
+            keys.chunks(4)
+                .any(|k| k[0] == PROJECTED_CRS && k[3] == mosaic.zone.epsg())
+        );
+    }
+
+    #[test]
+    fn too_many_pixels_and_no_pings_are_refused() {
+        let none = MosaicBuilder::new(MosaicSpec::default()).finish();
+        assert!(matches!(none, Err(MosaicError::Empty)));
+        let spec = MosaicSpec {
+            max_pixels: 1000,
+            ..MosaicSpec::default()
+        };
+        let mut builder = MosaicBuilder::new(spec);
+        let place = Place::level(0.5, 0.1, 0.0, 5.0);
+        builder.push(&place, AXIS, &[]);
+        assert!(matches!(
+            builder.finish(),
+            Err(MosaicError::TooLarge { .. })
+        ));
+    }
+}

@@ -1,0 +1,311 @@
+//! Engines on a grid, made for a pulse and a length of record before the pings that need them.
+//!
+//! Making one takes milliseconds to seconds, the more the longer the pulse and the finer the tolerance. So [`Engines::expect`] makes the
+//! engine for settings that are about to be used on a thread of its own; [`Engines::ready`] waits for it or, where nobody expected it, makes
+//! it. What an engine computes depends on pulse and length alone, never on who made it and when: the same bits either way.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+
+use crate::plan;
+use echotank_config::spec::SonarSpec;
+use echotank_core::flow::{DopplerModel, ErrorModel, PingPlan, Pulse, SonarSettings, Synthesis};
+use echotank_synthesis::array::filter::{self, Decimator, FilterError};
+use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, SimdLevel, one_dimensional};
+use echotank_synthesis::slabs::{Made, Sketch};
+
+/// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
+pub const LEVEL_RANGE_DB: f64 = 80.0;
+
+/// Echoes of one element for which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
+const NOMINAL_ARRIVALS: usize = 30_000;
+
+/// Acceleration of an array along its rays that the engines have room for, m/s^2: a small boat in a steep sea.
+pub const HARDEST_M_PER_S2: f64 = 5.0;
+
+/// Engines kept: the one in use, and those that pings ordered before the latest changes still need.
+const KEPT: usize = 4;
+
+/// Engines being made at a time, at most: a topside that turns a knob leaves most of its settings unused.
+const MAX_COMING: usize = 2;
+
+/// The least record that an engine is made for, samples.
+const SHORTEST: usize = 256;
+
+/// Dense rate of the receiver filter, at least, in sample rates: an engine's band is up to nine of them wide, and the filter's response
+/// repeats with its dense rate.
+pub const MIN_DENSITY: usize = 20;
+
+/// Which engine: made for this pulse, and for records of at most so many samples.
+#[derive(Clone, Copy, PartialEq)]
+struct Key {
+    duration_s: f64,
+    samples: usize,
+}
+
+/// What all engines of a sonar have in common.
+struct Wish {
+    pulse: Pulse,
+    sample_rate_hz: f64,
+    filter: Option<Decimator>,
+    doppler: DopplerModel,
+    span: DopplerSpan,
+    curvature_per_s: f64,
+    tolerance: f64,
+    /// Of the largest array.
+    elements: usize,
+    threads: usize,
+}
+
+/// The engines of one sonar.
+pub struct Engines {
+    wish: Arc<Wish>,
+    sound_speed_m_per_s: f64,
+    max_samples: usize,
+    /// The latest used first.
+    kept: Vec<(Key, Made)>,
+    coming: Vec<(Key, JoinHandle<Result<Made, GriddedError>>)>,
+}
+
+/// The receiver filter as the engines want it.
+pub fn engine_filter(
+    pulse: &Pulse,
+    sample_rate_hz: f64,
+    doppler_hz: f64,
+) -> Result<Decimator, FilterError> {
+    let dense = filter::oversample(pulse, sample_rate_hz, Synthesis::Gridded1d);
+    Decimator::new(pulse, sample_rate_hz, doppler_hz, dense.max(MIN_DENSITY))
+}
+
+impl Engines {
+    /// Makes the engine of the starting settings, if those of the ends of the limits could be made too. To be called inside the pool that will
+    /// run it. `fastest_m_per_s`: of the platform.
+    pub fn new(
+        spec: &SonarSpec,
+        sound_speed_m_per_s: f64,
+        fastest_m_per_s: f64,
+        filter: Option<&Decimator>,
+    ) -> Result<Self, GriddedError> {
+        let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
+        let mut engines = Self {
+            wish: Arc::new(wish),
+            sound_speed_m_per_s,
+            max_samples: plan::max_samples(spec, sound_speed_m_per_s),
+            kept: Vec::with_capacity(KEPT + 1),
+            coming: Vec::with_capacity(MAX_COMING),
+        };
+        let key = engines.key(&spec.settings);
+        engines.wish.can_be_made(spec, key, engines.max_samples)?;
+        let first = engines.wish.make(key)?;
+        engines.kept.push((key, first));
+        Ok(engines)
+    }
+
+    /// Of the engine in use: predicted error, and milliseconds of one core per element.
+    pub fn error_model(&self) -> &ErrorModel {
+        self.kept[0].1.error_model()
+    }
+
+    /// Dopplers that every engine takes.
+    pub fn span(&self) -> DopplerSpan {
+        self.wish.span
+    }
+
+    fn key(&self, settings: &SonarSettings) -> Key {
+        let (c, rate_hz) = (self.sound_speed_m_per_s, self.wish.sample_rate_hz);
+        let count = plan::sample_count(settings, c, rate_hz);
+        self.key_of(settings.pulse_duration_s, count)
+    }
+
+    fn key_of(&self, duration_s: f64, count: usize) -> Key {
+        Key {
+            duration_s,
+            samples: record_class(count, self.max_samples.max(count)),
+        }
+    }
+
+    /// Begins to make the engine of these settings, unless it is there or under way. Returns at once.
+    pub fn expect(&mut self, settings: &SonarSettings) {
+        let key = self.key(settings);
+        let under_way = self.coming.iter().any(|(coming, _)| *coming == key);
+        if under_way || self.kept.iter().any(|(kept, _)| *kept == key) {
+            return;
+        }
+        // What is done and was never asked for gives way.
+        if self.coming.len() == MAX_COMING {
+            match self
+                .coming
+                .iter()
+                .position(|(_, thread)| thread.is_finished())
+            {
+                Some(done) => drop(self.coming.remove(done)),
+                None => return,
+            }
+        }
+        let wish = self.wish.clone();
+        let spawned = thread::Builder::new()
+            .name("engine".into())
+            .spawn(move || wish.make(key));
+        // Where there is no thread to be had, `ready` makes it.
+        if let Ok(thread) = spawned {
+            self.coming.push((key, thread));
+        }
+    }
+
+    /// Has the engine of this ping at hand as [`Engines::current`]. False where the ends of the limits could be made and this one could not:
+    /// the direct sum then takes its place, which is exact, and slow.
+    pub fn ready(&mut self, plan: &PingPlan) -> bool {
+        let key = self.key_of(plan.pulse.duration_s, plan.sample_count);
+        if let Some(at) = self.kept.iter().position(|(kept, _)| *kept == key) {
+            self.kept[..=at].rotate_right(1);
+            return true;
+        }
+        let Ok(made) = self.coming_or_made(key) else {
+            return false;
+        };
+        self.kept.insert(0, (key, made));
+        self.kept.truncate(KEPT);
+        true
+    }
+
+    /// What [`Engines::ready`] found last.
+    pub fn current(&self) -> &Made {
+        &self.kept[0].1
+    }
+
+    fn coming_or_made(&mut self, key: Key) -> Result<Made, GriddedError> {
+        if let Some(at) = self.coming.iter().position(|(coming, _)| *coming == key) {
+            let (_, thread) = self.coming.remove(at);
+            if let Ok(made) = thread.join() {
+                return made;
+            }
+        }
+        self.wish.make(key)
+    }
+}
+
+/// The engine that a ping would be made with, without its work: for its error model and cost.
+pub fn sketch(
+    spec: &SonarSpec,
+    sound_speed_m_per_s: f64,
+    fastest_m_per_s: f64,
+    filter: Option<&Decimator>,
+    plan: &PingPlan,
+) -> Result<Sketch, GriddedError> {
+    let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
+    let most = plan::max_samples(spec, sound_speed_m_per_s);
+    let key = Key {
+        duration_s: plan.pulse.duration_s,
+        samples: record_class(plan.sample_count, most.max(plan.sample_count)),
+    };
+    wish.can_be_made(spec, key, most)?;
+    wish.sketch(key)
+}
+
+impl Wish {
+    fn of(
+        spec: &SonarSpec,
+        sound_speed_m_per_s: f64,
+        fastest_m_per_s: f64,
+        filter: Option<&Decimator>,
+    ) -> Self {
+        // The wider end: eta - 1 = 2 v/(c - v) of a platform that closes.
+        let greatest = 2.0 * fastest_m_per_s / (sound_speed_m_per_s - fastest_m_per_s);
+        Self {
+            pulse: spec.pulse,
+            sample_rate_hz: spec.receiver.sample_rate_hz,
+            filter: filter.cloned(),
+            doppler: spec.model.doppler,
+            span: DopplerSpan {
+                least: -greatest,
+                greatest,
+            },
+            curvature_per_s: (fastest_m_per_s.powi(2) / spec.synthesis.nearest_m
+                + HARDEST_M_PER_S2)
+                / sound_speed_m_per_s,
+            tolerance: spec.synthesis.made_for(),
+            elements: spec.receive.iter().map(|a| a.elements).fold(0, usize::max),
+            threads: rayon::current_num_threads(),
+        }
+    }
+
+    /// That the ends of the limits are within reach, where one might not be: how far a spectrum spreads depends on the pulse's length; behind
+    /// the receiver filter nothing does.
+    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), GriddedError> {
+        let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
+        let ends_s = [shortest_s, longest_s].into_iter();
+        for duration_s in ends_s.filter(|&end_s| self.filter.is_none() && end_s != key.duration_s) {
+            self.sketch(Key {
+                duration_s,
+                samples,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn sketch(&self, key: Key) -> Result<Sketch, GriddedError> {
+        let pulse = Pulse {
+            duration_s: key.duration_s,
+            ..self.pulse
+        };
+        let spec = one_dimensional::Spec {
+            pulse: &pulse,
+            sample_rate_hz: self.sample_rate_hz,
+            samples: key.samples,
+            filter: self.filter.as_ref(),
+            doppler: self.doppler,
+            span: self.span,
+            curvature_per_s: self.curvature_per_s,
+            tolerance: self.tolerance,
+            level_range_db: LEVEL_RANGE_DB,
+            arrivals: NOMINAL_ARRIVALS,
+            simd_level: SimdLevel::best(),
+        };
+        Sketch::new(&spec, self.elements)
+    }
+
+    fn make(&self, key: Key) -> Result<Made, GriddedError> {
+        Ok(self.sketch(key)?.made(self.threads))
+    }
+}
+
+/// The length of record that an engine for `count` samples is made for: steps of the square root of two below `most`, so that a range that
+/// changes by a little needs no other engine, and none is twice as long as needed.
+fn record_class(count: usize, most: usize) -> usize {
+    let mut class = most;
+    loop {
+        let shorter = (class as f64 * FRAC_1_SQRT_2).ceil() as usize;
+        if shorter < count.max(SHORTEST) || shorter >= class {
+            return class;
+        }
+        class = shorter;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_class_holds_its_records_and_is_less_than_half_as_long_again() {
+        for most in [1, 255, 256, 1000, 3217, 100_000] {
+            for count in (1..=most).step_by(1 + most / 300) {
+                let class = record_class(count, most);
+                assert!(
+                    (count..=most).contains(&class),
+                    "{count} of {most}: {class}"
+                );
+                if class > 2 * SHORTEST {
+                    assert!(
+                        (class as f64) < 1.42 * count as f64 + 2.0,
+                        "{count}: {class}"
+                    );
+                }
+            }
+        }
+        let classes: std::collections::HashSet<_> =
+            (1..=100_000).map(|n| record_class(n, 100_000)).collect();
+        assert!(classes.len() < 20, "{}", classes.len());
+    }
+}

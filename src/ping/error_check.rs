@@ -1,0 +1,410 @@
+//! The measured error of what goes out: random samples of every few pings, computed again through the reference's equation.
+//!
+//! In: the samples of a ping before noise, gain and converter. Out: a [`ErrorCheck`] over the newest [`KEPT`] of them. Which samples are
+//! looked at depends on seed and ping number alone, and how many on the ping's predicted cost, of which they may use [`SHARE`]: the same
+//! pings are checked the same on every machine. One sample sees every scatterer whose echo is under way at it, and those alone.
+
+use std::sync::{Mutex, PoisonError};
+
+use num_complex::Complex64;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
+
+use echotank_config::spec::SonarSpec;
+use echotank_core::flow::{
+    Conditions, Edges, ErrorCheck, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers,
+    Synthesis,
+};
+use echotank_synthesis::array::direct::Direct;
+use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::array::filter::{self, Decimator, FilterError};
+use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+
+/// Samples that an error check rests on, at most.
+pub const KEPT: usize = 128;
+/// ... and at least: with 64 an error of 0.9 of what is allowed shows above it 4 times in 100, with 4 samples 27 times.
+pub const LEAST: usize = 64;
+/// Of a ping's predicted cost. Of the real one, as CPU time: 3.3 % (5 elements, 42,936 points, continuous) and 3.2 % (the quickstart).
+pub const SHARE: f64 = 0.03;
+/// A checked error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
+pub const FAULT: f64 = 1.3;
+/// Looked at in one ping, at most.
+pub const MAX_PER_PING: usize = 64;
+/// A window's rms is taken over a pulse, but over this many samples at least.
+const MIN_WINDOW: usize = 32;
+
+fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
+    ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
+}
+
+/// The worst window of any element of a whole ping, in the error check's norm: rms of what is off over the truth's rms in the window or in the
+/// ping, whichever is larger. Infinite where something is heard and nothing is there, no number where a sample is none.
+pub fn worst_window(got: &PingOutput, truth: &PingOutput, pulse_s: f64, rate_hz: f64) -> f64 {
+    let window = window_samples(pulse_s, rate_hz);
+    let mut worst = 0.0f64;
+    for (got, truth) in got.elements.iter().zip(&truth.elements) {
+        for element in 0..truth.elements {
+            let (got, truth) = (got.element(element), truth.element(element));
+            let whole = mean_square(truth);
+            for (got, truth) in got.chunks(window).zip(truth.chunks(window)) {
+                let off = got.iter().zip(truth).map(|(g, t)| (g - t).norm_sqr());
+                let off = off.sum::<f64>() / truth.len() as f64;
+                if off.is_nan() {
+                    return f64::NAN;
+                }
+                if off > 0.0 {
+                    worst = worst.max((off / mean_square(truth).max(whole)).sqrt());
+                }
+            }
+        }
+    }
+    worst
+}
+
+/// Measured on one core: ns per scatterer to find those that are heard, per scatterer heard to solve it, and per point of its echo.
+const FIND_NS: f64 = 3.0;
+const SOLVE_NS: f64 = 500.0;
+const POINT_NS: f64 = 0.5;
+
+/// Elements that `gridded-2d` takes at a time; good enough for a cost, as is the next.
+const NOMINAL_STRETCH: f64 = 32.0;
+const NOMINAL_SOUND_SPEED_M_PER_S: f64 = 1500.0;
+
+/// Keeps these draws apart from everything else that is seeded with the same number.
+const TAG: [u8; 8] = *b"certific";
+
+/// One sample under scrutiny.
+#[derive(Clone, Copy, Debug, Default)]
+struct Probe {
+    array: usize,
+    element: usize,
+    sample: usize,
+    /// What the ping made of it, and the mean square it is held against.
+    got: Complex64,
+    scale: f64,
+    /// |got - reference|^2 / scale.
+    error: f64,
+}
+
+pub struct ErrorChecker {
+    /// The receiver filter at the reference's density.
+    decimator: Option<Decimator>,
+    /// The first `active` are this ping's.
+    probes: Vec<Mutex<Probe>>,
+    active: usize,
+    /// One per thread: the points of one sample.
+    dense: Vec<Mutex<Vec<Complex64>>>,
+    ranges_m: Vec<(f64, f64)>,
+    candidates: Vec<(u32, u64)>,
+    /// Predicted cost of a scatterer at an element, ns.
+    pair_ns: f64,
+    /// What may be spent, ns, and which share of a ping's predicted cost is added for each.
+    credit_ns: f64,
+    share: f64,
+    /// Relative square errors, the newest `KEPT`.
+    recent: [f64; KEPT],
+    seen: usize,
+    tolerance: f64,
+    /// The newest error check was above [`FAULT`] tolerances, and so was the one before it.
+    above: bool,
+    fault: bool,
+}
+
+impl ErrorChecker {
+    /// To be made inside the pool that will run it. `shortest`: the pulse that the receiver filter is made for.
+    pub fn new(spec: &SonarSpec, shortest: &Pulse, doppler_hz: f64) -> Result<Self, FilterError> {
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let oversample = filter::oversample(shortest, rate_hz, Synthesis::Reference);
+        let decimator = match spec.receiver.filter {
+            ReceiverFilter::Fir => Some(Decimator::new(shortest, rate_hz, doppler_hz, oversample)?),
+            ReceiverFilter::None => None,
+        };
+        Ok(Self {
+            decimator,
+            probes: (0..MAX_PER_PING).map(|_| Mutex::default()).collect(),
+            active: 0,
+            dense: (0..rayon::current_num_threads())
+                .map(|_| Mutex::default())
+                .collect(),
+            ranges_m: Vec::with_capacity(MAX_PER_PING),
+            candidates: Vec::new(),
+            pair_ns: pair_ns(spec),
+            credit_ns: 0.0,
+            share: SHARE,
+            recent: [0.0; KEPT],
+            seen: 0,
+            tolerance: spec.synthesis.tolerance,
+            above: false,
+            fault: false,
+        })
+    }
+
+    /// How much error checks may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
+    pub fn allow(&mut self, share: f64) {
+        self.share = share;
+        self.credit_ns = 0.0;
+    }
+
+    /// Points that one sample of the output is made of.
+    fn points(&self) -> usize {
+        self.decimator.as_ref().map_or(1, |d| d.dense_len(1))
+    }
+
+    /// Chooses this ping's samples, as many as its cost allows.
+    pub fn choose(&mut self, plan: &PingPlan, spec: &SonarSpec, scatterers: usize) {
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
+        let window_s = plan.window_s(rate_hz);
+        let span_s = plan.pulse.duration_s + self.span_s(rate_hz);
+        let under_way = scatterers as f64 * (span_s / window_s).min(1.0);
+        // Of a part every element is looked at.
+        let looks = spec.receive.iter().map(|a| a.element_pattern.stands_for());
+        let looks = looks.max().unwrap_or(1) as f64;
+        let probe_ns = looks * under_way * (SOLVE_NS + POINT_NS * self.points() as f64) + 1e3;
+        let find_ns = FIND_NS * scatterers as f64;
+        self.credit_ns += self.share * self.pair_ns * (scatterers * elements) as f64;
+        // Nothing is saved up beyond a full ping's worth: scenes change.
+        let most = MAX_PER_PING as f64;
+        self.credit_ns = self.credit_ns.min(find_ns + most * probe_ns);
+        self.active = 0;
+        let affordable = ((self.credit_ns - find_ns) / probe_ns).floor();
+        // What finding the scatterers costs is shared by a ping's samples: wait until there are enough of them.
+        if elements == 0 || affordable < 1.0 || affordable < most && affordable * probe_ns < find_ns
+        {
+            return;
+        }
+        self.active = affordable as usize;
+        self.credit_ns -= find_ns + affordable * probe_ns;
+        let mut draws = stream(plan, spec.receiver.seed);
+        let mut below = |n: usize| (draws.next_u64() % n.max(1) as u64) as usize;
+        for probe in &mut self.probes[..self.active] {
+            let mut element = below(elements);
+            let mut array = 0;
+            while element >= spec.receive[array].elements {
+                element -= spec.receive[array].elements;
+                array += 1;
+            }
+            *probe.get_mut().unwrap_or_else(PoisonError::into_inner) = Probe {
+                array,
+                element,
+                sample: below(plan.sample_count),
+                ..Probe::default()
+            };
+        }
+    }
+
+    /// What the filter takes in around a sample, seconds.
+    fn span_s(&self, rate_hz: f64) -> f64 {
+        match &self.decimator {
+            Some(d) => d.dense_len(1) as f64 / d.dense_rate_hz(),
+            None => 1.0 / rate_hz,
+        }
+    }
+
+    /// Keeps what is needed of one element's finished samples, before the receiver changes them.
+    pub fn take(
+        &self,
+        plan: &PingPlan,
+        rate_hz: f64,
+        array: usize,
+        element: usize,
+        iq: &[Complex64],
+    ) {
+        let mut ping_square = None;
+        for probe in &self.probes[..self.active] {
+            let mut probe = probe.lock().unwrap_or_else(PoisonError::into_inner);
+            if (probe.array, probe.element) != (array, element) {
+                continue;
+            }
+            let whole = *ping_square.get_or_insert_with(|| mean_square(iq));
+            let window = window_samples(plan.pulse.duration_s, rate_hz);
+            let first = probe.sample.saturating_sub(window / 2);
+            let around = &iq[first..(first + window).min(iq.len())];
+            probe.got = iq[probe.sample];
+            probe.scale = mean_square(around).max(whole);
+        }
+    }
+
+    /// Computes this ping's samples again, and says what the newest ones tell together.
+    pub fn check_error(
+        &mut self,
+        plan: &PingPlan,
+        spec: &SonarSpec,
+        scatterers: &Scatterers,
+    ) -> Option<ErrorCheck> {
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let half_span_s = 0.5 * self.span_s(rate_hz);
+        let instant = |probe: &Probe| Instant {
+            element: probe.element,
+            time_s: plan.first_sample_s + probe.sample as f64 / rate_hz,
+            half_span_s,
+        };
+        self.ranges_m.clear();
+        for probe in &mut self.probes[..self.active] {
+            let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
+            let array = spec.receive[probe.array].whole();
+            let tx = &spec.transmit[array.transmit];
+            let of = spec.receive[probe.array].element_pattern.stands_for();
+            let ranges_m = [0, of - 1].map(|j| {
+                let element = probe.element * of + j;
+                heard_ranges_m(
+                    plan,
+                    tx,
+                    &array,
+                    Instant {
+                        element,
+                        ..instant(probe)
+                    },
+                )
+            });
+            let [(near_m, far_m), (also_near_m, also_far_m)] = ranges_m;
+            self.ranges_m
+                .push((near_m.min(also_near_m), far_m.max(also_far_m)));
+        }
+        if self.active > 0 {
+            heard(plan, scatterers, &self.ranges_m, &mut self.candidates);
+        }
+        let this = &*self;
+        this.probes[..this.active]
+            .par_iter()
+            .enumerate()
+            .for_each(|(k, probe)| {
+                let mut probe = probe.lock().unwrap_or_else(PoisonError::into_inner);
+                let at = instant(&probe);
+                let want = this.reference(plan, spec, scatterers, probe.array, at, k);
+                let square = (probe.got - want).norm_sqr();
+                // Where nothing sounds the reference must be silent too.
+                probe.error = match (probe.scale > 0.0, square > 0.0) {
+                    (true, _) => square / probe.scale,
+                    (false, wrong) => f64::from(u8::from(wrong)),
+                };
+            });
+        for probe in &mut self.probes[..self.active] {
+            let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
+            self.recent[self.seen % KEPT] = probe.error;
+            self.seen += 1;
+        }
+        let (samples, error, low, high) = estimate(&self.recent[..self.seen.min(KEPT)])?;
+        if self.active > 0 {
+            let above = error > FAULT * self.tolerance;
+            self.fault = above && self.above;
+            self.above = above;
+        }
+        Some(ErrorCheck {
+            samples,
+            error,
+            low,
+            high,
+            tolerance: self.tolerance,
+            fault: self.fault,
+        })
+    }
+
+    /// One sample as the reference has it, from the `k`th instant's candidates.
+    fn reference(
+        &self,
+        plan: &PingPlan,
+        spec: &SonarSpec,
+        scatterers: &Scatterers,
+        array: usize,
+        at: Instant,
+        k: usize,
+    ) -> Complex64 {
+        let thread = rayon::current_thread_index().unwrap_or(0);
+        let dense = &mut *self.dense[thread]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        dense.clear();
+        dense.resize(self.points(), Complex64::ZERO);
+        let (edges, rate_hz, first_s) = match &self.decimator {
+            None => (Edges::Sampled, spec.receiver.sample_rate_hz, at.time_s),
+            Some(d) => (
+                Edges::Weighted,
+                d.dense_rate_hz(),
+                d.dense_first_s(at.time_s),
+            ),
+        };
+        let of = spec.receive[array].element_pattern.stands_for();
+        let array = &spec.receive[array].whole();
+        let tx = &spec.transmit[array.transmit];
+        let indices = || {
+            self.candidates
+                .iter()
+                .filter(|(_, mask)| mask >> k & 1 == 1)
+                .map(|(i, _)| *i as usize)
+        };
+        let mut sink = Direct::new(plan, rate_hz, first_s, dense).with_edges(edges);
+        for j in 0..of {
+            let element = at.element * of + j;
+            let at = Instant { element, ..at };
+            echoes_at(plan, tx, array, at, scatterers, indices(), &mut sink);
+        }
+        let mut sample = [Complex64::ZERO];
+        match &self.decimator {
+            None => sample[0] = dense[0],
+            Some(d) => d.apply(dense, &mut sample),
+        }
+        sample[0] / of as f64
+    }
+}
+
+/// Predicted cost of one scatterer at one element, ns.
+fn pair_ns(spec: &SonarSpec) -> f64 {
+    let conditions = Conditions {
+        pulse: spec.pulse,
+        sound_speed_m_per_s: NOMINAL_SOUND_SPEED_M_PER_S,
+        sample_rate_hz: spec.receiver.sample_rate_hz,
+        filter: spec.receiver.filter,
+        speed_m_per_s: 0.0,
+        acceleration_m_per_s2: 0.0,
+        turning_m_per_s: 0.0,
+        range_m: (1.0, spec.limits.range_m.1),
+        segment_s: spec.model.segment_s,
+        scatterers: 1,
+        elements: 1,
+        tolerance: spec.synthesis.tolerance,
+        heard: None,
+    };
+    let model = &spec.model;
+    let walk_ms = path_error_model(model.path, &conditions).cost_ms
+        + doppler_error_model(model.doppler, model.path, &conditions).cost_ms;
+    // A whole line is walked once for a stretch of it.
+    let shared_by = match model.synthesis {
+        Synthesis::Gridded2d => NOMINAL_STRETCH,
+        _ => 1.0,
+    };
+    let sum_ms = synthesis_error_model(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;
+    sum_ms * 1e6
+}
+
+fn stream(plan: &PingPlan, seed: u64) -> ChaCha8Rng {
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(&seed.to_le_bytes());
+    key[8..12].copy_from_slice(&plan.ping_number.to_le_bytes());
+    key[12..16].copy_from_slice(&(plan.sonar as u32).to_le_bytes());
+    key[24..].copy_from_slice(&TAG);
+    ChaCha8Rng::from_seed(key)
+}
+
+fn mean_square(iq: &[Complex64]) -> f64 {
+    iq.iter().map(|x| x.norm_sqr()).sum::<f64>() / iq.len().max(1) as f64
+}
+
+/// How many, the root mean of relative square errors, and both ends of the interval that their own scatter gives it.
+fn estimate(squares: &[f64]) -> Option<(u32, f64, f64, f64)> {
+    if squares.len() < LEAST {
+        return None;
+    }
+    let n = squares.len() as f64;
+    let mean = squares.iter().sum::<f64>() / n;
+    let variance = squares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let two_sided = 1.96 * (variance / n).sqrt();
+    Some((
+        squares.len() as u32,
+        mean.sqrt(),
+        (mean - two_sided).max(0.0).sqrt(),
+        (mean + two_sided).sqrt(),
+    ))
+}

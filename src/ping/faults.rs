@@ -1,0 +1,642 @@
+//! Faults: which are wanted when, whether they strike a ping, and the log by which a device's report can be scored.
+//!
+//! Whether a fault strikes depends on its seed, its number and the ping alone (for the line: the record's type too), so that the same
+//! scenario strikes the same pings in every clock mode. Faults of elements are carried out in `echotank_synthesis::array`, those of the link, of
+//! navigation and of the clock in the runtime.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::Serialize;
+
+use crate::PingOrder;
+use echotank_config::spec::{
+    FaultKind, FaultRefused, FaultRequest, FaultSpec, NavInputSpec, NavSourceSpec, SonarSpec,
+};
+use echotank_core::time::UtcNs;
+use echotank_synthesis::array::faults::ActiveFault;
+
+/// Faults that may stand at once.
+const MAX_FAULTS: usize = 256;
+/// Injections that wait to be written down; what is beyond is counted.
+const MAX_WAITING: usize = 65_536;
+/// Keeps these draws apart from all others.
+const TAG: [u8; 8] = *b"faultrun";
+
+/// One injected fault. A line of `faults-*.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Injection {
+    pub fault: u32,
+    pub kind: &'static str,
+    /// None of faults of navigation.
+    #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
+    pub sonar: Option<Arc<str>>,
+    /// Of faults of navigation: the last ping ordered before, of any sonar; 0 before the first.
+    pub ping_number: u32,
+    /// Of the pulse, or of a sample's arrival, or of the second that is marked; rig time.
+    pub utc_ns: i64,
+    #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
+    pub source: Option<Arc<str>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<&'static str>,
+    /// Of the line: the family.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<&'static str>,
+    /// Of the line: which record.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub record_type: Option<u32>,
+    #[serde(flatten)]
+    pub place: Place,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub array: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub element: Option<usize>,
+    /// How far it has grown, 0 to 1.
+    pub strength: f64,
+}
+
+/// Where a packet says that it belongs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Place {
+    /// Of an element stream.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_number: Option<u32>,
+    /// Of VITA 49, and whether it is a context, and the time that it says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stream: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub context: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub packet_utc_ns: Option<i64>,
+}
+
+fn as_text<S: serde::Serializer>(
+    name: &Option<Arc<str>>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(name.as_deref().unwrap_or_default())
+}
+
+/// A ping as faults see it.
+#[derive(Clone, Copy, Debug)]
+pub struct PingMark {
+    pub sonar: usize,
+    pub number: u32,
+    pub utc: UtcNs,
+}
+
+impl PingMark {
+    pub fn of(sonar: usize, order: &PingOrder) -> Self {
+        Self {
+            sonar,
+            number: order.ping_number,
+            utc: order.transmit_utc,
+        }
+    }
+}
+
+/// A fault that stands, with what it has done so far.
+pub struct Standing {
+    /// Its number in the log.
+    pub id: u32,
+    pub spec: FaultSpec,
+    /// Index of the sonar; none: every one.
+    sonar: Option<usize>,
+    /// Index of the navigation source; none: every one.
+    pub source: Option<usize>,
+    /// For one asked for live: from the first ping that it meets on.
+    since: OnceLock<UtcNs>,
+    /// As it was asked for.
+    request: FaultRequest,
+    /// Pings or records that it injected, and the last of those pings.
+    injected: AtomicU64,
+    last_ping: AtomicU32,
+}
+
+/// A fault that stands, for whoever looks.
+#[derive(Clone, Debug, Serialize)]
+pub struct StandingFault {
+    pub fault: u32,
+    #[serde(flatten)]
+    pub request: FaultRequest,
+    /// Rig time; none before its first ping.
+    pub from_utc_ns: Option<i64>,
+    pub injected: u64,
+    /// 0: none.
+    pub last_ping: u32,
+}
+
+/// What a sonar has, to check faults against.
+struct Head {
+    name: Arc<str>,
+    /// Elements of each receive array.
+    elements: Vec<usize>,
+    has_converter: bool,
+}
+
+/// All faults of a rig. Shared by every thread that carries them out.
+pub struct Faults {
+    heads: Vec<Head>,
+    /// Names of the navigation sources.
+    pub sources: Vec<Arc<str>>,
+    /// Of those: their bytes come while the rig runs.
+    live_sources: Vec<bool>,
+    /// Number of the last ping that was ordered.
+    last_ping: AtomicU32,
+    /// Rig time of the first ping: what `at_s` counts from.
+    first: OnceLock<UtcNs>,
+    standing: Mutex<Vec<Arc<Standing>>>,
+    /// Of `standing`: most pings have none, and ask no lock.
+    count: AtomicU64,
+    next_id: AtomicU64,
+    waiting: Mutex<VecDeque<Injection>>,
+    injected: AtomicU64,
+    unwritten: AtomicU64,
+}
+
+impl Faults {
+    pub fn new(sonars: &[SonarSpec], sources: &[NavSourceSpec]) -> Self {
+        let heads = sonars.iter().map(|sonar| Head {
+            name: sonar.name.as_str().into(),
+            elements: sonar.receive.iter().map(|a| a.elements).collect(),
+            has_converter: sonar.receiver.adc_bits.is_some(),
+        });
+        Self {
+            heads: heads.collect(),
+            sources: sources.iter().map(|s| s.name.as_str().into()).collect(),
+            live_sources: sources.iter().map(|s| is_live(&s.input)).collect(),
+            last_ping: AtomicU32::new(0),
+            first: OnceLock::new(),
+            standing: Mutex::default(),
+            count: AtomicU64::new(0),
+            next_id: AtomicU64::new(1),
+            waiting: Mutex::new(VecDeque::with_capacity(1024)),
+            injected: AtomicU64::new(0),
+            unwritten: AtomicU64::new(0),
+        }
+    }
+
+    /// Adds a fault; its number in the log.
+    pub fn add(&self, request: &FaultRequest) -> Result<u32, FaultRefused> {
+        let spec = request.checked()?;
+        let refused = |key, rule: String| Err(FaultRefused { key, rule });
+        let sonar = match &spec.sonar {
+            None => None,
+            Some(name) => match self.heads.iter().position(|head| *head.name == **name) {
+                Some(at) => Some(at),
+                None => {
+                    let names: Vec<_> = self.heads.iter().map(|h| &*h.name).collect();
+                    return refused("sonar", format!("must be one of {}", names.join(", ")));
+                }
+            },
+        };
+        let source = match &spec.source {
+            None => None,
+            Some(name) => match self.sources.iter().position(|source| **source == **name) {
+                Some(at) => Some(at),
+                None => {
+                    let names = self.sources.join(", ");
+                    return refused("source", format!("must be one of {names}"));
+                }
+            },
+        };
+        if let FaultKind::NavBytes(_) = spec.kind {
+            let live = self.live_sources.iter().enumerate();
+            let mut meant = live.filter(|(k, _)| source.is_none_or(|source| source == *k));
+            if !meant.any(|(_, live)| *live) {
+                let rule = "is a recording, decoded before the first ping: only what live sources say has bytes to strike";
+                return refused("source", rule.to_owned());
+            }
+        }
+        if let FaultKind::Element { array, element, .. } = spec.kind {
+            let heads = self.heads.iter().enumerate();
+            let mut meant = heads.filter(|(k, _)| sonar.is_none_or(|sonar| sonar == *k));
+            let fits = |elements: &[usize], wanted: usize| match array {
+                Some(array) => elements.get(array).is_some_and(|&n| wanted < n),
+                None => elements.iter().any(|&n| wanted < n),
+            };
+            let wanted = element.unwrap_or(0).max(request.other.unwrap_or(0));
+            if !meant.clone().any(|(_, head)| fits(&head.elements, wanted)) {
+                return refused("element", "there is no such element".to_owned());
+            }
+            let of_converter = request.kind.starts_with("adc-bit");
+            if of_converter && !meant.any(|(_, head)| head.has_converter) {
+                return refused("kind", "needs sonar.receiver.adc_bits".to_owned());
+            }
+        }
+        let mut standing = self.lock();
+        if standing.len() >= MAX_FAULTS {
+            return refused("kind", format!("at most {MAX_FAULTS} faults at once"));
+        }
+        // Far fewer than 2^32 are ever asked for.
+        let id = self.next_id.fetch_add(1, Ordering::Relaxed) as u32;
+        standing.push(Arc::new(Standing {
+            id,
+            spec,
+            sonar,
+            source,
+            since: OnceLock::new(),
+            request: request.clone(),
+            injected: AtomicU64::new(0),
+            last_ping: AtomicU32::new(0),
+        }));
+        self.count.store(standing.len() as u64, Ordering::Release);
+        Ok(id)
+    }
+
+    /// Takes all faults away; how many there were.
+    pub fn clear(&self) -> usize {
+        let mut standing = self.lock();
+        let were = standing.len();
+        standing.clear();
+        self.count.store(0, Ordering::Release);
+        were
+    }
+
+    /// Takes one fault away; whether there was one of that number.
+    pub fn remove(&self, id: u32) -> bool {
+        let mut standing = self.lock();
+        let were = standing.len();
+        standing.retain(|fault| fault.id != id);
+        self.count.store(standing.len() as u64, Ordering::Release);
+        standing.len() < were
+    }
+
+    /// Every fault that stands, begun or not, over or not.
+    pub fn list(&self) -> Vec<StandingFault> {
+        let first = self.first.get();
+        let standing = self.lock();
+        let list = standing.iter().map(|standing| {
+            let from = match standing.spec.at_s {
+                Some(at_s) => first.map(|first| first.plus_s(at_s)),
+                None => standing.since.get().copied(),
+            };
+            StandingFault {
+                fault: standing.id,
+                request: standing.request.clone(),
+                from_utc_ns: from.map(|utc| utc.0),
+                injected: standing.injected.load(Ordering::Relaxed),
+                last_ping: standing.last_ping.load(Ordering::Relaxed),
+            }
+        });
+        list.collect()
+    }
+
+    pub fn standing(&self) -> usize {
+        self.count.load(Ordering::Acquire) as usize
+    }
+
+    pub fn injected(&self) -> u64 {
+        self.injected.load(Ordering::Relaxed)
+    }
+
+    /// Injections that the log has no line of.
+    pub fn unwritten(&self) -> u64 {
+        self.unwritten.load(Ordering::Relaxed)
+    }
+
+    /// What has been injected since this was last asked.
+    pub fn take_injections(&self) -> Vec<Injection> {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        waiting.drain(..).collect()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Standing>>> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What `at_s` counts from; the first call holds.
+    pub fn begin(&self, first: UtcNs) {
+        self.first.get_or_init(|| first);
+    }
+
+    /// Calls `strike` for every fault that is due here, with its strength.
+    pub fn inject(
+        &self,
+        ping: PingMark,
+        record_type: u32,
+        wanted: impl Fn(&FaultKind) -> bool,
+        mut strike: impl FnMut(&FaultSpec, f64, &mut Injection),
+    ) {
+        if self.standing() == 0 {
+            return;
+        }
+        self.first.get_or_init(|| ping.utc);
+        let moment = Moment {
+            utc: ping.utc,
+            number: ping.number,
+            key: record_type,
+        };
+        let meant = |standing: &Standing| {
+            standing.sonar.is_none_or(|sonar| sonar == ping.sonar) && wanted(&standing.spec.kind)
+        };
+        self.each(moment, meant, |standing, _, strength| {
+            let mut injection = Injection {
+                sonar: Some(self.heads[ping.sonar].name.clone()),
+                ping_number: ping.number,
+                record_type: (record_type != 0).then_some(record_type),
+                ..self.injection(standing, moment, strength)
+            };
+            strike(&standing.spec, strength, &mut injection);
+            self.log(standing, injection);
+        });
+    }
+
+    /// Calls `strike` for every fault that strikes at a moment, with how long it has stood and its strength.
+    pub fn each(
+        &self,
+        moment: Moment,
+        wanted: impl Fn(&Standing) -> bool,
+        mut strike: impl FnMut(&Standing, f64, f64),
+    ) {
+        if self.standing() == 0 {
+            return;
+        }
+        for standing in self.lock().iter().filter(|standing| wanted(standing)) {
+            let spec = &standing.spec;
+            let from = match (spec.at_s, self.first.get()) {
+                (Some(at_s), Some(first)) => first.plus_s(at_s),
+                // Before the first ping there is nothing for a scenario to count from.
+                (Some(_), None) => continue,
+                (None, _) => *standing.since.get_or_init(|| moment.utc),
+            };
+            let age_s = moment.utc.seconds_since(from);
+            let stands = age_s >= 0.0 && age_s < spec.for_s;
+            if !stands || !begins(standing, moment.number, moment.key) {
+                continue;
+            }
+            let strength = match spec.ramp_s > 0.0 {
+                true => (age_s / spec.ramp_s).min(1.0),
+                false => 1.0,
+            };
+            strike(standing, age_s, strength);
+        }
+    }
+
+    pub fn injection(&self, standing: &Standing, moment: Moment, strength: f64) -> Injection {
+        Injection {
+            fault: standing.id,
+            kind: standing.spec.name,
+            sonar: None,
+            ping_number: self.last_ping.load(Ordering::Relaxed),
+            utc_ns: moment.utc.0,
+            source: None,
+            quantity: None,
+            line: None,
+            record_type: None,
+            place: Place::default(),
+            array: None,
+            element: None,
+            strength,
+        }
+    }
+
+    /// Counts and writes down what injected.
+    pub fn log(&self, standing: &Standing, injection: Injection) {
+        standing.injected.fetch_add(1, Ordering::Relaxed);
+        standing
+            .last_ping
+            .store(injection.ping_number, Ordering::Relaxed);
+        self.injected.fetch_add(1, Ordering::Relaxed);
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.len() < MAX_WAITING {
+            waiting.push_back(injection);
+        } else {
+            self.unwritten.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Faults of this ping's elements, into `active`.
+    pub fn elements(&self, ping: PingMark, active: &mut Vec<ActiveFault>) {
+        active.clear();
+        let of_elements = |kind: &FaultKind| matches!(kind, FaultKind::Element { .. });
+        self.inject(ping, 0, of_elements, |spec, strength, injection| {
+            if let FaultKind::Element {
+                fault,
+                array,
+                element,
+            } = spec.kind
+            {
+                (injection.array, injection.element) = (array, element);
+                active.push(ActiveFault {
+                    fault,
+                    array,
+                    element,
+                    strength,
+                    seed: spec.seed,
+                });
+            }
+        });
+    }
+
+    /// Whether the pulse that is due is missed.
+    pub fn trigger_missed(&self, ping: PingMark) -> bool {
+        self.last_ping.store(ping.number, Ordering::Relaxed);
+        let mut missed = false;
+        let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerMissed);
+        self.inject(ping, 0, of_trigger, |_, _, _| missed = true);
+        missed
+    }
+
+    /// How long after its pulse the sonar is triggered again, seconds, if it is.
+    pub fn trigger_double_s(&self, ping: PingMark) -> Option<f64> {
+        let mut after_s = None;
+        let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerDouble { .. });
+        self.inject(ping, 0, of_trigger, |spec, _, _| {
+            if let FaultKind::TriggerDouble { s } = spec.kind {
+                after_s = Some(s);
+            }
+        });
+        after_s
+    }
+
+    /// How much too late this ping is stamped, seconds.
+    pub fn stamp_error_s(&self, ping: PingMark) -> f64 {
+        let mut error_s = 0.0;
+        let of_stamp = |kind: &FaultKind| matches!(kind, FaultKind::WrongSecond { .. });
+        self.inject(ping, 0, of_stamp, |spec, strength, _| {
+            if let FaultKind::WrongSecond { s } = spec.kind {
+                error_s += s * strength;
+            }
+        });
+        error_s
+    }
+}
+
+/// When, and of what, it is asked whether a fault strikes.
+#[derive(Clone, Copy)]
+pub struct Moment {
+    pub utc: UtcNs,
+    /// Of the ping, the sample or the second: what bursts are counted in.
+    pub number: u32,
+    /// Which of several draws of that number.
+    pub key: u32,
+}
+
+impl Moment {
+    pub fn of_second(second: UtcNs) -> Self {
+        Self {
+            utc: second,
+            // Seconds since 1970 fit until 2106.
+            number: second.0.div_euclid(echotank_core::time::NS_PER_S) as u32,
+            key: 0,
+        }
+    }
+}
+
+fn is_live(input: &NavInputSpec) -> bool {
+    !matches!(input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
+}
+
+/// Whether a fault strikes a ping: it, or one of the pings before within a burst, drew less than the probability.
+fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
+    let spec = &standing.spec;
+    if spec.probability >= 1.0 {
+        return true;
+    }
+    (0..spec.burst)
+        .take_while(|back| *back < ping_number)
+        .any(|back| chance(standing, ping_number - back, record_type) < spec.probability)
+}
+
+fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
+    unit(
+        standing.spec.seed,
+        standing.id,
+        ping_number,
+        record_type,
+        TAG,
+    )
+}
+
+/// 0 up to, not including, 1.
+pub fn unit(seed: u64, fault: u32, number: u32, place: u32, tag: [u8; 8]) -> f64 {
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(&seed.to_le_bytes());
+    key[8..12].copy_from_slice(&fault.to_le_bytes());
+    key[12..16].copy_from_slice(&number.to_le_bytes());
+    key[16..20].copy_from_slice(&place.to_le_bytes());
+    key[24..].copy_from_slice(&tag);
+    let draw = ChaCha8Rng::from_seed(key).next_u64() >> 11;
+    draw as f64 / (1u64 << 53) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults() -> Faults {
+        Faults {
+            heads: vec![Head {
+                name: "main".into(),
+                elements: vec![8, 4],
+                has_converter: false,
+            }],
+            sources: vec!["gnss".into(), "mru".into()],
+            live_sources: vec![true, false],
+            ..Faults::new(&[], &[])
+        }
+    }
+
+    fn mark(number: u32) -> PingMark {
+        PingMark {
+            sonar: 0,
+            number,
+            utc: UtcNs(i64::from(number) * 100_000_000),
+        }
+    }
+
+    fn request(json: &str) -> FaultRequest {
+        serde_json::from_str(json).expect("JSON")
+    }
+
+    /// Strengths of the faults that strike ping 1 to 100.
+    fn strengths(json: &str) -> Vec<(u32, f64)> {
+        let faults = faults();
+        faults.begin(mark(1).utc);
+        faults.add(&request(json)).expect("sound");
+        let mut injected = Vec::new();
+        let mut active = Vec::new();
+        for number in 1..=100 {
+            faults.elements(mark(number), &mut active);
+            injected.extend(active.iter().map(|a| (number, a.strength)));
+        }
+        let log = faults.take_injections();
+        let logged: Vec<_> = log.iter().map(|i| (i.ping_number, i.strength)).collect();
+        assert_eq!(logged, injected, "every injection is logged");
+        injected
+    }
+
+    #[test]
+    fn a_timeline_begins_ends_and_grows_when_it_says() {
+        let got = strengths(
+            r#"{"kind": "gain", "value": -6, "element": 3, "at_s": 1, "for_s": 2, "ramp_s": 1}"#,
+        );
+        let numbers: Vec<_> = got.iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, (11..=30).collect::<Vec<_>>());
+        for (number, strength) in got {
+            let want = (f64::from(number - 11) * 0.1).min(1.0);
+            assert!((strength - want).abs() < 1e-9, "{number}: {strength}");
+        }
+    }
+
+    #[test]
+    fn chance_is_that_of_the_probability_and_the_same_again() {
+        let json = r#"{"kind": "dead", "element": 0, "probability": 0.3, "seed": 4}"#;
+        let got = strengths(json);
+        // 100 draws of 0.3: 30 with a standard deviation of 4.6.
+        assert!((14..=46).contains(&got.len()), "{}", got.len());
+        assert_eq!(got, strengths(json));
+        let other = strengths(&json.replace('4', "5"));
+        assert_ne!(got, other, "another seed strikes other pings");
+    }
+
+    #[test]
+    fn a_burst_lasts_so_many_pings() {
+        let one = strengths(r#"{"kind": "dead", "element": 0, "probability": 0.03, "seed": 1}"#);
+        let long = strengths(
+            r#"{"kind": "dead", "element": 0, "probability": 0.03, "seed": 1, "burst": 5}"#,
+        );
+        let mut want: Vec<u32> = one
+            .iter()
+            .flat_map(|(number, _)| *number..(*number + 5).min(101))
+            .collect();
+        want.dedup();
+        want.sort_unstable();
+        want.dedup();
+        let got: Vec<_> = long.iter().map(|(number, _)| *number).collect();
+        assert!(!got.is_empty());
+        assert_eq!(got, want);
+    }
+
+    #[test]
+    fn what_the_rig_does_not_have_is_refused() {
+        let faults = faults();
+        for (json, key) in [
+            (r#"{"kind": "dead", "sonar": "other"}"#, "sonar"),
+            (r#"{"kind": "dead", "element": 8}"#, "element"),
+            (r#"{"kind": "dead", "array": 1, "element": 4}"#, "element"),
+            (r#"{"kind": "dead", "array": 2}"#, "element"),
+            (
+                r#"{"kind": "crosstalk", "value": -20, "other": 8}"#,
+                "element",
+            ),
+            (r#"{"kind": "adc-bit-stuck-low", "value": 3}"#, "kind"),
+            (r#"{"kind": "nav-cut", "source": "mru"}"#, "source"),
+        ] {
+            let refused = faults.add(&request(json)).expect_err(json);
+            assert_eq!(refused.key, key, "{json}: {refused}");
+        }
+        for _ in 0..MAX_FAULTS {
+            faults.add(&request(r#"{"kind": "dead"}"#)).expect("room");
+        }
+        assert!(faults.add(&request(r#"{"kind": "dead"}"#)).is_err());
+        let last = faults.list().last().map(|fault| fault.fault);
+        assert_eq!(last, Some(MAX_FAULTS as u32));
+        assert!(faults.remove(MAX_FAULTS as u32) && !faults.remove(MAX_FAULTS as u32));
+        assert_eq!((faults.clear(), faults.standing()), (MAX_FAULTS - 1, 0));
+    }
+}

@@ -1,0 +1,28 @@
+//! One ping from its order to its output: schedule, plan, method selection, echo model, receiver, beams and lines.
+//!
+//! No file, no socket and no clock: the runtime says when, and hands the results over.
+
+pub mod beats;
+pub mod conditions;
+pub mod engines;
+pub mod error_check;
+pub mod fan_truth;
+pub mod faults;
+pub mod footprints;
+pub mod line_engines;
+pub mod line_truth;
+pub mod method_selection;
+pub mod methods;
+pub mod more_pulses;
+pub mod pipeline;
+pub mod plan;
+pub mod rig;
+pub mod schedule;
+pub mod trigger;
+pub mod view;
+pub mod work;
+pub mod world;
+
+pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count, window_s};
+pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns};
+pub use trigger::{Early, Refusal, Triggered};

@@ -1,0 +1,898 @@
+//! The plan of methods for one sonar: asks the stages' error models what every choice would err by and cost in a ping's conditions, and has
+//! [`crate::methods`] choose.
+//!
+//! In: a sonar with what of its model is left to the plan, a ping's plan and scatterers, the table of costs. Out: a [`Ranking`].
+//! The same ping and table always give the same plan.
+
+pub mod costs;
+mod culled;
+pub mod heard;
+pub mod live;
+pub mod parts;
+mod walked;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use crate::conditions::{conditions, segment_step_s, sum_error_model};
+use crate::engines::{HARDEST_M_PER_S2, sketch};
+use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
+use crate::method_selection::costs::Costs;
+use crate::method_selection::culled::floors;
+use crate::method_selection::heard::Shares;
+use crate::method_selection::parts::{Parting, partings};
+use crate::method_selection::walked::{Walked, direct_runs, flank_points};
+use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
+use crate::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
+use crate::work::{Figure, Work};
+use echotank_config::spec::{MadeOutput, MediumSpec, SonarSpec};
+use echotank_core::flow::{
+    Conditions, DopplerModel, ErrorModel, PathModel, Pattern, PingPlan, ReceiverFilter, Scatterers,
+    Synthesis,
+};
+use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::array::filter::{Decimator, oversample};
+use echotank_synthesis::array::gridded::CostEstimate;
+use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
+use echotank_synthesis::slabs;
+
+/// Lengths of segments, seconds: the longest that is good enough is taken.
+const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
+/// What of the tolerance engines may be made for; models and culling have the rest.
+const ENGINE_SHARES: [f64; 3] = [0.8, 0.5, 0.2];
+/// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
+const NEARER: f64 = 0.7;
+/// rms closing speeds of all but the rarest echoes lie within so many times their rms.
+const EXTREMES: f64 = 3.0;
+/// A line bears the motion across it that the echoes of a window have, and so much more in some.
+const ACROSS: f64 = 3.0;
+/// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater, and more in the worst of
+/// many windows.
+const ENGINE_MARGIN: f64 = 3.0;
+/// ... but of its tolerance `gridded-1d` leaves no more than this: three tenths were measured at most in 151 pings of 200 random rigs in which its error
+/// was the greater part, with a receiver filter and without.
+const KEPT_BY_ONE: f64 = 0.4;
+/// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/sweep` but one.
+const KEPT_BY_LINES: f64 = 1.0;
+/// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
+/// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements share a stretch: pings took 0.1 to 8 times as long as
+/// foreseen with the former factor on echoes and grids. The latter is no fit: what is foreseen badly is counted dear.
+const LINE_DOPPLER: f64 = 2.5;
+const LINE_DOPPLER_GRIDS: f64 = 10.0;
+/// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
+const TWO_WAY_WIDTH: f64 = 0.905;
+
+/// What a plan is made of.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    pub spec: &'a SonarSpec,
+    pub medium: &'a MediumSpec,
+    pub plan: &'a PingPlan,
+    pub scatterers: &'a Scatterers,
+    /// How many there are, where `scatterers` are a sample of them ([`sample`]).
+    pub count: usize,
+    pub costs: &'a Costs,
+    /// What the platform has done of late, over what it does in this ping.
+    pub swell: Swell,
+}
+
+/// Factors of 1 and more.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Swell {
+    pub speed: f64,
+    pub acceleration: f64,
+    pub turning: f64,
+}
+
+impl Swell {
+    pub const NONE: Self = Self {
+        speed: 1.0,
+        acceleration: 1.0,
+        turning: 1.0,
+    };
+
+    fn on(&self, mut conditions: Conditions) -> Conditions {
+        conditions.speed_m_per_s *= self.speed;
+        conditions.acceleration_m_per_s2 *= self.acceleration;
+        conditions.turning_m_per_s *= self.turning;
+        if let Some(heard) = &mut conditions.heard {
+            heard.hop_m *= self.speed;
+            heard.closing_m_per_s *= self.speed;
+            heard.closing_of_echoes_m_per_s *= self.speed;
+            heard.across_m_per_s *= self.speed;
+            heard.bend_m_per_s2 *= self.acceleration.max(self.speed * self.speed);
+            heard.acceleration_m_per_s2 *= self.acceleration;
+            heard.turning_m_per_s *= self.turning;
+        }
+        conditions
+    }
+}
+
+/// All points and targets, and of the ground as many as the plan looks at, each for all those left out.
+pub fn sample(all: &Scatterers) -> Scatterers {
+    let mut some = Scatterers {
+        curve: all.curve.clone(),
+        ..Scatterers::default()
+    };
+    for (i, stands_for) in heard::drawn(all, heard::LOOKED_AT) {
+        let strength = all.strength[i] * stands_for.sqrt();
+        some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
+        if let Some(loud) = some.loud.last_mut() {
+            *loud = all.loud[i];
+        }
+    }
+    some
+}
+
+/// The sonar with a plan's choice in it.
+pub fn with_choice(spec: &SonarSpec, choice: &Choice) -> SonarSpec {
+    let mut spec = spec.clone();
+    spec.model = choice.model;
+    spec.synthesis.engine_tolerance = choice.engine_tolerance;
+    spec.synthesis.nearest_m = choice.nearest_m;
+    in_parts(spec, choice.part_elements)
+}
+
+/// The sonar with so many elements of every line made as one.
+fn in_parts(mut spec: SonarSpec, of: usize) -> SonarSpec {
+    for array in &mut spec.receive {
+        if let Some(parts) = array.in_parts(of) {
+            *array = parts;
+        }
+    }
+    spec
+}
+
+/// What is asked of the sonar.
+pub fn goal(spec: &SonarSpec) -> Goal {
+    Goal {
+        tolerance: spec.synthesis.tolerance,
+        image_cells: spec.synthesis.image_cells,
+    }
+}
+
+/// The plan for this ping's conditions; what the configuration fixes has one member.
+pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
+    // An element's engine is a part's too.
+    let sketches = Sketches::default();
+    let maker = Maker::new(scene, None, &sketches);
+    let (mut candidates, mut refused) = maker.candidates();
+    let partings = worth_trying(scene, &maker.conditions);
+    for parting in &partings {
+        let spec = in_parts(scene.spec.clone(), parting.of);
+        let scene = Scene {
+            spec: &spec,
+            ..*scene
+        };
+        let (more, why) = Maker::new(&scene, Some(*parting), &sketches).candidates();
+        candidates.extend(more);
+        refused.extend(why);
+    }
+    let of_parts = |c: &Candidate| c.choice.part_elements > 1;
+    if scene.spec.synthesis.output == MadeOutput::Beams && candidates.iter().any(of_parts) {
+        candidates.retain(of_parts);
+    }
+    choose(goal(scene.spec), candidates, refused, barred)
+}
+
+/// What of the tolerance parts of lines may leave; models and the sum have the rest.
+const PART_SHARES: [f64; 3] = [0.6, 0.3, 0.1];
+
+/// The ways to part lines that may be chosen: for each share of the tolerance the coarsest within it. Where there is none the finest, to compare.
+fn worth_trying(scene: &Scene, conditions: &Conditions) -> Vec<Parting> {
+    let spec = scene.spec;
+    let synthesis = &spec.synthesis;
+    if synthesis.output == MadeOutput::Elements || synthesis.elements_for.is_some() {
+        return Vec::new();
+    }
+    let spread = conditions.heard.map_or(1.0, |heard| heard.spread);
+    let turning = scene.swell.turning;
+    let all = partings(spec, scene.plan, scene.scatterers, spread, turning);
+    let leaves = |parting: &Parting| {
+        let path = PathModel::Continuous;
+        parting.error(path, 0.0).unwrap_or(f64::INFINITY)
+    };
+    let mut tried: Vec<Parting> = Vec::new();
+    for share in PART_SHARES {
+        let within = |p: &&Parting| leaves(p) <= share * synthesis.tolerance;
+        if let Some(coarsest) = all.iter().rev().find(within)
+            && !tried.contains(coarsest)
+        {
+            tried.push(*coarsest);
+        }
+    }
+    if tried.is_empty() {
+        tried.extend(all.first());
+    }
+    tried
+}
+
+/// A path and a Doppler model, with their error models.
+struct Motion {
+    path: PathModel,
+    segment_s: f64,
+    doppler: DopplerModel,
+    error_models: [ErrorModel; 2],
+}
+
+/// A floor of the patterns, what it leaves out, and the shares of the pairs that are insonified and kept.
+#[derive(Clone, Copy)]
+struct Culling {
+    db: Option<f64>,
+    error: f64,
+    of: Shares,
+}
+
+struct Maker<'a> {
+    scene: &'a Scene<'a>,
+    conditions: Conditions,
+    nearest_m: f64,
+    cullings: Vec<Culling>,
+    walked: Walked,
+    /// How lines are parted; none: elements are made.
+    parting: Option<Parting>,
+    sketches: &'a Sketches,
+}
+
+/// Engines of one element each that have been looked at: by Doppler model, and the bits of what they are made for.
+#[derive(Default)]
+struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
+
+type Sketch = Result<Rc<slabs::Sketch>, String>;
+
+/// What an engine promises and costs.
+enum Engine {
+    One(Rc<slabs::Sketch>),
+    Lines {
+        error: f64,
+        cost: CostEstimate,
+        stretches: f64,
+        why: String,
+    },
+}
+
+impl<'a> Maker<'a> {
+    fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
+        let spec = scene.spec;
+        let mut conditions = scene
+            .swell
+            .on(conditions(spec, scene.plan, scene.scatterers));
+        conditions.scatterers = scene.count;
+        Self {
+            scene,
+            parting,
+            sketches,
+            walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
+            nearest_m: nearest_m(spec, conditions.range_m.0),
+            conditions,
+            cullings: floors(scene),
+        }
+    }
+
+    fn motions(&self) -> Vec<Motion> {
+        let spec = self.scene.spec;
+        let auto = spec.synthesis.auto;
+        let segments: &[f64] = match auto.segment {
+            true => &SEGMENTS_S,
+            false => &[spec.model.segment_s],
+        };
+        let mut paths = Vec::new();
+        for path in PathModel::ALL {
+            if !auto.path && path != spec.model.path {
+                continue;
+            }
+            if self.parting.is_some() && path == PathModel::Polyline {
+                continue;
+            }
+            match path {
+                PathModel::Polyline | PathModel::KSegment => {
+                    paths.extend(segments.iter().map(|&h| (path, h)));
+                }
+                _ => paths.push((path, spec.model.segment_s)),
+            }
+        }
+        let dopplers = DopplerModel::ALL
+            .into_iter()
+            .filter(|d| match auto.doppler {
+                true => *d != DopplerModel::PaperEq21,
+                false => *d == spec.model.doppler,
+            });
+        let dopplers: Vec<_> = dopplers.collect();
+        let mut motions = Vec::new();
+        for (path, segment_s) in paths {
+            let window_s = self.scene.plan.window_s(self.conditions.sample_rate_hz);
+            let under = Conditions {
+                segment_s: segment_step_s(window_s, segment_s),
+                ..self.conditions
+            };
+            for &doppler in &dopplers {
+                motions.push(Motion {
+                    path,
+                    segment_s,
+                    doppler,
+                    error_models: [
+                        path_error_model(path, &under),
+                        doppler_error_model(doppler, path, &under),
+                    ],
+                });
+            }
+        }
+        motions
+    }
+
+    fn sums(&self) -> Vec<Synthesis> {
+        let spec = self.scene.spec;
+        // Parts are walked one by one.
+        let lines = self.parting.is_none() && spec.receive.iter().all(|a| a.elements > 1);
+        let one_by_one = |s: Synthesis| {
+            matches!(
+                s,
+                Synthesis::Direct | Synthesis::Gridded1d | Synthesis::Reference
+            )
+        };
+        Synthesis::ALL
+            .into_iter()
+            .filter(|&s| match spec.synthesis.auto.synthesis {
+                false => s == spec.model.synthesis,
+                true => {
+                    // The truth is for those who ask for it.
+                    s != Synthesis::Reference
+                        && (s != Synthesis::Gridded2d
+                            || lines && spec.receiver.filter == ReceiverFilter::Fir)
+                        && (spec.more_pulses.is_empty() || one_by_one(s))
+                }
+            })
+            .collect()
+    }
+
+    fn candidates(&self) -> (Vec<Candidate>, Vec<(String, String)>) {
+        let (mut found, mut refused) = (Vec::new(), Vec::new());
+        let motions = self.motions();
+        for synthesis in self.sums() {
+            match synthesis {
+                Synthesis::Reference => {
+                    let none = self.cullings[0];
+                    if let Some(motion) = motions.last() {
+                        found.push(self.reference(motion, none));
+                    }
+                }
+                Synthesis::Gridded1d | Synthesis::Gridded2d => {
+                    self.engines(synthesis, &motions, &mut found, &mut refused);
+                }
+                _ => {
+                    let error_model = sum_error_model(
+                        synthesis,
+                        self.scene.spec,
+                        self.scene.plan,
+                        &self.conditions,
+                    );
+                    for motion in motions.iter().filter(|m| synthesis.takes(m.doppler)) {
+                        for &culling in &self.cullings {
+                            found.push(self.plain(synthesis, &error_model, motion, culling));
+                        }
+                    }
+                }
+            }
+        }
+        (found, refused)
+    }
+
+    /// Candidates of one engine, Doppler by Doppler: an engine knows nothing of paths but whether they step.
+    fn engines(
+        &self,
+        synthesis: Synthesis,
+        motions: &[Motion],
+        found: &mut Vec<Candidate>,
+        refused: &mut Vec<(String, String)>,
+    ) {
+        let spec = self.scene.spec;
+        let goal = goal(spec);
+        for doppler in DopplerModel::ALL {
+            let of: Vec<&Motion> = motions
+                .iter()
+                .filter(|m| m.doppler == doppler && synthesis.takes(doppler))
+                .filter(|m| synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline)
+                .collect();
+            let Some(least) = of
+                .iter()
+                .map(|m| m.error_models[0].error + m.error_models[1].error)
+                .min_by(f64::total_cmp)
+            else {
+                continue;
+            };
+            // Models that are beyond the goal by themselves are listed with one engine, to compare.
+            let hopeful = goal.image_cells.is_some() || least < goal.tolerance;
+            let tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
+                (false, _) => vec![None],
+                (true, false) => vec![Some(ENGINE_SHARES[1] * goal.tolerance)],
+                (true, true) => ENGINE_SHARES
+                    .iter()
+                    .map(|share| Some(share * goal.tolerance))
+                    .collect(),
+            };
+            // A sum that is the operator's and cannot be made for a share is what it is for the whole, and said to be.
+            let whole = (!spec.synthesis.auto.synthesis && spec.synthesis.auto.any())
+                .then_some(Some(goal.tolerance));
+            let mut is_made = false;
+            for engine_tolerance in tolerances.into_iter().chain(whole) {
+                if is_made && engine_tolerance == Some(goal.tolerance) {
+                    continue;
+                }
+                match self.engine(synthesis, doppler, engine_tolerance) {
+                    Ok(engine) => {
+                        is_made = true;
+                        for motion in &of {
+                            for &culling in &self.cullings {
+                                found.push(self.on_engine(
+                                    synthesis,
+                                    motion,
+                                    culling,
+                                    engine_tolerance,
+                                    &engine,
+                                ));
+                            }
+                        }
+                    }
+                    Err(why) => {
+                        let tolerance = engine_tolerance.unwrap_or(goal.tolerance);
+                        let name =
+                            format!("{} {tolerance:.0e}, {}", synthesis.name(), doppler.name());
+                        refused.push((name, why));
+                    }
+                }
+            }
+        }
+    }
+
+    fn engine(
+        &self,
+        synthesis: Synthesis,
+        doppler: DopplerModel,
+        engine_tolerance: Option<f64>,
+    ) -> Result<Engine, String> {
+        let Conditions {
+            speed_m_per_s,
+            acceleration_m_per_s2,
+            heard,
+            ..
+        } = self.conditions;
+        if speed_m_per_s > FASTEST_PLATFORM_M_PER_S {
+            return Err(format!(
+                "the platform does {speed_m_per_s:.1} m/s, the engine knows {FASTEST_PLATFORM_M_PER_S}"
+            ));
+        }
+        if doppler == DopplerModel::StretchQuadratic && acceleration_m_per_s2 > HARDEST_M_PER_S2 {
+            return Err(format!(
+                "an array accelerates by {acceleration_m_per_s2:.1} m/s^2, the engine knows {HARDEST_M_PER_S2}"
+            ));
+        }
+        let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
+        if synthesis == Synthesis::Gridded2d
+            && doppler != DopplerModel::None
+            && across > SIDEWAYS_M_PER_S
+        {
+            return Err(format!(
+                "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
+            ));
+        }
+        let bits = engine_tolerance.map(f64::to_bits);
+        if synthesis == Synthesis::Gridded1d {
+            let seen = self.sketches.0.borrow();
+            let same = |of: &&(_, _, Sketch)| (of.0, of.1) == (doppler, bits);
+            if let Some((.., sketch)) = seen.iter().find(same) {
+                return sketch.clone().map(Engine::One);
+            }
+        }
+        let mut spec = self.scene.spec.clone();
+        spec.model.doppler = doppler;
+        spec.model.synthesis = synthesis;
+        // The steps of a polyline are for the configuration to refuse.
+        spec.model.path = PathModel::KSegment;
+        spec.synthesis.engine_tolerance = engine_tolerance;
+        spec.synthesis.nearest_m = self.nearest_m;
+        let c = self.scene.medium.sound_speed_m_per_s;
+        let filter: Option<Decimator> = match spec.receiver.filter {
+            ReceiverFilter::None => None,
+            ReceiverFilter::Fir => {
+                Some(receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?)
+            }
+        };
+        let fastest = FASTEST_PLATFORM_M_PER_S;
+        if synthesis == Synthesis::Gridded1d {
+            let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
+            let made = made.map(Rc::new).map_err(|why| why.to_string());
+            let mut seen = self.sketches.0.borrow_mut();
+            seen.push((doppler, bits, made.clone()));
+            return made.map(Engine::One);
+        }
+        // As the engines are made; their echoes are then counted in those of this ping.
+        let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
+        let choices = choices(&spec, c, fastest, filter.as_ref(), NOMINAL_SCATTERERS)
+            .map_err(|why| why.to_string())?;
+        let stretches = choices.iter().zip(&spec.receive);
+        let costs = choices.iter().map(|choice| choice.cost);
+        let (echoes_times, grids_times) = match doppler {
+            DopplerModel::None => (1.0, 1.0),
+            _ => (LINE_DOPPLER, LINE_DOPPLER_GRIDS),
+        };
+        Ok(Engine::Lines {
+            error: choices
+                .iter()
+                .map(|c| c.error_model.error)
+                .fold(0.0, f64::max),
+            cost: costs.fold(CostEstimate::default(), |sum, cost| CostEstimate {
+                echoes_ns: sum.echoes_ns + echoes_times * kept * cost.echoes_ns,
+                grids_ns: sum.grids_ns + grids_times * cost.grids_ns,
+            }),
+            stretches: stretches
+                .map(|(choice, array)| {
+                    array.elements.div_ceil(choice.fineness.stretch.max(1)) as f64
+                })
+                .sum(),
+            why: choices
+                .first()
+                .map_or(String::new(), |choice| choice.error_model.why.clone()),
+        })
+    }
+
+    fn on_engine(
+        &self,
+        synthesis: Synthesis,
+        motion: &Motion,
+        culling: Culling,
+        engine_tolerance: Option<f64>,
+        engine: &Engine,
+    ) -> Candidate {
+        let elements = self.conditions.elements as f64;
+        let scatterers = self.scene.count as f64;
+        let arrivals = culling.of.kept * scatterers;
+        let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
+        let spread = self.conditions.heard.map_or(1.0, |heard| heard.spread);
+        let kept = |error: f64, most: f64| (ENGINE_MARGIN * spread * error).min(most * tolerance);
+        let (error, work, pairs, why) = match engine {
+            Engine::One(engine) => {
+                let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
+                    EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
+                });
+                let one = engine.cost_estimate(arrivals as usize, self.doppler_share(), bend);
+                (
+                    kept(engine.error_model().error, KEPT_BY_ONE),
+                    Work::of(Figure::Gridded1dEcho, one.echoes_ns * elements)
+                        .and(Figure::Gridded1dGrid, one.grids_ns * elements),
+                    culling.of.transmit_leg * scatterers * elements,
+                    engine.error_model().why,
+                )
+            }
+            Engine::Lines {
+                error,
+                cost,
+                stretches,
+                why,
+            } => {
+                let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
+                (
+                    kept(*error, KEPT_BY_LINES),
+                    Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
+                        .and(Figure::Gridded2dGrid, cost.grids_ns),
+                    culling.of.transmit_leg * scatterers * stretches,
+                    why.clone(),
+                )
+            }
+        };
+        let name = format!("{} {tolerance:.1e}", synthesis.name());
+        let sum = self.sum(name, error, work, why);
+        self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum)
+    }
+
+    /// Of the widest span of Dopplers, what this ping has.
+    fn doppler_share(&self) -> f64 {
+        let speed = self.conditions.speed_m_per_s;
+        let heard = self.conditions.heard;
+        let closing = heard.map_or(speed, |h| {
+            (EXTREMES * h.closing_of_echoes_m_per_s).min(speed)
+        });
+        (closing / FASTEST_PLATFORM_M_PER_S).min(1.0)
+    }
+
+    /// The part of the sum, with what every way to sum costs.
+    fn sum(&self, choice: String, error: f64, work: Work, why: String) -> Part {
+        let work = work
+            .and(Figure::Ping, 1.0)
+            .and(Figure::Element, self.conditions.elements as f64)
+            .and(Figure::Sample, self.samples());
+        Part {
+            family: Family::Sum,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why,
+        }
+    }
+
+    /// Of all elements.
+    fn samples(&self) -> f64 {
+        self.conditions.elements as f64 * self.scene.plan.sample_count as f64
+    }
+
+    /// Taps of the receiver filter ahead of this way to sum, 0 without one.
+    fn taps(&self, synthesis: Synthesis) -> f64 {
+        let mut spec = self.scene.spec.clone();
+        spec.model.synthesis = synthesis;
+        match spec.receiver.filter {
+            ReceiverFilter::None => 0.0,
+            ReceiverFilter::Fir => receiver_filter(&spec, self.scene.medium)
+                .map_or(0.0, |filter| filter.dense_len(1) as f64),
+        }
+    }
+
+    fn plain(
+        &self,
+        synthesis: Synthesis,
+        error_model: &ErrorModel,
+        motion: &Motion,
+        culling: Culling,
+    ) -> Candidate {
+        let all = (self.scene.count * self.conditions.elements) as f64;
+        let pairs = culling.of.kept * all;
+        let pulse = &self.conditions.pulse;
+        let rate_hz = self.conditions.sample_rate_hz;
+        let filtered = self.conditions.filter == ReceiverFilter::Fir;
+        let dense = match filtered {
+            true => oversample(pulse, rate_hz, synthesis) as f64,
+            false => 1.0,
+        };
+        let echo_samples = pulse.duration_s * rate_hz;
+        let points = echo_samples * dense;
+        let work = match synthesis {
+            Synthesis::Direct => {
+                let runs = direct_runs(&self.conditions, motion.doppler, rate_hz * dense);
+                let sharp = filtered && pulse.taper == 0.0;
+                Work::of(Figure::DirectRun, pairs * runs)
+                    .and(Figure::DirectPoint, pairs * points)
+                    .and(Figure::DirectFlank, pairs * flank_points(pulse, points))
+                    .and(Figure::DirectEdge, if sharp { pairs } else { 0.0 })
+                    .and(Figure::FilterTap, self.samples() * self.taps(synthesis))
+            }
+            Synthesis::Spectral => {
+                let tails = self.taps(synthesis) / dense;
+                let bins = self.scene.plan.sample_count as f64 + echo_samples + tails;
+                Work::of(Figure::SpectralBin, pairs * bins)
+            }
+            Synthesis::Nearest | Synthesis::Linear => {
+                let of_each = match synthesis {
+                    Synthesis::Linear => 2.0,
+                    _ => 1.0,
+                };
+                Work::of(Figure::ReplicaSample, of_each * pairs * echo_samples)
+                    .and(Figure::ReplicaEcho, pairs)
+            }
+            _ => Work::NONE,
+        };
+        let name = synthesis.name().to_owned();
+        let sum = self.sum(name, error_model.error, work, error_model.why.clone());
+        let transmit_leg = culling.of.transmit_leg * all;
+        self.candidate(synthesis, motion, culling, None, transmit_leg, sum)
+    }
+
+    fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
+        let synthesis = Synthesis::Reference;
+        let error_model = synthesis_error_model(synthesis, &self.conditions);
+        let pulse = &self.conditions.pulse;
+        let rate_hz = self.conditions.sample_rate_hz;
+        let dense = match self.conditions.filter {
+            ReceiverFilter::Fir => oversample(pulse, rate_hz, synthesis) as f64,
+            ReceiverFilter::None => 1.0,
+        };
+        let pairs = (self.scene.count * self.conditions.elements) as f64;
+        let points = pairs * pulse.duration_s * rate_hz * dense;
+        let work = Work::of(Figure::ReferencePoint, points)
+            .and(Figure::FilterTap, self.samples() * self.taps(synthesis));
+        let sum = self.sum("reference".into(), error_model.error, work, error_model.why);
+        let whole = Culling {
+            db: culling.db,
+            error: 0.0,
+            of: Shares::ALL,
+        };
+        let mut candidate = self.candidate(synthesis, motion, whole, None, 0.0, sum);
+        for family in [Family::Path, Family::Doppler] {
+            let part = &mut candidate.parts[family as usize];
+            (part.error, part.cost_ms, part.work) = (0.0, 0.0, Work::NONE);
+            part.why = "not used: on the trajectory itself, sample by sample".into();
+        }
+        candidate.displaced = Displaced::default();
+        candidate
+    }
+
+    /// The parts that all have. `pairs`: of insonified scatterers and elements (or stretches of them), which are solved for.
+    fn candidate(
+        &self,
+        synthesis: Synthesis,
+        motion: &Motion,
+        culling: Culling,
+        engine_tolerance: Option<f64>,
+        pairs: f64,
+        sum: Part,
+    ) -> Candidate {
+        let spec = self.scene.spec;
+        let [path_error_model, doppler_error_model] = &motion.error_models;
+        let segmented = matches!(motion.path, PathModel::Polyline | PathModel::KSegment);
+        let chords = match motion.path {
+            PathModel::StopAndHop => 1.0,
+            _ => self.walked.chords(motion.segment_s),
+        };
+        let newton = match motion.path {
+            PathModel::Continuous => pairs,
+            _ => 0.0,
+        };
+        let transmitted = (self.scene.count * spec.transmit.len()) as f64;
+        let legs = Work::of(Figure::TransmitLegTerms, transmitted)
+            .and(Figure::Pair, pairs)
+            .and(Figure::Pattern, pairs * self.walked.patterned)
+            .and(Figure::Chord, pairs * chords)
+            .and(Figure::Newton, newton);
+        let second = match motion.doppler {
+            DopplerModel::StretchQuadratic => Work::of(Figure::Quadratic, pairs),
+            _ => Work::NONE,
+        };
+        let part = |family, choice: String, error, work: Work, why: &str| Part {
+            family,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why: why.to_owned(),
+        };
+        let path_name = match segmented {
+            true => format!("{} {} ms", motion.path.name(), motion.segment_s * 1e3),
+            false => motion.path.name().to_owned(),
+        };
+        let doppler_name = match motion.doppler {
+            DopplerModel::None => "no Doppler".to_owned(),
+            doppler => doppler.name().to_owned(),
+        };
+        let (cull_name, cull_why) = match culling.db {
+            None => ("all scatterers".to_owned(), String::new()),
+            Some(db) => (
+                format!("culled at {db:.0} dB"),
+                match culling.of.kept {
+                    kept if kept > 1.0 => {
+                        format!(
+                            "{kept:.1} times as many scatterers as are at hand above their floor"
+                        )
+                    }
+                    kept => format!("{:.0} % of the scatterers at hand are kept", 100.0 * kept),
+                },
+            ),
+        };
+        let mut model = spec.model;
+        model.path = motion.path;
+        model.segment_s = motion.segment_s;
+        model.doppler = motion.doppler;
+        model.synthesis = synthesis;
+        model.cull_db = culling.db;
+        Candidate {
+            choice: Choice {
+                model,
+                engine_tolerance,
+                nearest_m: self.nearest_m,
+                part_elements: self.parting.map_or(1, |parting| parting.of),
+            },
+            parts: [
+                part(
+                    Family::Path,
+                    path_name,
+                    path_error_model.error,
+                    legs,
+                    &path_error_model.why,
+                ),
+                part(
+                    Family::Doppler,
+                    doppler_name,
+                    doppler_error_model.error,
+                    second,
+                    &doppler_error_model.why,
+                ),
+                sum,
+                part(
+                    Family::Culling,
+                    cull_name,
+                    culling.error,
+                    Work::NONE,
+                    &cull_why,
+                ),
+                self.output(motion, pairs),
+            ],
+            displaced: self.displaced(motion),
+        }
+    }
+
+    /// Of elements, or of parts of lines. `pairs`: of insonified scatterers and records.
+    fn output(&self, motion: &Motion, pairs: f64) -> Part {
+        let (choice, error, work, why) = match self.parting {
+            None => {
+                let synthesis = &self.scene.spec.synthesis;
+                let why = match synthesis.output {
+                    MadeOutput::Elements => "nothing else is asked for",
+                    _ => synthesis.elements_for.unwrap_or(""),
+                };
+                ("elements".to_owned(), 0.0, Work::NONE, why.to_owned())
+            }
+            Some(parting) => {
+                let records = self.conditions.elements;
+                let error = parting.error(motion.path, motion.segment_s);
+                (
+                    format!("beams, {} elements as one", parting.of),
+                    error.unwrap_or(f64::INFINITY),
+                    Work::of(Figure::PartElement, pairs * parting.of as f64),
+                    format!(
+                        "nobody reads elements: {records} records in place of {}",
+                        records * parting.of
+                    ),
+                )
+            }
+        };
+        Part {
+            family: Family::Output,
+            choice,
+            error,
+            cost_ms: self.scene.costs.ms(&work),
+            work,
+            why,
+        }
+    }
+
+    /// What the models do to a picture: the motion left out displaces along the track by v r/c of the cell at r and in range by what an echo's
+    /// path is off; the Doppler left out biases a compressed pulse by |d| f_c T/B, which is |d| f_c T cells.
+    fn displaced(&self, motion: &Motion) -> Displaced {
+        let c = self.conditions.sound_speed_m_per_s;
+        let pulse = &self.conditions.pulse;
+        let speed = self.conditions.speed_m_per_s;
+        let (hop_m, closing) = match self.conditions.heard {
+            Some(heard) => (heard.hop_m, heard.closing_of_echoes_m_per_s),
+            None => (speed * 2.0 * self.conditions.range_m.1 / c, speed),
+        };
+        let mut displaced = Displaced::default();
+        if motion.path == PathModel::StopAndHop {
+            let wavelength_m = c / pulse.center_frequency_hz;
+            displaced.along_cells = speed * self.aperture_m() / (TWO_WAY_WIDTH * wavelength_m * c);
+            displaced.range_cells += hop_m * pulse.bandwidth_hz / c;
+        }
+        if motion.doppler.keeps_pulse() {
+            let d = 2.0 * closing / c;
+            displaced.range_cells += d * pulse.center_frequency_hz * pulse.duration_s;
+        }
+        displaced
+    }
+
+    /// The root of the sum of squares of transmitter's and receiver's lengths along the track, of the longest pair.
+    fn aperture_m(&self) -> f64 {
+        let side_m = |pattern: &Pattern| match *pattern {
+            Pattern::Omnidirectional => 0.0,
+            Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => length_m,
+        };
+        let spec = self.scene.spec;
+        let pairs = spec.receive.iter().map(|array| {
+            let transmit = &spec.transmit[array.transmit];
+            let along = |q: glam::DQuat| (q * glam::DVec3::X).x.abs();
+            let line_m =
+                (array.elements as f64 * array.spacing_m).max(side_m(&array.element_pattern));
+            (line_m * along(array.mounting.body_from_array))
+                .hypot(side_m(&transmit.pattern) * along(transmit.mounting.body_from_array))
+        });
+        pairs.fold(0.0, f64::max)
+    }
+}
+
+/// What engines are made for: the operator's word where they are the operator's; where they are the plan's, what this ping has, and no farther
+/// than is said.
+fn nearest_m(spec: &SonarSpec, nearest_heard_m: f64) -> f64 {
+    let said_m = spec.synthesis.nearest_m;
+    let auto = spec.synthesis.auto;
+    match spec.synthesis.is_planned()
+        && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d)
+    {
+        true => (NEARER * nearest_heard_m).min(said_m.max(5.0)),
+        false => said_m,
+    }
+}

@@ -1,0 +1,444 @@
+//! A rig assembled: navigation history, scene, and one [`SonarUnit`] per head. The daemon and `replay` differ only in who calls and when.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::PingOrder;
+use crate::faults::{Faults, PingMark};
+use crate::method_selection::costs::Costs;
+use crate::method_selection::live::Planner;
+use crate::pipeline::{PipelineError, SonarPipeline};
+use crate::plan;
+use crate::view;
+use crate::world::{Placed, World};
+use echotank_config::spec::{
+    AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec,
+};
+use echotank_core::flow::{
+    OverloadState, PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
+};
+use echotank_core::time::UtcNs;
+use echotank_nav::{NavGap, NavHistory};
+use echotank_scene::simplify::energy::View;
+use echotank_scene::simplify::stage::{Stage, StageCounts};
+use echotank_scene::{Scene, SceneError};
+use echotank_synthesis::echo::absorption::absorption_db_per_m;
+
+#[derive(Debug, Error)]
+pub enum RigError {
+    #[error("scene: {0}")]
+    Scene(#[from] SceneError),
+    #[error("sonar {name}: {why}")]
+    Sonar { name: String, why: PipelineError },
+    #[error("fault {number}: {why}")]
+    Fault { number: usize, why: FaultRefused },
+}
+
+/// A ping and everything it made, in buffers that are used again.
+#[derive(Clone, Debug)]
+pub struct PingSlot {
+    pub plan: PingPlan,
+    pub output: PingOutput,
+}
+
+/// One head.
+pub struct SonarUnit {
+    pub spec: SonarSpec,
+    pub pipeline: SonarPipeline,
+    /// Leaves out what a ping can do without.
+    simplify: Option<(Stage, View)>,
+    /// One way, at the centre frequency.
+    pub absorption_db_per_m: f64,
+    /// The rig's.
+    pub faults: Arc<Faults>,
+    /// Chooses what the configuration leaves to the plan of methods.
+    pub planner: Option<Planner>,
+    /// Under `run.overload = "degrade"`: what takes the place of pipeline and planner, the next looser first.
+    looser: Vec<DegradationLevel>,
+}
+
+/// A looser tolerance to fall back on.
+struct DegradationLevel {
+    tolerance: f64,
+    pipeline: SonarPipeline,
+    planner: Option<Planner>,
+}
+
+impl SonarUnit {
+    /// Tolerances it can keep: its own, and looser ones.
+    pub fn levels(&self) -> usize {
+        1 + self.looser.len()
+    }
+
+    /// Puts the pipeline of a level in place, or back; the tolerance, where it is a looser one.
+    fn swap(&mut self, level: usize) -> Option<f64> {
+        let looser = self.looser.get_mut(level.checked_sub(1)?)?;
+        std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
+        std::mem::swap(&mut self.planner, &mut looser.planner);
+        Some(looser.tolerance)
+    }
+
+    /// Pings with these settings are about to come.
+    pub fn expect(&mut self, settings: &SonarSettings) {
+        self.pipeline.expect(settings);
+        for level in &mut self.looser {
+            level.pipeline.expect(settings);
+        }
+    }
+}
+
+/// The parts that every ping passes through.
+pub struct Rig {
+    pub spec: RigSpec,
+    pub history: NavHistory,
+    pub scene: Scene,
+    pub sonars: Vec<SonarUnit>,
+    pub faults: Arc<Faults>,
+    costs: Arc<Costs>,
+    placed: bool,
+    /// For threads beside the pings.
+    pub world: Placed,
+    scatterers: Scatterers,
+    pub simplify_counts: StageCounts,
+}
+
+impl Rig {
+    /// Opens the scene and sizes every buffer. `costs` is what the method selection compares. To be called inside the pool that will run it.
+    pub fn open(spec: &RigSpec, costs: Costs) -> Result<Self, RigError> {
+        let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
+        for (number, request) in spec.faults.iter().enumerate() {
+            let added = faults.add(request);
+            added.map_err(|why| RigError::Fault { number, why })?;
+        }
+        let costs = Arc::new(costs);
+        let mut sonars = Vec::new();
+        for sonar in &spec.sonars {
+            let absorption_db_per_m =
+                absorption_db_per_m(&spec.medium.absorption, sonar.pulse.center_frequency_hz);
+            let mut sonar = sonar.clone();
+            if let TimeVaryingGain::Law {
+                absorption_db_per_m: law,
+                ..
+            } = &mut sonar.receiver.tvg
+            {
+                // The law undoes the medium's own absorption, which only now is a number.
+                *law = absorption_db_per_m;
+            }
+            let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
+                let name = sonar.name.clone();
+                RigError::Sonar { name, why }
+            })?;
+            sonars.push(SonarUnit {
+                simplify: spec.scene.simplify.as_ref().map(|simplify| {
+                    let view = View {
+                        slack_m: simplify.hold_m,
+                        slack_rad: simplify.hold_rad,
+                        shadows: simplify.shadows,
+                        ..View::default()
+                    };
+                    (Stage::of_spec(simplify, spec.scene.seed), view)
+                }),
+                pipeline,
+                planner: Planner::new(&sonar, &spec.medium, costs.clone()),
+                looser: Vec::new(),
+                spec: sonar,
+                absorption_db_per_m,
+                faults: faults.clone(),
+            });
+        }
+        Ok(Self {
+            spec: spec.clone(),
+            history: NavHistory::new(&spec.nav),
+            scene: Scene::open(&spec.scene)?,
+            sonars,
+            faults,
+            costs,
+            placed: false,
+            world: Placed::default(),
+            scatterers: Scatterers::default(),
+            simplify_counts: StageCounts::default(),
+        })
+    }
+
+    /// Makes what takes over when pings are too much. To be called inside the pool that will run it.
+    pub fn make_looser(&mut self) -> Result<(), RigError> {
+        for unit in &mut self.sonars {
+            for tolerance in unit.spec.looser_tolerances() {
+                let mut spec = unit.spec.clone();
+                spec.synthesis.tolerance = tolerance;
+                let medium = &self.spec.medium;
+                let pipeline = SonarPipeline::new(&spec, medium).map_err(|why| {
+                    let name = spec.name.clone();
+                    RigError::Sonar { name, why }
+                })?;
+                let planner = Planner::new(&spec, medium, self.costs.clone());
+                unit.looser.push(DegradationLevel {
+                    tolerance,
+                    pipeline,
+                    planner,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    pub fn medium(&self) -> &MediumSpec {
+        &self.spec.medium
+    }
+
+    /// A slot with room for the largest ping of this sonar.
+    pub fn slot(&self, sonar: usize) -> PingSlot {
+        let unit = &self.sonars[sonar];
+        PingSlot {
+            plan: plan::blank(
+                sonar,
+                &unit.spec,
+                &self.spec.medium,
+                unit.absorption_db_per_m,
+            ),
+            output: unit.pipeline.blank_output(),
+        }
+    }
+
+    /// Listening window of an order, seconds.
+    pub fn window_s(&self, sonar: usize, order: &PingOrder) -> f64 {
+        let c = self.spec.medium.sound_speed_m_per_s;
+        let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
+        plan::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
+    }
+
+    /// What the ping made last heard.
+    pub fn scatterers(&self) -> &Scatterers {
+        &self.scatterers
+    }
+
+    /// Named targets in the world; empty until the scene has been placed.
+    pub fn targets(&self) -> &[Target] {
+        if self.placed {
+            self.scene.targets()
+        } else {
+            &[]
+        }
+    }
+
+    /// The scene lies where it belongs from the first fix on.
+    fn place_scene(&mut self) {
+        if self.placed {
+            return;
+        }
+        if let Some(first) = self.history.first_fix_local() {
+            let (north_m, east_m) = match self.spec.scene.anchor {
+                AnchorSpec::Origin => (0.0, 0.0),
+                AnchorSpec::FirstFix => (first.x, first.y),
+                AnchorSpec::File => self.where_the_file_lies(),
+            };
+            self.scene.place(north_m, east_m);
+            self.placed = true;
+            self.world.get_or_init(|| World::of(&self.scene));
+        }
+    }
+
+    /// The scene's zero on the world's plane, by the place on the earth that the seabed's file tells. The scene is not turned: 10 km
+    /// east of the world's origin, at latitude 45, its north is off by 0.09 degrees (meridians converge).
+    fn where_the_file_lies(&self) -> (f64, f64) {
+        match (self.scene.geodetic_place(), self.history.origin()) {
+            (Some(place), Some(plane)) => {
+                let (north_m, east_m) = plane.local_m(place.latitude_rad, place.longitude_rad);
+                (north_m - place.north_m, east_m - place.east_m)
+            }
+            // The scene refuses to open without a place, and a first fix makes the plane.
+            _ => (0.0, 0.0),
+        }
+    }
+
+    /// Makes the ping `order` of sonar `sonar` in `slot`, or says what the navigation lacks. `host_utc` is the host's time at the pulse.
+    pub fn make(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        self.prepare(sonar, order, mode, host_utc, slot)?;
+        self.finish(sonar, slot);
+        Ok(())
+    }
+
+    /// The first samples of a ping that is prepared, up to `end`, in `tile`; false where the ping can only be made as a whole.
+    pub fn begin(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        (end, is_first): (usize, bool),
+        tile: &mut PingSlot,
+    ) -> bool {
+        let scatterers = std::mem::take(&mut self.scatterers);
+        let made = self.begin_of(sonar, slot, (end, is_first), &scatterers, tile);
+        self.scatterers = scatterers;
+        made
+    }
+
+    /// The same of a ping that is only planned, as long as nothing is near enough to be heard; false where something may be.
+    pub fn begin_quiet(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        end: usize,
+        tile: &mut PingSlot,
+    ) -> bool {
+        let unit = &mut self.sonars[sonar];
+        if unit.simplify.is_some() {
+            // What stands for several may lie nearer than each of them.
+            return false;
+        }
+        let pipeline = &mut unit.pipeline;
+        let within_m = pipeline.max_audible_range_m(&mut slot.plan, end);
+        self.scene
+            .is_quiet(pipeline.footprints(&slot.plan), within_m)
+            && self.begin_of(sonar, slot, (end, true), &Scatterers::default(), tile)
+    }
+
+    fn begin_of(
+        &mut self,
+        sonar: usize,
+        slot: &mut PingSlot,
+        (end, is_first): (usize, bool),
+        scatterers: &Scatterers,
+        tile: &mut PingSlot,
+    ) -> bool {
+        let unit = &mut self.sonars[sonar];
+        if !unit.pipeline.faults_mut().is_empty() {
+            return false;
+        }
+        let elements = &mut tile.output.elements;
+        let plan = &mut slot.plan;
+        unit.pipeline
+            .begin_ping(plan, end, is_first, scatterers, elements);
+        tile.plan.clone_from(&slot.plan);
+        true
+    }
+
+    /// Makes a ping that is prepared.
+    pub fn finish(&mut self, sonar: usize, slot: &mut PingSlot) {
+        let unit = &mut self.sonars[sonar];
+        let PingSlot { plan, output } = slot;
+        unit.pipeline.compute_ping(plan, &self.scatterers, output);
+        if let Some(planner) = &mut unit.planner {
+            output.methods = planner.mark();
+            planner.after(plan, &self.scatterers, output.error_check.as_ref());
+        }
+    }
+
+    /// As [`Self::make`], with the tolerance of a level: 0 is the configured one.
+    pub fn make_on(
+        &mut self,
+        level: usize,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        let tolerance = self.sonars[sonar].swap(level);
+        let made = self.make(sonar, order, mode, host_utc, slot);
+        self.sonars[sonar].swap(level);
+        slot.output.overload_state = OverloadState {
+            tolerance,
+            put_off_s: 0.0,
+        };
+        made
+    }
+
+    /// The plan of methods for the first pings, on `order`, where it is left to the plan and the navigation is there. Before any ping is made.
+    pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
+        if self.sonars[sonar].planner.is_none() {
+            return;
+        }
+        let mut slot = self.slot(sonar);
+        let mode = self.spec.nav.mode;
+        if self
+            .prepare(sonar, order, mode, order.transmit_utc, &mut slot)
+            .is_ok()
+        {
+            let unit = &mut self.sonars[sonar];
+            if let Some(planner) = &mut unit.planner {
+                planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
+            }
+            for level in &mut unit.looser {
+                if let Some(planner) = &mut level.planner {
+                    planner.begin(&slot.plan, &self.scatterers, &mut level.pipeline);
+                }
+            }
+        }
+    }
+
+    /// The plan of a ping and its scatterers, without the ping itself.
+    pub fn prepare(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        self.plan(sonar, order, mode, host_utc, slot)?;
+        self.gather(sonar, slot);
+        Ok(())
+    }
+
+    /// The plan of a ping without its scatterers.
+    pub fn plan(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        self.place_scene();
+        let window_s = self.window_s(sonar, order);
+        let nav = self.history.motion(
+            order.transmit_utc,
+            window_s,
+            mode,
+            &mut slot.plan.trajectory,
+        )?;
+        let stamp_utc = match self.spec.nav.stamp {
+            StampSpec::Log => order.transmit_utc,
+            StampSpec::Host => host_utc,
+        };
+        let mark = PingMark::of(sonar, order);
+        let stamp_utc = stamp_utc.plus_s(self.faults.stamp_error_s(mark));
+        let unit = &mut self.sonars[sonar];
+        if let Some(planner) = &mut unit.planner {
+            planner.before(order.ping_number, &mut unit.pipeline);
+            slot.plan.model = unit.pipeline.model();
+        }
+        self.faults.elements(mark, unit.pipeline.faults_mut());
+        plan::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
+        Ok(())
+    }
+
+    /// The scatterers of a ping that is planned.
+    pub fn gather(&mut self, sonar: usize, slot: &mut PingSlot) {
+        let unit = &mut self.sonars[sonar];
+        let footprints = unit.pipeline.footprints(&slot.plan);
+        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
+        if let Some((stage, view)) = &mut unit.simplify {
+            view::view(&unit.spec, &slot.plan, view);
+            // The seabed's come first; points and targets stay.
+            let seabed = slot.output.scene.scatterers as usize;
+            self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
+        }
+    }
+}
+
+/// The threads that compute pings; 0 means as many as there are cores.
+pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(|k| format!("ping {k}"))
+        .build()
+}

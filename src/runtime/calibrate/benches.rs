@@ -1,0 +1,242 @@
+//! Sonars and scenes to measure a machine on: between them they have every kind of work in other proportions, which one configuration has not.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+use num_complex::Complex64;
+
+use echotank_config as config;
+use echotank_config::spec::{MediumSpec, SonarSpec};
+use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
+use echotank_core::frames::Trajectory;
+use echotank_core::time::UtcNs;
+use echotank_ping::{self as ping, PingOrder};
+
+/// One of them.
+pub struct Bench {
+    pub spec: SonarSpec,
+    pub medium: MediumSpec,
+    pub plan: PingPlan,
+    pub scatterers: Scatterers,
+}
+
+/// What differs from one to the next. All lie along the track and look all round, 12 m above a flat bottom, at 3 m/s.
+struct Sketch {
+    elements: usize,
+    patterned: bool,
+    carrier_khz: f64,
+    bandwidth_khz: f64,
+    pulse_ms: f64,
+    taper: f64,
+    rate_khz: f64,
+    filtered: bool,
+    range_m: f64,
+    scatterers: usize,
+    tolerance: f64,
+}
+
+const SKETCHES: [Sketch; 9] = [
+    // Many echoes at one element; few at a few, far off; a line; the same with sharp ends; a fan.
+    sketch(1, 400.0, 20.0, 1.0, 0.2, 60.0, 60.0, 20_000, 1e-3),
+    sketch(1, 200.0, 10.0, 0.5, 0.5, 40.0, 30.0, 100_000, 1e-2),
+    sketch(3, 300.0, 8.0, 1.0, 0.2, 40.0, 120.0, 500, 1e-4),
+    sketch(4, 200.0, 30.0, 2.0, 0.1, 80.0, 40.0, 4_000, 1e-4).round(),
+    sketch(32, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 6_000, 1e-3),
+    sketch(32, 100.0, 4.0, 4.0, 0.0, 20.0, 30.0, 1_500, 1e-2),
+    sketch(128, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 40_000, 1e-3),
+    sketch(2, 200.0, 5.0, 4.0, 0.0, 40.0, 40.0, 5_000, 1e-3).unfiltered(),
+    sketch(16, 50.0, 4.0, 1.0, 0.3, 20.0, 60.0, 2_000, 1e-3).unfiltered(),
+];
+
+#[allow(clippy::too_many_arguments)]
+const fn sketch(
+    elements: usize,
+    carrier_khz: f64,
+    bandwidth_khz: f64,
+    pulse_ms: f64,
+    taper: f64,
+    rate_khz: f64,
+    range_m: f64,
+    scatterers: usize,
+    tolerance: f64,
+) -> Sketch {
+    Sketch {
+        elements,
+        patterned: true,
+        carrier_khz,
+        bandwidth_khz,
+        pulse_ms,
+        taper,
+        rate_khz,
+        filtered: true,
+        range_m,
+        scatterers,
+        tolerance,
+    }
+}
+
+const DEPTH_M: f64 = 12.0;
+const SPEED_M_PER_S: f64 = 3.0;
+const SOUND_SPEED_M_PER_S: f64 = 1500.0;
+
+impl Sketch {
+    const fn round(mut self) -> Self {
+        self.patterned = false;
+        self
+    }
+
+    const fn unfiltered(mut self) -> Self {
+        self.filtered = false;
+        self
+    }
+
+    fn text(&self) -> String {
+        let spacing_m = 0.5 * SOUND_SPEED_M_PER_S / (1e3 * self.carrier_khz);
+        let mut text = format!(
+            r#"[medium]
+sound_speed_m_per_s = {SOUND_SPEED_M_PER_S:?}
+absorption = "none"
+[[nav.source]]
+name = "none"
+kind = "udp"
+listen = "127.0.0.1:0"
+[scene.seabed]
+shape = "plane"
+depth_m = {DEPTH_M:?}
+[[sonar]]
+name = "bench"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = {:?}
+bandwidth_khz = {:?}
+duration_ms = {:?}
+taper = {:?}
+[[sonar.transmit]]
+name = "tx"
+[[sonar.receive]]
+name = "rx"
+elements = {}
+spacing_m = {spacing_m:?}
+"#,
+            self.carrier_khz, self.bandwidth_khz, self.pulse_ms, self.taper, self.elements
+        );
+        if self.patterned {
+            let _ = write!(
+                text,
+                "element_pattern = \"rectangle\"\nelement_length_m = {spacing_m:?}\nelement_width_m = {spacing_m:?}\n"
+            );
+        }
+        let _ = write!(
+            text,
+            r#"[sonar.receiver]
+sample_rate_khz = {:?}
+rx_filter = "{}"
+[sonar.ping]
+range_m = {range_m:?}
+rate_hz = 2.0
+source_level_db = 200.0
+[sonar.limits]
+range_m = [1.0, {range_m:?}]
+pulse_duration_ms = [{pulse_ms:?}, {pulse_ms:?}]
+[sonar.model]
+path = "auto"
+doppler = "auto"
+synthesis = "auto"
+tolerance = {:?}
+"#,
+            self.rate_khz,
+            if self.filtered { "fir" } else { "none" },
+            self.tolerance,
+            range_m = self.range_m,
+            pulse_ms = self.pulse_ms,
+        );
+        text
+    }
+
+    fn bench(&self) -> Bench {
+        let rig = config::parse(&self.text(), Path::new("."))
+            .expect("a test has read every one of these configurations");
+        let mut sonars = rig.sonars;
+        let spec = sonars.swap_remove(0);
+        let mut plan = ping::blank(0, &spec, &rig.medium, 0.0);
+        plan.trajectory =
+            Trajectory::uniform(DVec3::ZERO, DVec3::X * SPEED_M_PER_S, DQuat::IDENTITY);
+        let order = PingOrder {
+            ping_number: 1,
+            transmit_utc: UtcNs(0),
+            settings: spec.settings,
+            period_s: 0.5,
+        };
+        ping::fill(&mut plan, &spec, &order, NavState::default(), UtcNs(0));
+        Bench {
+            scatterers: bottom(self.scatterers, self.range_m),
+            medium: rig.medium,
+            spec,
+            plan,
+        }
+    }
+}
+
+/// So many, evenly over a disc, ring by ring.
+fn bottom(count: usize, range_m: f64) -> Scatterers {
+    let ground_m = (range_m * range_m - DEPTH_M * DEPTH_M).sqrt() * 0.95;
+    // The golden angle spreads points evenly (Vogel 1979).
+    let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let mut scatterers = Scatterers::default();
+    for k in 0..count {
+        let radius_m = ground_m * ((k as f64 + 0.5) / count as f64).sqrt();
+        let (sin, cos) = libm::sincos(k as f64 * turn);
+        let at_m = DVec3::new(radius_m * cos, radius_m * sin, DEPTH_M);
+        let strength = Complex64::from_polar(1.0, k as f64);
+        scatterers.push(at_m, [0.0, 0.0, -1.0], strength, ScatterLaw::Lambert);
+    }
+    scatterers
+}
+
+pub fn benches() -> impl Iterator<Item = Bench> {
+    SKETCHES.iter().map(Sketch::bench)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echotank_ping::method_selection::costs::Costs;
+    use echotank_ping::method_selection::{Scene, Swell, rank};
+    use echotank_ping::work::Figure;
+
+    /// What no bench has, no calibration can tell. The reference is too slow to be looked at, and no bench has a line to be made of parts.
+    #[test]
+    fn together_they_have_every_kind_of_work() {
+        let costs = Costs::committed();
+        let mut seen = echotank_ping::work::Work::NONE;
+        for (k, bench) in benches().enumerate() {
+            assert!(!bench.scatterers.is_empty());
+            // A line with sharp ends behind the filter has them all.
+            if k != 5 {
+                continue;
+            }
+            let ranking = rank(
+                &Scene {
+                    spec: &bench.spec,
+                    medium: &bench.medium,
+                    plan: &bench.plan,
+                    scatterers: &bench.scatterers,
+                    count: bench.scatterers.len(),
+                    costs: &costs,
+                    swell: Swell::NONE,
+                },
+                &[],
+            );
+            for candidate in ranking.expect("something can be made").candidates {
+                for part in candidate.parts {
+                    seen = seen.plus(&part.work);
+                }
+            }
+        }
+        for &figure in Figure::ALL {
+            let untold = matches!(figure, Figure::ReferencePoint | Figure::PartElement);
+            assert!(seen[figure] > 0.0 || untold, "{}", figure.name());
+        }
+    }
+}

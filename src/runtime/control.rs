@@ -1,0 +1,564 @@
+//! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
+
+use std::collections::VecDeque;
+use std::fmt::Write as _;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde_json::{Value, json};
+
+use crate::clock::{Clock, SystemClock};
+use crate::counters::PingCounters;
+use crate::gate::Gate;
+use crate::histograms::Histograms;
+use crate::io::control::feed::Feed;
+use crate::io::control::socket::ReliefTile;
+use crate::io::control::{Answer, Bytes, ClockMode, Command, ControlPort};
+use crate::io::nav::SourceCounters;
+use crate::io::sonar::RigTime;
+use crate::outputs::OutputReports;
+use crate::overload::OverloadLog;
+use crate::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
+use crate::settings::SettingsStore;
+use crate::triggers::TriggerCounts;
+use echotank_config::spec::ClockSpec;
+use echotank_core::flow::{Asked, Asker, SettingChange, SettingsPort};
+use echotank_core::time::{MonoNs, UtcNs};
+use echotank_nav::health::State;
+use echotank_ping::faults::Faults;
+
+/// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
+const MAX_STEPS: u64 = 1_000_000;
+
+/// A pipeline that does not come round for so long is stuck: no ping takes as long.
+const LONGEST_BEAT_S: f64 = 15.0;
+
+/// As `run.clock_rate` of the configuration.
+const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
+
+/// Of what was asked that is no setting, kept for the page.
+const MAX_DEEDS: usize = 64;
+
+/// One sonar as its operator sees it.
+pub struct SonarControl {
+    pub name: String,
+    pub settings: Arc<SettingsStore>,
+    pub counters: Arc<PingCounters>,
+    pub triggers: Arc<TriggerCounts>,
+    pub histograms: Arc<Histograms>,
+    pub reports: OutputReports,
+}
+
+impl SonarControl {
+    /// Name, meaning, value.
+    fn all_counters(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+        self.counters.all().chain(self.triggers.all())
+    }
+}
+
+/// The whole daemon as its operator sees it.
+pub struct RunControl {
+    clock: Mutex<ClockSpec>,
+    gate: Arc<Gate>,
+    /// All navigation is recorded.
+    recorded: bool,
+    sonars: Vec<SonarControl>,
+    faults: Arc<Faults>,
+    rig_time: RigTime,
+    overload_states: OverloadLog,
+    /// The navigation's counters, renewed by the pipeline.
+    nav_lines: Mutex<Vec<String>>,
+    nav_sources: Mutex<Vec<(State, SourceCounters)>>,
+    page: PageSource,
+    relief: ReliefKept,
+    /// What was asked that is no setting, the newest last.
+    deeds: Mutex<VecDeque<Value>>,
+    deeds_done: AtomicU64,
+    /// When it was opened, the machine's UTC: what tells one run from the next.
+    opened: UtcNs,
+    machine: SystemClock,
+    /// When the pipeline last came round, on `machine`.
+    beat_ns: AtomicI64,
+}
+
+impl RunControl {
+    pub fn new(
+        clock: ClockSpec,
+        gate: Arc<Gate>,
+        recorded: bool,
+        sonars: Vec<SonarControl>,
+        faults: Arc<Faults>,
+        rig_time: RigTime,
+        page: PageSource,
+    ) -> Self {
+        let machine = SystemClock::new();
+        Self {
+            clock: Mutex::new(clock),
+            gate,
+            recorded,
+            sonars,
+            faults,
+            rig_time,
+            overload_states: OverloadLog::default(),
+            nav_lines: Mutex::default(),
+            nav_sources: Mutex::default(),
+            page,
+            relief: ReliefKept::default(),
+            deeds: Mutex::default(),
+            deeds_done: AtomicU64::new(0),
+            opened: machine.host_utc(),
+            machine,
+            beat_ns: AtomicI64::new(0),
+        }
+    }
+
+    /// Pings that were not as they should have been, for the log.
+    pub fn overload_states(&self) -> &OverloadLog {
+        &self.overload_states
+    }
+
+    pub fn sonars(&self) -> &[SonarControl] {
+        &self.sonars
+    }
+
+    pub fn gate(&self) -> &Arc<Gate> {
+        &self.gate
+    }
+
+    /// The pipeline has come round.
+    pub fn beat(&self) {
+        self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
+    }
+
+    pub fn set_nav(&self, lines: Vec<String>, sources: Vec<(State, SourceCounters)>) {
+        *lock(&self.nav_lines) = lines;
+        *lock(&self.nav_sources) = sources;
+    }
+
+    fn nav_lines(&self) -> Vec<String> {
+        lock(&self.nav_lines).clone()
+    }
+
+    /// All counters as text.
+    pub fn lines(&self, latency_s: f64) -> Vec<String> {
+        let mut lines = Vec::new();
+        for sonar in &self.sonars {
+            lines.push(format!("sonar {}: {}", sonar.name, sonar.counters));
+            lines.extend(sonar.counters.advice(latency_s));
+            lines.extend(sonar.triggers.line(&sonar.name));
+        }
+        lines.extend(self.nav_lines());
+        lines.extend(self.sonars.iter().flat_map(|sonar| sonar.reports.lines()));
+        lines
+    }
+
+    /// The one sonar of that name, or the only one where none is named.
+    fn sonar(&self, name: Option<&str>) -> Result<&SonarControl, String> {
+        let names = || {
+            let names: Vec<_> = self.sonars.iter().map(|s| s.name.as_str()).collect();
+            names.join(", ")
+        };
+        match (name, self.sonars.as_slice()) {
+            (None, [only]) => Ok(only),
+            (None, _) => Err(format!("`sonar` must be one of {}", names())),
+            (Some(name), all) => all
+                .iter()
+                .find(|sonar| sonar.name == name)
+                .ok_or_else(|| format!("there is no sonar {name}; there are: {}", names())),
+        }
+    }
+
+    fn answer(&self, command: &Command, by: Asker) -> Result<Value, String> {
+        let standing = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
+        match command {
+            Command::Pause => {
+                self.refuse_without_own_nav()?;
+                self.gate.pause();
+                Ok(standing())
+            }
+            Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => {
+                Err("run.clock = \"lockstep\" goes by steps".to_owned())
+            }
+            Command::Resume => {
+                self.gate.resume();
+                Ok(standing())
+            }
+            Command::Step { pings } => {
+                self.refuse_without_own_nav()?;
+                if !(1..=MAX_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MAX_STEPS}"));
+                }
+                let before = self.gate.pings_delivered();
+                self.gate.step(*pings);
+                Ok(json!({ "paused": true, "pings_delivered": before }))
+            }
+            Command::Set(wanted) => {
+                let sonar = self.sonar(wanted.sonar.as_deref())?;
+                let changes = wanted.changes();
+                if changes.is_empty() {
+                    return Err("nothing to set is named".to_owned());
+                }
+                self.set(sonar, &changes, by)
+            }
+            Command::Trigger { sonar, pings } => {
+                let sonar = self.sonar(sonar.as_deref())?;
+                if !(1..=MAX_STEPS).contains(pings) {
+                    return Err(format!("pings = {pings}: must be from 1 to {MAX_STEPS}"));
+                }
+                self.set(sonar, &[SettingChange::PingTimes(*pings as u32)], by)
+            }
+            Command::Fault(request) => {
+                let id = self
+                    .faults
+                    .add(request)
+                    .map_err(|refused| refused.to_string())?;
+                Ok(json!({ "fault": id, "standing": self.faults.standing() }))
+            }
+            Command::ClearFaults { fault: None } => {
+                let cleared = self.faults.clear();
+                Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
+            }
+            Command::ClearFaults { fault: Some(id) } => match self.faults.remove(*id) {
+                true => Ok(json!({ "cleared": 1, "standing": self.faults.standing() })),
+                false => Err(format!("fault = {id}: there is none of that number")),
+            },
+            Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
+        }
+    }
+
+    /// Time that is the machine's can go at any rate, and time that is the pings' own can go by itself or by steps; from one kind to the
+    /// other only with another configuration.
+    fn set_clock(&self, mode: ClockMode, rate: Option<f64>) -> Result<Value, String> {
+        self.refuse_without_own_nav()?;
+        let rate = match (mode, rate) {
+            (ClockMode::Scaled, Some(rate)) if CLOCK_RATES.contains(&rate) => rate,
+            (ClockMode::Scaled, _) => {
+                let (least, most) = (CLOCK_RATES.start(), CLOCK_RATES.end());
+                return Err(format!("rate: must be from {least} to {most}"));
+            }
+            (_, Some(_)) => return Err("rate: only with mode = \"scaled\"".to_owned()),
+            (_, None) => 1.0,
+        };
+        let wanted = match mode {
+            ClockMode::RealTime => ClockSpec::RealTime,
+            ClockMode::Scaled => ClockSpec::Scaled(rate),
+            ClockMode::Fast => ClockSpec::Fast,
+            ClockMode::Lockstep => ClockSpec::Lockstep,
+        };
+        let mut clock = lock(&self.clock);
+        if wanted.is_own() != clock.is_own() {
+            return Err(format!(
+                "run.clock = \"{}\" has another kind of time: the daemon must be started with it",
+                clock_name(wanted)
+            ));
+        }
+        *clock = wanted;
+        match mode {
+            ClockMode::Lockstep => self.gate.pause(),
+            ClockMode::Fast => self.gate.resume(),
+            ClockMode::RealTime | ClockMode::Scaled => {
+                self.gate.set_rate(rate);
+            }
+        }
+        Ok(json!({ "clock": clock_name(wanted), "rate": rate }))
+    }
+
+    /// With live navigation rig time cannot stand still.
+    fn refuse_without_own_nav(&self) -> Result<(), String> {
+        match self.recorded {
+            true => Ok(()),
+            false => Err(
+                "only with recorded navigation: live measurements do not wait; {\"do\": \"set\", \"pinging\": false} holds the pings"
+                    .to_owned(),
+            ),
+        }
+    }
+
+    /// Remembers what is no setting: those have a journal of their own.
+    fn note(&self, command: &Command, answer: &Answer, by: Asker) {
+        let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
+        // A refusal ahead of the settings' own journal has no line there.
+        let is_told = is_setting
+            && (answer.accepted || answer.why.as_deref().is_some_and(|w| w.contains(" = ")));
+        if is_told {
+            return;
+        }
+        let mut deeds = lock(&self.deeds);
+        if deeds.len() == MAX_DEEDS {
+            deeds.pop_front();
+        }
+        deeds.push_back(json!({
+            "utc_ms": (self.rig_time)().0 as f64 / 1e6,
+            "via": by.via,
+            "peer": by.peer.map(|peer| peer.to_string()),
+            "command": answer.asked,
+            "accepted": answer.accepted,
+            "why": answer.why,
+        }));
+        self.deeds_done.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn asked(&self, by: Asker) -> Asked {
+        Asked {
+            utc: (self.rig_time)(),
+            by,
+        }
+    }
+
+    /// One after another; what was accepted before a refusal stays.
+    fn set(
+        &self,
+        sonar: &SonarControl,
+        changes: &[SettingChange],
+        by: Asker,
+    ) -> Result<Value, String> {
+        for (done, change) in changes.iter().enumerate() {
+            if let Err(refused) = sonar.settings.apply(*change, self.asked(by)) {
+                return Err(match done {
+                    0 => refused.to_string(),
+                    _ => format!("{refused}; what stands before it was set"),
+                });
+            }
+        }
+        let (settings, version) = sonar.settings.snapshot();
+        Ok(json!({ "sonar": sonar.name, "settings": settings_json(&settings), "version": version }))
+    }
+
+    fn sonar_status(&self, sonar: &SonarControl) -> Value {
+        let (settings, version) = sonar.settings.snapshot();
+        let counts = sonar.settings.counts();
+        let counters: serde_json::Map<_, _> = sonar
+            .all_counters()
+            .map(|(name, _, value)| (name.to_owned(), value.into()))
+            .collect();
+        let histograms: serde_json::Map<_, _> = sonar
+            .histograms
+            .all()
+            .map(|(name, _, figures)| (name.to_owned(), json!(figures)))
+            .into_iter()
+            .collect();
+        json!({
+            "name": sonar.name,
+            "settings": settings_json(&settings),
+            "settings_version": version,
+            "changes": { "applied": counts.applied, "refused": counts.refused },
+            "overload": self.page.spec.run.overload.name(),
+            "counters": counters,
+            "methods": sonar.counters.methods_json(),
+            "microseconds": histograms,
+            "outputs": sonar.reports.lines(),
+        })
+    }
+}
+
+fn clock_name(clock: ClockSpec) -> &'static str {
+    match clock {
+        ClockSpec::RealTime => "realtime",
+        ClockSpec::Scaled(_) => "scaled",
+        ClockSpec::Fast => "fast",
+        ClockSpec::Lockstep => "lockstep",
+    }
+}
+
+/// What is behind these locks is whole whenever they are free.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl ControlPort for RunControl {
+    fn command(&self, command: &Command, by: Asker) -> Answer {
+        let answer = match self.answer(command, by) {
+            Ok(result) => Answer::accepted(command, result),
+            Err(why) => Answer::refused(command, why),
+        };
+        self.note(command, &answer, by);
+        answer
+    }
+
+    fn feed(&self) -> &Arc<Feed> {
+        &self.page.feed
+    }
+
+    fn hello(&self) -> Value {
+        self.page.hello(self.opened.0)
+    }
+
+    fn world(&self) -> Value {
+        self.page.world()
+    }
+
+    fn relief(&self, tile: ReliefTile) -> Option<Bytes> {
+        self.page.relief(tile, &self.relief)
+    }
+
+    fn revision(&self) -> u64 {
+        // Each part only grows, but for the gate's, which changes whenever it does.
+        let settings = self.sonars.iter().map(|sonar| {
+            let counts = sonar.settings.counts();
+            sonar.settings.version() + counts.applied + counts.refused
+        });
+        let paused = u64::from(self.gate.is_paused());
+        settings.sum::<u64>() * 2 + self.deeds_done.load(Ordering::Relaxed) * 4 + paused
+    }
+
+    fn page_state(&self) -> Value {
+        let sonars = self.sonars.iter().map(|sonar| {
+            let mut state = self.sonar_status(sonar);
+            let bins = sonar.histograms.bins();
+            state["bins"] = bins
+                .into_iter()
+                .map(|(name, bins)| (name.to_owned(), json!(bins)))
+                .collect::<serde_json::Map<_, _>>()
+                .into();
+            state["trigger"] = trigger_name(sonar.settings.trigger()).into();
+            state["journal"] = changes(&sonar.settings);
+            state["streams"] = json!(sonar.reports.streams());
+            state
+        });
+        let clock = *lock(&self.clock);
+        json!({
+            "clock": clock_name(clock),
+            "rate": self.gate.rate(),
+            "paused": self.gate.is_paused(),
+            "delivered": self.gate.pings_delivered(),
+            "rig_utc_ms": (self.rig_time)().0 as f64 / 1e6,
+            "up_s": self.machine.mono().0 as f64 / 1e9,
+            "ailment": self.ailment(),
+            "sonars": sonars.collect::<Value>(),
+            "faults": self.faults.list(),
+            "faults_injected": self.faults.injected(),
+            "nav": lock(&self.nav_sources).iter().map(nav_source).collect::<Value>(),
+            "nav_lines": self.nav_lines(),
+            "deeds": lock(&self.deeds).iter().collect::<Vec<_>>(),
+            "feed": self.page.feed.counts(),
+        })
+    }
+
+    fn status(&self) -> Value {
+        let clock = match *lock(&self.clock) {
+            ClockSpec::RealTime => json!("realtime"),
+            ClockSpec::Scaled(rate) => json!({ "scaled": rate }),
+            ClockSpec::Fast => json!("fast"),
+            ClockSpec::Lockstep => json!("lockstep"),
+        };
+        json!({
+            "echotank": env!("CARGO_PKG_VERSION"),
+            "clock": clock,
+            "paused": self.gate.is_paused(),
+            "pings_delivered": self.gate.pings_delivered(),
+            "rig_utc_ns": (self.rig_time)().0,
+            "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
+            "faults": {
+                "standing": self.faults.standing(),
+                "injected": self.faults.injected(),
+                "unlogged": self.faults.unwritten(),
+            },
+            "overload_unlogged": self.overload_states.unwritten(),
+            "nav": self.nav_lines(),
+            "page": self.page.feed.counts(),
+        })
+    }
+
+    fn ailment(&self) -> Option<String> {
+        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(beat);
+        // Paused it may well stand.
+        (silent_s > LONGEST_BEAT_S && !self.gate.is_paused())
+            .then(|| format!("the pipeline has stood for {silent_s:.0} s"))
+    }
+
+    /// Prometheus text, version 0.0.4.
+    fn metrics(&self) -> String {
+        let mut text = String::new();
+        // A name's kind and meaning are said once, ahead of all its values.
+        let Some(first) = self.sonars.first() else {
+            return text;
+        };
+        for (k, (name, doc, _)) in first.all_counters().enumerate() {
+            let kind = match name.starts_with("worst_")
+                || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us")
+            {
+                true => "gauge",
+                false => "counter",
+            };
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
+            );
+            for sonar in &self.sonars {
+                if let Some((_, _, value)) = sonar.all_counters().nth(k) {
+                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
+                }
+            }
+        }
+        for (k, (name, doc, _)) in first.counters.errors().into_iter().enumerate() {
+            let _ = writeln!(
+                text,
+                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} gauge"
+            );
+            for sonar in &self.sonars {
+                if let Some(value) = sonar.counters.errors()[k].2 {
+                    let who = &sonar.name;
+                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{who}\"}} {value:e}");
+                }
+            }
+        }
+        for (k, (name, doc, _)) in first.histograms.all().into_iter().enumerate() {
+            let name = format!("echotank_{name}_seconds");
+            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} summary");
+            for sonar in &self.sonars {
+                let figures = sonar.histograms.all()[k].2;
+                let who = &sonar.name;
+                for (quantile, us) in [
+                    ("0.5", figures.p50_us),
+                    ("0.99", figures.p99_us),
+                    ("0.999", figures.p999_us),
+                    ("1", figures.max_us),
+                ] {
+                    let s = us as f64 / 1e6;
+                    let _ = writeln!(
+                        text,
+                        "{name}{{sonar=\"{who}\",quantile=\"{quantile}\"}} {s}"
+                    );
+                }
+                let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
+            }
+        }
+        let _ = writeln!(
+            text,
+            "# HELP echotank_faults_injected Faults injected\n# TYPE echotank_faults_injected counter\nechotank_faults_injected {}",
+            self.faults.injected()
+        );
+        for (key, kind, doc) in STREAM_METRICS {
+            let name = format!("echotank_client_{key}");
+            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} {kind}");
+            for sonar in &self.sonars {
+                for stream in sonar.reports.streams() {
+                    let value = match *key {
+                        "bytes_sent" => stream.bytes_sent,
+                        "records_sent" => stream.records_sent,
+                        "records_dropped" => stream.records_dropped,
+                        _ => stream.queued_bytes,
+                    };
+                    let _ = writeln!(
+                        text,
+                        "{name}{{sonar=\"{}\",family=\"{}\",peer=\"{}\"}} {value}",
+                        sonar.name, stream.family, stream.peer
+                    );
+                }
+            }
+        }
+        text
+    }
+}
+
+const STREAM_METRICS: &[(&str, &str, &str)] = &[
+    ("bytes_sent", "counter", "Bytes written to a client"),
+    ("records_sent", "counter", "Records written to a client"),
+    (
+        "records_dropped",
+        "counter",
+        "Records that did not fit a client's queue",
+    ),
+    ("queued_bytes", "gauge", "Bytes that wait for a client"),
+];

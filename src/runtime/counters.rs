@@ -1,0 +1,440 @@
+//! What happened, in numbers: printed every few seconds and at the end, and the same for `replay`.
+
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use echotank_core::flow::{
+    EchoCounts, ErrorCheck, MethodMark, NavState, OverloadState, SceneCounts,
+};
+use echotank_ping::method_selection::live::PlanCounts;
+
+/// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
+#[derive(Debug, Default)]
+pub struct PingCounters {
+    pub made: AtomicU64,
+    /// Navigation did not cover the ping in time.
+    pub skipped_nav: AtomicU64,
+    /// The deadline had passed before the ping could be computed.
+    pub skipped_late: AtomicU64,
+    /// More pings waited than the queue holds.
+    pub skipped_queue: AtomicU64,
+    /// Made with a looser tolerance because computing did not keep up, and how many steps looser the newest ping is.
+    pub degraded: AtomicU64,
+    pub looser: AtomicU64,
+    /// Began to stream, and could not go on in time: the rest of their samples did not leave by the streams.
+    pub truncated: AtomicU64,
+    /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
+    pub stretched: AtomicU64,
+    pub stretched_us: AtomicU64,
+    /// A recorder ended with an error, as of a full disk; pings go on.
+    pub recordings_stopped: AtomicU64,
+    /// A fault had the pulse missed.
+    pub triggers_missed: AtomicU64,
+    /// Delivered, but after the deadline.
+    pub deadline_misses: AtomicU64,
+    /// Worst lateness of a delivery, microseconds.
+    pub worst_late_us: AtomicU64,
+    /// Lateness of the newest delivery, microseconds: deadlines are absolute, so it is how far pings have drifted since the first.
+    pub drift_us: AtomicU64,
+    /// Age of the newest position or attitude sample behind the last ping, milliseconds; interpolated pings have 0.
+    pub nav_age_ms: AtomicU64,
+    /// Sum and worst of the time `compute_ping` took, microseconds.
+    pub compute_us: AtomicU64,
+    pub worst_compute_us: AtomicU64,
+    pub samples_saturated: AtomicU64,
+    pub arrivals: AtomicU64,
+    pub culled: AtomicU64,
+    pub extrapolated: AtomicU64,
+    /// Made with navigation that is flagged invalid.
+    pub invalid_nav: AtomicU64,
+    /// Pings that carried an error check.
+    pub checked: AtomicU64,
+    /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
+    pub error_check_faults: AtomicU64,
+    /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
+    pub plan: AtomicU64,
+    pub plan_promise: [AtomicU64; 2],
+    /// Elements of a line that it makes as one.
+    pub plan_part_elements: AtomicU64,
+    /// Plans given up because an error check was above their tolerance, and that could not be made.
+    pub plans_given_up: AtomicU64,
+    pub plans_failed: AtomicU64,
+    /// Echoes nearer or faster than the engine is made for.
+    pub beyond_engine: AtomicU64,
+    /// Scatterers of the seabed, sums over the pings.
+    pub seabed_made: AtomicU64,
+    pub seabed_culled: AtomicU64,
+    pub seabed_shadowed: AtomicU64,
+    pub seabed_used: AtomicU64,
+    /// The newest error check: error, low, high, as the bits of f64.
+    pub error_check: [AtomicU64; 3],
+}
+
+pub fn add(counter: &AtomicU64, n: u64) {
+    counter.fetch_add(n, Ordering::Relaxed);
+}
+
+pub fn worst(counter: &AtomicU64, n: u64) {
+    counter.fetch_max(n, Ordering::Relaxed);
+}
+
+fn read(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
+}
+
+impl PingCounters {
+    pub fn ping(&self, counts: &EchoCounts, saturated: u64, compute_us: u64) {
+        add(&self.made, 1);
+        add(&self.arrivals, counts.used);
+        add(&self.culled, counts.culled);
+        add(&self.beyond_engine, counts.beyond_engine);
+        add(&self.samples_saturated, saturated);
+        add(&self.compute_us, compute_us);
+        worst(&self.worst_compute_us, compute_us);
+    }
+
+    /// What a ping had of the seabed.
+    pub fn scene(&self, counts: &SceneCounts) {
+        add(&self.seabed_made, counts.made);
+        add(&self.seabed_culled, counts.culled);
+        add(&self.seabed_shadowed, counts.shadowed);
+        add(&self.seabed_used, counts.scatterers);
+    }
+
+    /// What was done to a ping because computing did not keep up; `level`: how many steps looser than configured it is.
+    pub fn overload_state(&self, level: usize, overload_state: &OverloadState) {
+        add(&self.degraded, u64::from(level > 0));
+        self.looser.store(level as u64, Ordering::Relaxed);
+        add(&self.stretched, u64::from(overload_state.put_off_s > 0.0));
+        add(&self.stretched_us, (overload_state.put_off_s * 1e6) as u64);
+    }
+
+    /// What a ping's error check says, if it has one.
+    pub fn error_check(&self, error_check: Option<&ErrorCheck>) {
+        let Some(c) = error_check else {
+            return;
+        };
+        add(&self.checked, 1);
+        add(&self.error_check_faults, u64::from(c.fault));
+        for (to, value) in self.error_check.iter().zip([c.error, c.low, c.high]) {
+            to.store(value.to_bits(), Ordering::Relaxed);
+        }
+    }
+
+    /// What a ping's plan of methods says, if there is one.
+    pub fn plan(&self, mark: Option<&MethodMark>, counts: &PlanCounts) {
+        let Some(mark) = mark else {
+            return;
+        };
+        self.plan.store(u64::from(mark.plan), Ordering::Relaxed);
+        self.plan_part_elements
+            .store(mark.part_elements as u64, Ordering::Relaxed);
+        let promise = [mark.predicted_error, mark.tolerance];
+        for (to, value) in self.plan_promise.iter().zip(promise) {
+            to.store(value.to_bits(), Ordering::Relaxed);
+        }
+        self.plans_given_up
+            .store(counts.given_up, Ordering::Relaxed);
+        self.plans_failed.store(counts.failed, Ordering::Relaxed);
+    }
+
+    /// For the status lines: what the seabed, the engine and the error check have to say, if anything.
+    fn model_text(&self) -> String {
+        let mut text = String::new();
+        let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
+        if read(&self.seabed_used) > 0 {
+            text += &format!(
+                ", seabed per ping: {} scatterers used, {} culled, {} in shadow, {} made",
+                per_ping(&self.seabed_used),
+                per_ping(&self.seabed_culled),
+                per_ping(&self.seabed_shadowed),
+                per_ping(&self.seabed_made)
+            );
+        }
+        match read(&self.beyond_engine) {
+            0 => {}
+            n => text += &format!(", {n} echoes beyond what the engine is made for"),
+        }
+        if read(&self.checked) > 0 {
+            let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.error_check[k])));
+            text += &format!(
+                ", {} checked: error {error:.1e} ({low:.1e} to {high:.1e})",
+                read(&self.checked)
+            );
+        }
+        if read(&self.plan) > 0 {
+            let [error, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+            text += &format!(
+                ", plan {}{}: {error:.1e} of {tolerance:.1e} predicted",
+                read(&self.plan),
+                match read(&self.plan_part_elements) > 1 {
+                    true => " (lines alone)",
+                    false => "",
+                }
+            );
+        }
+        match (read(&self.degraded), read(&self.looser)) {
+            (0, _) => {}
+            (n, 0) => text += &format!(", OVERLOAD: {n} made looser, none now"),
+            (n, now) => text += &format!(", OVERLOAD: {n} made looser, now by {now} steps"),
+        }
+        match read(&self.truncated) {
+            0 => {}
+            n => text += &format!(", OVERLOAD: {n} truncated while they streamed"),
+        }
+        match read(&self.stretched) {
+            0 => {}
+            n => {
+                text += &format!(
+                    ", OVERLOAD: {n} pulses put off, {:.1} s in all",
+                    read(&self.stretched_us) as f64 / 1e6
+                )
+            }
+        }
+        match (read(&self.plans_given_up), read(&self.plans_failed)) {
+            (0, 0) => {}
+            (given_up, failed) => {
+                text += &format!(
+                    ", FAULT: {given_up} plans given up for their error checks, {failed} not made"
+                )
+            }
+        }
+        match read(&self.recordings_stopped) {
+            0 => {}
+            n => text += &format!(", RECORDING STOPPED by an error ({n})"),
+        }
+        match read(&self.error_check_faults) {
+            0 => {}
+            n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
+        }
+        text
+    }
+
+    /// The newest plan of methods with its error check; null where nothing is left to a plan.
+    pub fn methods_json(&self) -> serde_json::Value {
+        if read(&self.plan) == 0 {
+            return serde_json::Value::Null;
+        }
+        let [predicted, tolerance] = [0, 1].map(|k| f64::from_bits(read(&self.plan_promise[k])));
+        let measured =
+            (read(&self.checked) > 0).then(|| f64::from_bits(read(&self.error_check[0])));
+        serde_json::json!({
+            "plan": read(&self.plan),
+            "output": if read(&self.plan_part_elements) > 1 { "beams" } else { "elements" },
+            "part_elements": read(&self.plan_part_elements),
+            "predicted_error": predicted,
+            "tolerance": tolerance,
+            "measured_error": measured,
+            "margin": measured.map(|error| tolerance / error.max(f64::MIN_POSITIVE)),
+            "error_check_faults": read(&self.error_check_faults),
+            "given_up": read(&self.plans_given_up),
+            "failed": read(&self.plans_failed),
+        })
+    }
+
+    /// Where the navigation behind a ping came from in time.
+    pub fn nav(&self, state: &NavState) {
+        let age_s = state.position_age_s.max(state.attitude_age_s).max(0.0);
+        self.nav_age_ms
+            .store((age_s * 1e3) as u64, Ordering::Relaxed);
+        add(&self.extrapolated, u64::from(state.extrapolated));
+        add(&self.invalid_nav, u64::from(state.invalid.any()));
+    }
+
+    /// For `replay`, which has no clock.
+    pub fn replay_line(&self) -> String {
+        format!(
+            "{} pings made, {} skipped (navigation), {} samples saturated{}",
+            read(&self.made),
+            read(&self.skipped_nav),
+            read(&self.samples_saturated),
+            self.model_text()
+        )
+    }
+
+    /// What an operator should know who sees nothing but skipped pings.
+    pub fn advice(&self, latency_s: f64) -> Option<String> {
+        (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
+            format!(
+                "  no ping yet: the navigation has covered none within run.latency_ms = {}. `settle` needs two measurements of every quantity after a ping's window: raise run.latency_ms above twice their interval, or take nav.mode = \"predict\"",
+                latency_s * 1e3
+            )
+        })
+    }
+
+    /// Name, meaning, value: for whoever takes numbers rather than text.
+    pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+        [
+            ("pings_made", "Pings computed", &self.made),
+            (
+                "pings_skipped_nav",
+                "Pings whose navigation did not come in time",
+                &self.skipped_nav,
+            ),
+            (
+                "pings_skipped_late",
+                "Pings whose deadline had passed before they could be computed",
+                &self.skipped_late,
+            ),
+            (
+                "pings_skipped_queue",
+                "Pings for which there was no room",
+                &self.skipped_queue,
+            ),
+            (
+                "pings_degraded",
+                "Pings made with a looser tolerance because computing did not keep up",
+                &self.degraded,
+            ),
+            (
+                "looser_now",
+                "Steps by which the newest ping's tolerance is looser than the configured one",
+                &self.looser,
+            ),
+            (
+                "pings_truncated",
+                "Pings whose first samples streamed, and whose others were not ready in time to",
+                &self.truncated,
+            ),
+            (
+                "pings_stretched",
+                "Pings whose pulse went out later because computing did not keep up",
+                &self.stretched,
+            ),
+            (
+                "stretched_us",
+                "By how much later, in all",
+                &self.stretched_us,
+            ),
+            (
+                "recordings_stopped",
+                "Recorders that ended with an error",
+                &self.recordings_stopped,
+            ),
+            (
+                "triggers_missed",
+                "Pulses that a fault had missed",
+                &self.triggers_missed,
+            ),
+            (
+                "deadline_misses",
+                "Pings delivered after their deadline",
+                &self.deadline_misses,
+            ),
+            ("worst_late_us", "Latest delivery", &self.worst_late_us),
+            (
+                "drift_us",
+                "From the newest ping's instant until its delivery began: what has added up since the first",
+                &self.drift_us,
+            ),
+            (
+                "nav_age_ms",
+                "Age of the newest navigation behind the last ping",
+                &self.nav_age_ms,
+            ),
+            ("compute_us", "Time spent computing pings", &self.compute_us),
+            (
+                "worst_compute_us",
+                "Longest time one ping took",
+                &self.worst_compute_us,
+            ),
+            (
+                "samples_saturated",
+                "Sample values that met the converter's ends",
+                &self.samples_saturated,
+            ),
+            ("arrivals", "Echoes summed", &self.arrivals),
+            (
+                "pings_extrapolated",
+                "Pings whose navigation was extrapolated",
+                &self.extrapolated,
+            ),
+            (
+                "pings_checked",
+                "Pings with an error check",
+                &self.checked,
+            ),
+            (
+                "error_check_faults",
+                "Pings whose error check was above 1.3 tolerances, as the one before",
+                &self.error_check_faults,
+            ),
+            (
+                "plan",
+                "The newest ping's plan of methods, counted; 0 where nothing is left to a plan",
+                &self.plan,
+            ),
+            (
+                "plans_given_up",
+                "Plans of methods given up because an error check was above their tolerance",
+                &self.plans_given_up,
+            ),
+            (
+                "plans_failed",
+                "Plans of methods that could not be made",
+                &self.plans_failed,
+            ),
+        ]
+        .into_iter()
+        .map(|(name, doc, counter)| (name, doc, read(counter)))
+    }
+
+    /// As [`Self::all`], of what is no count: what the newest ping's plan and error check say. None where there is none.
+    pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
+        let of = |bits: &AtomicU64| f64::from_bits(read(bits));
+        let planned = read(&self.plan) > 0;
+        let checked = read(&self.checked) > 0;
+        let [predicted, tolerance] = [0, 1].map(|k| planned.then(|| of(&self.plan_promise[k])));
+        let measured = checked.then(|| of(&self.error_check[0]));
+        let margin = tolerance.zip(measured);
+        [
+            (
+                "plan_predicted_error",
+                "Error of element samples that the newest ping's plan of methods promises not to exceed, relative",
+                predicted,
+            ),
+            (
+                "plan_tolerance",
+                "Error that the newest ping's plan of methods is allowed",
+                tolerance,
+            ),
+            (
+                "checked_error",
+                "Measured error of the newest error check",
+                measured,
+            ),
+            (
+                "plan_margin",
+                "Tolerance over measured error",
+                margin.map(|(tolerance, error)| tolerance / error.max(f64::MIN_POSITIVE)),
+            ),
+        ]
+    }
+
+    pub fn skipped(&self) -> u64 {
+        read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
+    }
+}
+
+impl fmt::Display for PingCounters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let made = read(&self.made);
+        write!(
+            f,
+            "pings {made} made, {} skipped (nav {}, late {}, queue {}), {} deadline misses (worst {:.1} ms), compute {:.1} ms mean {:.1} ms worst, nav age {} ms, {} extrapolated, {} on invalid navigation, {} samples saturated{}",
+            self.skipped(),
+            read(&self.skipped_nav),
+            read(&self.skipped_late),
+            read(&self.skipped_queue),
+            read(&self.deadline_misses),
+            read(&self.worst_late_us) as f64 / 1e3,
+            read(&self.compute_us) as f64 / 1e3 / made.max(1) as f64,
+            read(&self.worst_compute_us) as f64 / 1e3,
+            read(&self.nav_age_ms),
+            read(&self.extrapolated),
+            read(&self.invalid_nav),
+            read(&self.samples_saturated),
+            self.model_text(),
+        )
+    }
+}

@@ -1,0 +1,397 @@
+//! The beat: turns the passing of time, and triggers, into orders.
+//!
+//! Where time is the machine's it has a thread of its own, so that a pulse is on time, and told to whoever is to be triggered, however busy the
+//! pipeline is. Where time is the pipeline's, the pipeline asks.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::thread::{self, JoinHandle};
+
+use crossbeam_channel::Sender;
+
+use super::triggers::{Came, Triggers};
+use crate::clock::{Clock, WakeUp};
+use crate::control::RunControl;
+use crate::counters::{add, worst};
+use crate::io::priority;
+use crate::overload::Backlog;
+use crate::settings::SettingsStore;
+use echotank_config::spec::{OverloadSpec, RigSpec, RunSpec, StampSpec};
+use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
+use echotank_ping::beats::{Beats, Event, InForce};
+use echotank_ping::faults::{Faults, PingMark};
+use echotank_ping::trigger::Numbers;
+use echotank_ping::{self as ping, PingOrder, Refusal, Triggered};
+
+/// The thread looks this often whether it should end, at least.
+const LOOK_NS: i64 = NS_PER_S / 10;
+
+/// A pulse that waits for the pipeline waits so long, at least: the thread is not to wake for less.
+const MIN_PUT_OFF_NS: i64 = NS_PER_S / 2000;
+
+pub(super) struct Beat {
+    beats: Beats,
+    timeline: Timeline,
+    stamp: StampSpec,
+    settings: Vec<Arc<SettingsStore>>,
+    control: Arc<RunControl>,
+    faults: Arc<Faults>,
+    clock: Arc<dyn Clock>,
+    own_time: bool,
+    triggers: Triggers,
+    /// The oldest trigger from outside that has not been looked at.
+    came: Option<Came>,
+    numbers: Vec<Numbers>,
+    /// Of each sonar with a watchdog: its time, and since when it waits.
+    watches: Vec<Option<Watch>>,
+    /// How long before its pulse a ping is ordered, nanoseconds.
+    ahead_ns: i64,
+    /// Pulses that are ordered and lie ahead, to be told at their instants; earliest first.
+    untold: VecDeque<Told>,
+    coming: Arc<Coming>,
+    backlog: Arc<Backlog>,
+    stretch: Option<Stretch>,
+}
+
+/// An order on its way to the pipeline.
+#[derive(Clone, Copy)]
+pub(super) struct Ordered {
+    pub sonar: usize,
+    pub order: PingOrder,
+    /// How much later its pulse is than the beat had it.
+    pub put_off_s: f64,
+}
+
+/// `run.overload = "stretch"`.
+struct Stretch {
+    backlog: Arc<Backlog>,
+    run: RunSpec,
+    sound_speed_m_per_s: f64,
+    /// Of each sonar's next pulse.
+    put_off_ns: Vec<i64>,
+}
+
+/// A pulse as it is told to others.
+#[derive(Clone, Copy)]
+struct Told {
+    at: MonoNs,
+    sonar: usize,
+    number: u32,
+    utc: UtcNs,
+}
+
+/// What the pipeline knows of the beat between two orders.
+pub(super) struct Coming {
+    /// Rung when there is an order.
+    pub wake_up: WakeUp,
+    next_utc_ns: AtomicI64,
+}
+
+impl Coming {
+    /// No order is still to come for a pulse before this instant, unless it is triggered from outside.
+    pub fn next(&self) -> UtcNs {
+        UtcNs(self.next_utc_ns.load(Ordering::Acquire))
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Watch {
+    patience_s: f64,
+    since: UtcNs,
+}
+
+/// What the beat shares with the pipeline.
+pub(super) struct Company {
+    pub settings: Vec<Arc<SettingsStore>>,
+    pub control: Arc<RunControl>,
+    pub faults: Arc<Faults>,
+    pub clock: Arc<dyn Clock>,
+    pub backlog: Arc<Backlog>,
+}
+
+impl Beat {
+    pub fn new(
+        spec: &RigSpec,
+        first: UtcNs,
+        timeline: Timeline,
+        company: Company,
+        triggers: Triggers,
+    ) -> Self {
+        let specs = spec.sonars.iter().map(|sonar| &sonar.trigger);
+        let watch = |patience_s| Watch {
+            patience_s,
+            since: first,
+        };
+        Self {
+            beats: Beats::starting_at(first, spec.medium.sound_speed_m_per_s, specs.clone()),
+            timeline,
+            stamp: spec.nav.stamp,
+            own_time: spec.run.clock.is_own(),
+            numbers: vec![Numbers::default(); spec.sonars.len()],
+            watches: specs.map(|spec| spec.watchdog_s.map(watch)).collect(),
+            settings: company.settings,
+            control: company.control,
+            faults: company.faults,
+            clock: company.clock,
+            triggers,
+            came: None,
+            ahead_ns: spec.run.ahead_ns(),
+            untold: VecDeque::new(),
+            stretch: (spec.run.overload == OverloadSpec::Stretch).then(|| Stretch {
+                backlog: company.backlog.clone(),
+                run: spec.run.clone(),
+                sound_speed_m_per_s: spec.medium.sound_speed_m_per_s,
+                put_off_ns: vec![0; spec.sonars.len()],
+            }),
+            backlog: company.backlog,
+            coming: Arc::new(Coming {
+                wake_up: WakeUp::default(),
+                next_utc_ns: AtomicI64::new(first.0),
+            }),
+        }
+    }
+
+    pub fn coming(&self) -> Arc<Coming> {
+        self.coming.clone()
+    }
+
+    /// When a pulse is next due of a sonar that pings; none while nobody does.
+    pub fn next_pulse(&self) -> Option<UtcNs> {
+        let pings = |sonar: usize| self.settings[sonar].snapshot().0.pinging;
+        self.beats.next_utc(pings)
+    }
+
+    /// The next pulse that has gone out by `now`, in order of time.
+    pub fn next(&mut self, now: UtcNs) -> Option<(usize, PingOrder)> {
+        loop {
+            self.came = self.came.or_else(|| self.triggers.came.try_recv().ok());
+            let until = self
+                .came
+                .map_or(now, |came| self.timeline.utc(came.at).min(now));
+            self.stretch_until(until);
+            let happened = {
+                let (settings, timeline) = (&self.settings, self.timeline);
+                self.beats.due(until, |sonar, at| {
+                    settings[sonar].in_force(timeline.mono(at))
+                })
+            };
+            let (sonar, event) = match (happened, self.came) {
+                (Some(happened), _) => happened,
+                (None, Some(came)) => {
+                    self.came = None;
+                    (came.sonar, Event::Trigger(self.obey(came)))
+                }
+                (None, None) => return None,
+            };
+            if let Some(order) = self.note(sonar, &event) {
+                return Some((sonar, order));
+            }
+        }
+    }
+
+    /// Puts off the pulses up to `until` whose pings could not be ready in time.
+    fn stretch_until(&mut self, until: UtcNs) {
+        let Some(stretch) = self.stretch.as_mut().filter(|_| !self.own_time) else {
+            return;
+        };
+        let now = self.clock.mono();
+        for (sonar, settings) in self.settings.iter().enumerate() {
+            let at = self.beats.schedule(sonar).next_utc();
+            if at > until {
+                continue;
+            }
+            let pulse = self.timeline.mono(at);
+            let InForce { settings, .. } = settings.in_force(pulse);
+            if !settings.pinging {
+                stretch.put_off_ns[sonar] = 0;
+                continue;
+            }
+            let window_s = ping::window_s(&settings, stretch.sound_speed_m_per_s);
+            let ready_by = pulse.plus_s(stretch.run.ready_after_s(window_s));
+            let put_off_ns = stretch.backlog.put_off_ns(sonar, now.0, ready_by.0);
+            if put_off_ns > 0 {
+                let put_off_ns = put_off_ns.max(MIN_PUT_OFF_NS);
+                self.beats.put_off(sonar, at.plus_ns(put_off_ns));
+                stretch.put_off_ns[sonar] += put_off_ns;
+            }
+        }
+    }
+
+    /// How much later the pulse that has just been ordered is than the beat had it.
+    fn put_off_s(&mut self, sonar: usize) -> f64 {
+        let put_off = self.stretch.as_mut().map(|s| &mut s.put_off_ns[sonar]);
+        put_off.map_or(0.0, |ns| std::mem::take(ns) as f64 / NS_PER_S as f64)
+    }
+
+    /// What becomes of a trigger from outside.
+    fn obey(&mut self, came: Came) -> Triggered {
+        let at = self.timeline.utc(came.at);
+        let known = came
+            .number
+            .map_or(Ok(()), |number| self.numbers[came.sonar].check(number));
+        if let Err(why) = known {
+            return Triggered::Refused(why);
+        }
+        if let Some(watch) = &mut self.watches[came.sonar] {
+            watch.since = watch.since.max(at);
+        }
+        if self.control.gate().is_held() {
+            return Triggered::Refused(Refusal::Held);
+        }
+        let in_force = self.settings[came.sonar].in_force(came.at);
+        self.beats.trigger(came.sonar, at, in_force)
+    }
+
+    /// Counts what happened; the order, where it is one and its pulse goes out.
+    fn note(&mut self, sonar: usize, event: &Event) -> Option<PingOrder> {
+        let counts = &self.control.sonars()[sonar].triggers;
+        if let Event::Trigger(triggered) = event {
+            counts.note(triggered);
+        }
+        let order = event.order()?;
+        let at = self.timeline.mono(order.transmit_utc);
+        if let Event::Beat(_) = event {
+            self.settings[sonar].pinged(at);
+        }
+        if self.faults.trigger_missed(PingMark::of(sonar, &order)) {
+            add(&self.control.sonars()[sonar].counters.triggers_missed, 1);
+            return None;
+        }
+        let again_s = match self.beats.is_second(sonar) {
+            // Twice, not three times.
+            true => None,
+            false => self.faults.trigger_double_s(PingMark::of(sonar, &order)),
+        };
+        if let Some(after_s) = again_s {
+            self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
+        }
+        if self.triggers.outs[sonar].is_some() {
+            for after_s in [Some(0.0), again_s].into_iter().flatten() {
+                let at = at.plus_s(after_s);
+                let told = Told {
+                    at,
+                    sonar,
+                    number: order.ping_number,
+                    utc: order.transmit_utc.plus_s(after_s),
+                };
+                let place = self.untold.partition_point(|other| other.at <= at);
+                self.untold.insert(place, told);
+            }
+            self.tell();
+        }
+        self.beats.pulsed(sonar, order.transmit_utc);
+        Some(order)
+    }
+
+    /// Tells others of the pulses whose instant has come.
+    fn tell(&mut self) {
+        while let Some(told) = self.untold.front().copied() {
+            let late_ns = self.clock.mono().0 - told.at.0;
+            if late_ns < 0 {
+                return;
+            }
+            self.untold.pop_front();
+            let Some(out) = &self.triggers.outs[told.sonar] else {
+                continue;
+            };
+            let utc = match self.stamp {
+                StampSpec::Log => told.utc,
+                StampSpec::Host => self.clock.host_utc().plus_ns(-late_ns),
+            };
+            out.pulse(told.number, utc);
+            if !self.own_time {
+                let counts = &self.control.sonars()[told.sonar].triggers;
+                worst(&counts.worst_pulse_us, late_ns as u64 / 1000);
+            }
+        }
+    }
+
+    /// Counts triggers that should have come.
+    fn watch(&mut self, now: UtcNs) {
+        for (sonar, watch) in self.watches.iter_mut().enumerate() {
+            let Some(watch) = watch else { continue };
+            let in_force = |at| self.settings[sonar].in_force(self.timeline.mono(at));
+            while now.seconds_since(watch.since) > watch.patience_s {
+                watch.since = watch.since.plus_s(watch.patience_s);
+                let InForce { armed, .. } = in_force(watch.since);
+                add(
+                    &self.control.sonars()[sonar].triggers.absent,
+                    u64::from(armed),
+                );
+            }
+        }
+    }
+
+    /// The thread: hands every order on at its instant.
+    fn run(mut self, orders: &Sender<Ordered>, stop: &AtomicBool) {
+        while !stop.load(Ordering::Acquire) {
+            let now = self.clock.mono();
+            let utc = self.timeline.utc(now);
+            self.tell();
+            while let Some((sonar, order)) = self.next(utc.plus_ns(self.ahead_ns)) {
+                let put_off_s = self.put_off_s(sonar);
+                self.backlog.ordered(sonar);
+                let ordered = Ordered {
+                    sonar,
+                    order,
+                    put_off_s,
+                };
+                if orders.try_send(ordered).is_err() {
+                    self.backlog.done(sonar);
+                    add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
+                }
+                self.coming.wake_up.ring(&*self.clock);
+            }
+            self.watch(utc);
+            let next = self.beats.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
+            self.coming.next_utc_ns.store(next.0, Ordering::Release);
+            let order = self.timeline.mono(next.plus_ns(-self.ahead_ns));
+            let told = self.untold.front().map(|told| told.at);
+            let look = now.plus_ns(LOOK_NS);
+            let until = told.map_or(order, |told| told.min(order)).min(look);
+            let wake_up = self.triggers.wake_up.clone();
+            self.clock.wait_until(until, &wake_up);
+        }
+    }
+
+    /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
+    pub fn start(self, orders: Sender<Ordered>, priority: u8) -> std::io::Result<BeatThread> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (clock, wake_up) = (self.clock.clone(), self.triggers.wake_up.clone());
+        let thread = thread::Builder::new().name("beat".into()).spawn({
+            let stop = stop.clone();
+            move || {
+                if priority > 0 {
+                    // What is not allowed was said when the daemon started.
+                    let _ = priority::first_in_first_out(priority);
+                }
+                self.run(&orders, &stop);
+            }
+        })?;
+        Ok(BeatThread {
+            stop,
+            clock,
+            wake_up,
+            thread: Some(thread),
+        })
+    }
+}
+
+pub(super) struct BeatThread {
+    stop: Arc<AtomicBool>,
+    clock: Arc<dyn Clock>,
+    wake_up: Arc<WakeUp>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for BeatThread {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        self.wake_up.ring(&*self.clock);
+        if let Some(thread) = self.thread.take() {
+            // A panic in it was printed where it happened.
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The doors by which triggers come, and the lines on which they go out, of all sonars.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crossbeam_channel::{Receiver, bounded};
+
+use super::DaemonError;
+use crate::clock::{Clock, WakeUp};
+use crate::counters::add;
+use crate::gate::Gate;
+use crate::io::trigger::out::TriggerOut;
+use crate::io::trigger::{Sink, Trigger, TriggerListener};
+use crate::triggers::TriggerCounts;
+use echotank_config::spec::{ClockSpec, RigSpec, TriggerFrom};
+use echotank_core::flow::TriggerSource;
+use echotank_core::time::MonoNs;
+use echotank_ping::Triggered;
+use echotank_ping::trigger::Numbers;
+
+/// Triggers that may wait to be looked at.
+const MAX_WAITING: usize = 1024;
+
+/// A trigger from outside.
+#[derive(Clone, Copy)]
+pub(super) struct Came {
+    pub sonar: usize,
+    pub at: MonoNs,
+    pub number: Option<u32>,
+}
+
+pub(super) struct Triggers {
+    /// Shut when dropped.
+    pub listeners: Vec<Option<TriggerListener>>,
+    pub outs: Vec<Option<TriggerOut>>,
+    pub came: Receiver<Came>,
+    /// Rung when one has come.
+    pub wake_up: Arc<WakeUp>,
+}
+
+/// What starts a sonar's pings at first.
+pub(super) fn at_first(from: &TriggerFrom, clock: ClockSpec) -> TriggerSource {
+    match from {
+        TriggerFrom::Internal => TriggerSource::Internal,
+        // Where time is nobody's a trigger from outside is a step of the beat.
+        from if from.is_wired() && clock.is_own() => TriggerSource::Internal,
+        _ => TriggerSource::External,
+    }
+}
+
+impl Triggers {
+    pub fn open(
+        spec: &RigSpec,
+        clock: &Arc<dyn Clock>,
+        gate: &Arc<Gate>,
+        counts: &[Arc<TriggerCounts>],
+    ) -> Result<Self, DaemonError> {
+        let (sender, came) = bounded(MAX_WAITING);
+        let wake_up = Arc::new(WakeUp::default());
+        let (mut listeners, mut outs) = (Vec::new(), Vec::new());
+        for (sonar, (spec_of, counts)) in spec.sonars.iter().zip(counts).enumerate() {
+            let sink: Sink = if spec.run.clock.is_own() {
+                stepping(gate.clone(), counts.clone())
+            } else {
+                let (clock, wake_up, sender) = (clock.clone(), wake_up.clone(), sender.clone());
+                let (counts, gate) = (counts.clone(), gate.clone());
+                Arc::new(move |Trigger { age_ns, number }| {
+                    let age_ns = (age_ns as f64 * gate.rate().unwrap_or(1.0)) as i64;
+                    let at = clock.mono().plus_ns(-age_ns);
+                    if sender.try_send(Came { sonar, at, number }).is_err() {
+                        add(&counts.dropped, 1);
+                    }
+                    wake_up.ring(&*clock);
+                })
+            };
+            let listener = TriggerListener::open(&spec_of.trigger.from, sink)?;
+            if let Some(listener) = &listener {
+                listener.hurry(spec.run.priority);
+                let _ = counts.listener.set(listener.counts().clone());
+            }
+            listeners.push(listener);
+            let out = TriggerOut::open(&spec_of.trigger_out, &spec_of.name)?;
+            if let Some(out) = &out {
+                let _ = counts.out.set(out.counts().clone());
+            }
+            outs.push(out);
+        }
+        Ok(Self {
+            listeners,
+            outs,
+            came,
+            wake_up,
+        })
+    }
+
+    /// Where triggers may come, a line each.
+    pub fn addresses(&self, spec: &RigSpec) -> Vec<String> {
+        let named = spec.sonars.iter().zip(&self.listeners);
+        named
+            .filter_map(|(sonar, listener)| {
+                let (transport, address) = listener.as_ref()?.address()?;
+                Some(format!("trigger {} {transport} {address}", sonar.name))
+            })
+            .collect()
+    }
+}
+
+/// `lockstep`: every trigger is a step.
+fn stepping(gate: Arc<Gate>, counts: Arc<TriggerCounts>) -> Sink {
+    let numbers = Mutex::new(Numbers::default());
+    Arc::new(move |Trigger { number, .. }| {
+        let mut numbers = numbers.lock().unwrap_or_else(PoisonError::into_inner);
+        match number.map_or(Ok(()), |number| numbers.check(number)) {
+            Ok(()) => {
+                add(&counts.obeyed, 1);
+                gate.step(1);
+            }
+            Err(why) => counts.note(&Triggered::Refused(why)),
+        }
+    })
+}

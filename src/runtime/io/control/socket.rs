@@ -1,0 +1,258 @@
+//! The page's WebSocket, `/page/socket`: frames and states out, commands in.
+//!
+//! | out | what |
+//! |---|---|
+//! | text `{"hello": ..}` | once: what the rig is |
+//! | text `{"state": ..}` | everything that is not of one ping, twice a second and at once after a change |
+//! | text `{"world": ..}` | the targets, when asked |
+//! | text `{"answer": .., "id": ..}` | what became of a command |
+//! | text `{"dropped": n}` | frames this page was too slow for |
+//! | text `{"error": ..}` | what came was not understood |
+//! | binary | see [`super::frame`] |
+//!
+//! | in, text | what |
+//! |---|---|
+//! | `{"look": ..}` | a [`Want`](super::feed::Want): which sonar, which views |
+//! | `{"command": {"id": 1, "command": ..}}` | a [`Command`], as POST /control takes it |
+//! | `{"relief": ..}` | a [`ReliefTile`] of the seabed |
+//! | `{"world": {}}` | the targets |
+//!
+//! Every page has a task of its own on the control thread; one that does not read stops only itself.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::State;
+use axum::extract::connect_info::ConnectInfo;
+use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, WebSocketUpgrade, close_code};
+use axum::http::StatusCode;
+use axum::response::Response;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::{Mutex, Semaphore, watch};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
+
+use super::feed::{Next, Page, Want};
+use super::router::{Shared, refusal};
+use super::{Command, ControlPort};
+use echotank_core::flow::Asker;
+
+/// Pages that may be open at once.
+pub const MAX_PAGES: usize = 64;
+/// Longest message from a page, bytes.
+const MAX_MESSAGE_BYTES: usize = 16 * 1024;
+/// For a page to take one message; then it is closed.
+const SEND_PATIENCE: Duration = Duration::from_secs(30);
+/// A page is asked whether it is there so often, and closed when it says nothing for [`SILENCE`].
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+const SILENCE: Duration = Duration::from_secs(60);
+/// States are looked at for changes so often, and sent at least so often.
+const LOOK: Duration = Duration::from_millis(100);
+const STATE_EVERY: Duration = Duration::from_millis(500);
+/// After each tile of seabed, for all pages together: drawing maps never takes a core.
+const RELIEF_REST: Duration = Duration::from_millis(8);
+
+/// A square of the seabed: 128 cells of 2^level metres to a side, with a cell more all around.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReliefTile {
+    pub level: u8,
+    /// Northward, in tiles of its level from the world's origin.
+    pub row: i32,
+    /// Eastward.
+    pub col: i32,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+enum Ask {
+    Look(Want),
+    Command { id: u64, command: Box<Command> },
+    Relief(ReliefTile),
+    World {},
+}
+
+/// What all pages share.
+pub(super) struct Pages {
+    seats: Arc<Semaphore>,
+    state: watch::Sender<Utf8Bytes>,
+    relief_turn: Mutex<()>,
+}
+
+impl Pages {
+    pub(super) fn new() -> Self {
+        Self {
+            seats: Arc::new(Semaphore::new(MAX_PAGES)),
+            state: watch::Sender::new(Utf8Bytes::default()),
+            relief_turn: Mutex::new(()),
+        }
+    }
+
+    /// Renews the state while somebody looks, for ever.
+    pub(super) async fn renew(&self, port: &dyn ControlPort) {
+        let mut look = interval(LOOK);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut written = (0, Instant::now());
+        loop {
+            look.tick().await;
+            if self.state.receiver_count() == 0 {
+                continue;
+            }
+            let revision = port.revision();
+            if revision != written.0 || written.1.elapsed() >= STATE_EVERY {
+                written = (revision, Instant::now());
+                let state = json!({ "state": port.page_state() });
+                self.state.send_replace(state.to_string().into());
+            }
+        }
+    }
+}
+
+pub(super) async fn open(
+    State(shared): State<Shared>,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let Ok(seat) = Arc::clone(&shared.pages.seats).try_acquire_owned() else {
+        let why = format!("{MAX_PAGES} pages are open already");
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, &why);
+    };
+    upgrade
+        .protocols(["echotank"])
+        .max_message_size(MAX_MESSAGE_BYTES)
+        .max_frame_size(MAX_MESSAGE_BYTES)
+        .on_upgrade(move |socket| async move {
+            let _seat = seat;
+            serve(socket, shared, peer).await;
+        })
+}
+
+/// Why a page is let go.
+struct Gone;
+
+struct Session {
+    socket: WebSocket,
+    shared: Shared,
+    by: Asker,
+    page: Page,
+}
+
+async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
+    let mut stopped = shared.stopped.clone();
+    let mut session = Session {
+        page: shared.port.feed().join(),
+        socket,
+        shared,
+        by: Asker {
+            via: "page",
+            peer: Some(peer),
+        },
+    };
+    tokio::select! {
+        _ = session.run() => {}
+        _ = stopped.wait_for(|&stop| stop) => {}
+    }
+    // To a page that waits: come back when there is a daemon again.
+    let goodbye = CloseFrame {
+        code: close_code::AWAY,
+        reason: "the daemon stops".into(),
+    };
+    let _ = timeout(LOOK, session.socket.send(Message::Close(Some(goodbye)))).await;
+}
+
+impl Session {
+    async fn run(&mut self) -> Result<(), Gone> {
+        let hello = json!({ "hello": self.shared.port.hello() });
+        self.say(hello).await?;
+        let mut state = self.shared.pages.state.subscribe();
+        state.mark_changed();
+        let mut alive = interval(KEEP_ALIVE);
+        let mut heard = Instant::now();
+        loop {
+            tokio::select! {
+                message = self.socket.recv() => {
+                    // A frame that is too long or no frame at all is an error, and the end.
+                    let message = message.ok_or(Gone)?.map_err(|_| Gone)?;
+                    heard = Instant::now();
+                    self.take(message).await?;
+                }
+                next = self.page.next() => match next {
+                    Next::Frame(frame) => {
+                        self.send(Message::Binary(frame.bytes.clone())).await?;
+                        self.page.sent();
+                    }
+                    Next::Dropped(n) => self.say(json!({ "dropped": n })).await?,
+                    Next::End => return Err(Gone),
+                },
+                _ = state.changed() => {
+                    let text = state.borrow_and_update().clone();
+                    if !text.is_empty() {
+                        self.send(Message::Text(text)).await?;
+                    }
+                }
+                _ = alive.tick() => {
+                    if heard.elapsed() > SILENCE {
+                        return Err(Gone);
+                    }
+                    self.send(Message::Ping(Default::default())).await?;
+                }
+            }
+        }
+    }
+
+    async fn take(&mut self, message: Message) -> Result<(), Gone> {
+        let text = match message {
+            Message::Text(text) => text,
+            Message::Ping(_) | Message::Pong(_) => return Ok(()),
+            Message::Binary(_) => return self.complain("only text is taken").await,
+            Message::Close(_) => return Err(Gone),
+        };
+        match serde_json::from_str(&text) {
+            Ok(Ask::Look(want)) => self.look(want).await,
+            Ok(Ask::Command { id, command }) => {
+                let answer = self.shared.port.command(&command, self.by);
+                self.say(json!({ "answer": answer, "id": id })).await
+            }
+            Ok(Ask::Relief(tile)) => self.relief(tile).await,
+            Ok(Ask::World {}) => {
+                let world = json!({ "world": self.shared.port.world() });
+                self.say(world).await
+            }
+            Err(why) => self.complain(&why.to_string()).await,
+        }
+    }
+
+    async fn look(&mut self, want: Want) -> Result<(), Gone> {
+        for frame in self.page.look(want) {
+            self.send(Message::Binary(frame.bytes.clone())).await?;
+            self.page.sent();
+        }
+        Ok(())
+    }
+
+    async fn relief(&mut self, tile: ReliefTile) -> Result<(), Gone> {
+        let shared = self.shared.clone();
+        let turn = shared.pages.relief_turn.lock().await;
+        let bytes = shared.port.relief(tile);
+        sleep(RELIEF_REST).await;
+        drop(turn);
+        match bytes {
+            Some(bytes) => self.send(Message::Binary(bytes)).await,
+            None => Ok(()),
+        }
+    }
+
+    async fn complain(&mut self, why: &str) -> Result<(), Gone> {
+        self.say(json!({ "error": why })).await
+    }
+
+    async fn say(&mut self, value: Value) -> Result<(), Gone> {
+        self.send(Message::Text(value.to_string().into())).await
+    }
+
+    async fn send(&mut self, message: Message) -> Result<(), Gone> {
+        let sent = timeout(SEND_PATIENCE, self.socket.send(message)).await;
+        sent.map_err(|_| Gone)?.map_err(|_| Gone)
+    }
+}

@@ -1,0 +1,425 @@
+//! Live sources: one blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
+//!
+//! Threads hand over raw bytes with the monotonic arrival of the first one (of a datagram: when the kernel had it); whoever pulls decodes them. Until rig time is known they are
+//! kept as bytes, so that every sample is decoded on the timeline it belongs to.
+
+mod serial;
+mod tcp;
+
+pub(super) use serial::{Port, open as open_serial};
+
+use std::collections::VecDeque;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{
+    AtomicBool, AtomicU64,
+    Ordering::{Acquire, Relaxed, Release},
+};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
+use crate::clock::Clock;
+use crate::io::stamp;
+use echotank_config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
+use echotank_core::flow::NavSample;
+use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
+use echotank_nav::NavDecoder;
+use echotank_nav::decoder::unwatched;
+
+/// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
+const QUEUE: usize = 4096;
+/// Asked of the kernel for a socket, bytes: a second of a stalled pull at any navigation rate. It may give less.
+const SOCKET_BUFFER_BYTES: usize = 1 << 20;
+/// Threads look this often whether they should end.
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
+/// A vanished serial port is looked for this often.
+const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
+/// Navigation closer than this to the host's clock is on the host's timeline.
+const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
+/// With bytes coming but no dated message for this long, the host's clock rules.
+const PATIENCE_NS: i64 = 5 * NS_PER_S;
+
+/// Bytes as they came.
+struct Chunk {
+    /// Index into `Live::sources`.
+    source: usize,
+    /// Of the first byte.
+    mono: MonoNs,
+    bytes: Vec<u8>,
+}
+
+/// Counted by a source's thread.
+#[derive(Default)]
+struct Stats {
+    received: AtomicU64,
+    dropped_full: AtomicU64,
+    read_errors: AtomicU64,
+    reopened: AtomicU64,
+}
+
+struct LiveSource {
+    /// Index into `NavSpec::sources`.
+    index: usize,
+    name: String,
+    decoder: NavDecoder,
+    /// Looks for the first dated message while there is no timeline; none where messages do not rule.
+    scout: Option<NavDecoder>,
+    /// Between two bytes on a serial line; zero elsewhere.
+    byte_ns: i64,
+    /// Bytes without boundaries; else datagrams.
+    stream: bool,
+    address: Option<SocketAddr>,
+    stats: Arc<Stats>,
+}
+
+pub(super) struct Live {
+    sources: Vec<LiveSource>,
+    chunks: Receiver<Chunk>,
+    clock: Arc<dyn Clock>,
+    host: Timeline,
+    timeline: Option<Timeline>,
+    /// The timeline comes from outside.
+    foreign: bool,
+    kept: VecDeque<Chunk>,
+    samples: Vec<NavSample>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Live {
+    /// `foreign`: rig time is not found here but given by `set_timeline`.
+    pub fn open(
+        spec: &NavSpec,
+        clock: Arc<dyn Clock>,
+        foreign: bool,
+    ) -> Result<Self, NavOpenError> {
+        let (sender, chunks) = bounded(QUEUE);
+        let host = Timeline::through(clock.mono(), clock.host_utc());
+        let mut live = Self {
+            sources: Vec::new(),
+            chunks,
+            clock,
+            host,
+            timeline: None,
+            foreign,
+            kept: VecDeque::new(),
+            samples: Vec::new(),
+            stop: Arc::new(AtomicBool::new(false)),
+            threads: Vec::new(),
+        };
+        for (index, source) in spec.sources.iter().enumerate() {
+            live.start(index, source, &sender)?;
+        }
+        let by_messages = live.sources.iter().any(|s| s.scout.is_some());
+        if !foreign && !by_messages {
+            live.timeline = Some(host);
+        }
+        Ok(live)
+    }
+
+    fn start(
+        &mut self,
+        index: usize,
+        spec: &NavSourceSpec,
+        sender: &Sender<Chunk>,
+    ) -> Result<(), NavOpenError> {
+        let id = u16::try_from(index).unwrap_or(u16::MAX);
+        let stats = Arc::new(Stats::default());
+        let mut source = LiveSource {
+            index,
+            name: spec.name.clone(),
+            decoder: NavDecoder::new(id, spec),
+            scout: (!matches!(spec.time, TimePolicy::Arrival { .. }))
+                .then(|| NavDecoder::new(id, spec)),
+            byte_ns: 0,
+            stream: false,
+            address: None,
+            stats: stats.clone(),
+        };
+        let outlet = Outlet {
+            source: self.sources.len(),
+            sender: sender.clone(),
+            clock: self.clock.clone(),
+            stats,
+            stop: self.stop.clone(),
+        };
+        let thread = std::thread::Builder::new().name(format!("nav {}", spec.name));
+        let started = match &spec.input {
+            NavInputSpec::Udp { listen, multicast } => {
+                let socket = open_udp(*listen, *multicast).map_err(|reason| NavOpenError::Udp {
+                    name: spec.name.clone(),
+                    listen: *listen,
+                    reason: reason.to_string(),
+                })?;
+                source.address = socket.local_addr().ok();
+                thread.spawn(move || read_udp(&socket, &outlet))
+            }
+            NavInputSpec::Serial { port, baud, line } => {
+                let open =
+                    open_serial(port, *baud, *line).map_err(|reason| NavOpenError::Serial {
+                        name: spec.name.clone(),
+                        port: port.clone(),
+                        baud: *baud,
+                        reason: reason.to_string(),
+                    })?;
+                source.stream = true;
+                source.byte_ns = line.bits_per_byte() * NS_PER_S / i64::from((*baud).max(1));
+                let (port, baud, line, byte_ns) = (port.clone(), *baud, *line, source.byte_ns);
+                thread.spawn(move || {
+                    serial::read(open, || open_serial(&port, baud, line), byte_ns, &outlet);
+                })
+            }
+            NavInputSpec::TcpConnect { address } => {
+                source.stream = true;
+                let address = address.clone();
+                thread.spawn(move || tcp::read_server(&address, &outlet))
+            }
+            NavInputSpec::TcpListen { listen } => {
+                source.stream = true;
+                let listener = tcp::listen(*listen).map_err(|reason| NavOpenError::Tcp {
+                    name: spec.name.clone(),
+                    listen: *listen,
+                    reason: reason.to_string(),
+                })?;
+                source.address = listener.local_addr().ok();
+                thread.spawn(move || tcp::read_clients(&listener, &outlet))
+            }
+            NavInputSpec::Log { .. } | NavInputSpec::Csv { .. } => return Ok(()),
+        };
+        let handle = started.map_err(|reason| NavOpenError::Thread {
+            name: spec.name.clone(),
+            reason: reason.to_string(),
+        })?;
+        self.threads.push(handle);
+        self.sources.push(source);
+        Ok(())
+    }
+
+    pub fn timeline(&self) -> Option<Timeline> {
+        self.timeline
+    }
+
+    pub fn set_timeline(&mut self, timeline: Timeline) {
+        self.timeline.get_or_insert(timeline);
+    }
+
+    pub fn listening(&self) -> Vec<(String, SocketAddr)> {
+        let bound = |s: &LiveSource| Some((s.name.clone(), s.address?));
+        self.sources.iter().filter_map(bound).collect()
+    }
+
+    pub fn count(&self, counters: &mut [SourceCounters]) {
+        for source in &self.sources {
+            let Stats {
+                received,
+                dropped_full,
+                read_errors,
+                reopened,
+            } = &*source.stats;
+            counters[source.index].decoder = *source.decoder.counters();
+            counters[source.index].live = LiveCounters {
+                received: received.load(Acquire),
+                dropped_full: dropped_full.load(Relaxed),
+                read_errors: read_errors.load(Relaxed),
+                reopened: reopened.load(Relaxed),
+            };
+        }
+    }
+
+    /// Decodes what has come; keeps it while rig time is unknown.
+    pub fn pull(&mut self, feed: &mut Feed) {
+        if self.timeline.is_none() {
+            self.keep();
+        }
+        let Some(timeline) = self.timeline else {
+            return;
+        };
+        while let Some(mut chunk) = self
+            .kept
+            .pop_front()
+            .or_else(|| self.chunks.try_recv().ok())
+        {
+            let source = &mut self.sources[chunk.source];
+            let samples = &mut self.samples;
+            if let Some(spoiler) = &mut feed.spoiler {
+                spoiler.bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
+            }
+            let pace = (source.stream, source.byte_ns);
+            decode(&mut source.decoder, &chunk, pace, timeline, samples);
+            for sample in samples.drain(..) {
+                feed.insert(&sample);
+            }
+        }
+    }
+
+    /// Sets waiting chunks aside and looks in them for rig time.
+    fn keep(&mut self) {
+        while let Ok(chunk) = self.chunks.try_recv() {
+            let source = &mut self.sources[chunk.source];
+            if self.timeline.is_none()
+                && !self.foreign
+                && let Some(scout) = &mut source.scout
+            {
+                let pace = (source.stream, source.byte_ns);
+                decode(scout, &chunk, pace, self.host, &mut self.samples);
+                self.samples.clear();
+                self.timeline = timeline_of(scout, self.host);
+            }
+            if self.kept.len() == QUEUE {
+                let oldest = self.kept.pop_front();
+                let source = oldest.map_or(chunk.source, |c| c.source);
+                self.sources[source]
+                    .stats
+                    .dropped_full
+                    .fetch_add(1, Relaxed);
+            }
+            self.kept.push_back(chunk);
+        }
+        let waited_ns = self
+            .kept
+            .front()
+            .map_or(0, |first| self.clock.mono().0 - first.mono.0);
+        if self.timeline.is_none() && !self.foreign && waited_ns > PATIENCE_NS {
+            self.timeline = Some(self.host);
+        }
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        for thread in self.threads.drain(..) {
+            // A thread that panicked has nothing left to clean up.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Rig time from the first dated message; `None` until there is one.
+fn timeline_of(scout: &NavDecoder, host: Timeline) -> Option<Timeline> {
+    let (message, arrival) = scout.last_message_time().filter(|_| scout.is_dated())?;
+    let off_ns = message.0.saturating_sub(arrival.0).saturating_abs();
+    Some(if off_ns > HOST_TOLERANCE_NS {
+        Timeline::through(host.mono(arrival), message)
+    } else {
+        host
+    })
+}
+
+fn decode(
+    decoder: &mut NavDecoder,
+    chunk: &Chunk,
+    (stream, byte_ns): (bool, i64),
+    timeline: Timeline,
+    out: &mut Vec<NavSample>,
+) {
+    let arrival = timeline.utc(chunk.mono);
+    if !stream {
+        // A datagram that begins with a sentence ends whatever the one before left open; others go on with it.
+        let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
+        if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
+            decoder.flush(out);
+        }
+        decoder.push(&chunk.bytes, arrival, out);
+        return;
+    }
+    // Each sentence has the arrival of its own first byte.
+    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut unwatched);
+}
+
+/// A thread's end of the queue.
+struct Outlet {
+    source: usize,
+    sender: Sender<Chunk>,
+    clock: Arc<dyn Clock>,
+    stats: Arc<Stats>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Outlet {
+    fn stopped(&self) -> bool {
+        self.stop.load(Relaxed)
+    }
+
+    /// Just read: `bytes`, the last of which came now.
+    fn send(&self, bytes: &[u8], byte_ns: i64) {
+        self.send_old(bytes, byte_ns, 0);
+    }
+
+    /// Read: `bytes`, the last of which came `age_ns` ago.
+    fn send_old(&self, bytes: &[u8], byte_ns: i64, age_ns: i64) {
+        let since_first_ns = age_ns + byte_ns * bytes.len() as i64;
+        let mono = self.clock.mono().plus_ns(-since_first_ns);
+        let chunk = Chunk {
+            source: self.source,
+            mono,
+            bytes: bytes.to_vec(),
+        };
+        if self.sender.try_send(chunk).is_err() {
+            self.stats.dropped_full.fetch_add(1, Relaxed);
+        }
+        // After the queue has it: who reads the counter finds the chunk.
+        self.stats.received.fetch_add(1, Release);
+    }
+
+    /// Waits in small steps, so that stopping is not delayed.
+    fn pause(&self, time: Duration) {
+        let end = std::time::Instant::now() + time;
+        while !self.stopped() && std::time::Instant::now() < end {
+            std::thread::sleep(READ_TIMEOUT);
+        }
+    }
+}
+
+fn is_timeout(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+// ---------------------------------------------------------------- UDP
+
+fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<UdpSocket> {
+    // What is sent to a group is not addressed to any one interface: `listen` says at which it comes in, and the socket is bound to all.
+    let (bound, interface) = match (multicast, listen.ip()) {
+        (None, _) => (listen, Ipv4Addr::UNSPECIFIED),
+        (Some(_), IpAddr::V4(interface)) => (any_at(listen.port()), interface),
+        (Some(_), IpAddr::V6(_)) => (any_at(listen.port()), Ipv4Addr::UNSPECIFIED),
+    };
+    let socket = Socket::new(Domain::for_address(bound), Type::DGRAM, Some(Protocol::UDP))?;
+    // Other programs on this machine may listen to the same broadcast.
+    socket.set_reuse_address(true)?;
+    // What the kernel does not give is seen in its own drop counters.
+    let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
+    socket.set_read_timeout(Some(READ_TIMEOUT))?;
+    socket.bind(&bound.into())?;
+    if let Some(group) = multicast {
+        socket.join_multicast_v4(&group, &interface)?;
+        // Else groups that other programs have joined would come too.
+        #[cfg(target_os = "linux")]
+        socket.set_multicast_all_v4(false)?;
+    }
+    Ok(socket.into())
+}
+
+fn any_at(port: u16) -> SocketAddr {
+    (Ipv4Addr::UNSPECIFIED, port).into()
+}
+
+fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
+    let mut buffer = vec![0; 65_536];
+    stamp::enable(socket);
+    while !outlet.stopped() {
+        match stamp::receive(socket, &mut buffer) {
+            Ok((len, age_ns)) => outlet.send_old(&buffer[..len], 0, age_ns),
+            Err(error) if is_timeout(&error) => {}
+            Err(_) => {
+                outlet.stats.read_errors.fetch_add(1, Relaxed);
+                outlet.pause(READ_TIMEOUT);
+            }
+        }
+    }
+}

@@ -1,0 +1,420 @@
+//! Navigation going out: ZDA, GGA and HDT of the pings' own clock, so that a device under test shares it.
+//!
+//! ```text
+//! pipeline thread: outlook of the motion -> board -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
+//! ```
+//! At every whole second the pulse, then the ZDA that names it. GGA and HDT of a tick may wait for their measurements (`latency_ms`), as those
+//! of receivers do. GGA is of the reference point: the source's quality while its position is no older than the motion may be carried on,
+//! 6 (estimated) while it is not stale, then 0 and empty; HDT is empty once stale.
+
+mod ways;
+
+use std::collections::VecDeque;
+use std::net::SocketAddr;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use thiserror::Error;
+
+use self::ways::Way;
+use crate::clock::Clock;
+use echotank_config::spec::{NavOutputSpec, NavSentence, PulseSpec};
+use echotank_core::flow::{FixQuality, NavState};
+use echotank_core::frames::{Trajectory, angles_from_rotation};
+use echotank_core::time::{MonoNs, NS_PER_S, UtcNs};
+use echotank_nav::encode::{self, Fix};
+use echotank_nav::{LocalTangentPlane, NavHistory};
+
+/// How often the motion is put on the board.
+const PUBLISH_EVERY_NS: i64 = 10_000_000;
+/// How long a pulse is.
+const PULSE_NS: i64 = 100_000_000;
+/// Threads look this often whether they should end.
+const LOOK_NS: i64 = 100_000_000;
+/// A tick that is later than this is left out: its sentences would be of no use as a clock.
+const TOO_LATE_NS: i64 = NS_PER_S / 2;
+
+/// What outgoing sentences are stamped with: the same clock as the pings.
+pub type OutputTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
+
+/// What may be wrong with whole seconds.
+pub trait ClockFaults: Send + Sync {
+    /// The pulse that marks this second is not sent.
+    fn pulse_is_lost(&self, second: UtcNs) -> bool;
+    /// How much later the second is that ZDA names in its stead.
+    fn zda_is_off_s(&self, second: UtcNs) -> f64;
+}
+
+#[derive(Debug, Error)]
+#[error("nav output `{name}`: cannot open {target}: {reason}")]
+pub struct NavOutputError {
+    pub name: String,
+    pub target: String,
+    pub reason: String,
+}
+
+/// The motion as last known.
+struct Outlook {
+    zero: MonoNs,
+    trajectory: Trajectory,
+    state: NavState,
+    heading_age_s: f64,
+    plane: Option<LocalTangentPlane>,
+    /// How long a value may be carried on, and after how long it is stale, seconds.
+    carried_s: f64,
+    stale_s: f64,
+    /// There is a motion at all.
+    known: bool,
+}
+
+type Board = Arc<Mutex<Option<Outlook>>>;
+
+#[derive(Default)]
+struct Counts {
+    sentences: AtomicU64,
+    pulses: AtomicU64,
+    late: AtomicU64,
+    errors: AtomicU64,
+    clients: AtomicU64,
+}
+
+struct Running {
+    name: String,
+    address: Option<SocketAddr>,
+    transport: &'static str,
+    counts: Arc<Counts>,
+}
+
+/// The outputs of a rig. Their threads run from `open` on until the value is dropped; they say nothing before the first `publish`.
+pub struct NavOutputs {
+    board: Board,
+    /// Scratch, changed for the board's.
+    trajectory: Trajectory,
+    next: MonoNs,
+    running: Vec<Running>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl NavOutputs {
+    pub fn open(
+        specs: &[NavOutputSpec],
+        clock: &Arc<dyn Clock>,
+        time: &OutputTime,
+    ) -> Result<Self, NavOutputError> {
+        Self::open_with(specs, clock, time, None)
+    }
+
+    /// As [`NavOutputs::open`], with seconds that may go wrong.
+    pub fn open_with(
+        specs: &[NavOutputSpec],
+        clock: &Arc<dyn Clock>,
+        time: &OutputTime,
+        faults: Option<&Arc<dyn ClockFaults>>,
+    ) -> Result<Self, NavOutputError> {
+        let mut outputs = Self {
+            board: Arc::default(),
+            trajectory: Trajectory::default(),
+            next: MonoNs(i64::MIN),
+            running: Vec::new(),
+            stop: Arc::default(),
+            threads: Vec::new(),
+        };
+        for spec in specs {
+            let refused = |reason: String| NavOutputError {
+                name: spec.name.clone(),
+                target: ways::name(&spec.target),
+                reason,
+            };
+            let counts = Arc::new(Counts::default());
+            let (way, address) =
+                ways::open(&spec.target, spec.pulse).map_err(|e| refused(e.to_string()))?;
+            let sender = Sender {
+                spec: spec.clone(),
+                way,
+                board: outputs.board.clone(),
+                clock: clock.clone(),
+                time: time.clone(),
+                stop: outputs.stop.clone(),
+                faults: faults.cloned(),
+                counts: counts.clone(),
+                text: Vec::new(),
+            };
+            let thread = std::thread::Builder::new()
+                .name(format!("nav out {}", spec.name))
+                .spawn(move || sender.run())
+                .map_err(|e| refused(e.to_string()))?;
+            outputs.threads.push(thread);
+            outputs.running.push(Running {
+                name: spec.name.clone(),
+                transport: ways::transport(&spec.target),
+                address,
+                counts,
+            });
+        }
+        Ok(outputs)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.running.is_empty()
+    }
+
+    /// `nav out NAME TRANSPORT ADDRESS`, a line each.
+    pub fn addresses(&self) -> Vec<String> {
+        let line = |r: &Running| match r.address {
+            Some(address) => format!("nav out {} {} {address}", r.name, r.transport),
+            None => format!("nav out {} {}", r.name, r.transport),
+        };
+        self.running.iter().map(line).collect()
+    }
+
+    pub fn lines(&self) -> Vec<String> {
+        let line = |r: &Running| {
+            let c = &r.counts;
+            format!(
+                "nav out {}: {} sentences, {} pulses, {} ticks too late, {} errors, {} clients",
+                r.name,
+                c.sentences.load(Relaxed),
+                c.pulses.load(Relaxed),
+                c.late.load(Relaxed),
+                c.errors.load(Relaxed),
+                c.clients.load(Relaxed)
+            )
+        };
+        self.running.iter().map(line).collect()
+    }
+
+    /// When the motion should be published again.
+    pub fn next_publish(&self) -> MonoNs {
+        match self.is_empty() {
+            true => MonoNs(i64::MAX),
+            false => self.next,
+        }
+    }
+
+    /// Puts the motion around now on the board, if it is time to.
+    pub fn publish(&mut self, history: &mut NavHistory, now: MonoNs, utc: UtcNs) {
+        if self.is_empty() || now < self.next {
+            return;
+        }
+        self.next = now.plus_ns(PUBLISH_EVERY_NS);
+        let state = history.outlook(utc, &mut self.trajectory);
+        let mut board = self.board.lock().unwrap_or_else(PoisonError::into_inner);
+        let outlook = board.get_or_insert_with(|| Outlook {
+            zero: now,
+            trajectory: Trajectory::default(),
+            state: NavState::default(),
+            heading_age_s: f64::INFINITY,
+            plane: None,
+            carried_s: history.max_extrapolation_s(),
+            stale_s: history.stale_s(),
+            known: false,
+        });
+        outlook.known = state.is_ok();
+        if let Ok(state) = state {
+            std::mem::swap(&mut outlook.trajectory, &mut self.trajectory);
+            outlook.zero = now;
+            outlook.state = state;
+            outlook.heading_age_s = history.heading_age_s(utc);
+            outlook.plane = history.origin();
+        }
+    }
+}
+
+impl Drop for NavOutputs {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        for thread in self.threads.drain(..) {
+            // A thread that panicked has nothing left to clean up.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Outlook {
+    fn position(&self, at: MonoNs) -> Option<Fix> {
+        let ahead_s = at.seconds_since(self.zero);
+        let age_s = self.state.position_age_s + ahead_s;
+        if !self.known || age_s > self.stale_s {
+            return None;
+        }
+        let pose = self
+            .trajectory
+            .pose_at(self.within(ahead_s, self.state.position_age_s));
+        let (latitude_rad, longitude_rad) = self
+            .plane?
+            .geodetic_rad(pose.position_m.x, pose.position_m.y);
+        let estimated = age_s > self.carried_s && self.state.fix != FixQuality::None;
+        Some(Fix {
+            latitude_rad,
+            longitude_rad,
+            height_m: -pose.position_m.z,
+            quality: match estimated {
+                true => FixQuality::DeadReckoning,
+                false => self.state.fix,
+            },
+        })
+    }
+
+    fn heading_rad(&self, at: MonoNs) -> Option<f64> {
+        let ahead_s = at.seconds_since(self.zero);
+        if !self.known || self.heading_age_s + ahead_s > self.stale_s {
+            return None;
+        }
+        let pose = self
+            .trajectory
+            .pose_at(self.within(ahead_s, self.heading_age_s));
+        Some(angles_from_rotation(pose.world_from_body).2)
+    }
+
+    /// Not farther ahead than a value of this age may be carried on. One that is older rests in the trajectory itself.
+    fn within(&self, ahead_s: f64, age_s: f64) -> f64 {
+        match age_s > self.carried_s {
+            true => ahead_s,
+            false => ahead_s.min(self.carried_s - age_s),
+        }
+    }
+}
+
+/// One output's thread.
+struct Sender {
+    spec: NavOutputSpec,
+    way: Box<dyn Way>,
+    board: Board,
+    clock: Arc<dyn Clock>,
+    time: OutputTime,
+    stop: Arc<AtomicBool>,
+    faults: Option<Arc<dyn ClockFaults>>,
+    counts: Arc<Counts>,
+    text: Vec<u8>,
+}
+
+/// A tick: the instant it names, and when that is.
+#[derive(Clone, Copy)]
+struct Tick {
+    utc: UtcNs,
+    at: MonoNs,
+}
+
+impl Sender {
+    fn run(mut self) {
+        let latency_ns = (self.spec.latency_s * NS_PER_S as f64) as i64;
+        let mut waiting: VecDeque<Tick> = VecDeque::new();
+        let mut pulse_ends: Option<MonoNs> = None;
+        let mut last = UtcNs(i64::MIN);
+        while !self.stop.load(Relaxed) {
+            let now = self.clock.mono();
+            if !self.has_begun() {
+                self.clock.sleep_until(now.plus_ns(LOOK_NS / 10));
+                continue;
+            }
+            let tick = self.next_tick(now, last);
+            let late = waiting.front().map(|t| t.at.plus_ns(latency_ns));
+            let events = [Some(tick.at), late, pulse_ends].into_iter().flatten();
+            let next = events.min().unwrap_or(tick.at);
+            if next > now.plus_ns(LOOK_NS) {
+                self.clock.sleep_until(now.plus_ns(LOOK_NS));
+                self.counts.clients.store(self.way.clients(), Relaxed);
+                continue;
+            }
+            self.clock.sleep_until(next);
+            if Some(next) == pulse_ends {
+                pulse_ends = None;
+                self.pulse(false);
+            } else if Some(next) == late {
+                let tick = waiting.pop_front();
+                if let Some(tick) = tick {
+                    self.say(&tick, &[NavSentence::Gga, NavSentence::Hdt]);
+                }
+            } else {
+                last = tick.utc;
+                if self.clock.mono().0 - tick.at.0 > TOO_LATE_NS {
+                    self.counts.late.fetch_add(1, Relaxed);
+                    continue;
+                }
+                let whole = tick.utc.0 % NS_PER_S == 0;
+                let lost = |faults: &Arc<dyn ClockFaults>| faults.pulse_is_lost(tick.utc);
+                if whole
+                    && self.spec.pulse != PulseSpec::None
+                    && !self.faults.as_ref().is_some_and(lost)
+                {
+                    self.pulse(true);
+                    pulse_ends = Some(tick.at.plus_ns(PULSE_NS));
+                }
+                let first = if whole { &[NavSentence::Zda][..] } else { &[] };
+                if latency_ns > 0 {
+                    self.say(&tick, first);
+                    waiting.push_back(tick);
+                } else {
+                    let all = [NavSentence::Zda, NavSentence::Gga, NavSentence::Hdt];
+                    self.say(&tick, if whole { &all } else { &all[1..] });
+                }
+            }
+        }
+    }
+
+    fn has_begun(&self) -> bool {
+        self.board
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_some()
+    }
+
+    /// The next tick after `last`. The clock that ticks are stamped with may be set anew at any time: a tick far ahead is forgotten then.
+    fn next_tick(&self, now: MonoNs, last: UtcNs) -> Tick {
+        let utc_now = (self.time)();
+        // After a clock was set back, `last` may lie ahead of now by more than a tick.
+        let period_ns = (NS_PER_S as f64 / self.spec.rate_hz) as i64;
+        let ahead = last.0.saturating_sub(utc_now.0) > period_ns;
+        let from = if ahead { utc_now } else { last };
+        // A tick that has passed meanwhile is made up for, unless it is too old for anything.
+        let oldest = utc_now.plus_ns(-period_ns.min(TOO_LATE_NS));
+        let utc = encode::next_tick(from.max(oldest), self.spec.rate_hz);
+        Tick {
+            utc,
+            at: now.plus_ns(utc.0 - utc_now.0),
+        }
+    }
+
+    fn pulse(&mut self, high: bool) {
+        match self.way.pulse(high) {
+            Ok(()) => self.counts.pulses.fetch_add(u64::from(high), Relaxed),
+            Err(_) => self.counts.errors.fetch_add(1, Relaxed),
+        };
+    }
+
+    /// Sends those of `which` that are configured, together.
+    fn say(&mut self, tick: &Tick, which: &[NavSentence]) {
+        let (fix, heading_rad) = {
+            let board = self.board.lock().unwrap_or_else(PoisonError::into_inner);
+            let outlook = board.as_ref();
+            (
+                outlook.and_then(|o| o.position(tick.at)),
+                outlook.and_then(|o| o.heading_rad(tick.at)),
+            )
+        };
+        self.text.clear();
+        let mut count = 0;
+        for sentence in which.iter().filter(|s| self.spec.sentences.contains(s)) {
+            let talker = &self.spec.talker;
+            match sentence {
+                NavSentence::Zda => {
+                    let off = self.faults.as_ref().map(|f| f.zda_is_off_s(tick.utc));
+                    encode::zda(&mut self.text, talker, tick.utc.plus_s(off.unwrap_or(0.0)));
+                }
+                NavSentence::Gga => encode::gga(&mut self.text, talker, tick.utc, fix.as_ref()),
+                NavSentence::Hdt => encode::hdt(&mut self.text, talker, heading_rad),
+            }
+            count += 1;
+        }
+        if count == 0 {
+            return;
+        }
+        match self.way.send(&self.text) {
+            Ok(()) => self.counts.sentences.fetch_add(count, Relaxed),
+            Err(_) => self.counts.errors.fetch_add(1, Relaxed),
+        };
+        self.counts.clients.store(self.way.clients(), Relaxed);
+    }
+}

@@ -1,0 +1,301 @@
+//! The ways out: a UDP socket, the clients of a TCP server, a serial port.
+
+use std::io::{self, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::time::{Duration, Instant};
+
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::super::live::{Port, open_serial};
+use echotank_config::spec::{NavTargetSpec, PulseSpec, SerialLine};
+
+/// What stands for a pulse where there is no line for it: BEL.
+pub const PULSE_BYTE: u8 = 0x07;
+/// A vanished serial port is looked for this often.
+const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
+/// Clients of one output; more are turned away.
+const MAX_CLIENTS: usize = 64;
+
+pub trait Way: Send {
+    /// The whole second begins (`high`), or its pulse ends.
+    fn pulse(&mut self, high: bool) -> io::Result<()>;
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
+    /// Listening at present; 0 where that cannot be known.
+    fn clients(&mut self) -> u64 {
+        0
+    }
+}
+
+pub fn name(target: &NavTargetSpec) -> String {
+    match target {
+        NavTargetSpec::Udp { to } => format!("UDP {to}"),
+        NavTargetSpec::TcpListen { listen } => format!("TCP {listen}"),
+        NavTargetSpec::Serial { port, baud, line } => {
+            format!("{port} at {baud} Bd {}", line.name())
+        }
+    }
+}
+
+pub fn transport(target: &NavTargetSpec) -> &'static str {
+    match target {
+        NavTargetSpec::Udp { .. } => "udp",
+        NavTargetSpec::TcpListen { .. } => "tcp",
+        NavTargetSpec::Serial { .. } => "serial",
+    }
+}
+
+/// The way, and the address it listens at or sends to.
+pub fn open(
+    target: &NavTargetSpec,
+    pulse: PulseSpec,
+) -> io::Result<(Box<dyn Way>, Option<SocketAddr>)> {
+    Ok(match target {
+        NavTargetSpec::Udp { to } => (Box::new(Udp::open(*to, pulse)?), Some(*to)),
+        NavTargetSpec::TcpListen { listen } => {
+            let listener = TcpListener::bind(listen)?;
+            listener.set_nonblocking(true)?;
+            let address = listener.local_addr()?;
+            let way = Tcp {
+                listener,
+                clients: Vec::new(),
+                pulse,
+            };
+            (Box::new(way), Some(address))
+        }
+        NavTargetSpec::Serial { port, baud, line } => {
+            let mut way = Serial {
+                path: port.clone(),
+                baud: *baud,
+                line: *line,
+                pulse,
+                port: None,
+                tried: None,
+            };
+            way.port = Some(way.connect()?);
+            (Box::new(way), None)
+        }
+    })
+}
+
+struct Udp {
+    socket: UdpSocket,
+    to: SocketAddr,
+    pulse: PulseSpec,
+}
+
+impl Udp {
+    fn open(to: SocketAddr, pulse: PulseSpec) -> io::Result<Self> {
+        let socket = Socket::new(Domain::for_address(to), Type::DGRAM, Some(Protocol::UDP))?;
+        let any: SocketAddr = match to {
+            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+            SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
+        };
+        socket.set_broadcast(true)?;
+        socket.set_nonblocking(true)?;
+        socket.bind(&any.into())?;
+        Ok(Self {
+            socket: socket.into(),
+            to,
+            pulse,
+        })
+    }
+}
+
+impl Way for Udp {
+    fn pulse(&mut self, high: bool) -> io::Result<()> {
+        match high && self.pulse == PulseSpec::Byte {
+            true => self.send(&[PULSE_BYTE]),
+            false => Ok(()),
+        }
+    }
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.socket.send_to(bytes, self.to).map(|_| ())
+    }
+}
+
+struct Tcp {
+    listener: TcpListener,
+    clients: Vec<TcpStream>,
+    pulse: PulseSpec,
+}
+
+impl Way for Tcp {
+    fn pulse(&mut self, high: bool) -> io::Result<()> {
+        match high && self.pulse == PulseSpec::Byte {
+            true => self.send(&[PULSE_BYTE]),
+            false => Ok(()),
+        }
+    }
+    /// A client that does not take all of it at once is dropped: it costs only itself.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.clients();
+        self.clients
+            .retain_mut(|client| matches!(client.write(bytes), Ok(n) if n == bytes.len()));
+        Ok(())
+    }
+    fn clients(&mut self) -> u64 {
+        while let Ok((stream, _)) = self.listener.accept() {
+            let ready = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
+            if ready && self.clients.len() < MAX_CLIENTS {
+                self.clients.push(stream);
+            }
+        }
+        self.clients.len() as u64
+    }
+}
+
+struct Serial {
+    path: String,
+    baud: u32,
+    line: SerialLine,
+    pulse: PulseSpec,
+    port: Option<Port>,
+    tried: Option<Instant>,
+}
+
+impl Serial {
+    fn connect(&self) -> io::Result<Port> {
+        let mut port = open_serial(&self.path, self.baud, self.line)?;
+        // Opening raises both; a pseudo-terminal has neither.
+        match self.pulse {
+            PulseSpec::Rts => drop(port.write_request_to_send(false)),
+            PulseSpec::Dtr => drop(port.write_data_terminal_ready(false)),
+            PulseSpec::None | PulseSpec::Byte => {}
+        }
+        Ok(port)
+    }
+
+    /// Does something with the port; one that fails is opened anew, not more than once a second.
+    fn with(&mut self, does: impl FnOnce(&mut Port) -> io::Result<()>) -> io::Result<()> {
+        if self.port.is_none() && self.tried.is_none_or(|t| t.elapsed() > REOPEN_INTERVAL) {
+            self.tried = Some(Instant::now());
+            self.port = self.connect().ok();
+        }
+        let port = self.port.as_mut().ok_or(io::ErrorKind::NotConnected)?;
+        let done = does(port);
+        if done.is_err() {
+            self.port = None;
+        }
+        done
+    }
+}
+
+impl Way for Serial {
+    fn pulse(&mut self, high: bool) -> io::Result<()> {
+        match self.pulse {
+            PulseSpec::None => Ok(()),
+            // A port without such a line still carries the sentences.
+            PulseSpec::Rts => match &mut self.port {
+                Some(port) => Ok(port.write_request_to_send(high)?),
+                None => Ok(()),
+            },
+            PulseSpec::Dtr => match &mut self.port {
+                Some(port) => Ok(port.write_data_terminal_ready(high)?),
+                None => Ok(()),
+            },
+            PulseSpec::Byte if high => self.with(|port| port.write_all(&[PULSE_BYTE])),
+            PulseSpec::Byte => Ok(()),
+        }
+    }
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.with(|port| port.write_all(bytes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+    use std::sync::{Arc, Mutex};
+
+    use serialport::{
+        ClearBuffer, DataBits, FlowControl, Parity, Result as PortResult, SerialPort, StopBits,
+    };
+
+    use super::*;
+
+    /// A port with modem lines, which no pseudo-terminal has: writes down what is done with it.
+    #[derive(Clone, Default)]
+    struct Bench(Arc<Mutex<Vec<String>>>);
+
+    impl Bench {
+        fn note(&self, what: String) {
+            self.0.lock().expect("unspoiled").push(what);
+        }
+    }
+
+    impl Read for Bench {
+        fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+            Err(io::ErrorKind::TimedOut.into())
+        }
+    }
+
+    impl Write for Bench {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.note(String::from_utf8_lossy(bytes).trim_end().to_owned());
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[rustfmt::skip]
+    impl SerialPort for Bench {
+        fn name(&self) -> Option<String> { None }
+        fn baud_rate(&self) -> PortResult<u32> { Ok(9600) }
+        fn data_bits(&self) -> PortResult<DataBits> { Ok(DataBits::Eight) }
+        fn flow_control(&self) -> PortResult<FlowControl> { Ok(FlowControl::None) }
+        fn parity(&self) -> PortResult<Parity> { Ok(Parity::None) }
+        fn stop_bits(&self) -> PortResult<StopBits> { Ok(StopBits::One) }
+        fn timeout(&self) -> Duration { Duration::ZERO }
+        fn set_baud_rate(&mut self, _: u32) -> PortResult<()> { Ok(()) }
+        fn set_data_bits(&mut self, _: DataBits) -> PortResult<()> { Ok(()) }
+        fn set_flow_control(&mut self, _: FlowControl) -> PortResult<()> { Ok(()) }
+        fn set_parity(&mut self, _: Parity) -> PortResult<()> { Ok(()) }
+        fn set_stop_bits(&mut self, _: StopBits) -> PortResult<()> { Ok(()) }
+        fn set_timeout(&mut self, _: Duration) -> PortResult<()> { Ok(()) }
+        fn write_request_to_send(&mut self, level: bool) -> PortResult<()> { self.note(format!("RTS {level}")); Ok(()) }
+        fn write_data_terminal_ready(&mut self, level: bool) -> PortResult<()> { self.note(format!("DTR {level}")); Ok(()) }
+        fn read_clear_to_send(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_data_set_ready(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_ring_indicator(&mut self) -> PortResult<bool> { Ok(false) }
+        fn read_carrier_detect(&mut self) -> PortResult<bool> { Ok(false) }
+        fn bytes_to_read(&self) -> PortResult<u32> { Ok(0) }
+        fn bytes_to_write(&self) -> PortResult<u32> { Ok(0) }
+        fn clear(&self, _: ClearBuffer) -> PortResult<()> { Ok(()) }
+        fn try_clone(&self) -> PortResult<Box<dyn SerialPort>> { Ok(Box::new(self.clone())) }
+        fn set_break(&self) -> PortResult<()> { Ok(()) }
+        fn clear_break(&self) -> PortResult<()> { Ok(()) }
+    }
+
+    #[test]
+    fn a_pulse_raises_and_lowers_the_line_that_was_named_and_no_other() {
+        for (pulse, want) in [
+            (
+                PulseSpec::Rts,
+                &["RTS true", "$GPZDA", "RTS false", "$GPHDT"][..],
+            ),
+            (
+                PulseSpec::Dtr,
+                &["DTR true", "$GPZDA", "DTR false", "$GPHDT"],
+            ),
+            (PulseSpec::Byte, &["\u{7}", "$GPZDA", "$GPHDT"]),
+            (PulseSpec::None, &["$GPZDA", "$GPHDT"]),
+        ] {
+            let bench = Bench::default();
+            let mut way = Serial {
+                path: "/dev/none".into(),
+                baud: 9600,
+                line: SerialLine::default(),
+                pulse,
+                port: Some(Box::new(bench.clone())),
+                tried: None,
+            };
+            way.pulse(true).expect("raised");
+            way.send(b"$GPZDA\r\n").expect("sent");
+            way.pulse(false).expect("lowered");
+            way.send(b"$GPHDT\r\n").expect("sent");
+            assert_eq!(*bench.0.lock().expect("unspoiled"), want, "{pulse:?}");
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! What systemd wants to know of a service (sd_notify): that it is ready, that it is alive, what it is doing.
+
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+
+/// The way to the service manager; none where there is none.
+pub struct Notify {
+    way: Option<(UnixDatagram, SocketAddr)>,
+}
+
+impl Notify {
+    /// By the environment that systemd sets.
+    pub fn from_environment() -> Self {
+        Self::to(std::env::var("NOTIFY_SOCKET").ok().as_deref())
+    }
+
+    /// To a socket by its path, or by its abstract name behind an `@`.
+    fn to(name: Option<&str>) -> Self {
+        let way = name.and_then(|name| {
+            let address = match name.strip_prefix('@') {
+                Some(hidden) => SocketAddr::from_abstract_name(hidden),
+                None => SocketAddr::from_pathname(name),
+            };
+            Some((UnixDatagram::unbound().ok()?, address.ok()?))
+        });
+        Self { way }
+    }
+
+    /// The service is up.
+    pub fn ready(&self) {
+        self.tell("READY=1");
+    }
+
+    /// The service is well: to be said more often than every WatchdogSec.
+    pub fn alive(&self) {
+        self.tell("WATCHDOG=1");
+    }
+
+    pub fn stopping(&self) {
+        self.tell("STOPPING=1");
+    }
+
+    /// One line for `systemctl status`.
+    pub fn status(&self, line: &str) {
+        self.tell(&format!("STATUS={line}"));
+    }
+
+    fn tell(&self, text: &str) {
+        if let Some((socket, address)) = &self.way {
+            // A manager that does not listen is its own fault; the watchdog tells.
+            let _ = socket.send_to_addr(text.as_bytes(), address);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manager_hears_what_is_told_by_path_and_by_abstract_name() {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("notify");
+        let hidden = format!("echotank-test-{}", std::process::id());
+        let address = SocketAddr::from_abstract_name(&hidden).expect("a name");
+        for (manager, name) in [
+            (
+                UnixDatagram::bind(&path).expect("bound"),
+                path.to_str().expect("text").to_owned(),
+            ),
+            (
+                UnixDatagram::bind_addr(&address).expect("bound"),
+                format!("@{hidden}"),
+            ),
+        ] {
+            let notify = Notify::to(Some(&name));
+            notify.ready();
+            notify.status("pinging");
+            let mut buffer = [0; 64];
+            for want in ["READY=1", "STATUS=pinging"] {
+                let len = manager.recv(&mut buffer).expect("told");
+                assert_eq!(&buffer[..len], want.as_bytes());
+            }
+        }
+        Notify::to(None).alive();
+        Notify::to(Some("/no/such/socket")).alive();
+    }
+
+    /// Where there is no `systemd-analyze`, only what the unit must say is looked at.
+    #[test]
+    fn systemd_finds_nothing_wrong_with_the_unit() {
+        let unit = include_str!("../../../hil-configs/echotank.service");
+        for line in [
+            "Type=notify",
+            "WatchdogSec=30",
+            "LimitRTPRIO=50",
+            "LimitMEMLOCK=infinity",
+            "DynamicUser=yes",
+        ] {
+            assert!(unit.lines().any(|l| l == line), "{line}");
+        }
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join("echotank.service");
+        // The binary of the unit is on no machine that builds it.
+        let lint = |unit: &str| {
+            let unit = unit.replace("ExecStart=/usr/bin/echotank", "ExecStart=/bin/true");
+            std::fs::write(&path, unit).expect("written");
+            let mut systemd = std::process::Command::new("systemd-analyze");
+            let done = systemd.arg("verify").arg(&path).output().ok()?;
+            let said = String::from_utf8_lossy(&done.stderr);
+            // It looks at the machine's other units too.
+            let ours = said.lines().filter(|l| l.contains("echotank.service"));
+            Some(ours.map(str::to_owned).collect::<Vec<_>>())
+        };
+        if let Some(found) = lint(unit) {
+            assert_eq!(found, Vec::<String>::new());
+            let wrong = lint(&unit.replace("WatchdogSec", "WatchDogSec")).expect("as before");
+            assert_eq!(wrong.len(), 1, "{wrong:?}");
+        }
+    }
+}

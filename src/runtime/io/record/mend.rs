@@ -1,0 +1,414 @@
+//! Mends records of the other kinds: streams of frames, lines, WAV, SigMF.
+//!
+//! None of them may lose a ping that was whole: what is taken away is the part of one that was being written. A file that is not as our
+//! recorders leave it is left alone.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use echotank_protocols::framing::{Framing, Look};
+use echotank_protocols::sigmf::Recording;
+use echotank_protocols::wav::{HEADER_BYTES, WavHeader};
+
+use super::RecordError;
+use super::recover::{RecoverError, Recovered, open_to_mend};
+use super::sigmf::{Paths, journal_of};
+
+/// Read at once.
+const READ_BYTES: usize = 1 << 20;
+
+fn strange(path: &Path, at: u64, why: impl ToString) -> RecoverError {
+    RecoverError::Strange {
+        path: path.to_owned(),
+        at,
+        why: why.to_string(),
+    }
+}
+
+/// Ends the file at `end`; whole where it does already.
+fn cut(
+    path: &Path,
+    file: &File,
+    end: u64,
+    records: u64,
+    what: &'static str,
+) -> Result<Recovered, RecoverError> {
+    let length = file
+        .metadata()
+        .map_err(RecordError::io(path, "read"))?
+        .len();
+    if length == end {
+        return Ok(Recovered::Whole);
+    }
+    let shortened = file.set_len(end).and_then(|()| file.sync_data());
+    shortened.map_err(RecordError::io(path, "mend"))?;
+    Ok(Recovered::Mended {
+        records,
+        what,
+        cut_bytes: length.saturating_sub(end),
+    })
+}
+
+/// Frames behind a head of so many bytes: the last one goes if it is not whole. A head that is not whole was all there was.
+pub(super) fn frames(
+    path: &Path,
+    head_bytes: usize,
+    framing: &impl Framing,
+) -> Result<Recovered, RecoverError> {
+    let Some(mut file) = open_to_mend(path)? else {
+        return Ok(Recovered::InUse);
+    };
+    let io = |action| RecordError::io(path, action);
+    let length = file.metadata().map_err(io("read"))?.len();
+    if length < head_bytes as u64 {
+        return cut(path, &file, 0, 0, "records");
+    }
+    file.seek(SeekFrom::Start(head_bytes as u64))
+        .map_err(io("read"))?;
+    let (mut held, mut end, mut records) = (Vec::new(), head_bytes as u64, 0);
+    loop {
+        let before = held.len();
+        (&mut file)
+            .take(READ_BYTES as u64)
+            .read_to_end(&mut held)
+            .map_err(io("read"))?;
+        let is_all = held.len() == before;
+        let mut at = 0;
+        while at < held.len() {
+            match framing.look(&held[at..]) {
+                Look::Whole(len) => {
+                    at += len;
+                    records += 1;
+                }
+                Look::More => break,
+                Look::Wrong(why) => return Err(strange(path, end + at as u64, why)),
+            }
+        }
+        held.drain(..at);
+        end += at as u64;
+        if is_all {
+            return cut(path, &file, end, records, "records");
+        }
+    }
+}
+
+/// Lines: what follows the last end of a line goes.
+pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
+    let Some(mut file) = open_to_mend(path)? else {
+        return Ok(Recovered::InUse);
+    };
+    let (mut buffer, mut read, mut end, mut lines) = (vec![0; READ_BYTES], 0, 0, 0);
+    loop {
+        let len = file
+            .read(&mut buffer)
+            .map_err(RecordError::io(path, "read"))?;
+        if len == 0 {
+            return cut(path, &file, end, lines, "lines");
+        }
+        for (at, _) in buffer[..len]
+            .iter()
+            .enumerate()
+            .filter(|(_, b)| **b == b'\n')
+        {
+            lines += 1;
+            end = read + at as u64 + 1;
+        }
+        read += len as u64;
+    }
+}
+
+/// The header says after every ping how long the file then is: what is behind that goes.
+pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
+    let Some(file) = open_to_mend(path)? else {
+        return Ok(Recovered::InUse);
+    };
+    let mut front = Vec::new();
+    (&file)
+        .take(HEADER_BYTES as u64)
+        .read_to_end(&mut front)
+        .map_err(RecordError::io(path, "read"))?;
+    if front.len() < HEADER_BYTES {
+        return cut(path, &file, 0, 0, "moments");
+    }
+    let header = WavHeader::parse(&front).map_err(|why| strange(path, 0, why))?;
+    if header.data_at != HEADER_BYTES {
+        return Err(strange(path, 0, "a WAV of another program"));
+    }
+    let end = header.data_at as u64 + header.data_bytes;
+    let length = file
+        .metadata()
+        .map_err(RecordError::io(path, "read"))?
+        .len();
+    if length < end {
+        return Err(strange(path, length, "shorter than its header says"));
+    }
+    cut(path, &file, end, header.moments(), "moments")
+}
+
+/// The words that are not on the disk yet are in the journal; samples that neither knows go.
+pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
+    let paths = Paths::of(&path.with_extension(""));
+    let Some(data) = open_to_mend(&paths.data)? else {
+        return Ok(Recovered::InUse);
+    };
+    let read =
+        |path: &PathBuf| std::fs::read_to_string(path).map_err(RecordError::io(path, "read"));
+    let text = read(&paths.meta)?;
+    let mut words = Recording::parse(&text).map_err(|why| strange(&paths.meta, 0, why))?;
+    let moment_bytes = words.data_type.bytes() as u64 * u64::from(words.channels);
+    let length = data
+        .metadata()
+        .map_err(RecordError::io(&paths.data, "read"))?
+        .len();
+    let end_of = |words: &Recording| {
+        let last = words.annotations.last();
+        last.map_or(0, |last| {
+            (last.sample_start + last.sample_count) * moment_bytes
+        })
+    };
+    let has_journal = paths.journal.exists();
+    if has_journal {
+        for (capture, annotation) in journal_of(&read(&paths.journal)?) {
+            // Words that both know, and those of a ping whose samples are not all there, are passed over.
+            let known = words.annotations.last();
+            let next = known.map_or(0, |last| last.sample_start + last.sample_count);
+            let end = (annotation.sample_start + annotation.sample_count) * moment_bytes;
+            if annotation.sample_start == next && end <= length {
+                words.captures.push(capture);
+                words.annotations.push(annotation);
+            }
+        }
+    }
+    let end = end_of(&words);
+    if length < end {
+        return Err(strange(&paths.data, length, "shorter than its words say"));
+    }
+    if !has_journal && length == end {
+        return Ok(Recovered::Whole);
+    }
+    paths.write_words(&words.to_json())?;
+    let pings = words.annotations.len() as u64;
+    let cut = cut(&paths.data, &data, end, pings, "pings")?;
+    if has_journal {
+        std::fs::remove_file(&paths.journal).map_err(RecordError::io(&paths.journal, "remove"))?;
+    }
+    Ok(match cut {
+        Recovered::Whole => Recovered::Mended {
+            records: pings,
+            what: "pings",
+            cut_bytes: 0,
+        },
+        cut => cut,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use echotank_protocols::jsf::MessageHeader;
+    use echotank_protocols::ping_protocol::{emit_frame, message_id};
+    use echotank_protocols::xtf::{FileHeader, MARK, PacketStart};
+
+    use super::super::faults::FaultLog;
+    use super::super::recover::{recover, recover_folder};
+    use super::super::sigmf::SigmfRecorder;
+    use super::super::stream::StreamRecorder;
+    use super::super::svlog::SvlogRecorder;
+    use super::super::testing;
+    use super::super::wav::WavRecorder;
+    use super::*;
+    use echotank_config::spec::{PingDevice, WavSpec};
+    use echotank_core::time::UtcNs;
+
+    fn length(path: &Path) -> u64 {
+        std::fs::metadata(path).expect("there").len()
+    }
+
+    /// Cut at many bytes, the file at `path` is mended to the last of `ends` that is there, and to what it was up to there.
+    fn assert_mended_wherever_it_is_cut(path: &Path, ends: &[u64]) {
+        let whole = std::fs::read(path).expect("there");
+        let copy = path.with_file_name(format!(
+            "cut-{}",
+            path.file_name().and_then(|n| n.to_str()).expect("a name")
+        ));
+        let first = ends[0] as usize;
+        for cut in (first..=whole.len()).step_by(17).chain([whole.len()]) {
+            std::fs::write(&copy, &whole[..cut]).expect("written");
+            let outcome = recover(&copy).expect("mended");
+            let want = ends.iter().copied().filter(|&end| end <= cut as u64).max();
+            let want = want.expect("the first") as usize;
+            assert_eq!(length(&copy), want as u64, "cut at {cut}: {outcome}");
+            assert!(std::fs::read(&copy).expect("there") == whole[..want]);
+            assert_eq!(outcome == Recovered::Whole, want == cut, "{outcome}");
+            assert_eq!(recover(&copy).expect("again"), Recovered::Whole);
+        }
+    }
+
+    fn jsf_message(bytes: usize) -> Vec<u8> {
+        let mut message = Vec::new();
+        let header = MessageHeader {
+            body_bytes: bytes as u32,
+            ..MessageHeader::data(80, 20, 0)
+        };
+        header.emit(&mut message);
+        message.resize(message.len() + bytes, 7);
+        message
+    }
+
+    #[test]
+    fn streams_of_frames_and_lines_keep_every_whole_one_wherever_they_are_cut() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("a.jsf");
+        let mut jsf = StreamRecorder::create(&path, &jsf_message(30)).expect("creates");
+        let mut ends = vec![length(&path)];
+        for k in 0..4 {
+            jsf.write(&jsf_message(100 * k)).expect("writes");
+            ends.push(length(&path));
+        }
+        assert_eq!(recover(&path).expect("looked at"), Recovered::InUse);
+        jsf.close(&[]).expect("closes");
+        assert_mended_wherever_it_is_cut(&path, &ends);
+
+        let path = dir.path().join("a.xtf");
+        let mut xtf = StreamRecorder::create(&path, &[0; FileHeader::SIZE_BYTES]).expect("creates");
+        let mut ends = vec![length(&path)];
+        for k in 1..4 {
+            let mut packet = Vec::new();
+            PacketStart {
+                mark: MARK,
+                packet_type: 0,
+                sub_channel: 0,
+                channels_to_follow: 1,
+                packet_bytes: 64 * k,
+            }
+            .emit(&mut packet);
+            packet.resize(64 * k as usize, 9);
+            xtf.write(&packet).expect("writes");
+            ends.push(length(&path));
+        }
+        xtf.close(&[]).expect("closes");
+        assert_mended_wherever_it_is_cut(&path, &ends);
+
+        let path = dir.path().join("a.svlog");
+        let device = PingDevice::Surveyor240;
+        let mut svlog = SvlogRecorder::create(&path, device, "", UtcNs(0)).expect("creates");
+        let mut ends = vec![length(&path)];
+        for _ in 0..4 {
+            let mut frame = Vec::new();
+            emit_frame(&mut frame, message_id::WATER_STATS, 1, 0, |buf| {
+                buf.extend([0; 8])
+            });
+            svlog.write(&frame).expect("writes");
+            ends.push(length(&path));
+        }
+        svlog.close().expect("closes");
+        assert_mended_wherever_it_is_cut(&path, &ends);
+
+        let path = dir.path().join("faults-1.jsonl");
+        let mut log = FaultLog::create(&path).expect("creates");
+        let mut ends = vec![0];
+        for k in 0..4 {
+            log.write(&["x".repeat(40 * k)]).expect("writes");
+            ends.push(length(&path));
+        }
+        drop(log);
+        assert_mended_wherever_it_is_cut(&path, &ends);
+    }
+
+    #[test]
+    fn a_wav_ends_where_its_header_says_after_the_last_whole_ping() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("a.wav");
+        let output = WavSpec {
+            arrays: vec![0],
+            rate_hz: 1_000_000,
+            is_float: false,
+        };
+        let mut wav = WavRecorder::create(&path, &output, &testing::sonar()).expect("creates");
+        wav.push(&testing::plan(1), &testing::output(1))
+            .expect("writes");
+        let (one, end) = (std::fs::read(&path).expect("there"), length(&path));
+        wav.push(&testing::plan(2), &testing::output(2))
+            .expect("writes");
+        wav.close().expect("closes");
+        let two = std::fs::read(&path).expect("there");
+        let copy = dir.path().join("cut.wav");
+        // The second ping's samples are partly there, and the header does not say so yet.
+        for cut in [
+            one.len(),
+            one.len() + 1,
+            (one.len() + two.len()) / 2,
+            two.len(),
+        ] {
+            let bytes = [&one[..HEADER_BYTES], &two[HEADER_BYTES..cut]].concat();
+            std::fs::write(&copy, &bytes).expect("written");
+            recover(&copy).expect("mended");
+            assert!(std::fs::read(&copy).expect("there") == one, "cut at {cut}");
+        }
+        assert_eq!(length(&copy), end);
+        assert_eq!(recover(&path).expect("looked at"), Recovered::Whole);
+    }
+
+    #[test]
+    fn a_sigmf_recording_that_was_killed_gets_the_words_of_every_ping_whose_samples_are_there() {
+        let dir = tempfile::tempdir().expect("folder");
+        let stem = dir.path().join("killed");
+        let mut recorder = SigmfRecorder::create(&stem, &[0], &testing::sonar()).expect("creates");
+        let files = Paths::of(&stem);
+        for number in 1..=7_u32 {
+            recorder
+                .push(&testing::plan(number), &testing::output(number))
+                .expect("writes");
+        }
+        // What a kill would leave, and the next ping's samples truncated.
+        let killed = tempfile::tempdir().expect("folder");
+        let copy = Paths::of(&killed.path().join("killed"));
+        for (from, to) in [
+            (&files.data, &copy.data),
+            (&files.meta, &copy.meta),
+            (&files.journal, &copy.journal),
+        ] {
+            std::fs::copy(from, to).expect("copied");
+        }
+        let whole = std::fs::read(&copy.data).expect("there");
+        std::fs::write(&copy.data, [whole.as_slice(), &[1; 100]].concat()).expect("written");
+        let said =
+            Recording::parse(&std::fs::read_to_string(&copy.meta).expect("there")).expect("words");
+        assert!(said.annotations.len() < 7, "some are in the journal alone");
+        let outcome = recover(&copy.meta).expect("mended");
+        let want = Recovered::Mended {
+            records: 7,
+            what: "pings",
+            cut_bytes: 100,
+        };
+        assert_eq!(outcome, want);
+        recorder.close().expect("closes");
+        assert!(!files.journal.exists() && !copy.journal.exists());
+        for (closed, mended) in [(&files.data, &copy.data), (&files.meta, &copy.meta)] {
+            assert!(
+                std::fs::read(closed).expect("there") == std::fs::read(mended).expect("there"),
+                "as if closed"
+            );
+        }
+        assert_eq!(recover(&copy.data).expect("again"), Recovered::Whole);
+    }
+
+    #[test]
+    fn what_others_wrote_is_left_alone() {
+        let dir = tempfile::tempdir().expect("folder");
+        for name in ["a.jsf", "a.svlog", "a.wav", "notes.jsonl", "a.txt"] {
+            std::fs::write(dir.path().join(name), [b'q'; 300]).expect("written");
+        }
+        let said = recover_folder(dir.path());
+        assert_eq!(said.len(), 3, "{said:?}");
+        assert!(
+            said.iter().all(|line| line.starts_with("warning: ")),
+            "{said:?}"
+        );
+        for name in ["a.jsf", "a.svlog", "a.wav", "notes.jsonl", "a.txt"] {
+            assert_eq!(length(&dir.path().join(name)), 300, "{name}");
+        }
+        let unknown = recover(&dir.path().join("a.txt")).expect_err("no record");
+        assert!(unknown.to_string().contains(".svlog"), "{unknown}");
+    }
+}

@@ -1,0 +1,193 @@
+//! One client on a serial line: what it says goes to its session, answers and records go to it, answers first.
+//!
+//! Records that find too much waiting are dropped whole, and counted; at 115200 bits per second that is most of them for a fast sonar. A line
+//! that fails (unplugged) is opened again.
+
+use std::io::{ErrorKind, Read};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
+
+use crate::io::line::Line;
+use crate::io::sonar::RigTime;
+use echotank_core::flow::Datagram;
+use echotank_emit::session::{Outgoing, Session};
+
+/// Records that may wait for the line.
+const MAX_WAITING: usize = 4;
+/// How long a look for what the client says lasts: as long as an answer may wait to be begun.
+const LOOK: Duration = Duration::from_millis(20);
+/// Looks without a byte after which a command begun is given up.
+const STALLED_LOOKS: u32 = 100;
+/// Before a line that failed is tried again.
+const AGAIN: Duration = Duration::from_secs(1);
+
+#[derive(Debug, Default)]
+pub struct LineCounts {
+    pub bytes_sent: AtomicU64,
+    pub records_dropped: AtomicU64,
+    pub commands: AtomicU64,
+    pub nacks: AtomicU64,
+    pub failures: AtomicU64,
+}
+
+/// A line that is served by a thread of its own. Stops when dropped.
+pub struct SerialLine {
+    records: Sender<Arc<Datagram>>,
+    counts: Arc<LineCounts>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    faulty: Mutex<Option<Box<dyn Line>>>,
+}
+
+impl SerialLine {
+    /// `connect` makes the session of whoever is at the other end; it is asked again after a failure.
+    pub fn open(
+        port: &str,
+        baud: u32,
+        connect: impl Fn() -> Box<dyn Session> + Send + 'static,
+        rig_time: RigTime,
+    ) -> std::io::Result<Self> {
+        let (name, stop) = (port.to_owned(), Arc::new(AtomicBool::new(false)));
+        let (records, waiting) = bounded(MAX_WAITING);
+        let counts = Arc::new(LineCounts::default());
+        let first = open(&name, baud)?;
+        let thread = thread::Builder::new().name("serial".into()).spawn({
+            let (counts, stop) = (Arc::clone(&counts), Arc::clone(&stop));
+            move || {
+                let mut line = Some(first);
+                while !stop.load(Ordering::Acquire) {
+                    if let Some(line) = line.take().or_else(|| open(&name, baud).ok()) {
+                        let mut session = connect();
+                        let _ = serve(line, &mut *session, &waiting, &rig_time, &counts, &stop);
+                    }
+                    if !stop.load(Ordering::Acquire) {
+                        counts.failures.fetch_add(1, Ordering::Relaxed);
+                        thread::sleep(AGAIN);
+                    }
+                }
+            }
+        })?;
+        Ok(Self {
+            records,
+            counts,
+            stop,
+            thread: Some(thread),
+            faulty: Mutex::default(),
+        })
+    }
+
+    pub fn counts(&self) -> &Arc<LineCounts> {
+        &self.counts
+    }
+
+    /// All records pass `line` from now on; answers do not.
+    pub fn set_line(&self, line: Box<dyn Line>) {
+        *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+    }
+
+    /// Never waits for the line.
+    pub fn deliver(&self, records: &[Arc<Datagram>]) {
+        let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
+        let records = match &mut *faulty {
+            Some(line) => line.records(records),
+            None => records,
+        };
+        for record in records {
+            if self.records.try_send(Arc::clone(record)).is_err() {
+                self.counts.records_dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl Drop for SerialLine {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn open(name: &str, baud: u32) -> std::io::Result<Box<dyn serialport::SerialPort>> {
+    Ok(serialport::new(name, baud).timeout(LOOK).open()?)
+}
+
+/// Returns when the line fails or the server stops.
+fn serve(
+    mut line: Box<dyn serialport::SerialPort>,
+    session: &mut dyn Session,
+    waiting: &Receiver<Arc<Datagram>>,
+    rig_time: &RigTime,
+    counts: &LineCounts,
+    stop: &AtomicBool,
+) -> std::io::Result<()> {
+    let mut out = Vec::new();
+    let mut buffer = [0; 4096];
+    let mut silent_looks = 0;
+    session.greet(rig_time(), &mut out);
+    loop {
+        for item in out.drain(..) {
+            if let Outgoing::Reply(datagram) = item {
+                write(&mut *line, &datagram.bytes, counts, stop)?;
+            }
+        }
+        match waiting.try_recv() {
+            Ok(record) => write(&mut *line, &record.bytes, counts, stop)?,
+            Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return Ok(()),
+        }
+        if stop.load(Ordering::Acquire) {
+            return Ok(());
+        }
+        match line.read(&mut buffer) {
+            Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+            Ok(len) => {
+                silent_looks = 0;
+                session.receive(&buffer[..len], rig_time(), &mut out);
+            }
+            Err(error) if is_silence(&error) => {
+                silent_looks += 1;
+                if silent_looks == STALLED_LOOKS && session.is_waiting() {
+                    session.give_up_waiting(rig_time(), &mut out);
+                }
+            }
+            Err(error) => return Err(error),
+        }
+        let seen = session.counts();
+        counts.commands.store(seen.commands, Ordering::Relaxed);
+        counts.nacks.store(seen.nacks, Ordering::Relaxed);
+    }
+}
+
+fn is_silence(error: &std::io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+    )
+}
+
+/// All of `bytes`, however long the line takes, unless the server stops.
+fn write(
+    line: &mut dyn serialport::SerialPort,
+    mut bytes: &[u8],
+    counts: &LineCounts,
+    stop: &AtomicBool,
+) -> std::io::Result<()> {
+    while !bytes.is_empty() && !stop.load(Ordering::Acquire) {
+        match line.write(bytes) {
+            Ok(0) => return Err(ErrorKind::WriteZero.into()),
+            Ok(len) => {
+                counts.bytes_sent.fetch_add(len as u64, Ordering::Relaxed);
+                bytes = &bytes[len..];
+            }
+            Err(error) if is_silence(&error) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}

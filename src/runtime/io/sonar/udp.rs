@@ -1,0 +1,146 @@
+//! UDP clients: one socket for all, one task per client that writes to it.
+
+use std::collections::HashMap;
+use std::io::ErrorKind;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::UdpSocket;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, interval, sleep, timeout};
+
+use super::paced::Burst;
+use super::queue::Client;
+use super::{Seat, Shared, Transport, stopping};
+use echotank_emit::session::Session;
+
+/// How often silent clients are looked for, at most.
+const SWEEP: Duration = Duration::from_millis(500);
+/// Pause after a failed receive, so that a broken socket does not spin.
+const RECEIVE_PAUSE: Duration = Duration::from_millis(10);
+/// The longest datagram there is.
+const RECEIVE_BYTES: usize = 65_536;
+
+struct Peer {
+    session: Box<dyn Session>,
+    client: Arc<Client>,
+    heard: Instant,
+}
+
+pub(super) async fn serve(
+    socket: std::net::UdpSocket,
+    shared: Arc<Shared>,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let socket = Arc::new(UdpSocket::from_std(socket).expect("inside a runtime with I/O enabled"));
+    let mut peers: HashMap<SocketAddr, Peer> = HashMap::new();
+    let mut writers = JoinSet::new();
+    let mut buffer = vec![0; RECEIVE_BYTES];
+    let mut sweep = interval(SWEEP.min(shared.times.udp_idle));
+    loop {
+        tokio::select! {
+            () = stopping(&mut stopped) => break,
+            received = socket.recv_from(&mut buffer) => match received {
+                Ok((len, from)) => {
+                    let datagram = &buffer[..len];
+                    // A client that is on its way out is a new one when it speaks again.
+                    peers.retain(|_, peer| !peer.client.is_leaving());
+                    if let Some(peer) = peers.get_mut(&from) {
+                        peer.heard = Instant::now();
+                        listen(&shared, peer, datagram);
+                    } else if let Some((mut peer, seat)) = welcome(&shared, from, datagram) {
+                        writers.spawn(write_datagrams(Arc::clone(&socket), from, seat, stopped.clone()));
+                        listen(&shared, &mut peer, datagram);
+                        peers.insert(from, peer);
+                    }
+                }
+                Err(_) => sleep(RECEIVE_PAUSE).await,
+            },
+            _ = sweep.tick() => peers.retain(|_, peer| !is_over(&shared, peer)),
+            Some(_) = writers.join_next() => {}
+        }
+    }
+    let all_written = async { while writers.join_next().await.is_some() {} };
+    let _ = timeout(shared.times.drain, all_written).await;
+}
+
+fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
+    shared.converse(&peer.client, &mut *peer.session, |session, now, out| {
+        session.receive(datagram, now, out);
+    });
+}
+
+/// A seat for whoever speaks the protocol; strays only leave a count.
+fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, Seat)> {
+    if !shared.protocol.welcomes(datagram) {
+        shared.lock().gone.framing_errors += 1;
+        return None;
+    }
+    let seat = shared.admit(from, Transport::Udp, false)?;
+    let peer = Peer {
+        session: shared.welcome(&seat.client),
+        client: Arc::clone(&seat.client),
+        heard: Instant::now(),
+    };
+    Some((peer, seat))
+}
+
+/// Shows a client out that was silent for too long.
+fn is_over(shared: &Shared, peer: &Peer) -> bool {
+    let allowed = if peer.client.wants().is_empty() {
+        shared.times.udp_idle
+    } else {
+        shared.times.udp_silence
+    };
+    let is_over = peer.heard.elapsed() > allowed;
+    if is_over {
+        peer.client.leave();
+    }
+    is_over
+}
+
+/// Returns when the client's port is closed, or all is written and no more comes.
+pub(super) async fn write_datagrams(
+    socket: Arc<UdpSocket>,
+    to: SocketAddr,
+    seat: Seat,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let client = &seat.client;
+    let mut framer = seat.shared.protocol.framer(Transport::Udp);
+    let mut burst = Burst::empty(socket, to);
+    loop {
+        while let Some(taken) = client.take() {
+            burst.wire.clear();
+            burst.packets.clear();
+            framer.frame(&taken.datagram.bytes, &mut burst.wire, &mut burst.packets);
+            burst.bytes_per_s = client.pace_bytes_per_s(&taken);
+            // The rest of a record is no use without a part that failed.
+            let sent = match seat.shared.paced() {
+                Some(sender) => sender.send(burst).await,
+                None => None,
+            };
+            let Some(mut back) = sent else {
+                client.written(taken, None);
+                client.leave();
+                return;
+            };
+            let error = back.error.take();
+            client.written(taken, error.is_none().then_some(back.wire.len()));
+            if error.is_some_and(|error| error.kind() == ErrorKind::ConnectionRefused) {
+                client.leave();
+                return;
+            }
+            burst = back;
+        }
+        if client.is_leaving() || *stopped.borrow() {
+            return;
+        }
+        tokio::select! {
+            () = client.woken() => {}
+            () = stopping(&mut stopped) => {}
+        }
+    }
+}

@@ -1,0 +1,418 @@
+//! Triggers in: who comes by UDP, TCP or on a serial line is handed on with how long ago that was. [`out`] sends triggers.
+//!
+//! One thread per door, none of which knows pings. What is not understood is counted. A serial port that vanishes is looked for.
+
+pub mod out;
+pub mod sentence;
+pub mod serial;
+
+use std::io::{self, ErrorKind, Read};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::io::priority::first_in_first_out_of;
+use crate::io::stamp;
+use echotank_config::spec::{ModemLine, TriggerFrom};
+use sentence::{MAX_BYTES, Said};
+use serial::{Edges, LOOK, Level, PortLine};
+
+/// Threads look this often whether they should end.
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
+/// A vanished serial port is looked for this often.
+const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
+/// Clients of a TCP door; more are turned away.
+const MAX_CLIENTS: u64 = 16;
+
+/// One trigger as it came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Trigger {
+    /// Since it came, by the machine's clock, nanoseconds.
+    pub age_ns: i64,
+    pub number: Option<u32>,
+}
+
+/// Takes triggers; called by a door's thread, and returns at once.
+pub type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
+
+#[derive(Debug, Default)]
+pub struct TriggerListenerCounts {
+    pub received: AtomicU64,
+    /// Sentences of ours that were not whole, lines too long.
+    pub spoiled: AtomicU64,
+    pub errors: AtomicU64,
+    pub clients: AtomicU64,
+}
+
+#[derive(Debug, Error)]
+#[error("trigger: cannot open {what}: {why}")]
+pub struct ListenerError {
+    what: String,
+    why: io::Error,
+}
+
+/// A door that is open. Closes when dropped.
+pub struct TriggerListener {
+    address: Option<(&'static str, SocketAddr)>,
+    counts: Arc<TriggerListenerCounts>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What a door's thread works with.
+#[derive(Clone)]
+struct Keeper {
+    sink: Sink,
+    counts: Arc<TriggerListenerCounts>,
+    stop: Arc<AtomicBool>,
+}
+
+impl TriggerListener {
+    /// None where triggers do not come by a door.
+    pub fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
+        let keeper = Keeper {
+            sink,
+            counts: Arc::default(),
+            stop: Arc::default(),
+        };
+        let mut opened = Self {
+            address: None,
+            counts: keeper.counts.clone(),
+            stop: keeper.stop.clone(),
+            thread: None,
+        };
+        let refused = |what: String| move |why| ListenerError { what, why };
+        let serve: Box<dyn FnOnce() + Send> = match from {
+            TriggerFrom::Udp { listen } => {
+                let refused = refused(format!("udp {listen}"));
+                let socket = UdpSocket::bind(listen).and_then(|socket| {
+                    socket.set_read_timeout(Some(READ_TIMEOUT))?;
+                    opened.address = Some(("udp", socket.local_addr()?));
+                    Ok(socket)
+                });
+                let socket = socket.map_err(refused)?;
+                Box::new(move || keeper.udp(&socket))
+            }
+            TriggerFrom::Tcp { listen } => {
+                let refused = refused(format!("tcp {listen}"));
+                let listener = TcpListener::bind(listen).and_then(|listener| {
+                    listener.set_nonblocking(true)?;
+                    opened.address = Some(("tcp", listener.local_addr()?));
+                    Ok(listener)
+                });
+                let listener = listener.map_err(refused)?;
+                Box::new(move || keeper.tcp(&listener))
+            }
+            TriggerFrom::Serial { port, line, rising } => {
+                let open = PortLine::open(port, *line).map_err(refused(port.clone()))?;
+                let (port, line, rising): (String, ModemLine, bool) =
+                    (port.clone(), *line, *rising);
+                Box::new(move || {
+                    keeper.line(open, || PortLine::open(&port, line), Edges::new(rising));
+                })
+            }
+            TriggerFrom::Internal | TriggerFrom::Protocol | TriggerFrom::Sonar { .. } => {
+                return Ok(None);
+            }
+        };
+        let thread = thread::Builder::new().name("trigger".into()).spawn(serve);
+        opened.thread = Some(thread.map_err(refused("its thread".to_owned()))?);
+        Ok(Some(opened))
+    }
+
+    /// Whoever waits at it does so under SCHED_FIFO from now on, where the system allows it, clients that come later too; 0: as they are. What comes is
+    /// handed on at once, whatever else counts.
+    pub fn hurry(&self, priority: u8) {
+        if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
+            // What is not allowed was said when the daemon started.
+            let _ = first_in_first_out_of(thread, priority);
+        }
+    }
+
+    pub fn counts(&self) -> &Arc<TriggerListenerCounts> {
+        &self.counts
+    }
+
+    /// Transport and address it listens at; none for a serial line.
+    pub fn address(&self) -> Option<(&'static str, SocketAddr)> {
+        self.address
+    }
+}
+
+impl Drop for TriggerListener {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic in it was printed where it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn is_silence(error: &io::Error) -> bool {
+    use ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+impl Keeper {
+    fn stopped(&self) -> bool {
+        self.stop.load(Relaxed)
+    }
+
+    fn error(&self) {
+        self.counts.errors.fetch_add(1, Relaxed);
+        thread::sleep(READ_TIMEOUT);
+    }
+
+    fn said(&self, bytes: &[u8], age_ns: i64) {
+        let number = match sentence::read(bytes) {
+            Said::Plain => None,
+            Said::Numbered(number) => Some(number),
+            Said::Spoiled => {
+                self.counts.spoiled.fetch_add(1, Relaxed);
+                return;
+            }
+        };
+        self.counts.received.fetch_add(1, Relaxed);
+        (self.sink)(Trigger { age_ns, number });
+    }
+
+    fn udp(&self, socket: &UdpSocket) {
+        let mut buffer = [0; MAX_BYTES];
+        stamp::enable(socket);
+        while !self.stopped() {
+            match stamp::receive(socket, &mut buffer) {
+                Ok((len, age_ns)) => self.said(&buffer[..len], age_ns),
+                Err(error) if is_silence(&error) => {}
+                Err(_) => self.error(),
+            }
+        }
+    }
+
+    fn tcp(&self, listener: &TcpListener) {
+        let mut clients: Vec<JoinHandle<()>> = Vec::new();
+        while !self.stopped() {
+            clients.retain(|client| !client.is_finished());
+            self.counts.clients.store(clients.len() as u64, Relaxed);
+            match listener.accept() {
+                Ok((stream, _)) if (clients.len() as u64) < MAX_CLIENTS => {
+                    let keeper = self.clone();
+                    let thread = thread::Builder::new().name("trigger client".into());
+                    match thread.spawn(move || keeper.client(stream)) {
+                        Ok(client) => clients.push(client),
+                        Err(_) => self.error(),
+                    }
+                }
+                // Turned away.
+                Ok(_) => {}
+                Err(error) if is_silence(&error) => thread::sleep(READ_TIMEOUT / 10),
+                Err(_) => self.error(),
+            }
+        }
+        for client in clients {
+            let _ = client.join();
+        }
+    }
+
+    /// Every line is a trigger, stamped when its end has come.
+    fn client(&self, mut stream: TcpStream) {
+        let ready = stream.set_nonblocking(false);
+        let ready = ready.and_then(|()| stream.set_read_timeout(Some(READ_TIMEOUT)));
+        if ready.is_err() {
+            return;
+        }
+        let (mut line, mut buffer) = (Vec::new(), [0; 4096]);
+        while !self.stopped() {
+            let len = match stream.read(&mut buffer) {
+                Ok(0) => return,
+                Ok(len) => len,
+                Err(error) if is_silence(&error) => continue,
+                Err(_) => return,
+            };
+            for &byte in &buffer[..len] {
+                if byte == b'\n' {
+                    let text = line.trim_ascii();
+                    if !text.is_empty() {
+                        self.said(text, 0);
+                    }
+                    line.clear();
+                } else if line.len() < MAX_BYTES {
+                    line.push(byte);
+                } else {
+                    // Whoever sends no ends of lines sends no triggers.
+                    self.counts.spoiled.fetch_add(1, Relaxed);
+                    return;
+                }
+            }
+        }
+    }
+
+    fn line<L: Level>(&self, open: L, reopen: impl Fn() -> io::Result<L>, mut edges: Edges) {
+        let mut port = Some(open);
+        let fresh = edges;
+        while !self.stopped() {
+            let Some(open) = &mut port else {
+                self.pause(REOPEN_INTERVAL);
+                port = reopen().ok();
+                edges = fresh;
+                continue;
+            };
+            match open.is_high() {
+                Ok(high) => {
+                    if edges.look(high) {
+                        self.counts.received.fetch_add(1, Relaxed);
+                        let age_ns = 0;
+                        (self.sink)(Trigger {
+                            age_ns,
+                            number: None,
+                        });
+                    }
+                    thread::sleep(LOOK);
+                }
+                Err(_) => {
+                    self.counts.errors.fetch_add(1, Relaxed);
+                    port = None;
+                }
+            }
+        }
+    }
+
+    fn pause(&self, time: Duration) {
+        let end = std::time::Instant::now() + time;
+        while !self.stopped() && std::time::Instant::now() < end {
+            thread::sleep(READ_TIMEOUT);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+    use std::sync::mpsc;
+
+    fn open(from: &TriggerFrom) -> (TriggerListener, mpsc::Receiver<Trigger>) {
+        let (sender, triggers) = mpsc::channel();
+        let sink: Sink = Arc::new(move |trigger| {
+            let _ = sender.send(trigger);
+        });
+        let listener = TriggerListener::open(from, sink)
+            .expect("opens")
+            .expect("a door");
+        (listener, triggers)
+    }
+
+    const PATIENCE: Duration = Duration::from_secs(20);
+    const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
+
+    #[test]
+    fn every_datagram_is_a_trigger_and_a_numbered_one_tells_its_number() {
+        let (listener, triggers) = open(&TriggerFrom::Udp { listen: ANY });
+        let (_, to) = listener.address().expect("bound");
+        let sender = UdpSocket::bind(ANY).expect("a socket");
+        let numbered = sentence::write(9, echotank_core::time::UtcNs(5), "main");
+        for text in [
+            b"\xff\x00".as_slice(),
+            numbered.as_bytes(),
+            b"$PETKT,1*00",
+            b"x",
+        ] {
+            sender.send_to(text, to).expect("sent");
+        }
+        let got: Vec<_> = (0..3)
+            .map(|_| triggers.recv_timeout(PATIENCE).expect("one"))
+            .collect();
+        let numbers: Vec<_> = got.iter().map(|trigger| trigger.number).collect();
+        assert_eq!(numbers, [None, Some(9), None]);
+        assert!(got.iter().all(|trigger| trigger.age_ns >= 0));
+        assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
+    }
+
+    #[test]
+    fn every_line_of_every_client_is_a_trigger_and_one_without_end_ends_its_client() {
+        let (listener, triggers) = open(&TriggerFrom::Tcp { listen: ANY });
+        let (_, to) = listener.address().expect("bound");
+        let mut first = TcpStream::connect(to).expect("accepted");
+        let mut second = TcpStream::connect(to).expect("accepted");
+        first.write_all(b"go\r\n\r\n").expect("written");
+        second.write_all(b"go").expect("written");
+        triggers.recv_timeout(PATIENCE).expect("of the first");
+        second.write_all(b"\ngo\n").expect("written");
+        for _ in 0..2 {
+            triggers.recv_timeout(PATIENCE).expect("of the second");
+        }
+        first.write_all(&[b'x'; 2 * MAX_BYTES]).expect("written");
+        first.set_read_timeout(Some(PATIENCE)).expect("set");
+        // It is closed: its end, or a reset where bytes were left unread.
+        assert!(!matches!(first.read(&mut [0; 1]), Ok(1)));
+        assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
+        assert!(triggers.try_recv().is_err());
+    }
+
+    /// High at every third look; fails once.
+    struct Fake(mpsc::Sender<()>, u32);
+
+    impl Level for Fake {
+        fn is_high(&mut self) -> io::Result<bool> {
+            self.1 += 1;
+            if self.1 > 9 {
+                return Err(ErrorKind::NotConnected.into());
+            }
+            let _ = self.0.send(());
+            Ok(self.1.is_multiple_of(3))
+        }
+    }
+
+    #[test]
+    fn edges_of_a_line_are_triggers_and_a_line_that_fails_is_opened_again() {
+        let (sender, triggers) = mpsc::channel();
+        let keeper = Keeper {
+            sink: Arc::new(move |trigger| {
+                let _ = sender.send(trigger);
+            }),
+            counts: Arc::default(),
+            stop: Arc::default(),
+        };
+        let (counts, stop) = (keeper.counts.clone(), keeper.stop.clone());
+        let (looks, looked) = mpsc::channel();
+        let thread = thread::spawn(move || {
+            let again = looks.clone();
+            let reopen = || Ok(Fake(again.clone(), 0));
+            keeper.line(Fake(looks, 0), reopen, Edges::new(true));
+        });
+        for _ in 0..6 {
+            triggers.recv_timeout(PATIENCE).expect("an edge");
+        }
+        stop.store(true, Relaxed);
+        thread.join().expect("ends");
+        assert!(counts.errors.load(Relaxed) >= 1);
+        assert!(looked.try_iter().count() >= 18);
+    }
+
+    #[test]
+    fn a_door_that_cannot_be_opened_says_which() {
+        let (listener, _triggers) = open(&TriggerFrom::Tcp { listen: ANY });
+        let (_, taken) = listener.address().expect("bound");
+        let sink: Sink = Arc::new(|_| {});
+        for (from, word) in [
+            (TriggerFrom::Tcp { listen: taken }, taken.to_string()),
+            (
+                TriggerFrom::Serial {
+                    port: "/nowhere".into(),
+                    line: ModemLine::ClearToSend,
+                    rising: true,
+                },
+                "/nowhere".to_owned(),
+            ),
+        ] {
+            let said = TriggerListener::open(&from, sink.clone())
+                .err()
+                .expect("refused");
+            assert!(said.to_string().contains(&word), "{said}");
+        }
+    }
+}

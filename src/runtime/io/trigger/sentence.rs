@@ -1,0 +1,86 @@
+//! The trigger datagram: `$PETKT,NUMBER,SECONDS,SONAR*SUM`, a proprietary sentence in the frame of NMEA 0183.
+//!
+//! NUMBER counts the sender's pulses, SECONDS is the pulse's UTC since 1970 with nine decimals, SUM the exclusive or of what stands between
+//! `$` and `*`, in two hexadecimal digits. A sentence that is not of this kind is a trigger all the same, without a number.
+
+use echotank_core::time::{NS_PER_S, UtcNs};
+
+const TAG: &[u8] = b"$PETKT";
+/// What a sentence may be long, its line's end included.
+pub const MAX_BYTES: usize = 256;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Said {
+    /// Somebody else's word, whatever it is.
+    Plain,
+    Numbered(u32),
+    /// It begins as ours and is not whole.
+    Spoiled,
+}
+
+fn sum(body: &[u8]) -> u8 {
+    body.iter().fold(0, |a, b| a ^ b)
+}
+
+/// A sonar's name has neither commas nor stars in it.
+pub fn write(number: u32, utc: UtcNs, sonar: &str) -> String {
+    let seconds = utc.0.div_euclid(NS_PER_S);
+    let ns = utc.0.rem_euclid(NS_PER_S);
+    let body = format!("PETKT,{number},{seconds}.{ns:09},{sonar}");
+    format!("${body}*{:02X}\r\n", sum(body.as_bytes()))
+}
+
+pub fn read(bytes: &[u8]) -> Said {
+    if !bytes.starts_with(TAG) {
+        return Said::Plain;
+    }
+    numbered(bytes.trim_ascii_end()).map_or(Said::Spoiled, Said::Numbered)
+}
+
+fn numbered(sentence: &[u8]) -> Option<u32> {
+    let (body, digits) = sentence.split_at_checked(sentence.len().checked_sub(3)?)?;
+    let digits = std::str::from_utf8(digits.strip_prefix(b"*")?).ok()?;
+    let body = body.strip_prefix(b"$")?;
+    if u8::from_str_radix(digits, 16).ok()? != sum(body) {
+        return None;
+    }
+    let number = body.split(|b| *b == b',').nth(1)?;
+    std::str::from_utf8(number).ok()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_sentence_reads_as_it_is_documented() {
+        let text = write(17, UtcNs(1_406_851_210_500_000_001), "main");
+        // The sum by another program.
+        assert_eq!(text, "$PETKT,17,1406851210.500000001,main*69\r\n");
+        assert_eq!(read(text.as_bytes()), Said::Numbered(17));
+        assert_eq!(read(b"TRIG\n"), Said::Plain);
+        assert_eq!(read(b""), Said::Plain);
+        assert_eq!(read(b"$PETKT,17,1.0,main*00\r\n"), Said::Spoiled);
+        assert_eq!(read(b"$PETKT"), Said::Spoiled);
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_and_one_wrong_byte_spoils_it(
+            number: u32, ns in 0..i64::MAX, at in 1usize..20, flip in 1u8..127,
+        ) {
+            let mut bytes = write(number, UtcNs(ns), "bow-1").into_bytes();
+            prop_assert_eq!(read(&bytes), Said::Numbered(number));
+            bytes[at] ^= flip;
+            prop_assert_ne!(read(&bytes), Said::Numbered(number));
+        }
+
+        #[test]
+        fn nothing_that_comes_panics(bytes in proptest::collection::vec(any::<u8>(), 0..80), ours: bool) {
+            let mut text = if ours { TAG.to_vec() } else { Vec::new() };
+            text.extend(bytes);
+            read(&text);
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! A trigger on a serial port's modem line: the line is looked at, an edge is a trigger.
+//!
+//! [`Edges`] decides what is an edge; the port is behind [`Level`]. A look every half millisecond: an edge is stamped up to so much late, and
+//! a pulse shorter than that may be missed.
+
+use std::io;
+use std::time::Duration;
+
+use echotank_config::spec::ModemLine;
+
+/// From look to look.
+pub const LOOK: Duration = Duration::from_micros(500);
+
+/// A line that is high or low.
+pub trait Level: Send {
+    fn is_high(&mut self) -> io::Result<bool>;
+}
+
+/// A serial port's.
+pub struct PortLine {
+    port: Box<dyn serialport::SerialPort>,
+    line: ModemLine,
+}
+
+impl PortLine {
+    /// The baud rate plays no part: nothing is read or written.
+    pub fn open(port: &str, line: ModemLine) -> io::Result<Self> {
+        let port = serialport::new(port, 9600).open()?;
+        Ok(Self { port, line })
+    }
+}
+
+impl Level for PortLine {
+    fn is_high(&mut self) -> io::Result<bool> {
+        Ok(match self.line {
+            ModemLine::ClearToSend => self.port.read_clear_to_send()?,
+            ModemLine::CarrierDetect => self.port.read_carrier_detect()?,
+        })
+    }
+}
+
+/// Edges of one direction. The first look shows where the line stands and is none.
+#[derive(Clone, Copy, Debug)]
+pub struct Edges {
+    rising: bool,
+    high: Option<bool>,
+}
+
+impl Edges {
+    pub fn new(rising: bool) -> Self {
+        Self { rising, high: None }
+    }
+
+    /// Whether the line has just gone where it is to go.
+    pub fn look(&mut self, high: bool) -> bool {
+        let before = self.high.replace(high);
+        before == Some(!self.rising) && high == self.rising
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn edges(rising: bool, levels: &str) -> Vec<usize> {
+        let mut edges = Edges::new(rising);
+        let looks = levels.bytes().map(|level| level == b'1').enumerate();
+        looks
+            .filter(|(_, high)| edges.look(*high))
+            .map(|(at, _)| at)
+            .collect()
+    }
+
+    #[test]
+    fn edges_are_changes_in_one_direction_and_the_first_look_is_none() {
+        assert_eq!(edges(true, "0011100101"), [2, 7, 9]);
+        assert_eq!(edges(false, "0011100101"), [5, 8]);
+        assert_eq!(edges(true, "1110"), [0; 0]);
+        assert_eq!(edges(false, "000"), [0; 0]);
+    }
+}

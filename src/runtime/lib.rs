@@ -1,0 +1,29 @@
+//! A rig in real time or in replay: files, clocks, sockets, pacing, servers, outputs, the operator's page and the recorders.
+//!
+//! The only crate that opens files and sockets and reads clocks. Tests, tools and the program depend on it.
+
+pub mod calibrate;
+pub mod chart;
+pub mod clock;
+pub mod control;
+pub mod counters;
+pub mod daemon;
+pub mod faults;
+pub mod first_pings;
+pub mod gate;
+pub mod histograms;
+pub mod io;
+pub mod outputs;
+pub mod overload;
+pub mod page;
+pub mod pictures;
+pub mod recorded;
+pub mod recorders;
+pub mod replay;
+pub mod rig;
+pub mod score;
+pub mod settings;
+pub mod synthetic_aperture;
+pub mod tiles;
+pub mod triggers;
+pub mod waiting;

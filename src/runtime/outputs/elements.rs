@@ -1,0 +1,208 @@
+//! The plain stream of element samples: a TCP server, and datagrams to fixed addresses.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
+use crate::faults::link::Shape;
+use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
+use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use echotank_config::spec::ElementStreamSpec;
+use echotank_core::time::MonoNs;
+use echotank_emit::element_stream::{ElementStreamEmitter, ElementsProtocol};
+use echotank_emit::packets::Packets;
+use echotank_ping::rig::PingSlot;
+
+/// A frame over TCP is a block, or so long: a client's buffer need not be longer.
+const TCP_FRAME_BYTES: usize = 256 * 1024;
+
+pub struct Elements {
+    name: String,
+    send_to: Vec<SocketAddr>,
+    server: Arc<SonarServer>,
+    spread: Spread,
+    ways: Vec<Way>,
+    saturated: Arc<AtomicU64>,
+}
+
+/// One of the two ways out, with frames of its own length.
+struct Way {
+    emitter: ElementStreamEmitter,
+    sender: DatagramSender,
+    is_tcp: bool,
+    /// The ping that waits for its deadline, and over how many seconds it then leaves.
+    pending: Option<(Packets, f64)>,
+}
+
+impl Elements {
+    pub fn open(output: &ElementStreamSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let (unit, spread) = (opening.unit, opening.spread);
+        let name = unit.spec.name.clone();
+        let queue = opening.queue();
+        let listener = ServerSpec {
+            listen: output.listen,
+            tcp: true,
+            udp: false,
+            client_queue_bytes: output.client_queue_bytes,
+            when_full: WhenFull::Skip,
+            max_clients: output.max_clients,
+        };
+        let protocol = Arc::new(ElementsProtocol);
+        let rig_time = Arc::clone(opening.rig_time);
+        let server = SonarServer::start(&listener, protocol, rig_time, ServerTimes::default());
+        let server = server.map_err(|source| OutputError::Server {
+            name: name.clone(),
+            source,
+        })?;
+        if spread.streaming.is_some() {
+            // Below those that hand it their frames.
+            server.hurry(opening.sending.priority.saturating_sub(1));
+        }
+        let server = Arc::new(server);
+        let (clock, sending) = (|| Arc::clone(opening.clock), || opening.sending.clone());
+        let mut senders = vec![(
+            DatagramSender::serve(Arc::clone(&server), queue, clock(), sending()),
+            TCP_FRAME_BYTES,
+            true,
+        )];
+        if !output.send_to.is_empty() {
+            let route = Route {
+                send_to: output.send_to.clone(),
+                multicast_interface: Ipv4Addr::UNSPECIFIED,
+                multicast_ttl: 1,
+                pace_bytes_per_s: output.pace_bytes_per_s,
+                queue,
+            };
+            let sender = DatagramSender::open(route, clock(), sending());
+            senders.push((sender, output.max_packet, false));
+        }
+        let mut ways = Vec::new();
+        for (sender, max_frame_bytes, is_tcp) in senders {
+            let block_s = spread.block_s();
+            let sender = sender.map_err(|source| OutputError::Sender {
+                name: name.clone(),
+                source,
+            })?;
+            sender.set_line(opening.line(Shape::ELEMENTS));
+            ways.push(Way {
+                emitter: ElementStreamEmitter::new(output, &unit.spec, max_frame_bytes, block_s),
+                sender,
+                is_tcp,
+                pending: None,
+            });
+        }
+        Ok(Self {
+            name,
+            send_to: output.send_to.clone(),
+            server,
+            spread,
+            ways,
+            saturated: Arc::default(),
+        })
+    }
+
+    fn emit(&mut self, slot: &PingSlot, samples: Range<usize>) {
+        let nobody = self.server.wanted().is_empty();
+        for way in &mut self.ways {
+            if way.is_tcp && nobody {
+                continue;
+            }
+            let mut packets = match way.pending.take() {
+                Some((packets, _)) => packets,
+                None => way.sender.buffer(),
+            };
+            let saturated =
+                way.emitter
+                    .emit_rows(&slot.plan, &slot.output, samples.clone(), &mut packets);
+            if samples.end == slot.plan.sample_count {
+                self.saturated.fetch_add(saturated, Ordering::Relaxed);
+            }
+            way.pending = Some((packets, self.spread.over_s(&slot.plan)));
+        }
+    }
+}
+
+impl Output for Elements {
+    fn addresses(&self) -> Vec<String> {
+        let tcp = format!("elements {} tcp {}", self.name, self.server.local_addr());
+        let udp = self.send_to.iter();
+        let udp = udp.map(|to| format!("elements {} udp {to}", self.name));
+        std::iter::once(tcp).chain(udp).collect()
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        let counts = self.ways.iter();
+        Arc::new(ElementsReport {
+            name: self.name.clone(),
+            server: Arc::clone(&self.server),
+            counts: counts
+                .map(|way| (way.is_tcp, Arc::clone(way.sender.counts())))
+                .collect(),
+            saturated: Arc::clone(&self.saturated),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.emit(slot, 0..slot.plan.sample_count);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        for way in &mut self.ways {
+            if let Some((packets, over_s)) = way.pending.take() {
+                // What finds the queue full is counted there.
+                way.sender.send(packets, Leaving::Over(over_s));
+            }
+        }
+        Ok(())
+    }
+
+    fn is_stream(&self) -> bool {
+        self.spread.streaming.is_some()
+    }
+
+    fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
+        self.emit(slot, samples);
+        for way in &mut self.ways {
+            if let Some((packets, _)) = way.pending.take() {
+                way.sender.send(packets, self.spread.leaving(pulse));
+            }
+        }
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(())
+    }
+}
+
+struct ElementsReport {
+    name: String,
+    server: Arc<SonarServer>,
+    counts: Vec<(bool, Arc<DatagramCounts>)>,
+    saturated: Arc<AtomicU64>,
+}
+
+impl Report for ElementsReport {
+    fn lines(&self) -> Vec<String> {
+        let mut lines = server_lines("elements", &self.name, &self.server.report());
+        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        lines.extend(self.counts.iter().map(|(is_tcp, counts)| {
+            let way = if *is_tcp { "TCP" } else { "UDP" };
+            format!(
+                "  {way}: {} frames, {} failed, {} pings dropped",
+                counts.packets(),
+                counts.failed(),
+                read(&counts.dropped_pings),
+            )
+        }));
+        let saturated = read(&self.saturated);
+        lines.push(format!("  {saturated} values held at full scale"));
+        lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        server_streams("elements", &self.server.report())
+    }
+}

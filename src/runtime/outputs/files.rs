@@ -1,0 +1,167 @@
+//! Recordings of element samples beside the protocols: SigMF and WAV. A ping is written when it is encoded, while it waits for its deadline.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::{Opening, Output, OutputError, Report};
+use crate::io::record::sigmf::SigmfRecorder;
+use crate::io::record::wav::WavRecorder;
+use crate::io::record::{RecordError, make_folder};
+use echotank_config::spec::{SigmfSpec, SonarSpec, WavSpec};
+use echotank_ping::rig::PingSlot;
+
+/// Where recordings go; the configuration has a folder wherever it has one of these.
+fn path(opening: &Opening, extension: &str) -> Result<PathBuf, RecordError> {
+    let folder = opening
+        .spec
+        .record
+        .as_ref()
+        .map_or_else(PathBuf::new, |record| record.directory.clone());
+    make_folder(&folder)?;
+    Ok(folder.join(opening.file_name((opening.rig_time)(), extension)))
+}
+
+/// Either recorder.
+trait Recorder: Send {
+    /// Values that did not fit.
+    fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError>;
+    fn close(self: Box<Self>) -> Result<(), RecordError>;
+}
+
+impl Recorder for SigmfRecorder {
+    fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError> {
+        self.push(&slot.plan, &slot.output)
+    }
+    fn close(self: Box<Self>) -> Result<(), RecordError> {
+        (*self).close()
+    }
+}
+
+impl Recorder for WavRecorder {
+    fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError> {
+        self.push(&slot.plan, &slot.output)
+    }
+    fn close(self: Box<Self>) -> Result<(), RecordError> {
+        (*self).close()
+    }
+}
+
+/// A recording of one sonar.
+pub struct Recording {
+    name: String,
+    kind: &'static str,
+    path: PathBuf,
+    /// None after an error; what was written is closed and kept.
+    recorder: Option<Box<dyn Recorder>>,
+    outcome: Result<(), RecordError>,
+    counts: Arc<Counts>,
+}
+
+#[derive(Default)]
+struct Counts {
+    pings: AtomicU64,
+    saturated: AtomicU64,
+}
+
+impl Recording {
+    fn of(
+        kind: &'static str,
+        sonar: &SonarSpec,
+        path: PathBuf,
+        recorder: Box<dyn Recorder>,
+    ) -> Self {
+        Self {
+            name: sonar.name.clone(),
+            kind,
+            path,
+            recorder: Some(recorder),
+            outcome: Ok(()),
+            counts: Arc::default(),
+        }
+    }
+
+    fn push(&mut self, slot: &PingSlot) {
+        let Some(recorder) = &mut self.recorder else {
+            return;
+        };
+        match recorder.push(slot) {
+            Ok(saturated) => {
+                self.counts.pings.fetch_add(1, Ordering::Relaxed);
+                self.counts
+                    .saturated
+                    .fetch_add(saturated, Ordering::Relaxed);
+            }
+            Err(error) => {
+                self.recorder = None;
+                self.outcome = Err(error);
+            }
+        }
+    }
+}
+
+/// Opens the SigMF recording of a sonar.
+pub fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputError> {
+    let sonar = &opening.unit.spec;
+    // The recorder adds what its two files are called by.
+    let stem = path(opening, "sigmf")?.with_extension("");
+    let recorder = SigmfRecorder::create(&stem, &output.arrays, sonar)?;
+    Ok(Recording::of("sigmf", sonar, stem, Box::new(recorder)))
+}
+
+/// Opens the WAV recording of a sonar.
+pub fn wav(output: &WavSpec, opening: &Opening) -> Result<Recording, OutputError> {
+    let sonar = &opening.unit.spec;
+    let path = path(opening, "wav")?;
+    let recorder = WavRecorder::create(&path, output, sonar)?;
+    Ok(Recording::of("wav", sonar, path, Box::new(recorder)))
+}
+
+impl Output for Recording {
+    fn addresses(&self) -> Vec<String> {
+        vec![format!(
+            "{} {} file {}",
+            self.kind,
+            self.name,
+            self.path.display()
+        )]
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(FileReport {
+            name: self.name.clone(),
+            kind: self.kind,
+            counts: Arc::clone(&self.counts),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.push(slot);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        Ok(std::mem::replace(&mut self.outcome, Ok(()))?)
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(self.recorder.map_or(Ok(()), |recorder| recorder.close())?)
+    }
+}
+
+struct FileReport {
+    name: String,
+    kind: &'static str,
+    counts: Arc<Counts>,
+}
+
+impl Report for FileReport {
+    fn lines(&self) -> Vec<String> {
+        vec![format!(
+            "{} {}: {} pings recorded, {} values held at full scale",
+            self.kind,
+            self.name,
+            self.counts.pings.load(Ordering::Relaxed),
+            self.counts.saturated.load(Ordering::Relaxed),
+        )]
+    }
+}

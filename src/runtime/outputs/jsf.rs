@@ -1,0 +1,181 @@
+//! JSF: a server for commands, one for data, and the `.jsf` recorder behind them.
+
+use std::sync::Arc;
+
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use crate::faults::link::Shape;
+use crate::io::record::make_folder;
+use crate::io::record::stream::StreamRecorder;
+use crate::io::sonar::{RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::settings::SettingsStore;
+use echotank_config::spec::{JsfSpec, MediumSpec, SonarSpec};
+use echotank_core::flow::Datagram;
+use echotank_emit::jsf::session::{JsfCommands, JsfData, is_active};
+use echotank_emit::jsf::{JsfEmitter, JsfSheet, RowFilter, file_time};
+use echotank_imaging::beam::RowLimits;
+use echotank_imaging::beam::matched::MatchedFilter;
+use echotank_ping as ping;
+use echotank_ping::rig::PingSlot;
+
+pub struct Jsf {
+    name: String,
+    emitter: JsfEmitter,
+    commands: Arc<SonarServer>,
+    data: Arc<SonarServer>,
+    settings: Arc<SettingsStore>,
+    recorder: Option<StreamRecorder>,
+    rig_time: RigTime,
+    /// Messages of the ping that waits for its deadline.
+    pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// The pending ping leaves over so many seconds.
+    over_s: f64,
+}
+
+/// The matched filter that samples of formats 0 and 1 have behind them.
+pub fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
+    let limits = RowLimits {
+        sample_rate_hz: sonar.receiver.sample_rate_hz,
+        samples: ping::max_samples(sonar, medium.sound_speed_m_per_s),
+        pulse_s: sonar.limits.pulse_duration_s.1,
+    };
+    let mut filter = MatchedFilter::new(&sonar.pulse, limits, sonar.beams.weighting);
+    Box::new(move |plan, row| {
+        filter.set_pulse(&plan.pulse);
+        filter.apply(row);
+    })
+}
+
+impl Jsf {
+    pub fn open(output: &JsfSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let Opening {
+            spec,
+            unit,
+            settings,
+            rig_time,
+            ..
+        } = opening;
+        let sheet = Arc::new(JsfSheet {
+            output: output.clone(),
+            sonar: unit.spec.clone(),
+        });
+        let listener = |listen| ServerSpec {
+            listen,
+            tcp: true,
+            udp: false,
+            client_queue_bytes: output.client_queue_bytes,
+            when_full: WhenFull::Skip,
+            max_clients: output.max_clients,
+        };
+        let failed = |source| OutputError::Server {
+            name: unit.spec.name.clone(),
+            source,
+        };
+        let commands = SonarServer::start(
+            &listener(output.listen),
+            Arc::new(JsfCommands {
+                sheet: Arc::clone(&sheet),
+                settings: Arc::clone(settings) as _,
+            }),
+            Arc::clone(rig_time),
+            ServerTimes::default(),
+        )
+        .map_err(failed)?;
+        let data = SonarServer::start(
+            &listener(output.listen_data),
+            Arc::new(JsfData {
+                sheet: Arc::clone(&sheet),
+            }),
+            Arc::clone(rig_time),
+            ServerTimes::default(),
+        )
+        .map_err(failed)?;
+        opening.lay(&data, Shape::JSF);
+        let recorder = match &spec.record {
+            Some(record) if output.record => {
+                make_folder(&record.directory)?;
+                let now = rig_time();
+                let path = record.directory.join(opening.file_name(now, "jsf"));
+                Some(StreamRecorder::create(&path, &sheet.file_head(now))?)
+            }
+            _ => None,
+        };
+        Ok(Self {
+            name: unit.spec.name.clone(),
+            emitter: JsfEmitter::new(sheet, row_filter(&unit.spec, &spec.medium)),
+            commands: Arc::new(commands),
+            data: Arc::new(data),
+            settings: Arc::clone(settings),
+            recorder,
+            rig_time: Arc::clone(rig_time),
+            pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
+        })
+    }
+}
+
+impl Output for Jsf {
+    fn addresses(&self) -> Vec<String> {
+        vec![
+            format!("jsf {} tcp {}", self.name, self.commands.local_addr()),
+            format!("jsf-data {} tcp {}", self.name, self.data.local_addr()),
+        ]
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(JsfReport {
+            name: self.name.clone(),
+            commands: Arc::clone(&self.commands),
+            data: Arc::clone(&self.data),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
+        if self.data.wanted().is_empty() && self.recorder.is_none() {
+            return;
+        }
+        let settings = Arc::clone(&self.settings);
+        let active = |subsystem, channel| is_active(settings.as_ref(), subsystem, channel);
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, active, &mut self.pending);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        self.data.deliver_over(&self.pending, self.over_s);
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|message| recorder.write(&message.bytes))
+        })
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        let tail = file_time((self.rig_time)());
+        Ok(self
+            .recorder
+            .map_or(Ok(()), |recorder| recorder.close(&tail))?)
+    }
+}
+
+struct JsfReport {
+    name: String,
+    commands: Arc<SonarServer>,
+    data: Arc<SonarServer>,
+}
+
+impl Report for JsfReport {
+    fn lines(&self) -> Vec<String> {
+        let mut lines = server_lines("jsf", &self.name, &self.commands.report());
+        lines.extend(server_lines("jsf-data", &self.name, &self.data.report()));
+        lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let mut streams = server_streams("jsf", &self.commands.report());
+        streams.extend(server_streams("jsf-data", &self.data.report()));
+        streams
+    }
+}

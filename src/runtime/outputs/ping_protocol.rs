@@ -1,0 +1,178 @@
+//! The Ping protocol: one device over TCP and UDP, on a serial line if there is one, and the `.svlog` recorder behind it.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use crate::faults::link::Shape;
+use crate::io::record::make_folder;
+use crate::io::record::svlog::SvlogRecorder;
+use crate::io::serial_line::{LineCounts, SerialLine};
+use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use echotank_config::spec::PingProtocolSpec;
+use echotank_core::flow::{Datagram, SettingsPort};
+use echotank_emit::ping_protocol::session::PingPort;
+use echotank_emit::ping_protocol::{Device, PingEmitter};
+use echotank_ping::rig::PingSlot;
+
+pub struct PingProtocol {
+    name: String,
+    spec: PingProtocolSpec,
+    emitter: PingEmitter,
+    server: Arc<SonarServer>,
+    line: Option<SerialLine>,
+    recorder: Option<SvlogRecorder>,
+    /// Frames of the ping that waits for its deadline.
+    pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// Over which its datagrams leave.
+    over_s: f64,
+}
+
+impl PingProtocol {
+    pub fn open(output: &PingProtocolSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let Opening {
+            spec,
+            unit,
+            settings,
+            rig_time,
+            ..
+        } = opening;
+        let name = unit.spec.name.clone();
+        let now = rig_time();
+        let c = spec.medium.sound_speed_m_per_s;
+        let device = Arc::new(Device::new(output, &unit.spec, c, now));
+        let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
+        let port = Arc::new(PingPort::new(Arc::clone(&device), settings));
+        let server = ServerSpec {
+            listen: output.listen,
+            tcp: true,
+            udp: true,
+            client_queue_bytes: output.client_queue_bytes,
+            when_full: WhenFull::Skip,
+            max_clients: output.max_clients,
+        };
+        let server = SonarServer::start(
+            &server,
+            Arc::clone(&port) as _,
+            Arc::clone(rig_time),
+            ServerTimes::default(),
+        )
+        .map_err(|source| OutputError::Server {
+            name: name.clone(),
+            source,
+        })?;
+        opening.lay(&server, Shape::PING);
+        let line = match &output.serial {
+            None => None,
+            Some((path, baud)) => {
+                let connect = move || port.connect_line();
+                let line = SerialLine::open(path, *baud, connect, Arc::clone(rig_time));
+                let line = line.map_err(|source| OutputError::Line {
+                    name: name.clone(),
+                    path: path.clone(),
+                    source,
+                })?;
+                line.set_line(opening.line(Shape::PING_SERIAL));
+                Some(line)
+            }
+        };
+        let recorder = match &spec.record {
+            None => None,
+            Some(record) => {
+                make_folder(&record.directory)?;
+                let path = record.directory.join(opening.file_name(now, "svlog"));
+                let url = format!("tcp://{}", server.local_addr());
+                Some(SvlogRecorder::create(&path, output.device, &url, now)?)
+            }
+        };
+        Ok(Self {
+            name,
+            spec: output.clone(),
+            emitter: PingEmitter::new(device, spec.run.queue_pings),
+            server: Arc::new(server),
+            line,
+            recorder,
+            pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
+        })
+    }
+}
+
+impl Output for PingProtocol {
+    fn addresses(&self) -> Vec<String> {
+        let mut lines: Vec<String> = ["tcp", "udp"]
+            .map(|transport| {
+                let address = self.server.local_addr();
+                format!("ping {} {transport} {address}", self.name)
+            })
+            .into();
+        if let Some((path, baud)) = &self.spec.serial {
+            lines.push(format!("ping {} serial {path} {baud}", self.name));
+        }
+        lines
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(PingReport {
+            name: self.name.clone(),
+            server: Arc::clone(&self.server),
+            line: self.line.as_ref().map(|line| Arc::clone(line.counts())),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
+        let nobody = self.server.wanted().is_empty();
+        if nobody && self.line.is_none() && self.recorder.is_none() {
+            return;
+        }
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, &mut self.pending);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        self.server.deliver_over(&self.pending, self.over_s);
+        if let Some(line) = &self.line {
+            line.deliver(&self.pending);
+        }
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|frame| recorder.write(&frame.bytes))
+        })
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(self.recorder.map_or(Ok(()), SvlogRecorder::close)?)
+    }
+}
+
+struct PingReport {
+    name: String,
+    server: Arc<SonarServer>,
+    line: Option<Arc<LineCounts>>,
+}
+
+impl Report for PingReport {
+    fn lines(&self) -> Vec<String> {
+        let mut lines = server_lines("ping", &self.name, &self.server.report());
+        lines.extend(self.line.as_ref().map(|line| {
+            format!(
+                "  serial: {:.1} MB sent, {} records dropped, {} commands, {} refused, {} failures",
+                line.bytes_sent.load(Ordering::Relaxed) as f64 / 1e6,
+                line.records_dropped.load(Ordering::Relaxed),
+                line.commands.load(Ordering::Relaxed),
+                line.nacks.load(Ordering::Relaxed),
+                line.failures.load(Ordering::Relaxed),
+            )
+        }));
+        lines
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        server_streams("ping", &self.server.report())
+    }
+}

@@ -1,0 +1,150 @@
+//! 7k: a server on one TCP and UDP port, and the `.s7k` recorder behind it.
+
+use std::sync::Arc;
+
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use crate::faults::link::Shape;
+use crate::io::record::make_folder;
+use crate::io::record::s7k::S7kRecorder;
+use crate::io::sonar::{SonarServer, start_sevenk};
+use crate::recorders::begin_s7k;
+use crate::settings::SettingsStore;
+use echotank_config::spec::SevenKSpec;
+use echotank_core::flow::{Datagram, SettingsPort};
+use echotank_emit::sevenk::kept::Kept;
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_ping::rig::PingSlot;
+
+pub struct SevenK {
+    name: String,
+    emitter: SevenKEmitter,
+    server: Arc<SonarServer>,
+    recorder: Option<S7kRecorder>,
+    settings: Arc<SettingsStore>,
+    /// Of the settings that the emitter reports.
+    kept_version: Option<u64>,
+    /// Records of the ping that waits for its deadline.
+    pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// Over which its datagrams leave.
+    over_s: f64,
+}
+
+impl SevenK {
+    pub fn open(output: &SevenKSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let Opening {
+            spec,
+            unit,
+            settings,
+            rig_time,
+            ..
+        } = opening;
+        let sheet = Arc::new(DeviceSheet::new(
+            output,
+            &unit.spec,
+            spec.medium.sound_speed_m_per_s,
+            unit.absorption_db_per_m,
+        ));
+        let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
+        let server =
+            start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time)).map_err(|source| {
+                OutputError::Server {
+                    name: unit.spec.name.clone(),
+                    source,
+                }
+            })?;
+        opening.lay(&server, Shape::SEVENK);
+        let recorder = match &spec.record {
+            None => None,
+            Some(record) => {
+                make_folder(&record.directory)?;
+                let now = rig_time();
+                let path = record.directory.join(opening.file_name(now, "s7k"));
+                Some(begin_s7k(&path, &sheet, now)?)
+            }
+        };
+        Ok(Self {
+            name: unit.spec.name.clone(),
+            emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
+            server: Arc::new(server),
+            recorder,
+            settings: Arc::clone(settings),
+            kept_version: None,
+            pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
+        })
+    }
+}
+
+impl Output for SevenK {
+    fn addresses(&self) -> Vec<String> {
+        ["tcp", "udp"]
+            .map(|transport| format!("7k {} {transport} {}", self.name, self.server.local_addr()))
+            .into()
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(SevenKReport {
+            name: self.name.clone(),
+            server: self.server.clone(),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        let recorded = if self.recorder.is_some() {
+            RecordSet::ALL
+        } else {
+            RecordSet::EMPTY
+        };
+        if self.kept_version != Some(self.settings.version()) {
+            self.kept_version = Some(self.settings.version());
+            self.emitter.keep(Kept::of(self.settings.as_ref()));
+        }
+        self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
+        self.emitter.emit_ping(
+            &slot.plan,
+            &slot.output,
+            RecordSet::from(self.server.wanted()).union(recorded),
+            &mut self.pending,
+        );
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        let passed = &self.pending;
+        self.server.deliver_over(passed, self.over_s);
+        let mut pending = self.pending.drain(..);
+        record(&mut self.recorder, |recorder| {
+            pending.try_for_each(|record| recorder.write(&record.bytes))
+        })
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(self.recorder.map_or(Ok(()), S7kRecorder::close)?)
+    }
+}
+
+struct SevenKReport {
+    name: String,
+    server: Arc<SonarServer>,
+}
+
+impl Report for SevenKReport {
+    fn lines(&self) -> Vec<String> {
+        server_lines("7k", &self.name, &self.server.report())
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let report = self.server.report();
+        let mut streams = server_streams("7k", &report);
+        for (stream, client) in streams.iter_mut().zip(&report.clients) {
+            let records = RecordSet::from(client.subscribed).iter();
+            let records: Vec<_> = records.map(|id| id.to_string()).collect();
+            stream.receives = records.join(" ");
+        }
+        streams
+    }
+}

@@ -1,0 +1,159 @@
+//! NORBIT WBMS: four TCP servers.
+
+use std::sync::Arc;
+
+use super::server_counts::{server_lines, server_streams};
+use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
+use crate::faults::link::Shape;
+use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use echotank_config::spec::WbmsSpec;
+use echotank_core::flow::{Datagram, SettingsPort};
+use echotank_emit::session::Protocol;
+use echotank_emit::wbms::control::{ControlPort, DataPort};
+use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
+use echotank_ping::rig::PingSlot;
+
+/// In the order of their ports.
+const SERVERS: [&str; 4] = ["control", "bathymetry", "water column", "side-scan"];
+
+pub struct Wbms {
+    name: String,
+    emitter: WbmsEmitter,
+    /// As [`SERVERS`].
+    servers: Arc<[SonarServer]>,
+    pending: Vec<Arc<Datagram>>,
+    spread: Spread,
+    /// The pending ping leaves over so many seconds.
+    over_s: f64,
+}
+
+impl Wbms {
+    pub fn open(output: &WbmsSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let Opening {
+            spec,
+            unit,
+            settings,
+            rig_time,
+            ..
+        } = opening;
+        let name = unit.spec.name.clone();
+        let device = Arc::new(Device::new(&unit.spec, spec.medium.sound_speed_m_per_s));
+        let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
+        let protocols: [Arc<dyn Protocol>; 4] = [
+            Arc::new(ControlPort::new(Arc::clone(&device), settings)),
+            Arc::new(DataPort {
+                name: "wbms bathymetry",
+            }),
+            Arc::new(DataPort {
+                name: "wbms water column",
+            }),
+            Arc::new(DataPort {
+                name: "wbms side-scan",
+            }),
+        ];
+        let servers = (0..)
+            .zip(protocols)
+            .map(|(number, protocol)| {
+                let server = ServerSpec {
+                    listen: output.address(number),
+                    tcp: true,
+                    udp: false,
+                    client_queue_bytes: output.client_queue_bytes,
+                    when_full: WhenFull::Skip,
+                    max_clients: output.max_clients,
+                };
+                let times = ServerTimes::default();
+                SonarServer::start(&server, protocol, Arc::clone(rig_time), times).map_err(
+                    |source| OutputError::Server {
+                        name: name.clone(),
+                        source,
+                    },
+                )
+            })
+            .collect::<Result<Arc<[_]>, _>>()?;
+        for server in servers.iter().skip(1) {
+            opening.lay(server, Shape::WBMS);
+        }
+        Ok(Self {
+            name,
+            emitter: WbmsEmitter::new(device, spec.run.queue_pings),
+            servers,
+            pending: Vec::new(),
+            spread: opening.spread,
+            over_s: 0.0,
+        })
+    }
+}
+
+impl Output for Wbms {
+    fn addresses(&self) -> Vec<String> {
+        SERVERS
+            .iter()
+            .zip(self.servers.iter())
+            .map(|(what, server)| format!("wbms {} {what} tcp {}", self.name, server.local_addr()))
+            .collect()
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::new(WbmsReport {
+            name: self.name.clone(),
+            servers: Arc::clone(&self.servers),
+        })
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.pending.clear();
+        self.over_s = self.spread.over_s(&slot.plan);
+        let [_, bathymetry, water_column, side_scan] = &*self.servers else {
+            unreachable!("four servers are opened");
+        };
+        let wanted = Wanted {
+            bathymetry: !bathymetry.wanted().is_empty(),
+            water_column: !water_column.wanted().is_empty(),
+            side_scan: !side_scan.wanted().is_empty(),
+        };
+        self.emitter
+            .emit_ping(&slot.plan, &slot.output, wanted, &mut self.pending);
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        use echotank_protocols::wbms::packet_type;
+        for packet in self.pending.drain(..) {
+            let server = match packet.record_type {
+                packet_type::BATHYMETRY => 1,
+                packet_type::WATER_COLUMN => 2,
+                _ => 3,
+            };
+            self.servers[server].deliver_over(&[packet], self.over_s);
+        }
+        Ok(())
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(())
+    }
+}
+
+struct WbmsReport {
+    name: String,
+    servers: Arc<[SonarServer]>,
+}
+
+impl Report for WbmsReport {
+    fn lines(&self) -> Vec<String> {
+        SERVERS
+            .iter()
+            .zip(self.servers.iter())
+            .flat_map(|(what, server)| {
+                server_lines("wbms", &format!("{} {what}", self.name), &server.report())
+            })
+            .collect()
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let servers = self.servers.iter();
+        servers
+            .flat_map(|server| server_streams("wbms", &server.report()))
+            .collect()
+    }
+}

@@ -1,0 +1,103 @@
+//! XTF: a file.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::{Opening, Output, OutputError, Report, record};
+use crate::io::record::make_folder;
+use crate::io::record::stream::StreamRecorder;
+use echotank_config::spec::XtfSpec;
+use echotank_emit::xtf::XtfEmitter;
+use echotank_ping::rig::PingSlot;
+
+pub struct Xtf {
+    emitter: XtfEmitter,
+    recorder: Option<StreamRecorder>,
+    /// Packets of the ping that waits for its deadline.
+    pending: Vec<u8>,
+    report: Arc<XtfReport>,
+}
+
+impl Xtf {
+    pub fn open(output: &XtfSpec, opening: &Opening) -> Result<Self, OutputError> {
+        let c = opening.spec.medium.sound_speed_m_per_s;
+        let emitter = XtfEmitter::new(output, &opening.unit.spec, c);
+        // The configuration has the folder.
+        let recorder = match &opening.spec.record {
+            None => None,
+            Some(record) => {
+                make_folder(&record.directory)?;
+                let path = record
+                    .directory
+                    .join(opening.file_name((opening.rig_time)(), "xtf"));
+                Some(StreamRecorder::create(&path, &emitter.file_head())?)
+            }
+        };
+        Ok(Self {
+            emitter,
+            recorder,
+            pending: Vec::new(),
+            report: Arc::new(XtfReport {
+                name: opening.unit.spec.name.clone(),
+                bytes: AtomicU64::new(0),
+                saturated: AtomicU64::new(0),
+            }),
+        })
+    }
+}
+
+impl Output for Xtf {
+    fn addresses(&self) -> Vec<String> {
+        let recorder = self.recorder.iter();
+        recorder
+            .map(|file| format!("xtf {} file {}", self.report.name, file.path().display()))
+            .collect()
+    }
+
+    fn report(&self) -> Arc<dyn Report> {
+        Arc::clone(&self.report) as _
+    }
+
+    fn encode(&mut self, slot: &PingSlot) {
+        self.pending.clear();
+        if self.recorder.is_some() {
+            let saturated = self
+                .emitter
+                .emit_ping(&slot.plan, &slot.output, &mut self.pending);
+            self.report
+                .saturated
+                .fetch_add(saturated, Ordering::Relaxed);
+        }
+    }
+
+    fn deliver(&mut self) -> Result<(), OutputError> {
+        if self.recorder.is_some() {
+            let bytes = self.pending.len() as u64;
+            self.report.bytes.fetch_add(bytes, Ordering::Relaxed);
+        }
+        record(&mut self.recorder, |recorder| recorder.write(&self.pending))
+    }
+
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(self
+            .recorder
+            .map_or(Ok(()), |recorder| recorder.close(&[]))?)
+    }
+}
+
+struct XtfReport {
+    name: String,
+    bytes: AtomicU64,
+    saturated: AtomicU64,
+}
+
+impl Report for XtfReport {
+    fn lines(&self) -> Vec<String> {
+        vec![format!(
+            "xtf {}: {:.1} MB written, {} samples saturated",
+            self.name,
+            self.bytes.load(Ordering::Relaxed) as f64 / 1e6,
+            self.saturated.load(Ordering::Relaxed),
+        )]
+    }
+}

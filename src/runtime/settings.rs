@@ -1,0 +1,635 @@
+//! The one checked path by which anything changes the sonar.
+//!
+//! In: a [`SettingChange`] from any protocol, page or command. Out: the settings that the next scheduled ping obeys, or a refusal that names
+//! key, value and rule and changes nothing. A change is in the store before its acknowledgement is written, so a ping whose settings are
+//! read after the acknowledgement obeys it. Settings that a device has and the model does not use are kept and reported. Every change has a
+//! line in a journal, with who asked, from which the other protocols report it. Not modelled: a settling time of the hardware.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::clock::Clock;
+use echotank_config::spec::LimitsSpec;
+use echotank_core::flow::{
+    Asked, Changed, JournalEntry, KeptKey, KeptValue, SettingApplied, SettingChange,
+    SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
+};
+use echotank_core::time::MonoNs;
+use echotank_ping::beats::InForce;
+
+/// Changes kept for the operator and the other protocols to look at; older ones are only counted.
+pub const RECENT_CHANGES: usize = 64;
+
+/// Settings that are only kept, at most: no device has nearly as many, and a client cannot fill the memory.
+pub const MAX_KEPT: usize = 4096;
+
+/// Pings that may be asked for by number, at most.
+const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
+
+/// Relative. A limit of 0.1 ms, sent as f32, comes back 2.5e-8 of itself too small: what is outside by no more than an f32 can tell is the
+/// limit itself.
+const WIRE_PRECISION: f64 = f32::EPSILON as f64;
+
+/// The settings of one sonar. Shared by every thread that reads or changes them.
+pub struct SettingsStore {
+    limits: LimitsSpec,
+    /// Dates the changes.
+    clock: Arc<dyn Clock>,
+    /// Of `state`, readable without the lock.
+    version: AtomicU64,
+    state: Mutex<State>,
+}
+
+struct State {
+    asked: AskedFor,
+    kept: BTreeMap<KeptKey, KeptValue>,
+    counts: SettingCounts,
+    recent: VecDeque<RecentChange>,
+    journal: VecDeque<JournalEntry>,
+    /// What held from when on, oldest first; the first entry stands for all time before.
+    past: VecDeque<(MonoNs, InForce)>,
+}
+
+/// What was asked of the sonar, whatever comes of it.
+#[derive(Clone, Copy)]
+struct AskedFor {
+    /// `pinging` here is what was asked with start and stop, whatever rate and trigger are.
+    settings: SonarSettings,
+    trigger: TriggerSource,
+    /// Pings that are still owed to somebody who asked for a number of them.
+    owed: u32,
+}
+
+impl AskedFor {
+    fn in_force(&self) -> InForce {
+        let obeys = self.settings.pinging && self.trigger == TriggerSource::External;
+        InForce {
+            settings: self.effective(),
+            armed: obeys && self.settings.max_ping_rate_hz > 0.0,
+        }
+    }
+
+    /// A rate of 0, or a trigger that is somebody else's, keeps a started sonar from pinging.
+    fn effective(&self) -> SonarSettings {
+        let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
+        SonarSettings {
+            pinging: (beats || self.owed > 0) && self.settings.max_ping_rate_hz > 0.0,
+            ..self.settings
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SettingCounts {
+    pub applied: u64,
+    pub refused: u64,
+}
+
+/// One line of the list of recent changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecentChange {
+    pub asked: Asked,
+    pub change: SettingChange,
+    /// The version that obeys it, or why it was refused.
+    pub outcome: Result<u64, SettingRefused>,
+}
+
+impl SettingsStore {
+    /// `start` comes from the checked configuration, and lies within `limits`.
+    pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
+        Self::triggered(start, TriggerSource::Internal, limits, clock)
+    }
+
+    /// As [`SettingsStore::new`], with what starts its pings at first.
+    pub fn triggered(
+        start: SonarSettings,
+        trigger: TriggerSource,
+        limits: LimitsSpec,
+        clock: Arc<dyn Clock>,
+    ) -> Self {
+        let asked = AskedFor {
+            settings: start,
+            trigger,
+            owed: 0,
+        };
+        let mut past = VecDeque::with_capacity(RECENT_CHANGES);
+        past.push_back((clock.mono(), asked.in_force()));
+        Self {
+            limits,
+            clock,
+            version: AtomicU64::new(0),
+            state: Mutex::new(State {
+                asked,
+                kept: BTreeMap::new(),
+                counts: SettingCounts::default(),
+                recent: VecDeque::with_capacity(RECENT_CHANGES),
+                journal: VecDeque::with_capacity(RECENT_CHANGES),
+                past,
+            }),
+        }
+    }
+
+    /// What a ping scheduled now obeys, and the version of it. Where `pinging` is true, `max_ping_rate_hz` is above 0.
+    pub fn snapshot(&self) -> (SonarSettings, u64) {
+        let state = self.lock();
+        (
+            state.asked.effective(),
+            self.version.load(Ordering::Acquire),
+        )
+    }
+
+    /// What held at an instant, for a ping whose order is written a little late. A change holds from just after its acknowledgement on:
+    /// only a pulse later than it obeys it.
+    pub fn at(&self, instant: MonoNs) -> SonarSettings {
+        self.in_force(instant).settings
+    }
+
+    /// As [`SettingsStore::at`], with whether triggers were obeyed then.
+    pub fn in_force(&self, instant: MonoNs) -> InForce {
+        let state = self.lock();
+        let held = state
+            .past
+            .iter()
+            .rev()
+            .find(|(since, _)| *since < instant)
+            .or(state.past.front());
+        held.map_or(state.asked.in_force(), |&(_, in_force)| in_force)
+    }
+
+    /// Takes note of a ping that goes out at `instant`: one less is owed to whoever asked for a number of them, and after the last there is
+    /// none.
+    pub fn pinged(&self, instant: MonoNs) {
+        let mut state = self.lock();
+        if state.asked.owed == 0 {
+            return;
+        }
+        state.asked.owed -= 1;
+        if state.asked.owed == 0 {
+            let in_force = state.asked.in_force();
+            state.remember(instant, in_force);
+            self.next_version();
+        }
+    }
+
+    /// Changes whenever the settings do: a plan made from an older version is out of date.
+    pub fn version(&self) -> u64 {
+        self.version.load(Ordering::Acquire)
+    }
+
+    pub fn limits(&self) -> &LimitsSpec {
+        &self.limits
+    }
+
+    /// Obeys or refuses one change, and counts it. `asked` goes into the journal and the list of recent changes.
+    pub fn apply(
+        &self,
+        change: SettingChange,
+        asked: impl Into<Asked>,
+    ) -> Result<SettingApplied, SettingRefused> {
+        let asked = asked.into();
+        let mut state = self.lock();
+        let outcome = changed(state.asked, change, &self.limits).map(|settings| {
+            state.asked = settings;
+            state.remember(self.clock.mono(), settings.in_force());
+            let settings = settings.effective();
+            let version = self.next_version();
+            state.note(JournalEntry {
+                version,
+                asked,
+                changed: Changed::Setting(change),
+            });
+            SettingApplied { settings, version }
+        });
+        match outcome {
+            Ok(_) => state.counts.applied += 1,
+            Err(_) => state.counts.refused += 1,
+        }
+        push_bounded(
+            &mut state.recent,
+            RecentChange {
+                asked,
+                change,
+                outcome: outcome.map(|applied| applied.version),
+            },
+        );
+        outcome
+    }
+
+    pub fn counts(&self) -> SettingCounts {
+        self.lock().counts
+    }
+
+    /// The last [`RECENT_CHANGES`] changes, oldest first.
+    pub fn recent(&self) -> Vec<RecentChange> {
+        self.lock().recent.iter().copied().collect()
+    }
+
+    /// To be called with `state` locked.
+    fn next_version(&self) -> u64 {
+        let version = self.version.load(Ordering::Acquire) + 1;
+        self.version.store(version, Ordering::Release);
+        version
+    }
+
+    /// A thread that panicked with the lock held leaves whole settings: each is written in one assignment.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn remember(&mut self, since: MonoNs, in_force: InForce) {
+        push_bounded(&mut self.past, (since, in_force));
+    }
+
+    fn note(&mut self, entry: JournalEntry) {
+        push_bounded(&mut self.journal, entry);
+    }
+}
+
+fn push_bounded<T>(queue: &mut VecDeque<T>, item: T) {
+    if queue.len() == RECENT_CHANGES {
+        queue.pop_front();
+    }
+    queue.push_back(item);
+}
+
+impl SettingsPort for SettingsStore {
+    fn settings(&self) -> SonarSettings {
+        self.snapshot().0
+    }
+    fn trigger(&self) -> TriggerSource {
+        self.lock().asked.trigger
+    }
+    fn limits(&self) -> LimitsSpec {
+        self.limits
+    }
+    fn version(&self) -> u64 {
+        SettingsStore::version(self)
+    }
+    fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused> {
+        SettingsStore::apply(self, change, asked)
+    }
+    fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused> {
+        let mut state = self.lock();
+        if state.kept.len() >= MAX_KEPT && !state.kept.contains_key(&key) {
+            state.counts.refused += 1;
+            return Err(SettingRefused {
+                key: key.name,
+                value: f64::from(key.place),
+                rule: SettingRule::TooMany { most: MAX_KEPT },
+            });
+        }
+        state.kept.insert(key, value.clone());
+        state.counts.applied += 1;
+        let version = self.next_version();
+        state.note(JournalEntry {
+            version,
+            asked,
+            changed: Changed::Kept(key, value),
+        });
+        Ok(())
+    }
+    fn kept(&self, key: KeptKey) -> Option<KeptValue> {
+        self.lock().kept.get(&key).cloned()
+    }
+    fn changes_since(&self, version: u64) -> Vec<JournalEntry> {
+        let state = self.lock();
+        let newer = state.journal.iter().filter(|entry| entry.version > version);
+        newer.cloned().collect()
+    }
+}
+
+fn changed(
+    mut asked: AskedFor,
+    change: SettingChange,
+    limits: &LimitsSpec,
+) -> Result<AskedFor, SettingRefused> {
+    let settings = &mut asked.settings;
+    match change {
+        SettingChange::RangeM(value) => {
+            settings.range_m = within("range_m", value, limits.range_m)?;
+        }
+        SettingChange::MaxPingRateHz(0.0) => settings.max_ping_rate_hz = 0.0,
+        SettingChange::MaxPingRateHz(value) => {
+            settings.max_ping_rate_hz = within("max_ping_rate_hz", value, limits.ping_rate_hz)
+                .map_err(|refused| match refused.rule {
+                    SettingRule::Between { min, max } => SettingRefused {
+                        rule: SettingRule::ZeroOrBetween { min, max },
+                        ..refused
+                    },
+                    _ => refused,
+                })?;
+        }
+        SettingChange::SourceLevelDb(value) => {
+            settings.source_level_db = within("source_level_db", value, limits.source_level_db)?;
+        }
+        SettingChange::GainDb(value) => {
+            settings.gain_db = within("gain_db", value, limits.gain_db)?;
+        }
+        SettingChange::PulseDurationS(value) => {
+            settings.pulse_duration_s = within("pulse_duration_s", value, limits.pulse_duration_s)?;
+        }
+        SettingChange::Start => (settings.pinging, asked.owed) = (true, 0),
+        SettingChange::Stop => (settings.pinging, asked.owed) = (false, 0),
+        SettingChange::PingTimes(times) => {
+            within("ping_times", f64::from(times), (1.0, MAX_PINGS_ASKED))?;
+            (settings.pinging, asked.owed) = (false, times);
+        }
+        SettingChange::Trigger(source) => asked.trigger = source,
+    }
+    Ok(asked)
+}
+
+/// `value` where it lies within the limits, both included, to the precision of an f32.
+fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, SettingRefused> {
+    let refused = |rule| Err(SettingRefused { key, value, rule });
+    if !value.is_finite() {
+        return refused(SettingRule::Finite);
+    }
+    let held = value.clamp(min, max);
+    if (value - held).abs() > WIRE_PRECISION * held.abs() {
+        return refused(SettingRule::Between { min, max });
+    }
+    Ok(held)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::VirtualClock;
+    use echotank_core::time::UtcNs;
+    use proptest::prelude::*;
+
+    const LIMITS: LimitsSpec = LimitsSpec {
+        range_m: (5.0, 200.0),
+        ping_rate_hz: (0.1, 20.0),
+        source_level_db: (160.0, 220.0),
+        gain_db: (0.0, 60.0),
+        pulse_duration_s: (1e-4, 1e-2),
+    };
+    const START: SonarSettings = SonarSettings {
+        pinging: true,
+        range_m: 50.0,
+        max_ping_rate_hz: 10.0,
+        source_level_db: 200.0,
+        gain_db: 20.0,
+        pulse_duration_s: 1e-3,
+    };
+    const NOW: UtcNs = UtcNs(1_700_000_000_000_000_000);
+
+    #[test]
+    fn an_accepted_change_is_in_the_next_snapshot_under_a_new_version() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        assert_eq!(store.snapshot(), (START, 0));
+        let applied = store.apply(SettingChange::RangeM(75.5), NOW).unwrap();
+        let want = SonarSettings {
+            range_m: 75.5,
+            ..START
+        };
+        assert_eq!(applied.settings, want);
+        assert_eq!(store.snapshot(), (want, applied.version));
+        assert_eq!((applied.version, store.version()), (1, 1));
+    }
+
+    #[test]
+    fn a_refusal_names_key_value_and_rule_and_changes_nothing() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for (change, words) in [
+            (
+                SettingChange::RangeM(4.9),
+                "range_m = 4.9: must be from 5 to 200",
+            ),
+            (
+                SettingChange::RangeM(f64::NAN),
+                "range_m = NaN: must be a finite number",
+            ),
+            (
+                SettingChange::MaxPingRateHz(-1.0),
+                "max_ping_rate_hz = -1: must be 0 or from 0.1 to 20",
+            ),
+            (
+                SettingChange::MaxPingRateHz(21.0),
+                "max_ping_rate_hz = 21: must be 0 or from 0.1 to 20",
+            ),
+            (
+                SettingChange::SourceLevelDb(221.0),
+                "source_level_db = 221: must be from 160 to 220",
+            ),
+            (
+                SettingChange::GainDb(f64::INFINITY),
+                "gain_db = inf: must be a finite number",
+            ),
+            (
+                SettingChange::GainDb(-0.1),
+                "gain_db = -0.1: must be from 0 to 60",
+            ),
+            (
+                SettingChange::PulseDurationS(0.0),
+                "pulse_duration_s = 0: must be from 0.0001 to 0.01",
+            ),
+        ] {
+            let refused = store.apply(change, NOW).unwrap_err();
+            assert_eq!(refused.to_string(), words);
+            assert_eq!(store.snapshot(), (START, 0), "{change:?}");
+        }
+        assert_eq!(
+            store.counts(),
+            SettingCounts {
+                applied: 0,
+                refused: 8
+            }
+        );
+    }
+
+    #[test]
+    fn limits_survive_the_way_through_an_f32() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for value in [f64::from(1e-4_f32), f64::from(1e-2_f32)] {
+            let applied = store
+                .apply(SettingChange::PulseDurationS(value), NOW)
+                .unwrap();
+            let got = applied.settings.pulse_duration_s;
+            assert!(
+                (LIMITS.pulse_duration_s.0..=LIMITS.pulse_duration_s.1).contains(&got),
+                "{got}"
+            );
+        }
+        assert!(
+            store
+                .apply(SettingChange::PulseDurationS(0.999e-4), NOW)
+                .is_err()
+        );
+    }
+
+    #[test]
+    fn a_rate_of_zero_holds_the_sonar_until_the_rate_returns() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let held = store.apply(SettingChange::MaxPingRateHz(0.0), NOW).unwrap();
+        assert!(!held.settings.pinging && held.settings.max_ping_rate_hz == 0.0);
+        let started = store.apply(SettingChange::Start, NOW).unwrap();
+        assert!(
+            !started.settings.pinging,
+            "a rate of 0 stops pinging from starting"
+        );
+        let going = store.apply(SettingChange::MaxPingRateHz(4.0), NOW).unwrap();
+        assert!(going.settings.pinging && going.settings.max_ping_rate_hz == 4.0);
+        store.apply(SettingChange::Stop, NOW).unwrap();
+        let stopped = store.apply(SettingChange::MaxPingRateHz(5.0), NOW).unwrap();
+        assert!(!stopped.settings.pinging, "a stop outlives a rate");
+    }
+
+    #[test]
+    fn recent_changes_are_bounded_and_the_newest_stay() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        for k in 0..(RECENT_CHANGES + 10) {
+            let _ = store.apply(SettingChange::GainDb(k as f64), NOW.plus_ns(k as i64));
+        }
+        let recent = store.recent();
+        assert_eq!(recent.len(), RECENT_CHANGES);
+        assert_eq!(recent[0].change, SettingChange::GainDb(10.0));
+        assert_eq!(recent[0].outcome, Ok(11));
+        let last = recent.last().unwrap();
+        assert_eq!(last.asked.utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
+        assert!(last.outcome.is_err(), "73 dB is over the limit");
+        assert_eq!(
+            store.counts(),
+            SettingCounts {
+                applied: 61,
+                refused: 13
+            }
+        );
+    }
+
+    #[test]
+    fn every_change_of_many_threads_is_counted_once() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for k in 0..500 {
+                        let _ = store.apply(SettingChange::RangeM(f64::from(k)), NOW);
+                    }
+                });
+            }
+        });
+        let counts = store.counts();
+        assert_eq!(
+            counts,
+            SettingCounts {
+                applied: 4 * 196,
+                refused: 4 * 304
+            }
+        );
+        assert_eq!(store.version(), counts.applied);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_asked_the_settings_stay_within_their_limits(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
+            let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+            for (kind, value) in values {
+                let change = match kind {
+                    0 => SettingChange::RangeM(value),
+                    1 => SettingChange::MaxPingRateHz(value),
+                    2 => SettingChange::SourceLevelDb(value),
+                    3 => SettingChange::GainDb(value),
+                    4 => SettingChange::PulseDurationS(value),
+                    5 => SettingChange::Start,
+                    _ => SettingChange::Stop,
+                };
+                let _ = store.apply(change, NOW);
+                let (s, _) = store.snapshot();
+                prop_assert!((5.0..=200.0).contains(&s.range_m));
+                prop_assert!((160.0..=220.0).contains(&s.source_level_db));
+                prop_assert!((0.0..=60.0).contains(&s.gain_db));
+                prop_assert!((1e-4..=1e-2).contains(&s.pulse_duration_s));
+                prop_assert!((0.1..=20.0).contains(&s.max_ping_rate_hz) || (s.max_ping_rate_hz == 0.0 && !s.pinging));
+            }
+        }
+    }
+
+    #[test]
+    fn pings_asked_for_by_number_end_by_themselves_and_a_start_forgets_them() {
+        let clock = Arc::new(VirtualClock::default());
+        let store = SettingsStore::new(START, LIMITS, clock.clone());
+        store.apply(SettingChange::PingTimes(2), NOW).unwrap();
+        let at = |k: i64| MonoNs(k * 1_000_000_000);
+        assert!(store.at(at(1)).pinging);
+        store.pinged(at(1));
+        assert!(store.at(at(2)).pinging);
+        store.pinged(at(2));
+        assert!(!store.at(at(3)).pinging, "two were asked for");
+        assert!(!store.snapshot().0.pinging);
+        assert_eq!(store.version(), 2, "the end is a change too");
+        store.apply(SettingChange::PingTimes(1), NOW).unwrap();
+        store.apply(SettingChange::Start, NOW).unwrap();
+        store.pinged(at(4));
+        assert!(store.snapshot().0.pinging, "started, not counted");
+        let refused = store.apply(SettingChange::PingTimes(0), NOW).unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "ping_times = 0: must be from 1 to 4294967295"
+        );
+    }
+
+    #[test]
+    fn a_foreign_trigger_holds_the_beat_but_not_pings_asked_for() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let external = SettingChange::Trigger(TriggerSource::External);
+        assert!(!store.apply(external, NOW).unwrap().settings.pinging);
+        let once = store.apply(SettingChange::PingTimes(1), NOW).unwrap();
+        assert!(once.settings.pinging);
+        let internal = SettingChange::Trigger(TriggerSource::Internal);
+        store.apply(SettingChange::Start, NOW).unwrap();
+        assert!(store.apply(internal, NOW).unwrap().settings.pinging);
+    }
+
+    #[test]
+    fn what_the_model_does_not_use_is_kept_journaled_and_bounded() {
+        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let key = |place| KeptKey {
+            via: "jsf",
+            name: "adc_gain",
+            place,
+        };
+        let asked = Asked::from(NOW);
+        assert_eq!(store.kept(key(0)), None);
+        for place in 0..MAX_KEPT as u32 {
+            store
+                .keep(key(place), KeptValue::Integer(7), asked)
+                .unwrap();
+        }
+        let text = KeptValue::Text("a.spf".into());
+        store.keep(key(3), text.clone(), asked).unwrap();
+        assert_eq!(store.kept(key(3)), Some(text.clone()), "the newest");
+        assert!(store.keep(key(u32::MAX), text.clone(), asked).is_err());
+        let version = store.version();
+        let newest = store.changes_since(version - 1);
+        let want = JournalEntry {
+            version,
+            asked,
+            changed: Changed::Kept(key(3), text),
+        };
+        assert_eq!(newest, [want]);
+        assert_eq!(store.changes_since(0).len(), RECENT_CHANGES, "bounded");
+        assert_eq!(store.snapshot().0, START, "no ping knows of it");
+    }
+
+    #[test]
+    fn only_a_pulse_later_than_the_acknowledgement_obeys_a_change() {
+        let clock = Arc::new(VirtualClock::default());
+        let store = SettingsStore::new(START, LIMITS, clock.clone());
+        let acknowledged = MonoNs(5_000_000_000);
+        clock.sleep_until(acknowledged);
+        let range_m = LIMITS.range_m.0;
+        store
+            .apply(SettingChange::RangeM(range_m), UtcNs(0))
+            .unwrap();
+        // The order of a ping that went out before may be written after.
+        assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged).range_m, START.range_m);
+        assert_eq!(store.at(acknowledged.plus_ns(1)).range_m, range_m);
+    }
+}

@@ -1,0 +1,147 @@
+//! A ping made piece by piece, in increasing delay, while what is made leaves already (`run.stream_tiles`).
+//!
+//! Every tile is a ping cut short: its first samples alone, up to the end of a block, the next twice as long as the one before. What the sum over
+//! echoes makes of a sample depends on nothing that is heard later, so the tiles are the whole ping's bits; the last one is the whole ping. All
+//! together they cost less than three pings, and a machine that makes a ping in a quarter of its window is ahead of the samples from the first
+//! block on: the second tile, twice as long, is made while the first leaves, and so on.
+//!
+//! Before all that come tiles in which nothing can be heard, since everything lies too far away: they need the plan of the ping and no scatterer, so
+//! that the first leaves as soon as a trigger is known, and the scene is gathered while it does. The tiles behind them begin anew with one block.
+//!
+//! Only sums that go echo by echo can be cut short so (`reference`, `direct`); where elements have faults in a ping, which may
+//! look at all of it, that ping is one tile.
+
+use echotank_emit::blocks::end_of_block;
+
+/// Where the tiles of a ping end that follow so many of its blocks, in blocks and in samples; the whole ping, which is the last, is not among them.
+pub fn tile_ends(
+    after: u32,
+    samples: usize,
+    rate_hz: f64,
+    block_s: f64,
+) -> impl Iterator<Item = (u32, usize)> {
+    let doubled = std::iter::successors(Some(1_u32), |blocks| blocks.checked_mul(2));
+    let blocks = doubled.map_while(move |blocks| after.checked_add(blocks));
+    let ends = blocks.map(move |blocks| (blocks, end_of_block(blocks, rate_hz, block_s)));
+    let mut before = end_of_block(after, rate_hz, block_s);
+    ends.take_while(move |&(_, end)| end < samples)
+        // Blocks shorter than a sample end none.
+        .filter(move |&(_, end)| end > std::mem::replace(&mut before, end))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::recorded::RecordedRig;
+    use echotank_config as config;
+    use echotank_config::spec::{Density, RigSpec};
+    use echotank_core::flow::Synthesis;
+    use echotank_emit::blocks::blocks;
+    use echotank_ping::PingOrder;
+    use echotank_ping::rig::pool;
+
+    #[test]
+    fn tiles_double_end_with_blocks_and_leave_the_rest_to_the_whole_ping() {
+        let ends: Vec<_> = tile_ends(0, 1000, 40e3, 1e-3).collect();
+        assert_eq!(ends, [(1, 40), (2, 80), (4, 160), (8, 320), (16, 640)]);
+        assert_eq!(tile_ends(0, 40, 40e3, 1e-3).count(), 0);
+        let ends: Vec<_> = tile_ends(20, 1000, 40e3, 1e-3).collect();
+        assert_eq!(ends, [(21, 840), (22, 880), (24, 960)]);
+        assert_eq!(tile_ends(u32::MAX, 1000, 40e3, 1e-3).count(), 0);
+        for (samples, rate_hz, block_s) in [(5000, 44_100.0, 0.37e-3), (77, 1e4, 1e-5)] {
+            let of_blocks: Vec<_> = blocks(samples, rate_hz, Some(block_s))
+                .map(|(rows, _)| rows.end)
+                .collect();
+            let ends = tile_ends(0, samples, rate_hz, block_s);
+            let ends: Vec<_> = ends.map(|(_, end)| end).collect();
+            assert!(ends.iter().all(|end| of_blocks.contains(end)), "{ends:?}");
+            assert!(ends.windows(2).all(|w| w[1] > w[0]), "{ends:?}");
+            assert!(ends.iter().sum::<usize>() < 2 * samples, "{ends:?}");
+        }
+    }
+
+    /// Blocks in which nothing can be heard, and in which something can, of tiles that were held against the whole ping.
+    fn tiles_of(file: &str, adapt: impl Fn(&mut RigSpec)) -> (u32, u32) {
+        const BLOCK_S: f64 = 1e-3;
+        let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("hil-configs");
+        let mut spec = config::load(&path.join(file)).expect("sound");
+        for sonar in &mut spec.sonars {
+            sonar.model.synthesis = Synthesis::Direct;
+        }
+        adapt(&mut spec);
+        pool(2).expect("threads").install(|| {
+            let RecordedRig {
+                mut rig,
+                mut inputs,
+                first,
+                ..
+            } = RecordedRig::open(&spec).expect("opens");
+            let sonar = &spec.sonars[0];
+            let order = PingOrder {
+                ping_number: 3,
+                transmit_utc: first,
+                settings: sonar.settings,
+                period_s: 1.0,
+            };
+            assert!(crate::rig::read_on(&mut rig, &mut inputs, 0, &order));
+            let (mut slot, mut tile) = (rig.slot(0), rig.slot(0));
+            rig.plan(0, &order, spec.nav.mode, first, &mut slot)
+                .expect("planned");
+            let (samples, rate_hz) = (slot.plan.sample_count, sonar.receiver.sample_rate_hz);
+            let mut made = Vec::new();
+            let mut quiet = 0;
+            for (blocks, end) in tile_ends(0, samples, rate_hz, BLOCK_S) {
+                if !rig.begin_quiet(0, &mut slot, end, &mut tile) {
+                    break;
+                }
+                quiet = blocks;
+                made.push((end, tile.output.elements.clone()));
+            }
+            rig.gather(0, &mut slot);
+            let mut last = quiet;
+            for (blocks, end) in tile_ends(quiet, samples, rate_hz, BLOCK_S) {
+                let is_first = last == quiet;
+                assert!(rig.begin(0, &mut slot, (end, is_first), &mut tile));
+                last = blocks;
+                made.push((end, tile.output.elements.clone()));
+            }
+            rig.finish(0, &mut slot);
+            for (end, frames) in &made {
+                for (tile, whole) in frames.iter().zip(&slot.output.elements) {
+                    let of_tile = tile.iq.chunks_exact(*end);
+                    let of_whole = whole.iq.chunks_exact(samples);
+                    for (e, (a, b)) in of_tile.zip(of_whole).enumerate() {
+                        assert!(a == &b[..*end], "{file}: element {e} up to {end} differs");
+                    }
+                }
+            }
+            let echoes = slot.output.elements[0].iq.iter();
+            assert!(
+                echoes.filter(|x| x.norm() > 0.0).count() > samples,
+                "{file}"
+            );
+            (quiet, last - quiet)
+        })
+    }
+
+    #[test]
+    fn tiles_are_the_beginning_of_the_ping_bit_for_bit_before_the_first_echo_and_after() {
+        // Points 20 m away and more, no filter, no noise.
+        let (quiet, heard) = tiles_of("points.toml", |_| {});
+        assert!(quiet >= 16 && heard >= 32, "points: {quiet} {heard}");
+        // A seabed, a filter, noise and a converter: the ship is in some 50 m of water.
+        let (quiet, heard) = tiles_of("quickstart.toml", |spec| {
+            if let Some(seabed) = &mut spec.scene.seabed {
+                seabed.density = Density::PerM2(0.02);
+            }
+            for sonar in &mut spec.sonars {
+                sonar.settings.range_m = 90.0;
+                sonar.model.synthesis = Synthesis::Direct;
+                sonar.synthesis.auto = Default::default();
+            }
+        });
+        assert!(quiet >= 8 && heard >= 32, "quickstart: {quiet} {heard}");
+    }
+}

@@ -1,0 +1,34 @@
+//! What a rig's first ping waits for, in words: a daemon that makes no ping says why.
+
+use crate::io::nav::NavInputs;
+use echotank_config::spec::{NavChannel, NavSourceSpec, NavSpec};
+use echotank_nav::NavHistory;
+
+/// What every ping needs and nothing has come of, with the sources that should send it.
+pub fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
+    let from = |channel: NavChannel| {
+        let gives = |s: &&NavSourceSpec| s.provides.contains(&channel);
+        let names: Vec<_> = spec.sources.iter().filter(gives).collect();
+        let names: Vec<_> = names.iter().map(|s| s.name.as_str()).collect();
+        match names.is_empty() {
+            true => format!("no {} (no source provides it)", channel.name()),
+            false => format!("no {} from {}", channel.name(), names.join(" or ")),
+        }
+    };
+    let all: Vec<_> = history.silent().into_iter().map(from).collect();
+    all.join(", ")
+}
+
+/// Why a daemon on live navigation has not made its first ping yet.
+pub fn reason(spec: &NavSpec, inputs: &mut NavInputs, history: &NavHistory) -> String {
+    let received: u64 = inputs.counters().iter().map(|s| s.live.received).sum();
+    let why = if received == 0 {
+        "nothing has come from any source".to_owned()
+    } else if inputs.timeline().is_none() {
+        "what has come has no date; after 5 s the computer's clock holds".to_owned()
+    } else {
+        let lacking = lacking(spec, history);
+        format!("{lacking} yet; what a source never sends must not stand in its `provides`")
+    };
+    format!("waiting for navigation: {why}")
+}

@@ -1,0 +1,402 @@
+//! Seabed, points and targets: scatterers on demand.
+//!
+//! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
+//! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
+//! coordinates, so that the seabed does not depend on where the scene is put.
+//! Not modelled: volume and surface scattering.
+
+pub mod bottoms;
+mod draws;
+mod gather;
+mod loud;
+mod occlusion;
+pub mod paper;
+pub mod points;
+mod pool;
+pub mod read;
+pub mod seabed;
+pub mod simplify;
+pub mod targets;
+pub mod tiles;
+
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::DVec2;
+
+use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
+use echotank_core::flow::{Footprint, Scatterers, SceneCounts, Target};
+use gather::{Gatherer, Listeners};
+use loud::Quiet;
+use occlusion::{Around, Occlusion};
+use pool::TilePool;
+use read::{Fault, text};
+use seabed::{GeodeticPlace, Surface};
+use targets::Targets;
+pub use text::{MAX_FILE_BYTES, Misread};
+use tiles::{Levels, Recipe, TILE_BYTES};
+
+/// Normal of things that have none.
+const UP: [f32; 3] = [0.0, 0.0, -1.0];
+
+/// What is wrong with a scene's files or limits.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    #[error("{}: cannot be read: {source}", path.display())]
+    Unreadable {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
+    TooLarge { path: PathBuf },
+    #[error("{}: {fault}", path.display())]
+    Misread { path: PathBuf, fault: Misread },
+    #[error("{}: {fault}", path.display())]
+    Refused { path: PathBuf, fault: Fault },
+    #[error(
+        "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
+    )]
+    NoRoomForATile { limit_bytes: u64 },
+    #[error(
+        "scene.anchor = \"file\": {what} does not tell where on the earth it lies (its coordinates must be latitude and longitude or UTM)"
+    )]
+    NoPlaceOnEarth { what: String },
+}
+
+/// The seabed's shape in the world.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    surface: Arc<Surface>,
+    anchor_m: DVec2,
+}
+
+impl Ground {
+    /// As [`Scene::seabed_down_m`].
+    pub fn down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        Some(self.surface.sample(own.x, own.y)?.down_m)
+    }
+}
+
+/// The virtual world around the platform.
+#[derive(Debug)]
+pub struct Scene {
+    /// The scene's zero in the world, metres north and east.
+    anchor_m: DVec2,
+    anchor: AnchorSpec,
+    seabed: Option<(Recipe, TilePool)>,
+    /// Own coordinates.
+    points: Scatterers,
+    own_targets: Targets,
+    quiet: Quiet,
+    /// World.
+    targets: Vec<Target>,
+    /// The footprints of the gathering under way that hear something.
+    heard: Vec<Footprint>,
+    gatherer: Gatherer,
+    occlusion: Occlusion,
+}
+
+impl Scene {
+    /// Reads the scene's files. Its zero lies at the world's origin until [`Scene::place`].
+    /// `memory_limit_bytes` bounds the tiles; besides, a grid takes 4 bytes a cell, an explicit point about 53, and so does every scatterer
+    /// that a ping hears.
+    pub fn open(spec: &SceneSpec) -> Result<Self, SceneError> {
+        let seabed = match &spec.seabed {
+            None => None,
+            Some(seabed) => {
+                let block_m = Levels::new(&seabed.density).typical_side_m();
+                let surface = Surface::open(&seabed.shape, spec.mirror, block_m)?;
+                let capacity = spec.memory_limit_bytes / TILE_BYTES;
+                if capacity == 0 {
+                    return Err(SceneError::NoRoomForATile {
+                        limit_bytes: spec.memory_limit_bytes,
+                    });
+                }
+                let capacity = usize::try_from(capacity).unwrap_or(usize::MAX);
+                let mosaic = match &seabed.mosaic {
+                    None => None,
+                    Some(mosaic) => {
+                        let laid = surface.open_mosaic(mosaic, spec.mirror, block_m)?;
+                        Some((laid, mosaic.values))
+                    }
+                };
+                let mut recipe = Recipe::new(surface, seabed, spec.seed);
+                if let Some((laid, values)) = mosaic {
+                    recipe = recipe.with_mosaic(laid, values);
+                }
+                Some((recipe, TilePool::new(capacity)))
+            }
+        };
+        let placed = seabed
+            .as_ref()
+            .is_some_and(|(recipe, _)| recipe.surface().geodetic_place().is_some());
+        if spec.anchor == AnchorSpec::File && !placed {
+            let what = match spec.seabed.as_ref().map(|s| &s.shape) {
+                Some(SeabedShape::File { file, .. }) => file.path.display().to_string(),
+                _ => "a scene without a seabed from a file".to_owned(),
+            };
+            return Err(SceneError::NoPlaceOnEarth { what });
+        }
+        let mut points = match &spec.points {
+            None => Scatterers::default(),
+            Some(path) => read(path, points::parse)?,
+        };
+        let recipe = seabed.as_ref().map(|(recipe, _)| recipe);
+        let quiet = Quiet::new(recipe, &points);
+        for (loud, strength) in points.loud.iter_mut().zip(&points.strength) {
+            // As if near, where the ground's scatterers are weakest.
+            *loud = quiet.factor(strength.norm(), recipe, 0.0);
+        }
+        let targets = match &spec.targets {
+            None => Targets::default(),
+            Some(path) => read(path, |bytes| {
+                let toml = path.extension().is_some_and(|e| e == "toml");
+                let folder = toml.then(|| path.parent().unwrap_or(Path::new(".")));
+                Targets::parse(bytes, folder, spec.seed, |north_m, east_m| {
+                    let (recipe, _) = seabed.as_ref()?;
+                    Some(recipe.surface().sample(north_m, east_m)?.down_m)
+                })
+            })?,
+        };
+        Ok(Self {
+            anchor_m: DVec2::ZERO,
+            anchor: spec.anchor,
+            seabed,
+            points,
+            targets: targets.named().to_vec(),
+            own_targets: targets,
+            quiet,
+            heard: Vec::new(),
+            gatherer: Gatherer::default(),
+            occlusion: Occlusion::new(spec.occlusion),
+        })
+    }
+
+    /// A point of the scene's own whose place on the earth its seabed's file tells.
+    pub fn geodetic_place(&self) -> Option<GeodeticPlace> {
+        self.seabed.as_ref()?.0.surface().geodetic_place()
+    }
+
+    /// Puts the scene's zero under the first fix, or where its file belongs, once that is known. A scene with neither anchor stays at the
+    /// world's origin.
+    pub fn place(&mut self, anchor_north_m: f64, anchor_east_m: f64) {
+        debug_assert!(anchor_north_m.is_finite() && anchor_east_m.is_finite());
+        if self.anchor == AnchorSpec::Origin {
+            return;
+        }
+        self.anchor_m = DVec2::new(anchor_north_m, anchor_east_m);
+        for (target, own) in self.targets.iter_mut().zip(self.own_targets.named()) {
+            target.position_m = own.position_m + self.anchor_m.extend(0.0);
+        }
+    }
+
+    /// The targets, in world coordinates, in the order of their file.
+    pub fn targets(&self) -> &[Target] {
+        &self.targets
+    }
+
+    /// Depth of the seabed below a place of the world; none in a hole, beyond the end and without a seabed.
+    pub fn seabed_down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        Some(recipe.surface().sample(own.x, own.y)?.down_m)
+    }
+
+    /// The seabed for other threads, where it lies now.
+    pub fn ground(&self) -> Option<Ground> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        Some(Ground {
+            surface: recipe.shared_surface(),
+            anchor_m: self.anchor_m,
+        })
+    }
+
+    /// As the arrays of footprint `footprint` of the gathering before see a place of the world: depth of the seabed there, and whether
+    /// nothing stands before it. None where there is no seabed.
+    pub fn ground_seen(&self, footprint: usize, north_m: f64, east_m: f64) -> Option<(f64, bool)> {
+        let (recipe, _) = self.seabed.as_ref()?;
+        let own = DVec2::new(north_m, east_m) - self.anchor_m;
+        let down_m = recipe.surface().sample(own.x, own.y)?.down_m;
+        let around = Around {
+            ground: Some(recipe.surface()),
+            solids: Some(&self.own_targets),
+            on_ground: true,
+        };
+        let seen = self.occlusion.sees(footprint, own.extend(down_m), around);
+        Some((down_m, seen))
+    }
+
+    /// Which target each scatterer of the gathering before belongs to: 1 is the first, 0 none. They come last, in their own order, less those
+    /// in shadow, so that their places tell.
+    pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
+        labels.clear();
+        labels.resize(scatterers.len(), 0);
+        let own = self.own_targets.scatterers();
+        let anchor_m = self.anchor_m.extend(0.0);
+        let mut left = scatterers.len();
+        for j in (0..own.len()).rev() {
+            if left > 0 && scatterers.position_m(left - 1) == own.position_m(j) + anchor_m {
+                left -= 1;
+                let number = self.own_targets.target_of(j) + 1;
+                labels[left] = u16::try_from(number).unwrap_or(u16::MAX);
+            }
+        }
+    }
+
+    /// Whether nothing lies within this distance of the apex of any of the footprints that a gathering of any range would bring: false where
+    /// that is not known. It makes no tile.
+    pub fn is_quiet(&mut self, footprints: &[Footprint], within_m: f64) -> bool {
+        self.heard.clear();
+        let near = footprints.iter().filter(|f| f.is_finite());
+        self.heard.extend(near.map(|f| Footprint {
+            max_range_m: within_m.min(f.max_range_m),
+            ..*f
+        }));
+        if self.heard.is_empty() {
+            return false;
+        }
+        let anchor_m = self.anchor_m.extend(0.0);
+        let is_near = |at_m: glam::DVec3, radius_m: f64| {
+            let mut heard = self.heard.iter();
+            heard.any(|f| (f.apex_m - anchor_m).distance(at_m) - radius_m <= within_m)
+        };
+        let points = (0..self.points.len()).any(|k| is_near(self.points.position_m(k), 0.0));
+        let targets = (0..self.own_targets.len()).any(|k| {
+            let (center_m, radius_m) = self.own_targets.ball_m(k);
+            is_near(center_m, radius_m)
+        });
+        if points || targets {
+            return false;
+        }
+        match &self.seabed {
+            None => true,
+            Some((recipe, _)) => {
+                let mut counts = SceneCounts::default();
+                self.gatherer
+                    .find(recipe, anchor_m, &self.heard, &mut counts);
+                self.gatherer.boxes().next().is_none()
+            }
+        }
+    }
+
+    /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
+    /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
+    /// ones), then the targets within range of any footprint.
+    ///
+    /// Works on all threads of the pool it is called in. Allocates only where `out` has never been so full and where the pool of tiles has
+    /// not reached its limit; making a tile anew does not.
+    pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
+        self.heard.clear();
+        self.heard
+            .extend(footprints.iter().filter(|f| f.is_finite()));
+        let mut counts = SceneCounts::default();
+        let seabed = self.gather_seabed(out, &mut counts);
+        // Not cleared before: what is overwritten anyway need not be written twice.
+        out.truncate(seabed);
+        self.gather_points(out, &mut counts);
+        self.gather_targets(out, &mut counts);
+        self.drop_shadowed(seabed, out, &mut counts);
+        counts
+    }
+
+    fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) -> usize {
+        let (anchor_m, heard) = (self.anchor_m.extend(0.0), &self.heard[..]);
+        let Some((recipe, pool)) = &mut self.seabed else {
+            self.occlusion
+                .start(heard, anchor_m, None, &self.own_targets);
+            return 0;
+        };
+        self.gatherer.find(recipe, anchor_m, heard, counts);
+        let longest_m = heard.iter().map(|f| f.max_range_m).fold(0.0, f64::max);
+        let spacing_m = recipe.levels().spacing_m(longest_m);
+        let hilly = recipe.surface().is_hilly().then_some(spacing_m);
+        self.occlusion
+            .start(heard, anchor_m, hilly, &self.own_targets);
+        for tile_box in self.gatherer.boxes() {
+            self.occlusion.mark(tile_box.low_m, tile_box.high_m);
+        }
+        for point in 0..self.points.len() {
+            let at_m = self.points.position_m(point);
+            self.occlusion.mark(at_m, at_m);
+        }
+        for target in 0..self.own_targets.len() {
+            let (center_m, radius_m) = self.own_targets.ball_m(target);
+            self.occlusion
+                .mark(center_m - radius_m, center_m + radius_m);
+        }
+        self.occlusion.scan(recipe.surface());
+        let listeners = Listeners {
+            anchor_m,
+            heard,
+            occlusion: &self.occlusion,
+            surface: recipe.surface(),
+            targets: &self.own_targets,
+        };
+        self.gatherer.collect(recipe, pool, listeners, out, counts)
+    }
+
+    /// Takes points and targets that no pair of arrays sees out of `out`, from `first` on.
+    fn drop_shadowed(&self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let anchor_m = self.anchor_m.extend(0.0);
+        let around = Around {
+            ground: self.seabed.as_ref().map(|(recipe, _)| recipe.surface()),
+            solids: Some(&self.own_targets),
+            on_ground: false,
+        };
+        let mut kept = first;
+        for i in first..out.len() {
+            let at_m = out.position_m(i) - anchor_m;
+            let seen = self.heard.is_empty()
+                || (0..self.heard.len()).any(|f| self.occlusion.sees(f, at_m, around));
+            if seen {
+                out.copy_within(i, kept);
+                kept += 1;
+            }
+        }
+        counts.shadowed += (out.len() - kept) as u64;
+        out.truncate(kept);
+    }
+
+    fn gather_points(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let points = &self.points;
+        out.north_m
+            .extend(points.north_m.iter().map(|n| n + self.anchor_m.x));
+        out.east_m
+            .extend(points.east_m.iter().map(|e| e + self.anchor_m.y));
+        out.down_m.extend_from_slice(&points.down_m);
+        out.normal.extend_from_slice(&points.normal);
+        out.strength.extend_from_slice(&points.strength);
+        out.law.extend_from_slice(&points.law);
+        out.loud.extend_from_slice(&points.loud);
+        counts.points = points.len() as u64;
+    }
+
+    fn gather_targets(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
+        let anchor_m = self.anchor_m.extend(0.0);
+        for target in 0..self.own_targets.len() {
+            let (center_m, radius_m) = self.own_targets.ball_m(target);
+            let center_m = center_m + anchor_m;
+            let away_m = |f: &Footprint| f.apex_m.distance(center_m) - radius_m;
+            if self.heard.iter().any(|f| away_m(f) <= f.max_range_m) {
+                let nearest_m = self.heard.iter().map(away_m).fold(f64::INFINITY, f64::min);
+                let strength = self.own_targets.strength(target);
+                let recipe = self.seabed.as_ref().map(|(recipe, _)| recipe);
+                let loud = self.quiet.factor(strength, recipe, nearest_m.max(0.0));
+                self.own_targets.gather(target, anchor_m, loud, out);
+                counts.targets += 1;
+            }
+        }
+    }
+}
+
+/// Reads a file and gives its faults the file's name.
+fn read<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, Misread>) -> Result<T, SceneError> {
+    parse(&text::read_file(path)?).map_err(|fault| SceneError::Misread {
+        path: path.to_owned(),
+        fault,
+    })
+}

@@ -1,0 +1,627 @@
+//! The sum over echoes, each with its emission time expanded about its own leading edge u and otherwise exact:
+//!
+//! x(t) = sum A exp(-j 2pi f_c u) a(t') exp(j 2pi f_c (t' - s)),  t' = eta s + q s^2,  s = t - u,  0 <= t' <= T.
+//!
+//! q is zero for every Doppler model but `stretch-quadratic`. Over a run of samples the phase of one echo is a quadratic (with q, but for a
+//! cubic part below 1e-6 rad), so its phasor follows from the last by two complex products. Eight lanes run side by side, each eight samples
+//! at a time, and start afresh from sines and cosines before rounding can grow.
+
+use num_complex::Complex64;
+
+use echotank_core::flow::{
+    ArrivalChunk, ArrivalSink, EDGE_POINTS, Edges, PingPlan, Pulse, edge_corrections,
+};
+
+use super::phasor::{LANES, cis, cis_lanes};
+
+/// Samples between fresh starts of the recurrence. Its error grows as steps^1.5: 64 steps of eight lanes stay below 1e-13.
+const RESTART: usize = 64 * LANES;
+
+/// Turns of phase that a run may leave out where the stretch itself changes; a run is cut shorter until it does.
+const CUBIC_TURNS: f64 = 1e-7;
+
+/// Adds echoes to the samples of one element.
+pub struct Direct<'a> {
+    pulse: Pulse,
+    rate_hz: f64,
+    first_sample_s: f64,
+    edges: Edges,
+    out: &'a mut [Complex64],
+}
+
+/// Where an echo sounds, in samples from the first of the record, which it may lie before or beyond.
+struct Span {
+    /// First and last sample within the pulse.
+    first: f64,
+    last: f64,
+    /// From the leading edge to the first and from the last to the trailing edge, samples.
+    inside: (f64, f64),
+}
+
+impl<'a> Direct<'a> {
+    /// Sample k of `out` lies `first_sample_s + k / rate_hz` after the start of the pulse. Echoes are added to what `out` holds.
+    pub fn new(
+        plan: &PingPlan,
+        rate_hz: f64,
+        first_sample_s: f64,
+        out: &'a mut [Complex64],
+    ) -> Self {
+        Self {
+            pulse: plan.pulse,
+            rate_hz,
+            first_sample_s,
+            edges: Edges::Sampled,
+            out,
+        }
+    }
+
+    /// What happens at the ends of a rectangular pulse; a tapered one has no jumps, and is sampled.
+    pub fn with_edges(mut self, edges: Edges) -> Self {
+        self.edges = if self.pulse.taper > 0.0 {
+            Edges::Sampled
+        } else {
+            edges
+        };
+        self
+    }
+
+    /// Samples on which an echo sounds: those with 0 <= t' <= T.
+    #[inline(always)]
+    fn span(&self, delay_s: f64, eta: f64, curvature_per_s: f64) -> Span {
+        let since_s = |k: f64| (self.first_sample_s + k / self.rate_hz) - delay_s;
+        let emitted_s = |k: f64| (eta + curvature_per_s * since_s(k)) * since_s(k);
+        let edge = |at_s: f64| (at_s - self.first_sample_s) * self.rate_hz;
+        let duration_s = self.pulse.duration_s;
+        let root = (eta * eta + 4.0 * curvature_per_s * duration_s).sqrt();
+        let trailing_s = 2.0 * duration_s / (eta + root);
+        // The estimates are two samples off at most; the condition itself decides.
+        let mut first = edge(delay_s).floor();
+        let mut last = edge(delay_s + trailing_s).ceil();
+        for _ in 0..2 {
+            first += f64::from(u8::from(emitted_s(first) < 0.0));
+            last -= f64::from(u8::from(emitted_s(last) > duration_s));
+        }
+        Span {
+            first,
+            last,
+            inside: (
+                since_s(first) * self.rate_hz,
+                (trailing_s - since_s(last)) * self.rate_hz,
+            ),
+        }
+    }
+
+    /// `add_flat` is [`Lanes::add_flat`] or its AVX2 twin.
+    #[inline(always)]
+    fn add(&mut self, chunk: &ArrivalChunk, add_flat: impl Fn(&mut Lanes, &mut [Block]) + Copy) {
+        let pulse = self.pulse;
+        for i in 0..chunk.len {
+            let (delay_s, doppler) = (chunk.delay_s[i], chunk.doppler[i]);
+            let curvature_per_s = chunk.curvature_per_s[i];
+            let amplitude = chunk.amplitude[i];
+            let span = self.span(delay_s, 1.0 + doppler, curvature_per_s);
+            let echo = Echo {
+                pulse: &pulse,
+                step_s: 1.0 / self.rate_hz,
+                delay_s,
+                doppler,
+                curvature_per_s,
+            };
+            // Float to integer saturates: a negative start is 0, a negative end an empty range.
+            let end = ((span.last + 1.0).max(0.0) as usize).min(self.out.len());
+            let mut first = (span.first.max(0.0) as usize).min(end);
+            if self.edges == Edges::Weighted && first < end {
+                self.correct_edges(&echo, &span, amplitude);
+            }
+            let longest = echo.longest_run();
+            while first < end {
+                let stop = end.min(first + longest);
+                let since_s = (self.first_sample_s + first as f64 / self.rate_hz) - delay_s;
+                let run = echo.run(since_s, (stop - first) as f64);
+                add_stretch(&run, amplitude, &mut self.out[first..stop], add_flat);
+                first = stop;
+            }
+        }
+    }
+
+    /// Adds what [`edge_corrections`] say beyond weight 1 to the points next to either end.
+    #[inline(always)]
+    fn correct_edges(&mut self, echo: &Echo, span: &Span, amplitude: Complex64) {
+        const _: () = assert!(2 * EDGE_POINTS == LANES, "both ends fill the lanes");
+        let leading = edge_corrections(span.inside.0);
+        let trailing = edge_corrections(span.inside.1);
+        let mut turns = [0.0; LANES];
+        let mut at = [0.0; LANES];
+        for j in 0..LANES {
+            let back = (j % EDGE_POINTS) as f64;
+            at[j] = if j < EDGE_POINTS {
+                span.first + back
+            } else {
+                span.last - back
+            };
+            turns[j] = echo.turns((self.first_sample_s + at[j] / self.rate_hz) - echo.delay_s);
+        }
+        let (cos, sin) = cis_lanes(turns);
+        for j in 0..LANES {
+            let weight = if j < EDGE_POINTS {
+                leading[j]
+            } else {
+                trailing[j - EDGE_POINTS]
+            };
+            if at[j] >= 0.0 && at[j] < self.out.len() as f64 {
+                self.out[at[j] as usize] += amplitude * Complex64::new(cos[j], sin[j]) * weight;
+            }
+        }
+    }
+
+    /// The AVX2 build of [`Self::add`]: the same arithmetic in the same order, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn add_avx2(&mut self, chunk: &ArrivalChunk) {
+        self.add(chunk, |lanes, blocks| lanes.add_flat_avx2(blocks));
+    }
+}
+
+impl ArrivalSink for Direct<'_> {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+            return unsafe { self.add_avx2(chunk) };
+        }
+        self.add(chunk, Lanes::add_flat);
+    }
+}
+
+/// Neighbouring samples of the output.
+type Block = [Complex64; LANES];
+
+/// One echo of unit amplitude.
+struct Echo<'p> {
+    pulse: &'p Pulse,
+    /// From one sample to the next.
+    step_s: f64,
+    delay_s: f64,
+    doppler: f64,
+    curvature_per_s: f64,
+}
+
+impl Echo<'_> {
+    /// Phase `since_s` after the leading edge, turns, without whole ones of the carrier.
+    #[inline(always)]
+    fn turns(&self, since_s: f64) -> f64 {
+        let carrier_hz = self.pulse.center_frequency_hz;
+        let emitted_s = ((1.0 + self.doppler) + self.curvature_per_s * since_s) * since_s;
+        let from_middle_s = emitted_s - 0.5 * self.pulse.duration_s;
+        let carrier = carrier_hz * self.delay_s;
+        // Whole turns away first: the rest keeps its digits.
+        0.5 * self.pulse.sweep_hz_per_s() * from_middle_s * from_middle_s
+            + carrier_hz * (self.doppler + self.curvature_per_s * since_s) * since_s
+            - (carrier - carrier.round_ties_even())
+    }
+
+    /// Samples after which the recurrence must start afresh.
+    #[inline(always)]
+    fn longest_run(&self) -> usize {
+        if self.curvature_per_s == 0.0 {
+            return RESTART;
+        }
+        // See `run`: count^3/32 times the cubic's coefficient.
+        let cubic = self.pulse.sweep_hz_per_s() * self.curvature_per_s * self.step_s.powi(3);
+        let count = (32.0 * CUBIC_TURNS / cubic.abs()).cbrt();
+        ((count as usize) / LANES * LANES).clamp(LANES, RESTART)
+    }
+
+    /// The `count` samples from `since_s` after the leading edge on.
+    #[inline(always)]
+    fn run(&self, since_s: f64, count: f64) -> Stretch {
+        let pulse = self.pulse;
+        let carrier_hz = pulse.center_frequency_hz;
+        let half_sweep = 0.5 * pulse.sweep_hz_per_s();
+        let bend = self.curvature_per_s;
+        // Emission time at the n-th: emitted + step n + bend n^2.
+        let emitted_s = ((1.0 + self.doppler) + bend * since_s) * since_s;
+        let step_s = ((1.0 + self.doppler) + 2.0 * bend * since_s) * self.step_s;
+        let bend_s = bend * self.step_s * self.step_s;
+        let from_middle_s = emitted_s - 0.5 * pulse.duration_s;
+        let shift_hz = carrier_hz * (self.doppler + 2.0 * bend * since_s);
+        // Its square has a cubic part (and a quartic one far smaller); on 0..count the parabola nearest to n^3 is
+        // (3/2) count n^2 - (9/16) count^2 n + count^3/32, off by count^3/32 at most.
+        let cubic = 2.0 * half_sweep * step_s * bend_s;
+        Stretch {
+            p0: self.turns(since_s) + cubic * count * count * count / 32.0,
+            p1: 2.0 * half_sweep * from_middle_s * step_s + shift_hz * self.step_s
+                - cubic * count * count * (9.0 / 16.0),
+            p2: half_sweep * (step_s * step_s + 2.0 * from_middle_s * bend_s)
+                + carrier_hz * bend_s
+                + cubic * count * 1.5,
+            emitted_s,
+            step_s,
+            bend_s,
+            duration_s: pulse.duration_s,
+            flank_s: 0.5 * pulse.taper * pulse.duration_s,
+        }
+    }
+}
+
+/// A run of samples of one echo: its phase in turns is p0 + p1 n + p2 n^2 at the n-th.
+struct Stretch {
+    p0: f64,
+    p1: f64,
+    p2: f64,
+    /// Time into the pulse: emitted + step n + bend n^2.
+    emitted_s: f64,
+    step_s: f64,
+    bend_s: f64,
+    duration_s: f64,
+    /// Length of one Tukey flank.
+    flank_s: f64,
+}
+
+impl Stretch {
+    /// Of `count` blocks of [`LANES`] samples, those where the pulse is flat from end to end.
+    #[inline(always)]
+    fn flat_blocks(&self, count: usize) -> std::ops::Range<usize> {
+        if self.flank_s <= 0.0 {
+            return 0..count;
+        }
+        // The bend, below 1e-8 s, moves no block by a sample; where a flank meets the flat it is flat itself.
+        let block_at = |t_s: f64| (t_s - self.emitted_s) / (self.step_s * LANES as f64);
+        let first = block_at(self.flank_s).ceil().max(0.0) as usize;
+        let end = block_at(self.duration_s - self.flank_s).floor().max(0.0) as usize;
+        let end = end.min(count);
+        first.min(end)..end
+    }
+
+    /// Tukey weights of the block that starts at sample `n`.
+    #[inline(always)]
+    fn taper(&self, n: usize) -> [f64; LANES] {
+        let mut weight = [1.0; LANES];
+        if self.flank_s > 0.0 {
+            for (j, w) in weight.iter_mut().enumerate() {
+                let n = (n + j) as f64;
+                let t_s = self.emitted_s + n * (self.step_s + n * self.bend_s);
+                let inside_s = t_s.min(self.duration_s - t_s).clamp(0.0, self.flank_s);
+                let (_, sin) = cis(0.25 * inside_s / self.flank_s);
+                *w = sin * sin;
+            }
+        }
+        weight
+    }
+}
+
+/// Eight neighbouring samples of one echo.
+struct Lanes {
+    /// The echo.
+    re: [f64; LANES],
+    im: [f64; LANES],
+    /// What takes each lane one block on ...
+    step_re: [f64; LANES],
+    step_im: [f64; LANES],
+    /// ... and what takes that one block on.
+    turn: (f64, f64),
+}
+
+impl Lanes {
+    #[inline(always)]
+    fn new(echo: &Stretch, amplitude: Complex64) -> Self {
+        const STEP: f64 = LANES as f64;
+        let (p1, p2) = (echo.p1, echo.p2);
+        let (mut now, mut forward) = ([0.0; LANES], [0.0; LANES]);
+        for j in 0..LANES {
+            let n = j as f64;
+            now[j] = echo.p0 + n * (p1 + n * p2);
+            forward[j] = STEP * (p1 + p2 * (2.0 * n + STEP));
+        }
+        let (cos, sin) = cis_lanes(now);
+        let (step_re, step_im) = cis_lanes(forward);
+        let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
+        for j in 0..LANES {
+            re[j] = amplitude.re * cos[j] - amplitude.im * sin[j];
+            im[j] = amplitude.re * sin[j] + amplitude.im * cos[j];
+        }
+        Self {
+            re,
+            im,
+            step_re,
+            step_im,
+            turn: cis(2.0 * STEP * STEP * p2),
+        }
+    }
+
+    #[inline(always)]
+    fn advance(&mut self) {
+        let (turn_re, turn_im) = self.turn;
+        for j in 0..LANES {
+            let re = self.re[j] * self.step_re[j] - self.im[j] * self.step_im[j];
+            self.im[j] = self.re[j] * self.step_im[j] + self.im[j] * self.step_re[j];
+            self.re[j] = re;
+            let step_re = self.step_re[j] * turn_re - self.step_im[j] * turn_im;
+            self.step_im[j] = self.step_re[j] * turn_im + self.step_im[j] * turn_re;
+            self.step_re[j] = step_re;
+        }
+    }
+
+    /// Where most of the time goes: nothing here but the sum and the recurrence.
+    #[inline(always)]
+    fn add_flat(&mut self, blocks: &mut [Block]) {
+        for samples in blocks {
+            for (j, sample) in samples.iter_mut().enumerate() {
+                sample.re += self.re[j];
+                sample.im += self.im[j];
+            }
+            self.advance();
+        }
+    }
+
+    /// [`Self::add_flat`] by hand, same arithmetic in the same order, so the same bits; half as fast again as what the compiler makes of it.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn add_flat_avx2(&mut self, blocks: &mut [Block]) {
+        use std::arch::x86_64::*;
+        const HALF: usize = LANES / 2;
+        // SAFETY: every load and store below stays within one of the `LANES` = 8 element arrays of f64, or within one block of 8 complex
+        // numbers, which are pairs of f64 (num-complex: repr(C)); none needs alignment.
+        let load =
+            |a: &[f64; LANES], h: usize| unsafe { _mm256_loadu_pd(a.as_ptr().add(HALF * h)) };
+        let mut z = [0, 1].map(|h| (load(&self.re, h), load(&self.im, h)));
+        let mut w = [0, 1].map(|h| (load(&self.step_re, h), load(&self.step_im, h)));
+        let (q_re, q_im) = (_mm256_set1_pd(self.turn.0), _mm256_set1_pd(self.turn.1));
+        for samples in blocks {
+            for h in 0..2 {
+                let ((z_re, z_im), (w_re, w_im)) = (z[h], w[h]);
+                // (re0 im0 re2 im2) and (re1 im1 re3 im3), then in the order of the samples.
+                let even = _mm256_unpacklo_pd(z_re, z_im);
+                let odd = _mm256_unpackhi_pd(z_re, z_im);
+                let pairs = [
+                    _mm256_permute2f128_pd::<0x20>(even, odd),
+                    _mm256_permute2f128_pd::<0x31>(even, odd),
+                ];
+                for (k, pair) in pairs.into_iter().enumerate() {
+                    // SAFETY: as above; two complex numbers from the 4 h + 2 k th of eight.
+                    unsafe {
+                        let at = samples.as_mut_ptr().add(HALF * h + 2 * k).cast::<f64>();
+                        _mm256_storeu_pd(at, _mm256_add_pd(_mm256_loadu_pd(at), pair));
+                    }
+                }
+                z[h] = (
+                    _mm256_sub_pd(_mm256_mul_pd(z_re, w_re), _mm256_mul_pd(z_im, w_im)),
+                    _mm256_add_pd(_mm256_mul_pd(z_re, w_im), _mm256_mul_pd(z_im, w_re)),
+                );
+                w[h] = (
+                    _mm256_sub_pd(_mm256_mul_pd(w_re, q_re), _mm256_mul_pd(w_im, q_im)),
+                    _mm256_add_pd(_mm256_mul_pd(w_re, q_im), _mm256_mul_pd(w_im, q_re)),
+                );
+            }
+        }
+        // SAFETY: as above.
+        let store = |a: &mut [f64; LANES], h: usize, v| unsafe {
+            _mm256_storeu_pd(a.as_mut_ptr().add(HALF * h), v);
+        };
+        for h in 0..2 {
+            store(&mut self.re, h, z[h].0);
+            store(&mut self.im, h, z[h].1);
+            store(&mut self.step_re, h, w[h].0);
+            store(&mut self.step_im, h, w[h].1);
+        }
+    }
+
+    #[inline(always)]
+    fn add_weighted(&mut self, weight: [f64; LANES], samples: &mut [Complex64]) {
+        for (j, sample) in samples.iter_mut().enumerate() {
+            sample.re += weight[j] * self.re[j];
+            sample.im += weight[j] * self.im[j];
+        }
+        self.advance();
+    }
+}
+
+/// Adds one echo to at most [`RESTART`] samples.
+#[inline(always)]
+fn add_stretch(
+    echo: &Stretch,
+    amplitude: Complex64,
+    out: &mut [Complex64],
+    add_flat: impl Fn(&mut Lanes, &mut [Block]),
+) {
+    let mut lanes = Lanes::new(echo, amplitude);
+    let (blocks, rest) = out.as_chunks_mut::<LANES>();
+    let count = blocks.len();
+    let flat = echo.flat_blocks(count);
+    let (head, others) = blocks.split_at_mut(flat.start);
+    let (middle, tail) = others.split_at_mut(flat.len());
+    for (b, samples) in head.iter_mut().enumerate() {
+        lanes.add_weighted(echo.taper(b * LANES), samples);
+    }
+    add_flat(&mut lanes, middle);
+    for (b, samples) in tail.iter_mut().enumerate() {
+        lanes.add_weighted(echo.taper((flat.end + b) * LANES), samples);
+    }
+    lanes.add_weighted(echo.taper(count * LANES), rest);
+}
+
+/// Adds `amplitude` exp(j 2pi (p0 + p1 n)) to the n-th of `out`; phases in turns.
+pub(super) fn add_tone(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+        return unsafe { add_tone_avx2(p0, p1, amplitude, out) };
+    }
+    add_tone_with(p0, p1, amplitude, out, Lanes::add_flat);
+}
+
+/// The AVX2 build of [`add_tone_with`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_tone_avx2(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
+    add_tone_with(p0, p1, amplitude, out, |lanes, blocks| {
+        lanes.add_flat_avx2(blocks)
+    });
+}
+
+#[inline(always)]
+fn add_tone_with(
+    p0: f64,
+    p1: f64,
+    amplitude: Complex64,
+    out: &mut [Complex64],
+    add_flat: impl Fn(&mut Lanes, &mut [Block]) + Copy,
+) {
+    for (r, run) in out.chunks_mut(RESTART).enumerate() {
+        let start = p0 + p1 * (r * RESTART) as f64;
+        let tone = Stretch {
+            p0: start - start.round_ties_even(),
+            p1,
+            p2: 0.0,
+            emitted_s: 0.0,
+            step_s: 0.0,
+            bend_s: 0.0,
+            duration_s: 0.0,
+            flank_s: 0.0,
+        };
+        add_stretch(&tone, amplitude, run, add_flat);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echotank_core::flow::PulseKind;
+
+    fn chunk_of(arrivals: &[(f64, f64, Complex64)]) -> ArrivalChunk {
+        let mut chunk = ArrivalChunk::new();
+        for (i, &(delay_s, doppler, amplitude)) in arrivals.iter().enumerate() {
+            chunk.delay_s[i] = delay_s;
+            chunk.doppler[i] = doppler;
+            chunk.amplitude[i] = amplitude;
+            chunk.len = i + 1;
+        }
+        chunk
+    }
+
+    fn pulse(kind: PulseKind, taper: f64) -> Pulse {
+        Pulse {
+            kind,
+            center_frequency_hz: 400e3,
+            bandwidth_hz: if kind == PulseKind::Cw { 0.0 } else { 60e3 },
+            duration_s: 8e-3,
+            taper,
+        }
+    }
+
+    /// Sine and cosine at every sample, nothing carried from one to the next.
+    fn plain(pulse: &Pulse, t_s: f64, (u, d, amplitude): (f64, f64, Complex64)) -> Complex64 {
+        let turns = pulse.center_frequency_hz * (d * (t_s - u));
+        let carrier = pulse.center_frequency_hz * u;
+        let phase = std::f64::consts::TAU * (turns - (carrier - carrier.round()));
+        amplitude * pulse.envelope((1.0 + d) * (t_s - u)) * Complex64::from_polar(1.0, phase)
+    }
+
+    #[test]
+    fn the_recurrence_meets_plain_sines_to_1e_12() {
+        // Powers of two, so that sample times are exact and what is measured is the recurrence alone.
+        let (rate_hz, first_s) = (f64::from(1 << 21), 1.0 / 32.0);
+        let arrivals = [
+            (0.0313, 0.0, Complex64::ONE),
+            (0.030_001, 1e-4, Complex64::new(0.3, -2.0)),
+            (0.033_3, -7e-3, Complex64::new(-1.0, 0.1)),
+            (0.045, 7e-3, Complex64::I),
+        ];
+        for kind in [PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw] {
+            for taper in [0.0, 0.1, 1.0] {
+                let pulse = pulse(kind, taper);
+                let mut worst: f64 = 0.0;
+                for arrival in arrivals {
+                    let mut out = vec![Complex64::ZERO; 40_000];
+                    let mut sink = Direct {
+                        pulse,
+                        rate_hz,
+                        first_sample_s: first_s,
+                        edges: Edges::Sampled,
+                        out: &mut out,
+                    };
+                    sink.accept(&chunk_of(&[arrival]));
+                    for (k, got) in out.iter().enumerate() {
+                        let t_s = first_s + k as f64 / rate_hz;
+                        let want = plain(&pulse, t_s, arrival);
+                        worst = worst.max((got - want).norm() / arrival.2.norm());
+                    }
+                }
+                assert!(worst < 1e-12, "{kind:?}, taper {taper}: {worst:e}");
+                println!("{kind:?}, taper {taper}: {worst:.1e}");
+            }
+        }
+    }
+
+    #[test]
+    fn echoes_off_the_record_touch_nothing_and_never_panic() {
+        let mut out = vec![Complex64::ZERO; 100];
+        let mut sink = Direct {
+            pulse: pulse(PulseKind::LfmUp, 0.0),
+            rate_hz: 40e3,
+            first_sample_s: 0.1,
+            edges: Edges::Weighted,
+            out: &mut out,
+        };
+        let off: Vec<_> = [
+            -1e300,
+            -1.0,
+            0.0,
+            0.05,
+            0.2,
+            1e9,
+            1e300,
+            f64::INFINITY,
+            f64::NAN,
+        ]
+        .map(|u| (u, 0.0, Complex64::ONE))
+        .to_vec();
+        sink.accept(&chunk_of(&off));
+        sink.accept(&ArrivalChunk::new());
+        assert!(out.iter().all(|x| *x == Complex64::ZERO));
+        Direct {
+            pulse: pulse(PulseKind::LfmUp, 0.0),
+            rate_hz: 40e3,
+            first_sample_s: 0.1,
+            edges: Edges::Weighted,
+            out: &mut [],
+        }
+        .accept(&chunk_of(&[(0.1, 0.0, Complex64::ONE)]));
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn the_avx2_build_gives_the_same_bits() {
+        if !is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let arrivals: Vec<_> = (0..200)
+            .map(|k| {
+                let x = k as f64;
+                (
+                    0.03 + 1.7e-4 * x,
+                    1e-5 * (x - 100.0),
+                    Complex64::new(x, -1.0),
+                )
+            })
+            .collect();
+        let run = |wide: bool| {
+            let mut out = vec![Complex64::ZERO; 2000];
+            let mut sink = Direct {
+                pulse: pulse(PulseKind::LfmDown, 0.2),
+                rate_hz: 40e3,
+                first_sample_s: 0.025,
+                edges: Edges::Weighted,
+                out: &mut out,
+            };
+            if wide {
+                // SAFETY: asked above.
+                unsafe { sink.add_avx2(&chunk_of(&arrivals)) };
+            } else {
+                sink.add(&chunk_of(&arrivals), Lanes::add_flat);
+            }
+            out
+        };
+        assert_eq!(run(true), run(false));
+    }
+}

@@ -1,0 +1,205 @@
+//! One echo by itself, in every window of a pulse's length, noise being there, as the contract looks at it.
+//!
+//! What the sum leaves amiss of an echo does not end where the echo does: what a band cuts off rings on, a kernel over delay errs by some grid
+//! values to either side, and what a fit over Dopplers leaves of a pulse is no such pulse to the receiver filter. A window that holds no more
+//! than the end of an echo, or of the receiver filter's tail, is held to a share of that little. So an echo is made as it should be and as it is
+//! amiss, and both are looked at window by window.
+
+use num_complex::Complex64;
+
+use crate::array::phasor::cis;
+use echotank_core::flow::MIN_WINDOW;
+
+use super::band::{Band, widest};
+use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
+use super::kernel::Kernel;
+use super::one_dimensional::Spec;
+use super::pulse_spectrum::{PulseSpectrum, energies};
+use super::transform::grid_size;
+
+/// Windows that are weaker than the strongest by more than this are counted against it: a sharp pulse fills every band to that depth.
+const DEEPEST_DB: f64 = 60.0;
+
+/// Places across a cell at which a kernel is tried: it is symmetric, and does worst at the ends or in the middle.
+const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
+
+/// Places across a cell of Dopplers at which a fit is looked at.
+const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
+
+/// Cells at the end of a grid of Dopplers that a fit there knows: what lies further matters less and less.
+const END_CELLS: usize = 12;
+
+/// An echo at either end of the span of Dopplers.
+pub struct Alone {
+    /// Of every bin, lowest first and then the negative ones, as transforms have them.
+    frequency_hz: Vec<f64>,
+    /// The receiver filter's.
+    gain: Vec<f64>,
+    spectra: Vec<Vec<Complex64>>,
+    /// Energies in all windows, or that of the noise where it is more.
+    windows: Vec<Vec<f64>>,
+    length: usize,
+    /// Energy of the noise in a window over that of the strongest.
+    noise: f64,
+}
+
+impl Alone {
+    pub fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
+        let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
+        let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
+        let window_s = pulse.duration_s.max(MIN_WINDOW / rate_hz);
+        let echo_s = pulse.duration_s / (1.0 + span.least.min(0.0)) + 2.0 * filter_s;
+        let min_s = 2.0 * (echo_s + window_s);
+        let dense_hz = 2.0 * widest(spec) * rate_hz;
+        let count = grid_size((min_s * dense_hz).ceil() as usize);
+        let step_hz = dense_hz / count as f64;
+        let frequency_hz: Vec<f64> = (0..count)
+            .map(|k| match k < count / 2 {
+                true => k as f64 * step_hz,
+                false => (k as f64 - count as f64) * step_hz,
+            })
+            .collect();
+        let gain: Vec<f64> = frequency_hz
+            .iter()
+            .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
+            .collect();
+        let mut dopplers = vec![span.least, span.greatest];
+        dopplers.dedup();
+        let spectra: Vec<Vec<Complex64>> = dopplers
+            .iter()
+            .map(|d| {
+                let shift_hz = pulse.center_frequency_hz * d;
+                let all = frequency_hz.iter().zip(&gain);
+                all.map(|(f_hz, gain)| spectrum.at((f_hz - shift_hz) / (1.0 + d)) * gain)
+                    .collect()
+            })
+            .collect();
+        let length = (window_s * dense_hz).ceil() as usize;
+        let noise = 10f64.powf(-spec.level_range_db.min(DEEPEST_DB) / 10.0);
+        let windows = spectra
+            .iter()
+            .map(|spectrum| sizes(spectrum, length, noise))
+            .collect();
+        Self {
+            frequency_hz,
+            gain,
+            spectra,
+            windows,
+            length,
+            noise,
+        }
+    }
+
+    /// Error in the worst window of what `band` leaves out.
+    pub fn left_out(&self, band: &Band) -> f64 {
+        self.worst(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
+    }
+
+    /// Error in the worst window that `kernel` makes of what `band` keeps, on a grid of so many values a second, at the places that suit it least.
+    pub fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
+        let middle = 0.5 * (kernel.width - 1) as f64;
+        let at = |x: f64| {
+            let weight = |i: usize| {
+                (0..kernel.moments)
+                    .rev()
+                    .fold(0.0, |sum, k| sum * x + kernel.weight(k, i))
+            };
+            let weights: Vec<f64> = (0..kernel.width).map(weight).collect();
+            self.worst(|f_hz| {
+                let kept = band.gain(f_hz);
+                if kept == 0.0 {
+                    return Complex64::ZERO;
+                }
+                let nu = f_hz / grid_hz;
+                let taps = weights.iter().enumerate();
+                let sum: Complex64 = taps.map(|(i, &w)| wave(nu * (i as f64 - middle)) * w).sum();
+                (sum / kernel.window_gain(nu) - wave(0.5 * nu * x)) * kept
+            })
+        };
+        PLACES.into_iter().map(at).fold(0.0, f64::max)
+    }
+
+    /// Error in the worst window that a fit over the Dopplers of `grid` makes of what `band` keeps: worst towards the ends, so of a long grid
+    /// both ends are looked at, by themselves.
+    pub fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+        if grid.cells <= 2 * END_CELLS {
+            return self.on_grid(grid, received, band);
+        }
+        [0, grid.cells - END_CELLS]
+            .map(|first| self.on_grid(&grid.part(first, END_CELLS), received, band))
+            .into_iter()
+            .fold(0.0, f64::max)
+    }
+
+    fn on_grid(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+        let kept = self.frequency_hz.iter().zip(&self.gain);
+        let kept: Vec<f64> = kept.map(|(&f_hz, gain)| band.gain(f_hz) * gain).collect();
+        let bins = kept.len();
+        let cells = [0, grid.cells / 2, grid.cells - 1];
+        let mut used: Vec<usize> = cells.iter().flat_map(|&c| c..c + grid.taps).collect();
+        used.sort_unstable();
+        used.dedup();
+        let columns = templates(grid, received, &used, &self.frequency_hz, &kept);
+        let at = |share: f64| {
+            let (doppler, first, weights) = grid.at(share);
+            let echo = self.frequency_hz.iter();
+            let echo: Vec<Complex64> = echo.map(|&f_hz| received.at(f_hz, doppler)).collect();
+            let from = used.partition_point(|&column| column < first);
+            let fitted = |bin: usize| -> Complex64 {
+                let taps = weights[..grid.taps].iter().enumerate();
+                taps.map(|(tap, weight)| columns[(from + tap) * bins + bin] * weight)
+                    .sum()
+            };
+            let rest = (0..bins)
+                .map(|bin| fitted(bin) - echo[bin] * kept[bin])
+                .collect();
+            let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
+            worst(rest, &sizes(&heard, self.length, self.noise), self.length)
+        };
+        let shares = cells.into_iter().flat_map(|cell| {
+            ACROSS
+                .into_iter()
+                .map(move |across| (cell as f64 + across) / grid.cells as f64)
+        });
+        shares.map(at).fold(0.0, f64::max)
+    }
+
+    /// Error in the worst window where `amiss` of what sounds at each frequency is.
+    fn worst(&self, amiss: impl Fn(f64) -> Complex64) -> f64 {
+        let amiss: Vec<Complex64> = self.frequency_hz.iter().map(|&f_hz| amiss(f_hz)).collect();
+        let echoes = self.spectra.iter().zip(&self.windows);
+        echoes
+            .map(|(spectrum, windows)| {
+                let rest = spectrum
+                    .iter()
+                    .zip(&amiss)
+                    .map(|(s, off)| s * off)
+                    .collect();
+                worst(rest, windows, self.length)
+            })
+            .fold(0.0, f64::max)
+    }
+}
+
+/// Energies of an echo in all windows of `length` samples, or that of the noise where it is more.
+fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
+    let mut windows = energies(spectrum.to_vec(), length);
+    let strongest = windows.iter().copied().fold(0.0, f64::max);
+    windows
+        .iter_mut()
+        .for_each(|w| *w = w.max(noise * strongest));
+    windows
+}
+
+/// What a spectrum sounds like, over `windows`, where that is most.
+fn worst(rest: Vec<Complex64>, windows: &[f64], length: usize) -> f64 {
+    let off = energies(rest, length);
+    let shares = off.iter().zip(windows).map(|(off, size)| off / size);
+    shares.fold(0.0, f64::max).sqrt()
+}
+
+/// exp(-j 2pi turns).
+fn wave(turns: f64) -> Complex64 {
+    let (cos, sin) = cis(-turns);
+    Complex64::new(cos, sin)
+}

@@ -1,0 +1,316 @@
+//! What an engine will be: its grids, kernel and error, chosen before any of its tables is made. A plan that compares engines needs no more.
+//!
+//! In: a [`Spec`]. Out: [`Design`], or why there is none.
+
+use std::f64::consts::TAU;
+
+use num_complex::Complex64;
+
+use crate::array::filter::Decimator;
+use echotank_core::flow::{DopplerModel, Pulse};
+
+use super::alone::Alone;
+use super::band::{Band, band, widest};
+use super::batched_fft::lanes_for;
+use super::choose::{
+    NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, Trials,
+    delay_kernel, series_terms, sweep, weights_bend,
+};
+use super::cost_estimate::CostEstimate;
+use super::doppler::{Bent, DopplerGrid, DopplerSpan, Received};
+use super::evenly::{beyond_hz, evenly};
+use super::kernel::{Kernel, MAX_WIDTH};
+use super::moments::Real;
+use super::one_dimensional::{GriddedError, MIN_F32_MOMENTS, Spec};
+use super::prepare::Frame;
+use super::pulse_spectrum::PulseSpectrum;
+use super::transform::grid_size;
+
+/// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
+const MAX_CURVATURE_TIMES_PULSE: f64 = 0.05;
+
+pub struct Design {
+    pulse: Pulse,
+    filter: Option<Decimator>,
+    spectrum: PulseSpectrum,
+    band: Band,
+    pub kernel: Kernel,
+    /// Length of the record in samples, and of its spectrum.
+    pub period: usize,
+    period_s: f64,
+    pub bins: usize,
+    pub grid: usize,
+    /// From the start of the record to the first sample.
+    pub lead_s: f64,
+    pub frame: Frame,
+    /// Of the series in the curvature; the first is the echo without.
+    pub terms: Vec<DesignedTerm>,
+    /// Nothing differs in Doppler.
+    pub has_one_column: bool,
+    /// By which Dopplers of middles may lie outside those of leading edges.
+    pub beside: f64,
+    sweep: f64,
+    pub error: f64,
+}
+
+pub struct DesignedTerm {
+    pub grid: DopplerGrid,
+    /// Chunks whose greatest |p| over the plan's is below this do without.
+    pub min_bend: f64,
+}
+
+impl Design {
+    /// `weakening`: see [`weakening()`](super::choose::weakening). M: moments.
+    pub fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
+        let spec = &Spec {
+            tolerance: asked.tolerance / weakening,
+            ..*asked
+        };
+        let pulse = spec.pulse;
+        let rate_hz = spec.sample_rate_hz;
+        let carrier_hz = pulse.center_frequency_hz;
+        let unreachable = |least| GriddedError::Tolerance {
+            tolerance: asked.tolerance,
+            least,
+        };
+        let (still, greatest_q) = match spec.doppler {
+            DopplerModel::None => (true, 0.0),
+            DopplerModel::Stretch => (false, 0.0),
+            DopplerModel::StretchQuadratic => (false, spec.curvature_per_s.abs()),
+            DopplerModel::PaperEq21 => return Err(GriddedError::DopplerModel),
+        };
+        // sqrt(eta^2 + 2 q T) - eta, eta no less than 0.9; in a pulse so much bent that this does not bound it the series fails below. And what the
+        // ends of a sweep are moved by where weights carry the curvature.
+        let beside = greatest_q
+            * (1.25 * pulse.duration_s
+                + 0.5 * (pulse.duration_s.powi(2) * pulse.sweep_hz_per_s() / carrier_hz).abs());
+        let span = match still {
+            true => DopplerSpan {
+                least: 0.0,
+                greatest: 0.0,
+            },
+            false => DopplerSpan {
+                least: spec.span.least - beside,
+                greatest: spec.span.greatest + beside,
+            },
+        };
+        let fastest = span.least.abs().max(span.greatest);
+        let half_s = 0.5 * pulse.duration_s;
+        let greatest_p = greatest_q / (1.0 - fastest).powi(3);
+        // The band's upper half has more turns than the carrier.
+        let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
+        let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
+        let needed = match greatest_q < MAX_CURVATURE_TIMES_PULSE / pulse.duration_s {
+            true => series_terms(bend_rad, spec.tolerance),
+            false => None,
+        };
+        let count = needed.ok_or(GriddedError::Curvature {
+            curvature_per_s: greatest_q,
+            turned_rad: bend_rad,
+            tolerance: asked.tolerance,
+        })?;
+        let highest_hz =
+            ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
+        let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
+        let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
+        // There echoes are looked at one by one, in every window.
+        let alone = Alone::new(asked, span, &spectrum);
+        let kept = band(asked, &alone)?;
+        let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
+
+        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
+        let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
+        let alone_s = half_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
+        let period_with =
+            |reach_s: f64| grid_size(spec.samples + (2.0 * reach_s * rate_hz).ceil() as usize);
+        let bins_of = |period: usize| {
+            let bins = (kept_hz / rate_hz * period as f64).ceil() as usize;
+            bins + bins % 2
+        };
+        let roughly = 5 * bins_of(period_with(alone_s)) / 4;
+        let trials = Trials {
+            spec,
+            span,
+            grid: roughly,
+        };
+        // Of the highest frequency; of the carrier, which weights and templates know, it is a little less.
+        let received = |order| Received {
+            spectrum: &spectrum,
+            carrier_hz,
+            duration_s: pulse.duration_s,
+            order,
+            greatest_p,
+        };
+        let of_dopplers = |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept) / weakening;
+        let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
+            true => trials.doppler(bend_rad, of_dopplers),
+            false => None,
+        };
+        let weights_carry = bent.is_some();
+        let count = if weights_carry { 0 } else { count };
+        let doppler = bent
+            .or_else(|| trials.doppler(0.0, of_dopplers))
+            .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+        let mut terms = vec![DesignedTerm {
+            grid: doppler.0,
+            min_bend: 0.0,
+        }];
+        let mut fit_error2 = doppler.1.powi(2);
+        let mut term_rad = 1.0;
+        for order in 1..=count {
+            term_rad *= bend_rad / order as f64;
+            let (grid, error) = trials
+                .term(term_rad)
+                .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+            fit_error2 += error * error;
+            terms.push(DesignedTerm {
+                grid,
+                min_bend: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
+            });
+        }
+        // The ends of bent pulses move by p (T/2)^2.
+        let reach_s = alone_s + greatest_p * half_s * half_s;
+        let period = period_with(reach_s);
+        let period = period + period % 2;
+        let bins = bins_of(period);
+        let period_s = period as f64 / rate_hz;
+
+        // Moments cost the same whatever the width; values spread at once do not.
+        let has_one_column = terms.iter().all(|term| term.grid.columns == 1);
+        let widest = match (has_one_column, M::MOMENTS) {
+            (false, 8) => 8,
+            _ => MAX_WIDTH,
+        };
+        let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
+            alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
+        })
+        .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+
+        let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
+        let series = match weights_carry {
+            true => 0.0,
+            false => term_rad * bend_rad / (count + 1) as f64,
+        };
+        let error = [
+            kernel.error,
+            fit_error2.sqrt(),
+            kept.outside / weakening,
+            rounding,
+            series,
+        ]
+        .iter()
+        .map(|e| e * e)
+        .sum::<f64>()
+        .sqrt();
+        Ok(Self {
+            pulse: *pulse,
+            filter: spec.filter.cloned(),
+            frame: Frame {
+                carrier_hz,
+                half_pulse_s: half_s,
+                still,
+                greatest_q: match count > 0 || weights_carry {
+                    true => greatest_q,
+                    false => 0.0,
+                },
+                greatest_p,
+                bent: weights_carry,
+                sweep_hz_per_s: pulse.sweep_hz_per_s(),
+            },
+            spectrum,
+            band: kept,
+            kernel,
+            period,
+            period_s,
+            bins,
+            grid,
+            lead_s: reach_s,
+            terms,
+            has_one_column,
+            beside,
+            sweep: sweep(spec),
+            error,
+        })
+    }
+
+    /// Grid steps per second.
+    pub fn grid_hz(&self) -> f64 {
+        self.grid as f64 / self.period_s
+    }
+
+    fn frequencies(&self) -> impl Iterator<Item = f64> + '_ {
+        (0..self.bins).map(|q| (q as f64 - (self.bins / 2) as f64) / self.period_s)
+    }
+
+    /// What each column of each term sounds like: `[bin * columns + column]`, lowest frequency first.
+    pub fn templates(&self) -> impl Iterator<Item = Vec<Complex64>> + '_ {
+        let heard = |f_hz: f64| self.filter.as_ref().map_or(1.0, |filter| filter.gain(f_hz));
+        let gain: Vec<f64> = self
+            .frequencies()
+            .map(|f_hz| heard(f_hz) * self.band.gain(f_hz))
+            .collect();
+        let first_hz = -((self.bins / 2) as f64) / self.period_s;
+        self.terms.iter().enumerate().map(move |(order, term)| {
+            let received = Received {
+                spectrum: &self.spectrum,
+                carrier_hz: self.pulse.center_frequency_hz,
+                duration_s: self.pulse.duration_s,
+                order,
+                greatest_p: self.frame.greatest_p,
+            };
+            evenly(&term.grid, received, (first_hz, 1.0 / self.period_s), &gain)
+        })
+    }
+
+    /// Of every bin: what undoes the kernel and the flush's beginning at its first value, and moves the record's beginning to 0.
+    pub fn undo(&self) -> Vec<Complex64> {
+        let undo = |f_hz: f64| {
+            let nu = f_hz * self.period_s / self.grid as f64;
+            let turns = f_hz * self.lead_s - nu * self.kernel.first() as f64;
+            let size = 1.0 / (self.kernel.window_gain(nu) * self.period_s);
+            Complex64::from_polar(size, TAU * turns)
+        };
+        self.frequencies().map(undo).collect()
+    }
+
+    /// What a curvature makes of the weights on `grid`, and the phase at the pulse's ends that is meant; none where columns of their own carry it.
+    pub fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
+        let (carrier_hz, half_s) = (self.frame.carrier_hz, self.frame.half_pulse_s);
+        self.frame.bent.then(|| {
+            let bent = grid.bent(grid.theta(carrier_hz, self.pulse.duration_s), self.sweep);
+            (
+                bent,
+                TAU * carrier_hz * self.frame.greatest_p * half_s * half_s,
+            )
+        })
+    }
+
+    /// Costs of an element. `words`: of a number of the grids, in those of f32.
+    pub fn cost_estimate(
+        &self,
+        words: f64,
+        arrivals: usize,
+        share: f64,
+        curvature_per_s: f64,
+    ) -> CostEstimate {
+        let mut ns = CostEstimate {
+            echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
+            grids_ns: 0.0,
+        };
+        let bend = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
+        for term in self.terms.iter().filter(|term| term.min_bend <= bend) {
+            let grid = &term.grid;
+            ns.grids_ns += self.grid as f64
+                * words
+                * match grid.columns {
+                    1 => NS_PER_GRID_VALUE,
+                    all => {
+                        ns.echoes_ns += arrivals as f64 * NS_PER_SPREAD;
+                        let lanes = lanes_for(grid.columns_of(share).min(all));
+                        lanes as f64 * NS_PER_LANE_VALUE
+                    }
+                };
+        }
+        ns
+    }
+}

@@ -1,0 +1,578 @@
+//! Doppler on a fixed grid: a few received pulses between which every echo's own is interpolated.
+//!
+//! An echo stretched by eta = 1 + d sounds as a(eta (t - u)) exp(j 2pi f_c d (t - u)). About its middle, u + T/(2 eta), its spectrum is
+//!
+//! S_d(f) = S((f - f_c d)/(1 + d)) / (1 + d) H(f),  S the pulse's own, H the receiver's.
+//!
+//! With w the time into the pulse, S_d is an integral over -T/2..T/2 of waves exp(j 2pi w (f_c d - f)/(1 + d)). So it is spread over d like a
+//! point over time: each echo goes with `taps` weights to as many columns of a grid of Dopplers, and column j is given the template G_j that
+//! makes sum_j weight_j(d) G_j(f) meet S_d(f) best in the least-squares sense. Nothing is expanded in d: the second order is in it, and edges
+//! move. The columns lie at fixed Dopplers, so a platform that changes its speed uses other columns, not other templates.
+//!
+//! The fit of every column is one real combination of pulses of the family, the same at every frequency: so a column sounds no longer than
+//! they do, and what the fit leaves of an echo, seen at any instant w of its pulse, is that instant's own sound times how ill the weights do
+//! on a wave of w's rate of turning ([`Trial`]). Windows that hold nothing but the end of an echo are as good as any. (A sweep's shift could go into the
+//! echo's place, range-Doppler coupling, and a third of the columns be spared; but then the ends of pulses are where they are not, and
+//! what the fit leaves lies about them.)
+//!
+//! An echo whose stretch changes (d at its middle, q the change: emission time d s + q s^2 about it) sounds, with p = q/eta^3 and
+//! alpha = 2pi (f + f_c), as the integral of a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2).
+//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so the series in p ends soon. Two ways to add its terms:
+//!
+//! By the weights ([`DopplerGrid::bent`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2 of it, so the columns that give S_d give
+//! j alpha p w^2 S_d too, with -j p eta^4/alpha times the second derivative of the weights. What f is in alpha is not known to a weight, but about where a
+//! sweep of K Hz/s has it: K w, of which one w is one more derivative. At the ends of a pulse that is not so: there all frequencies sound, and
+//! 2 pi p (T/2)^2 (f - K w) is too much; that is a delay by p (T/2)^2 and a Doppler of K p (T/2)^2/f_c, which the echo is given.
+//!
+//! By columns of their own, where a tolerance wants more than that: the k-th term is an echo of its own, of amplitude (p/p_max)^k, with a grid
+//! and templates that need be no finer than the term is large ([`Received::order`]).
+//!
+//! In: spectra, span of d, tolerance. Out: weights of an echo, templates per column and bin, the error of the fit as measured.
+
+use num_complex::Complex64;
+
+use super::batched_fft::lanes_for;
+use super::kernel::Kernel;
+use super::least_squares::Matrix;
+use super::moments::MAX_TAPS;
+use super::pulse_spectrum::PulseSpectrum;
+use super::simd_level::{Kind, SimdLevel};
+
+/// Dopplers at which a cell of the grid is fitted, at least, and for each cycle by which the pulse's ends turn over the whole span.
+const SAMPLES_PER_CELL: usize = 6;
+const SAMPLES_PER_CYCLE: f64 = 4.0;
+
+/// Powers of the weights' polynomials, at most.
+pub const POWERS: usize = 12;
+
+/// d = eta - 1, least and greatest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DopplerSpan {
+    pub least: f64,
+    pub greatest: f64,
+}
+
+/// The received spectrum S_d(f) of one echo, seen from its middle; or the term of `order` in what its curvature adds, for the greatest p.
+#[derive(Clone, Copy)]
+pub struct Received<'a> {
+    pub spectrum: &'a PulseSpectrum,
+    pub carrier_hz: f64,
+    pub duration_s: f64,
+    pub order: usize,
+    /// p, per second.
+    pub greatest_p: f64,
+}
+
+/// Terms of the series in p, at most.
+pub const MAX_ORDER: usize = 5;
+
+impl Received<'_> {
+    /// Without the receiver's gain.
+    #[inline(always)]
+    pub fn at(&self, f_hz: f64, d: f64) -> Complex64 {
+        let doppler_hz = self.carrier_hz * d;
+        let g_hz = (f_hz - doppler_hz) / (1.0 + d);
+        match self.order {
+            0 => self.spectrum.at(g_hz) / (1.0 + d),
+            _ => self.term(f_hz, g_hz, 1.0 + d),
+        }
+    }
+
+    #[inline(always)]
+    fn term(&self, f_hz: f64, g_hz: f64, eta: f64) -> Complex64 {
+        let mut powers = [Complex64::ZERO; 2 * MAX_ORDER + 1];
+        let k = self.order;
+        self.spectrum.powers_at(g_hz, &mut powers[..=2 * k]);
+        let (p, half_s) = (self.greatest_p, 0.5 * self.duration_s);
+        let alpha = std::f64::consts::TAU * (f_hz + self.carrier_hz);
+        // Phase of the quadratic at the pulse's ends.
+        let bend = Complex64::new(0.0, alpha * p * half_s * half_s);
+        // bend^(k-1) / (k-1)!
+        let before = (1..k).fold(Complex64::ONE, |term, i| term * bend / i as f64);
+        let mut sum = powers[2 * k] * before * bend / (k as f64 * eta)
+            - powers[2 * k - 1] * before * (2.0 * p * half_s);
+        if k == 2 {
+            sum += powers[2] * (6.0 * eta * (p * half_s).powi(2))
+                - powers[3] * bend * (2.0 * p * half_s);
+        }
+        sum
+    }
+}
+
+/// `[k][i]`: of power x^k for tap i.
+pub type Polynomials = [[f64; MAX_TAPS]; POWERS];
+
+pub fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
+    polynomials
+        .iter()
+        .rev()
+        .fold(0.0, |sum, powers| sum * x + powers[tap])
+}
+
+/// The derivative of `order` in x.
+pub fn derivative(polynomials: &Polynomials, order: usize) -> Polynomials {
+    let mut out = [[0.0; MAX_TAPS]; POWERS];
+    for k in order..POWERS {
+        let falling: f64 = (k + 1 - order..=k).map(|i| i as f64).product();
+        for (out, power) in out[k - order].iter_mut().zip(&polynomials[k]) {
+            *out = falling * power;
+        }
+    }
+    out
+}
+
+fn times(factor: f64, polynomials: Polynomials) -> Polynomials {
+    polynomials.map(|row| row.map(|power| factor * power))
+}
+
+/// See [`DopplerGrid::bent`].
+pub struct Bent {
+    pub imaginary: Polynomials,
+    pub real: Polynomials,
+    pub real_2: Polynomials,
+}
+
+/// The grid of Dopplers and the weights on it.
+#[derive(Clone, Debug)]
+pub struct DopplerGrid {
+    pub taps: usize,
+    pub columns: usize,
+    /// d to cells: `d * per_doppler + offset`.
+    pub per_doppler: f64,
+    pub offset: f64,
+    pub cells: usize,
+    span: DopplerSpan,
+    /// Unused taps are 0. A single column has the weight 1.
+    pub weights: Polynomials,
+}
+
+impl DopplerGrid {
+    /// One column for all.
+    pub fn common(span: DopplerSpan) -> Self {
+        let mut weights = [[0.0; MAX_TAPS]; POWERS];
+        weights[0][0] = 1.0;
+        Self::with_weights(span, 1, 1, weights)
+    }
+
+    /// `kernel`: its width is the number of taps, its moments the powers of x in their weights, [`POWERS`] at most.
+    pub fn new(span: DopplerSpan, cells: usize, kernel: &Kernel) -> Self {
+        let mut weights = [[0.0; MAX_TAPS]; POWERS];
+        for (k, weights) in weights[..kernel.moments].iter_mut().enumerate() {
+            for (i, weight) in weights[..kernel.width].iter_mut().enumerate() {
+                *weight = kernel.weight(k, i);
+            }
+        }
+        Self::with_weights(span, cells, kernel.width, weights)
+    }
+
+    fn with_weights(span: DopplerSpan, cells: usize, taps: usize, weights: Polynomials) -> Self {
+        let width = span.greatest - span.least;
+        let per_doppler = if width > 0.0 {
+            cells as f64 / width
+        } else {
+            0.0
+        };
+        let middle = 0.5 * (span.least + span.greatest);
+        Self {
+            taps,
+            columns: cells + taps - 1,
+            per_doppler,
+            offset: 0.5 * cells as f64 - middle * per_doppler,
+            cells,
+            span,
+            weights,
+        }
+    }
+
+    /// The same weights on a part of the grid, or a grid that goes on.
+    fn with_cells(&self, cells: usize) -> Self {
+        let mut other = self.clone();
+        other.cells = cells;
+        other.columns = cells + self.taps - 1;
+        other
+    }
+
+    /// So many cells of it from `first` on, by themselves.
+    pub fn part(&self, first: usize, cells: usize) -> Self {
+        let at = |cell: usize| self.span.least + cell as f64 / self.per_doppler;
+        let span = DopplerSpan {
+            least: at(first),
+            greatest: at(first + cells),
+        };
+        Self::with_weights(span, cells, self.taps, self.weights)
+    }
+
+    /// Greatest |d|.
+    pub fn fastest(&self) -> f64 {
+        self.span.least.abs().max(self.span.greatest.abs())
+    }
+
+    /// Columns that echoes go to whose Dopplers take up this share of the span.
+    pub fn columns_of(&self, share: f64) -> usize {
+        let cells = (share * self.cells as f64).ceil() as usize + 1;
+        cells.min(self.cells) + self.taps - 1
+    }
+
+    /// Lanes that echoes take whose Dopplers take up this share of the span, on the average of where it lies.
+    pub fn typical_lanes(&self, share: f64) -> f64 {
+        let touched = share * self.cells as f64;
+        let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
+        let least = touched as usize + 1;
+        lanes_of(least) + touched.fract() * (lanes_of(least + 1) - lanes_of(least))
+    }
+
+    /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
+    #[inline(always)]
+    pub fn place(&self, doppler: f64) -> (usize, f64) {
+        let position = (doppler * self.per_doppler + self.offset).clamp(0.0, self.cells as f64);
+        let cell = (position as usize).min(self.cells - 1);
+        (cell, 2.0 * (position - cell as f64) - 1.0)
+    }
+
+    /// Cell and place across it of what lies at `share` of the span.
+    fn cell_of(&self, share: f64) -> (usize, f64) {
+        let position = share * self.cells as f64;
+        let cell = (position as usize).min(self.cells - 1);
+        (cell, 2.0 * (position - cell as f64) - 1.0)
+    }
+
+    /// The Doppler at `share` of the span, the first column of an echo that has it, and its weights.
+    pub fn at(&self, share: f64) -> (f64, usize, [f64; MAX_TAPS]) {
+        let (cell, x) = self.cell_of(share);
+        let DopplerSpan { least, greatest } = self.span;
+        (
+            least + share * (greatest - least),
+            cell,
+            std::array::from_fn(|tap| value_of(&self.weights, tap, x)),
+        )
+    }
+
+    /// The columns' weights at Dopplers that lie at `shares` of the span.
+    fn weights_at(&self, shares: &[f64]) -> Matrix {
+        self.matrix(shares, &self.weights)
+    }
+
+    /// The same of weights whose powers are `polynomials`.
+    fn matrix(&self, shares: &[f64], polynomials: &Polynomials) -> Matrix {
+        Matrix::from_fn(shares.len(), self.columns, |s, column| {
+            let (cell, x) = self.cell_of(shares[s]);
+            match column.checked_sub(cell) {
+                Some(tap) if tap < self.taps => value_of(polynomials, tap, x),
+                _ => 0.0,
+            }
+        })
+    }
+
+    /// Weights for echoes that are bent by exp(j b (2w/T)^2): those of S_d plus
+    /// b `real` + b^2 `real_2` + j b `imaginary`, in powers of x. `theta`: by what a pulse's end turns over half a cell; `sweep`: half the
+    /// swept band over the carrier, with its sign.
+    pub fn bent(&self, theta: f64, sweep: f64) -> Bent {
+        Bent {
+            imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
+            real: times(sweep * theta.powi(-3), derivative(&self.weights, 3)),
+            real_2: times(-0.5 * theta.powi(-4), derivative(&self.weights, 4)),
+        }
+    }
+
+    /// By what the end of a pulse turns over half a cell, about.
+    pub fn theta(&self, carrier_hz: f64, duration_s: f64) -> f64 {
+        match self.per_doppler > 0.0 {
+            true => 0.5 * std::f64::consts::PI * carrier_hz * duration_s / self.per_doppler,
+            false => 0.0,
+        }
+    }
+
+    /// How many Dopplers a fit of such a pulse needs: more than there are columns, of which a single wide cell has more than samples.
+    fn sample_count(&self, carrier_hz: f64, duration_s: f64) -> usize {
+        let cycles = (self.span.greatest - self.span.least) * carrier_hz * duration_s;
+        (SAMPLES_PER_CELL * self.cells)
+            .max((SAMPLES_PER_CYCLE * cycles).ceil() as usize)
+            .max(2 * self.columns)
+    }
+}
+
+/// Where `count` Dopplers lie over a span, its ends among them and closest there: a fit is worst at ends.
+fn fitted_shares(count: usize) -> Vec<f64> {
+    let step_rad = std::f64::consts::PI / (count - 1) as f64;
+    (0..count)
+        .map(|s| 0.5 - 0.5 * libm::cos(s as f64 * step_rad))
+        .collect()
+}
+
+/// As many evenly, ends included: where a fit is looked at.
+fn even_shares(count: usize) -> Vec<f64> {
+    (0..count).map(|s| s as f64 / (count - 1) as f64).collect()
+}
+
+/// The Dopplers there.
+fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
+    shares
+        .iter()
+        .map(|share| span.least + share * (span.greatest - span.least))
+        .collect()
+}
+
+/// What a grid is tried on: waves over the span of Dopplers that turn as fast as instants of the pulse do, from its middle to its end.
+#[derive(Clone, Copy, Debug)]
+pub struct Trial {
+    /// Turns of the pulse's end, from its middle, over the whole span.
+    pub turns: f64,
+    /// Greatest phase of the curvature at the pulse's ends, if the weights are to carry it, and half the swept band over the carrier.
+    pub bend_rad: f64,
+    pub sweep: f64,
+}
+
+/// Instants of the pulse that are looked at, over half its length: the fit is worst at the end.
+const INSTANTS: [f64; 8] = [0.0, 0.3, 0.55, 0.75, 0.85, 0.92, 0.97, 1.0];
+
+/// A finer grid is as good as its first cells.
+const MAX_TRIAL_CELLS: usize = 20;
+
+impl Trial {
+    /// Greatest error at any instant of the echo that `grid` serves worst, over what sounds at that instant.
+    pub fn worst(&self, grid: &DopplerGrid) -> f64 {
+        if grid.cells > MAX_TRIAL_CELLS {
+            let fewer = Self {
+                turns: self.turns * MAX_TRIAL_CELLS as f64 / grid.cells as f64,
+                ..*self
+            };
+            return fewer.worst(&grid.with_cells(MAX_TRIAL_CELLS));
+        }
+        // As many Dopplers as the fit has, and twice as many to look at.
+        let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
+        let fitted = fitted_shares(count);
+        let fit = grid.weights_at(&fitted).pseudo_inverse();
+        let shares = even_shares(2 * count);
+        let weights = grid.weights_at(&shares);
+        let theta = std::f64::consts::PI * self.turns / grid.cells as f64;
+        let bent = (self.bend_rad > 0.0 && theta > 0.0).then(|| grid.bent(theta, self.sweep));
+        let parts: Vec<(Matrix, f64)> = match &bent {
+            None => Vec::new(),
+            Some(bent) => vec![
+                (grid.matrix(&shares, &bent.imaginary), self.bend_rad),
+                (grid.matrix(&shares, &bent.real), self.bend_rad),
+                (grid.matrix(&shares, &bent.real_2), self.bend_rad.powi(2)),
+            ],
+        };
+        let mut worst: f64 = 0.0;
+        for u in INSTANTS {
+            let wave = |share: &f64| {
+                Complex64::cis(std::f64::consts::TAU * self.turns * u * (share - 0.5))
+            };
+            let wanted: Vec<Complex64> = fitted.iter().map(wave).collect();
+            let columns: Vec<Complex64> = (0..grid.columns)
+                .map(|column| {
+                    let pairs = fit.row(column).iter().zip(&wanted);
+                    pairs.fold(Complex64::ZERO, |sum, (p, s)| sum + s * p)
+                })
+                .collect();
+            for (s, share) in shares.iter().enumerate() {
+                let (want, cell) = (wave(share), grid.cell_of(*share).0);
+                let through = |weights: &Matrix| -> Complex64 {
+                    (cell..cell + grid.taps)
+                        .map(|column| columns[column] * weights.at(s, column))
+                        .sum()
+                };
+                let mut off = (through(&weights) - want).norm();
+                // What each should be of the wave: (2w/T)^2, sweep (2w/T)^3 and -(2w/T)^4/2.
+                let should = [
+                    Complex64::new(u.powi(2), 0.0),
+                    Complex64::new(0.0, self.sweep * u.powi(3)) * -1.0,
+                    Complex64::new(-0.5 * u.powi(4), 0.0),
+                ];
+                for ((weights, size), should) in parts.iter().zip(should) {
+                    off += size * (through(weights) - want * should).norm();
+                }
+                worst = worst.max(off);
+            }
+        }
+        worst
+    }
+}
+
+/// Bins whose templates are worked out together.
+const BINS: usize = 64;
+
+/// Columns and bins whose sums are held in registers.
+const COLUMNS: usize = 4;
+const LANES: usize = 16;
+
+/// A fit to be made for many bins.
+struct Fitting<'a> {
+    received: Received<'a>,
+    dopplers: Vec<f64>,
+    /// Of each column that is wanted: by what it takes the pulse at each Doppler.
+    rows: Vec<&'a [f64]>,
+}
+
+/// Numbers of the bins of a block.
+type Lane = [f64; BINS];
+
+/// What `columns` of the grid sound like: `[k * bins + bin]`, k counting them. `frequency_hz` and `gain` give each bin's place and H there.
+pub fn templates(
+    grid: &DopplerGrid,
+    received: Received,
+    columns: &[usize],
+    frequency_hz: &[f64],
+    gain: &[f64],
+) -> Vec<Complex64> {
+    let bins = frequency_hz.len();
+    let count = grid.sample_count(received.carrier_hz, received.duration_s);
+    let shares = fitted_shares(count);
+    let fit = grid.weights_at(&shares).pseudo_inverse();
+    let fitting = Fitting {
+        dopplers: dopplers(grid.span, &shares),
+        rows: columns.iter().map(|&column| fit.row(column)).collect(),
+        received,
+    };
+    let mut values = vec![Complex64::ZERO; columns.len() * bins];
+    let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
+    for first in (0..bins).step_by(BINS) {
+        let end = bins.min(first + BINS);
+        if gain[first..end].iter().all(|&g| g == 0.0) {
+            continue;
+        }
+        fitting.block(
+            (first, bins),
+            &frequency_hz[first..end],
+            &gain[first..end],
+            &mut wanted,
+            &mut values,
+        );
+    }
+    values
+}
+
+impl Fitting<'_> {
+    /// The bins from the first of `at` on; its second is how many there are in all. `wanted` is scratch, one for each Doppler.
+    fn block(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut [Complex64],
+    ) {
+        match SimdLevel::best().kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => unsafe { self.block_avx2(at, frequency_hz, gain, wanted, out) },
+            _ => self.block_plain(at, frequency_hz, gain, wanted, out),
+        }
+    }
+
+    /// The AVX-512 and AVX2 builds of [`Self::block_plain`]: the same arithmetic, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+    fn block_avx512(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut [Complex64],
+    ) {
+        self.block_plain(at, frequency_hz, gain, wanted, out);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn block_avx2(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut [Complex64],
+    ) {
+        self.block_plain(at, frequency_hz, gain, wanted, out);
+    }
+
+    #[inline(always)]
+    fn block_plain(
+        &self,
+        at: (usize, usize),
+        frequency_hz: &[f64],
+        gain: &[f64],
+        wanted: &mut [(Lane, Lane)],
+        out: &mut [Complex64],
+    ) {
+        let (first, bins) = at;
+        for (want, &d) in wanted.iter_mut().zip(&self.dopplers) {
+            for (b, (&f_hz, gain)) in frequency_hz.iter().zip(gain).enumerate() {
+                let value = self.received.at(f_hz, d) * gain;
+                (want.0[b], want.1[b]) = (value.re, value.im);
+            }
+        }
+        for (group, rows) in self.rows.chunks(COLUMNS).enumerate() {
+            // What is missing from a group is worked out twice.
+            let last = rows.len() - 1;
+            let of: [&[f64]; COLUMNS] = std::array::from_fn(|k| rows[k.min(last)]);
+            for lane in (0..frequency_hz.len()).step_by(LANES) {
+                let mut sums = [[[0.0; LANES]; 2]; COLUMNS];
+                for (s, want) in wanted.iter().enumerate() {
+                    let (re, im) = (&want.0[lane..lane + LANES], &want.1[lane..lane + LANES]);
+                    for (sums, row) in sums.iter_mut().zip(of) {
+                        let p = row[s];
+                        for b in 0..LANES {
+                            sums[0][b] += p * re[b];
+                            sums[1][b] += p * im[b];
+                        }
+                    }
+                }
+                let heard = (frequency_hz.len() - lane).min(LANES);
+                for (k, sums) in sums[..=last].iter().enumerate() {
+                    let values = (group * COLUMNS + k) * bins + first + lane;
+                    for (b, value) in out[values..values + heard].iter_mut().enumerate() {
+                        *value = Complex64::new(sums[0][b], sums[1][b]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echotank_core::flow::{Pulse, PulseKind};
+
+    /// Seven columns over a single cell were once fitted to six Dopplers.
+    #[test]
+    fn wide_kernels_over_few_cells_are_fitted_to_more_dopplers_than_they_have_columns() {
+        let pulse = Pulse {
+            kind: PulseKind::LfmUp,
+            center_frequency_hz: 20e3,
+            bandwidth_hz: 2e3,
+            duration_s: 0.3e-3,
+            taper: 0.2,
+        };
+        let spectrum = PulseSpectrum::new(&pulse, 4e3);
+        let span = DopplerSpan {
+            least: -1e-3,
+            greatest: 1e-3,
+        };
+        let frequency_hz: Vec<f64> = (-8..8).map(|k| 200.0 * f64::from(k)).collect();
+        let received = Received {
+            spectrum: &spectrum,
+            carrier_hz: pulse.center_frequency_hz,
+            duration_s: pulse.duration_s,
+            order: 0,
+            greatest_p: 0.0,
+        };
+        for cells in 1..=3 {
+            for width in 2..=MAX_TAPS {
+                let grid = DopplerGrid::new(span, cells, &Kernel::new(width, 2.0, POWERS));
+                let columns: Vec<usize> = (0..grid.columns).collect();
+                let values = templates(&grid, received, &columns, &frequency_hz, &[1.0; 16]);
+                assert_eq!(values.len(), 16 * grid.columns);
+                assert!(
+                    values.iter().all(|value| value.is_finite()),
+                    "{cells}, {width}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,1198 @@
+//! `gridded-1d`: the echoes of one element by the one-dimensional transform, for any array.
+//!
+//! In: arrivals of one element ([`ArrivalSink`]). Out: its samples. Every echo's middle is spread with its carrier phase over the grid of
+//! delays ([`super::moments`]) and, where echoes differ in Doppler, over a few of the columns of [`super::doppler`]. Each column is
+//! transformed, multiplied by its template (pulse stretched by the column's Doppler, receiver filter, what undoes the kernels), the sum is
+//! folded onto the sample rate and transformed back.
+//!
+//! Where the stretch itself changes during the pulse (`stretch-quadratic`), the weights on the columns carry it. To a tolerance for which that
+//! is not good enough each term of the series in its curvature is one more set of columns, which the same points are added to with (p/p_max)^k as factor: few and coarse, since the terms are small, and left out for
+//! chunks whose echoes are bent too little to need them.
+//!
+//! The tolerance decides: widths and oversamplings of both kernels, how many multiples of the sample rate the band has, f32 or f64 for
+//! moments and transforms. f32 rounding in a transform spreads 1e-7 of the strongest echo over the whole record, f32 moments stay near
+//! their echo: so between the two lies the member with f32 moments and f64 transforms.
+//!
+//! What it equals: [`super::super::direct`] fed to the receiver filter, in the limit of dense sampling.
+
+use std::any::TypeId;
+use std::sync::{Arc, OnceLock};
+
+use echotank_fft::Fft;
+use num_complex::{Complex, Complex64};
+
+use crate::array::filter::Decimator;
+use echotank_core::flow::{ArrivalChunk, ArrivalSink, DopplerModel, ErrorModel, Pulse};
+
+use super::batched_fft::{BatchedFft, Job, LANES, MAX_TOGETHER, Place, lanes_for};
+use super::choose::{SHARE, weakening};
+use super::cost_estimate::CostEstimate;
+use super::design::Design;
+use super::doppler::DopplerSpan;
+use super::kernel::MAX_WIDTH;
+use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
+use super::prepare::{Columns, Frame, Prepared};
+use super::simd_level::{Kind, SimdLevel};
+
+/// Below this tolerance moments are f64: f32 rounds amplitudes, places and sums to 1e-7 or so of an echo.
+pub const MIN_F32_MOMENTS: f64 = 1e-6;
+
+/// f32 transforms leave this much of the strongest echo everywhere.
+const F32_TRANSFORM: f64 = 1e-7;
+
+/// The least tolerance that f64 delays and kernels are good for here.
+const MIN_TOLERANCE: f64 = 1e-10;
+
+/// What the engine is to be made for.
+#[derive(Clone, Copy)]
+pub struct Spec<'a> {
+    pub pulse: &'a Pulse,
+    pub sample_rate_hz: f64,
+    /// Samples of one element, at most.
+    pub samples: usize,
+    /// None: the sum is sampled at its points.
+    pub filter: Option<&'a Decimator>,
+    pub doppler: DopplerModel,
+    /// The widest that will occur at leading edges; with `DopplerModel::None` it is not looked at.
+    pub span: DopplerSpan,
+    /// Greatest |curvature| that will occur, per second; looked at with `DopplerModel::StretchQuadratic` alone.
+    pub curvature_per_s: f64,
+    /// Relative error in any window of a pulse's length.
+    pub tolerance: f64,
+    /// How much weaker than the strongest window the weakest may be, dB.
+    pub level_range_db: f64,
+    /// Arrivals per element, roughly: decides what is fastest, and whether echoes may sound by themselves.
+    pub arrivals: usize,
+    pub simd_level: SimdLevel,
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GriddedError {
+    #[error(
+        "gridded-1d cannot reach a tolerance of {tolerance:e}: what of the pulse lies outside every band it can have makes an error of \
+         {share:.1e} in some window; use the receiver filter, a longer taper or `direct`"
+    )]
+    OutOfBand { tolerance: f64, share: f64 },
+    #[error("gridded-1d cannot reach a tolerance of {tolerance:e}; its least is {least:e}")]
+    Tolerance { tolerance: f64, least: f64 },
+    #[error("gridded-1d does not know the Doppler model `paper-eq21`")]
+    DopplerModel,
+    #[error(
+        "gridded-1d: a curvature of {curvature_per_s} per second turns the ends of the pulse by {turned_rad:.1} rad, too much for a tolerance \
+         of {tolerance:e}"
+    )]
+    Curvature {
+        curvature_per_s: f64,
+        turned_rad: f64,
+        tolerance: f64,
+    },
+    #[error("Doppler from {least} to {greatest}: expected -0.1 <= least <= greatest <= 0.1")]
+    Doppler { least: f64, greatest: f64 },
+}
+
+/// The engine as it is designed; its tables are made for the first [`Self::work`], and shared by all threads.
+pub struct Gridded1d {
+    make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
+    cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
+    error_model: ErrorModel,
+}
+
+/// One thread's buffers and the element it is at. Use: [`Self::start`], then as [`ArrivalSink`], then [`Self::finish`].
+pub struct Gridded1dWork(Box<dyn Element>);
+
+/// What did not fit the plan, per element.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Misfits {
+    /// Delays that cannot be heard in the window: left out.
+    pub outside_window: u64,
+    /// Dopplers outside the span given to `start`, curvatures beyond the plan's: taken as the nearest within.
+    pub outside_span: u64,
+}
+
+impl Gridded1d {
+    pub fn new(spec: &Spec) -> Result<Self, GriddedError> {
+        let DopplerSpan { least, greatest } = spec.span;
+        if !(-0.1 <= least && least <= greatest && greatest <= 0.1) {
+            return Err(GriddedError::Doppler { least, greatest });
+        }
+        if !(MIN_TOLERANCE..).contains(&spec.tolerance) {
+            return Err(GriddedError::Tolerance {
+                tolerance: spec.tolerance,
+                least: MIN_TOLERANCE,
+            });
+        }
+        let spread_error = F32_TRANSFORM * 10f64.powf(spec.level_range_db / 20.0);
+        let weakening = weakening(spec);
+        let needed = spec.tolerance / weakening;
+        if needed < MIN_F32_MOMENTS {
+            Self::of::<f64, f64>(spec, weakening, 0.0, "f64")
+        } else if spread_error > SHARE * needed {
+            Self::of::<f32, f64>(spec, weakening, 0.0, "f32 moments, f64 transforms")
+        } else {
+            Self::of::<f32, f32>(spec, weakening, spread_error, "f32")
+        }
+    }
+
+    fn of<M: Real + Into<f64>, G: Real + Into<f64>>(
+        spec: &Spec,
+        weakening: f64,
+        spread_error: f64,
+        precision: &str,
+    ) -> Result<Self, GriddedError> {
+        let design = Design::new::<M>(spec, weakening)?;
+        // f64 is twice as much of everything.
+        let words = (size_of::<G>() / size_of::<f32>()) as f64;
+        let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
+        let doppler = &design.terms[0].grid;
+        let bent = match &design.terms[1..] {
+            [] if design.frame.bent => ", which carry curvature".into(),
+            [] => String::new(),
+            more => {
+                let columns: Vec<String> = more
+                    .iter()
+                    .map(|term| term.grid.columns.to_string())
+                    .collect();
+                format!(", for curvature {}", columns.join(" + "))
+            }
+        };
+        let error_model = ErrorModel {
+            name: "gridded-1d",
+            error,
+            cost_ms: design
+                .cost_estimate(words, spec.arrivals, 1.0, f64::INFINITY)
+                .ms(),
+            why: format!(
+                "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
+                design.bins, design.grid, design.kernel.width, doppler.columns, doppler.taps
+            ),
+        };
+        let design = Arc::new(design);
+        let (costing, (simd_level, samples)) = (design.clone(), (spec.simd_level, spec.samples));
+        let plan = OnceLock::new();
+        Ok(Self {
+            make: Box::new(move || {
+                let made = || Arc::new(Plan::<M, G>::new(&design, simd_level, samples));
+                Box::new(Work::new(plan.get_or_init(made).clone()))
+            }),
+            cost_estimate: Box::new(move |arrivals, share, bend| {
+                costing.cost_estimate(words, arrivals, share, bend)
+            }),
+            error_model,
+        })
+    }
+
+    /// Predicted error, and milliseconds of one core per element.
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
+    }
+
+    /// Of one element with so many echoes, whose Dopplers take up this share of the span and whose curvatures reach this far.
+    pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
+        (self.cost_estimate)(arrivals, share, curvature_per_s)
+    }
+
+    /// Buffers for one thread. The first makes the tables: milliseconds to seconds.
+    pub fn work(&self) -> Gridded1dWork {
+        Gridded1dWork((self.make)())
+    }
+}
+
+impl Gridded1dWork {
+    /// Begins an element. Sample k will lie `first_sample_s + k / sample_rate_hz` after the start of the pulse; echoes have Dopplers in
+    /// `span`, part of the plan's: the narrower, the less there is to do.
+    pub fn start(&mut self, first_sample_s: f64, span: DopplerSpan) {
+        self.0.start(first_sample_s, span);
+    }
+
+    /// Overwrites `out`, at most the plan's `samples` of it.
+    pub fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
+        self.0.finish(out)
+    }
+}
+
+impl ArrivalSink for Gridded1dWork {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        self.0.accept(chunk);
+    }
+}
+
+/// [`Gridded1dWork`], whatever its precision.
+trait Element: Send {
+    fn start(&mut self, first_sample_s: f64, span: DopplerSpan);
+    fn accept(&mut self, chunk: &ArrivalChunk);
+    fn finish(&mut self, out: &mut [Complex64]) -> Misfits;
+}
+
+/// M: moments; G: grids and transforms.
+struct Plan<M: Real, G: Real> {
+    simd_level: SimdLevel,
+    samples: usize,
+    /// Length of the record in samples, and of its spectrum.
+    period: usize,
+    grid: usize,
+    /// Grid steps per second.
+    scale: f64,
+    shift: f64,
+    /// From the start of the record to the first sample.
+    lead_s: f64,
+    flush: FlushWeights<M>,
+    frame: Frame,
+    /// Of the series in the curvature; the first is the echo without.
+    terms: Vec<Term<M, G>>,
+    /// None where every term has one column.
+    columnwise: Option<Columnwise<G>>,
+    /// By which Dopplers of middles may lie outside those of leading edges.
+    beside: f64,
+    forward: Arc<dyn Fft<G>>,
+    inverse: Arc<dyn Fft<G>>,
+}
+
+struct Term<M: Real, G: Real> {
+    columns: Columns<M>,
+    templates: Templates<G>,
+    /// Chunks whose greatest |p| over the plan's is below this do without.
+    min_bend: f64,
+}
+
+/// What each column sounds like, and what undoes the kernel.
+enum Templates<G> {
+    /// One column: `[bin]`, lowest frequency first.
+    One(Vec<Complex<G>>),
+    /// `[place][2 * lanes]`, real parts and then imaginary ones; [`LANES`] more than there are columns.
+    BatchedFft { lanes: usize, numbers: Vec<G> },
+}
+
+/// What the terms of several columns have in common.
+struct Columnwise<G> {
+    transform: BatchedFft<G>,
+    places: Vec<Place>,
+    /// Of every place.
+    bins: Vec<u32>,
+}
+
+impl<G: Real> Columnwise<G> {
+    fn new(grid: usize, bins: usize, period: usize) -> Self {
+        let transform = BatchedFft::new(grid);
+        let (mut places, mut of_place) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
+        for (row, frequency) in transform.frequencies().enumerate() {
+            let bin = (frequency + bins / 2) % grid;
+            if bin < bins {
+                // A period more than the band has multiples of: no difference below 0.
+                let to = (bin + bins * period - bins / 2) % period;
+                places.push(Place {
+                    row: row as u32,
+                    to: to as u32,
+                });
+                of_place.push(bin as u32);
+            }
+        }
+        Self {
+            transform,
+            places,
+            bins: of_place,
+        }
+    }
+
+    /// `fitted`: `[bin * columns + column]`, `undo`: `[bin]`.
+    fn templates(&self, fitted: &[Complex64], undo: &[Complex64]) -> Templates<G> {
+        let columns = fitted.len() / undo.len();
+        let lanes = columns + LANES;
+        let mut numbers = vec![G::zero(); self.places.len() * 2 * lanes];
+        for (row, &bin) in numbers.chunks_exact_mut(2 * lanes).zip(&self.bins) {
+            let (re, im) = row.split_at_mut(lanes);
+            let (bin, undo) = (bin as usize, undo[bin as usize]);
+            let fitted = &fitted[bin * columns..][..columns];
+            for ((re, im), value) in re.iter_mut().zip(im).zip(fitted) {
+                let value = value * undo;
+                (*re, *im) = (G::narrow(value.re), G::narrow(value.im));
+            }
+        }
+        Templates::BatchedFft { lanes, numbers }
+    }
+}
+
+impl<M: Real, G: Real> Plan<M, G> {
+    fn new(design: &Design, simd_level: SimdLevel, samples: usize) -> Self {
+        let Design {
+            period, bins, grid, ..
+        } = *design;
+        let undo = design.undo();
+        let columnwise = (!design.has_one_column).then(|| Columnwise::new(grid, bins, period));
+        let terms = design
+            .terms
+            .iter()
+            .zip(design.templates())
+            .map(|(term, fitted)| {
+                let templates = match &columnwise {
+                    Some(columnwise) if term.grid.columns > 1 => {
+                        columnwise.templates(&fitted, &undo)
+                    }
+                    _ => {
+                        let values = fitted.iter().zip(&undo).map(|(value, undo)| value * undo);
+                        let narrow = |v: Complex64| Complex::new(G::narrow(v.re), G::narrow(v.im));
+                        Templates::One(values.map(narrow).collect())
+                    }
+                };
+                Term {
+                    templates,
+                    columns: Columns::new(term.grid.clone(), design.bent(&term.grid)),
+                    min_bend: term.min_bend,
+                }
+            });
+        Self {
+            terms: terms.collect(),
+            simd_level,
+            samples,
+            period,
+            grid,
+            scale: design.grid_hz(),
+            shift: design.kernel.shift(),
+            lead_s: design.lead_s,
+            flush: FlushWeights::new(&design.kernel),
+            frame: design.frame,
+            columnwise,
+            beside: design.beside,
+            forward: G::plan_forward(grid),
+            inverse: G::plan_inverse(period),
+        }
+    }
+
+    /// Where what is not heard goes: far enough past the values that count.
+    fn drain(&self) -> usize {
+        self.grid + MAX_WIDTH
+    }
+
+    /// Of a table of several columns: up to the drain, and what it reaches.
+    fn rows(&self) -> usize {
+        self.grid + 2 * MAX_WIDTH + 2
+    }
+}
+
+struct Work<M: Real, G: Real> {
+    plan: Arc<Plan<M, G>>,
+    /// One for each of the plan's terms.
+    terms: Vec<TermWork<M, G>>,
+    prepared: Box<Prepared<M>>,
+    located: Box<Located<M>>,
+    /// One column, flushed.
+    values: Vec<Complex<M>>,
+    column: Vec<Complex<G>>,
+    spectrum: Vec<Complex<G>>,
+    scratch: Vec<Complex<G>>,
+    /// Several columns as they are transformed, where moments are something else or there are many.
+    wide: Vec<G::Row>,
+    wide_scratch: Vec<G::Row>,
+    /// Of this element.
+    origin_s: f64,
+    /// Of its echoes' middles.
+    span: DopplerSpan,
+    misfits: Misfits,
+}
+
+/// Where one term of an element is added up.
+struct TermWork<M: Real, G: Real> {
+    /// Moments for one column; for several their grids abreast.
+    table: Vec<M::Row>,
+    first_column: usize,
+    columns: usize,
+    lanes: usize,
+    /// Of these columns alone, `[place][2 * lanes]`.
+    templates: Vec<G::Row>,
+    /// First column and lanes that those are of.
+    kept: (usize, usize),
+    /// Something was added since the element began.
+    used: bool,
+}
+
+impl<M: Real, G: Real> Work<M, G> {
+    fn new(plan: Arc<Plan<M, G>>) -> Self {
+        let places = plan.columnwise.as_ref().map_or(0, |c| c.places.len());
+        let terms: Vec<_> = plan
+            .terms
+            .iter()
+            .map(|term| {
+                let columns = term.columns.grid.columns;
+                let (rows, template_rows) = match columns {
+                    1 => (plan.grid + 2 * MAX_WIDTH + 1, 0),
+                    _ => {
+                        let numbers = 2 * lanes_for(columns);
+                        (
+                            rows_of::<M>(numbers * plan.rows()),
+                            rows_of::<G>(numbers * places),
+                        )
+                    }
+                };
+                TermWork {
+                    table: vec![M::EMPTY; rows],
+                    first_column: 0,
+                    columns,
+                    lanes: lanes_for(columns),
+                    templates: vec![G::EMPTY; template_rows],
+                    kept: (0, 0),
+                    used: false,
+                }
+            })
+            .collect();
+        let scratch = plan
+            .forward
+            .get_inplace_scratch_len()
+            .max(plan.inverse.get_inplace_scratch_len());
+        let one = plan.terms.iter().any(|t| t.columns.grid.columns == 1);
+        let widest = terms.iter().map(|term| term.lanes).fold(0, usize::max);
+        let apart = TypeId::of::<M>() != TypeId::of::<G>() || widest > together::<G>();
+        let (wide, wide_scratch) = match &plan.columnwise {
+            None => (0, 0),
+            Some(columnwise) => (
+                match apart {
+                    true => 2 * together::<G>() * plan.grid,
+                    false => 0,
+                },
+                columnwise.transform.scratch_len(),
+            ),
+        };
+        Self {
+            terms,
+            prepared: Box::new(Prepared::new()),
+            located: Box::default(),
+            values: vec![zero::<M>(); if one { plan.grid + plan.flush.width } else { 0 }],
+            column: vec![zero::<G>(); if one { plan.grid } else { 0 }],
+            spectrum: vec![zero::<G>(); plan.period],
+            scratch: vec![zero::<G>(); scratch],
+            wide: vec![G::EMPTY; rows_of::<G>(wide)],
+            wide_scratch: vec![G::EMPTY; rows_of::<G>(wide_scratch)],
+            origin_s: 0.0,
+            span: DopplerSpan {
+                least: 0.0,
+                greatest: 0.0,
+            },
+            misfits: Misfits::default(),
+            plan,
+        }
+    }
+}
+
+/// Lanes that are laid together to be transformed.
+fn together<G: Real>() -> usize {
+    MAX_TOGETHER * size_of::<f32>() / size_of::<G>()
+}
+
+/// Rows of storage that hold so many numbers.
+fn rows_of<T: Real>(numbers: usize) -> usize {
+    numbers.div_ceil(2 * T::MOMENTS)
+}
+
+impl<M: Real, G: Real> TermWork<M, G> {
+    /// Has the templates of the columns at hand that the element's echoes go to.
+    fn keep(&mut self, planned: &Templates<G>) {
+        let Templates::BatchedFft { lanes, numbers } = planned else {
+            return;
+        };
+        let wanted = (self.first_column, self.lanes);
+        if self.kept == wanted {
+            return;
+        }
+        let kept = G::numbers(&mut self.templates).chunks_exact_mut(2 * self.lanes);
+        for (kept, row) in kept.zip(numbers.chunks_exact(2 * lanes)) {
+            let (re, im) = kept.split_at_mut(self.lanes);
+            re.copy_from_slice(&row[self.first_column..][..self.lanes]);
+            im.copy_from_slice(&row[lanes + self.first_column..][..self.lanes]);
+        }
+        self.kept = wanted;
+    }
+}
+
+/// The same numbers, where M is G.
+fn same<M: Real, G: Real>(numbers: &mut [M]) -> Option<&mut [G]> {
+    if TypeId::of::<M>() != TypeId::of::<G>() {
+        return None;
+    }
+    // SAFETY: M is G.
+    Some(unsafe { std::slice::from_raw_parts_mut(numbers.as_mut_ptr().cast(), numbers.len()) })
+}
+
+fn zero<T: Real>() -> Complex<T> {
+    Complex::new(T::zero(), T::zero())
+}
+
+impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
+    fn start(&mut self, first_sample_s: f64, span: DopplerSpan) {
+        let plan = &*self.plan;
+        self.origin_s = first_sample_s - plan.lead_s;
+        self.misfits = Misfits::default();
+        self.span = DopplerSpan {
+            least: span.least - plan.beside,
+            greatest: span.greatest + plan.beside,
+        };
+        for (term, planned) in self.terms.iter_mut().zip(&plan.terms) {
+            let grid = &planned.columns.grid;
+            if term.used {
+                term.table.fill(M::EMPTY);
+                term.used = false;
+            }
+            term.first_column = grid.place(self.span.least).0;
+            let last = grid.place(self.span.greatest).0;
+            term.columns = last - term.first_column + grid.taps;
+            term.lanes = lanes_for(term.columns);
+            term.keep(&planned.templates);
+        }
+    }
+
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        let plan = &*self.plan;
+        let prepared = &mut *self.prepared;
+        let outside = plan
+            .frame
+            .prepare(plan.simd_level, chunk, self.span, prepared);
+        self.misfits.outside_span += outside;
+        let n = chunk.len;
+        let axis = Axis {
+            per_s: plan.scale,
+            offset: plan.shift - self.origin_s * plan.scale,
+            cells: plan.grid + 1,
+            drain: plan.drain(),
+        };
+        let located = &mut *self.located;
+        self.misfits.outside_window +=
+            locate(plan.simd_level, axis, &prepared.delay_s[..n], located);
+        for (order, (term, planned)) in self.terms.iter_mut().zip(&plan.terms).enumerate() {
+            if order > 0 {
+                if prepared.most_bent < planned.min_bend {
+                    break;
+                }
+                for (amplitude, bend) in prepared.amplitude[..n].iter_mut().zip(&prepared.bend) {
+                    *amplitude = *amplitude * *bend;
+                }
+            }
+            term.used = true;
+            let columns = &planned.columns;
+            if columns.grid.columns > 1 {
+                let used = term.first_column..term.first_column + term.columns;
+                columns.place(plan.simd_level, n, used, prepared);
+            }
+            let points = Points {
+                cell: &located.cell[..n],
+                x: &located.x[..n],
+                amplitude: &prepared.amplitude[..n],
+            };
+            if columns.grid.columns == 1 {
+                M::accumulate(plan.simd_level, points, &mut term.table);
+                continue;
+            }
+            let across = Across {
+                column: &prepared.column[..n],
+                value: &prepared.value[..n],
+                taps: columns.grid.taps,
+                lanes: term.lanes,
+            };
+            let table = &mut M::numbers(&mut term.table)[..2 * term.lanes * plan.rows()];
+            M::spread(plan.simd_level, points, across, &plan.flush, table);
+        }
+    }
+
+    fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
+        let plan = &*self.plan;
+        assert!(
+            out.len() <= plan.samples,
+            "{} samples of {}",
+            out.len(),
+            plan.samples
+        );
+        self.spectrum.fill(zero());
+        for (term, planned) in self.terms.iter_mut().zip(&plan.terms) {
+            if !term.used {
+                continue;
+            }
+            if let Templates::One(templates) = &planned.templates {
+                // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
+                let cells = &term.table[..plan.grid + 2];
+                M::flush(plan.simd_level, cells, &plan.flush, &mut self.values);
+                // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
+                let (period, beyond) = self.values.split_at(plan.grid);
+                for (value, v) in self.column.iter_mut().zip(period) {
+                    *value = widen(*v);
+                }
+                for (value, v) in self.column.iter_mut().zip(beyond) {
+                    *value = *value + widen(*v);
+                }
+                plan.forward
+                    .process_with_scratch(&mut self.column, &mut self.scratch);
+                add_folded(plan.simd_level, &mut self.spectrum, &self.column, templates);
+                continue;
+            }
+            let Some(columnwise) = &plan.columnwise else {
+                continue;
+            };
+            let width = 2 * term.lanes;
+            let (table, rest) =
+                M::numbers(&mut term.table)[..width * plan.rows()].split_at_mut(width * plan.grid);
+            // It closes, as above.
+            for (value, beyond) in table.iter_mut().zip(&rest[..width * plan.flush.width]) {
+                *value = *value + *beyond;
+            }
+            rest.fill(M::zero());
+            let templates = &G::numbers(&mut term.templates)[..width * columnwise.places.len()];
+            let mut transform = |table: &mut [G], lanes: usize, first_template: usize| {
+                let job = Job {
+                    table,
+                    lanes,
+                    places: &columnwise.places,
+                    templates,
+                    template_lanes: term.lanes,
+                    first_template,
+                    spectrum: &mut self.spectrum,
+                    scratch: G::numbers(&mut self.wide_scratch),
+                };
+                G::transform(plan.simd_level, &columnwise.transform, job);
+            };
+            let most = together::<G>();
+            let direct = TypeId::of::<M>() == TypeId::of::<G>() && term.lanes <= most;
+            if direct && let Some(table) = same::<M, G>(table) {
+                transform(table, term.lanes, 0);
+            } else {
+                // Some at a time, closer together.
+                for first in (0..term.lanes).step_by(most) {
+                    let lanes = most.min(term.lanes - first);
+                    let wide = &mut G::numbers(&mut self.wide)[..2 * lanes * plan.grid];
+                    let rows = wide.chunks_exact_mut(2 * lanes);
+                    for (wide, row) in rows.zip(table.chunks_exact(width)) {
+                        let (re, im) = wide.split_at_mut(lanes);
+                        for (wide, value) in re.iter_mut().zip(&row[first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                        for (wide, value) in im.iter_mut().zip(&row[term.lanes + first..]) {
+                            *wide = G::narrow((*value).into());
+                        }
+                    }
+                    transform(wide, lanes, first);
+                }
+                table.fill(M::zero());
+            }
+            // The table is empty again.
+            term.used = false;
+        }
+        plan.inverse
+            .process_with_scratch(&mut self.spectrum, &mut self.scratch);
+        for (out, value) in out.iter_mut().zip(&self.spectrum) {
+            *out = Complex64::new(value.re.into(), value.im.into());
+        }
+        self.misfits
+    }
+}
+
+fn widen<M: Real + Into<f64>, G: Real>(v: Complex<M>) -> Complex<G> {
+    Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()))
+}
+
+/// Adds transform times template, bin for bin, to the spectrum that repeats every sample rate.
+fn add_folded<G: Real>(
+    simd_level: SimdLevel,
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    match simd_level.kind() {
+        // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 => unsafe { add_folded_avx512(spectrum, column, template) },
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx2 => unsafe { add_folded_avx2(spectrum, column, template) },
+        _ => add_folded_plain(spectrum, column, template),
+    }
+}
+
+/// The AVX-512 and AVX2 builds of [`add_folded_plain`]: the same arithmetic, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn add_folded_avx512<G: Real>(
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    add_folded_plain(spectrum, column, template);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_folded_avx2<G: Real>(
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    add_folded_plain(spectrum, column, template);
+}
+
+#[inline(always)]
+fn add_folded_plain<G: Real>(
+    spectrum: &mut [Complex<G>],
+    column: &[Complex<G>],
+    template: &[Complex<G>],
+) {
+    let (period, bins) = (spectrum.len(), template.len());
+    let mut bin = 0;
+    while bin < bins {
+        // Bin b is frequency b - bins/2: where it lies in the column's transform and in the spectrum.
+        let at = (bin + column.len() - bins / 2) % column.len();
+        // A period more than the band has multiples of: no difference below 0.
+        let to = (bin + bins * period - bins / 2) % period;
+        let run = (bins - bin).min(column.len() - at).min(period - to);
+        for ((sum, value), factor) in spectrum[to..to + run]
+            .iter_mut()
+            .zip(&column[at..at + run])
+            .zip(&template[bin..bin + run])
+        {
+            *sum = *sum + *value * *factor;
+        }
+        bin += run;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::array::Direct;
+    use echotank_core::flow::testing::plan_at_rest;
+    use echotank_core::flow::{CHUNK, Edges, PulseKind};
+
+    const RATE_HZ: f64 = 40e3;
+    const SAMPLES: usize = 2400;
+    const FIRST_S: f64 = 0.0123;
+
+    fn pulse(kind: PulseKind, taper: f64) -> Pulse {
+        Pulse {
+            kind,
+            center_frequency_hz: 400e3,
+            bandwidth_hz: if kind == PulseKind::Cw { 0.0 } else { 24e3 },
+            duration_s: 2e-3,
+            taper,
+        }
+    }
+
+    /// Echoes all over the window and past both its ends, falling by 50 dB from first to last, with Dopplers over all of `span`.
+    fn arrivals(count: usize, span: DopplerSpan) -> Vec<ArrivalChunk> {
+        let fraction = |m: usize, step: f64| (0.5 + step * m as f64).fract();
+        let length_s = SAMPLES as f64 / RATE_HZ;
+        let mut chunks = Vec::new();
+        for first in (0..count).step_by(CHUNK) {
+            let mut chunk = ArrivalChunk::new();
+            chunk.len = CHUNK.min(count - first);
+            for i in 0..chunk.len {
+                let m = first + i;
+                let place = 1.2 * fraction(m, 0.754_877_666_246_693) - 0.1;
+                chunk.delay_s[i] = FIRST_S + place * length_s;
+                chunk.doppler[i] =
+                    span.least + fraction(m, 0.569_840_290_998_053) * (span.greatest - span.least);
+                let level = 10f64.powf(-2.5 * place);
+                chunk.amplitude[i] = Complex64::from_polar(level, 2.4 * (m * m % 1009) as f64);
+            }
+            chunks.push(chunk);
+        }
+        chunks
+    }
+
+    /// The direct sum, through the filter where there is one.
+    fn direct(
+        pulse: &Pulse,
+        filter: Option<&Decimator>,
+        chunks: &[ArrivalChunk],
+    ) -> Vec<Complex64> {
+        let plan = plan_at_rest(pulse, SAMPLES, 1500.0);
+        let mut out = vec![Complex64::ZERO; SAMPLES];
+        let edges = match filter {
+            None => Edges::Sampled,
+            Some(_) => Edges::Weighted,
+        };
+        let sum = |rate_hz: f64, first_s: f64, out: &mut [Complex64]| {
+            let mut sink = Direct::new(&plan, rate_hz, first_s, out).with_edges(edges);
+            chunks.iter().for_each(|chunk| sink.accept(chunk));
+        };
+        match filter {
+            None => sum(RATE_HZ, FIRST_S, &mut out),
+            Some(filter) => {
+                let mut dense = vec![Complex64::ZERO; filter.dense_len(SAMPLES)];
+                sum(
+                    filter.dense_rate_hz(),
+                    filter.dense_first_s(FIRST_S),
+                    &mut dense,
+                );
+                filter.apply(&dense, &mut out);
+            }
+        }
+        out
+    }
+
+    fn gridded(spec: &Spec, span: DopplerSpan, chunks: &[ArrivalChunk]) -> (Vec<Complex64>, f64) {
+        let begun = std::time::Instant::now();
+        let engine = Gridded1d::new(spec).expect("within reach");
+        println!("    made in {:.1} ms", begun.elapsed().as_secs_f64() * 1e3);
+        let mut work = engine.work();
+        let mut out = vec![Complex64::ONE; SAMPLES];
+        // Twice: what the first element left behind must not show in the second.
+        for _ in 0..2 {
+            work.start(FIRST_S, span);
+            chunks.iter().for_each(|chunk| work.accept(chunk));
+            assert_eq!(work.finish(&mut out).outside_span, 0);
+        }
+        println!("    {:?}", engine.error_model());
+        (out, engine.error_model().error)
+    }
+
+    /// Largest relative error over windows of a pulse's length, starting every half of one.
+    fn windowed(got: &[Complex64], want: &[Complex64], pulse: &Pulse) -> f64 {
+        let length = ((pulse.duration_s * RATE_HZ) as usize).max(32);
+        (0..=(want.len() - length) / (length / 2))
+            .map(|w| w * length / 2..w * length / 2 + length)
+            .map(|w| {
+                let off: f64 = got[w.clone()]
+                    .iter()
+                    .zip(&want[w.clone()])
+                    .map(|(g, w)| (g - w).norm_sqr())
+                    .sum();
+                (off / want[w].iter().map(|w| w.norm_sqr()).sum::<f64>()).sqrt()
+            })
+            .fold(0.0, f64::max)
+    }
+
+    fn spec<'a>(pulse: &'a Pulse, filter: Option<&'a Decimator>, span: DopplerSpan) -> Spec<'a> {
+        Spec {
+            pulse,
+            sample_rate_hz: RATE_HZ,
+            samples: SAMPLES,
+            filter,
+            doppler: DopplerModel::Stretch,
+            span,
+            curvature_per_s: 0.0,
+            tolerance: 1e-3,
+            level_range_db: 55.0,
+            arrivals: 3000,
+            simd_level: SimdLevel::best(),
+        }
+    }
+
+    const SIDESCAN: DopplerSpan = DopplerSpan {
+        least: -1.8e-3,
+        greatest: 2.1e-3,
+    };
+
+    #[test]
+    fn error_stays_below_every_tolerance_in_every_window() {
+        for kind in [PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw] {
+            // A taper so long that the dense sum itself has converged.
+            let pulse = pulse(kind, 1.0);
+            let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+            let chunks = arrivals(700, SIDESCAN);
+            let want = direct(&pulse, Some(&filter), &chunks);
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] {
+                let spec = Spec {
+                    tolerance,
+                    ..spec(&pulse, Some(&filter), SIDESCAN)
+                };
+                let (got, predicted) = gridded(&spec, SIDESCAN, &chunks);
+                let error = windowed(&got, &want, &pulse);
+                println!("{kind:?} {tolerance:e}: {error:.2e}, predicted {predicted:.2e}");
+                assert!(error <= tolerance, "{kind:?}: {error:e} > {tolerance:e}");
+            }
+        }
+    }
+
+    /// One echo alone, at either end of the Dopplers and between: worst window of the contract, every sample, noise 55 dB below the strongest.
+    fn alone(doppler: DopplerModel, curvature_per_s: f64, tolerance: f64) -> (f64, String) {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let spec = Spec {
+            doppler,
+            curvature_per_s,
+            tolerance,
+            ..spec(&pulse, Some(&filter), SIDESCAN)
+        };
+        let mut worst: f64 = 0.0;
+        for d in [SIDESCAN.least, 0.3e-3, 1.37e-3, SIDESCAN.greatest] {
+            let mut chunk = ArrivalChunk::new();
+            chunk.len = 1;
+            (chunk.delay_s[0], chunk.doppler[0]) = (FIRST_S + 0.020_003_1, d);
+            chunk.curvature_per_s[0] = curvature_per_s;
+            chunk.amplitude[0] = Complex64::ONE;
+            let want = direct(&pulse, Some(&filter), &[chunk]);
+            let mut chunk = ArrivalChunk::new();
+            chunk.len = 1;
+            (chunk.delay_s[0], chunk.doppler[0]) = (FIRST_S + 0.020_003_1, d);
+            chunk.curvature_per_s[0] = curvature_per_s;
+            chunk.amplitude[0] = Complex64::ONE;
+            let (got, _) = gridded(&spec, SIDESCAN, &[chunk]);
+            let length = (pulse.duration_s * RATE_HZ) as usize;
+            let energy =
+                |at: usize| -> f64 { want[at..at + length].iter().map(|w| w.norm_sqr()).sum() };
+            let off = |at: usize| -> f64 {
+                let pairs = got[at..at + length].iter().zip(&want[at..at + length]);
+                pairs.map(|(g, w)| (g - w).norm_sqr()).sum()
+            };
+            let windows = 0..=want.len() - length;
+            let noise = windows.clone().map(energy).fold(0.0, f64::max) * 10f64.powf(-5.5);
+            worst = windows
+                .map(|at| (off(at) / energy(at).max(noise)).sqrt())
+                .fold(worst, f64::max);
+        }
+        let why = Gridded1d::new(&spec)
+            .expect("within reach")
+            .error_model()
+            .why
+            .clone();
+        (worst, why)
+    }
+
+    #[test]
+    fn windows_that_hold_the_end_of_an_echo_alone_are_as_good_as_asked() {
+        for (doppler, curvature_per_s) in [
+            (DopplerModel::Stretch, 0.0),
+            (DopplerModel::StretchQuadratic, 5e-4),
+        ] {
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
+                let (error, why) = alone(doppler, curvature_per_s, tolerance);
+                println!("{doppler:?} {tolerance:e}: {error:.2e}; {why}");
+                assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
+            }
+        }
+    }
+
+    /// 2 ms, 0.013 rad at the ends: by the weights to a hundredth, by columns of its own to 1e-5.
+    #[test]
+    fn weights_carry_a_curvature_as_well_as_columns_of_its_own_would() {
+        let carried = |tolerance| {
+            let (error, why) = alone(DopplerModel::StretchQuadratic, 5e-3, tolerance);
+            assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
+            why.contains("which carry curvature")
+        };
+        assert!(carried(1e-2) && !carried(1e-5));
+    }
+
+    /// The paper's pulse has edges: the direct sum at 48 samples per output sample converges because their points are weighted.
+    #[test]
+    fn a_rectangular_pulse_meets_the_filtered_direct_sum_to_1e_3() {
+        let pulse = pulse(PulseKind::LfmUp, 0.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let chunks = arrivals(700, SIDESCAN);
+        let want = direct(&pulse, Some(&filter), &chunks);
+        let (got, _) = gridded(&spec(&pulse, Some(&filter), SIDESCAN), SIDESCAN, &chunks);
+        let error = windowed(&got, &want, &pulse);
+        assert!(error < 1e-3, "{error:e}");
+    }
+
+    /// A sharp CW has a spectrum that no band holds, and a band that is cut rings on: not into an echo 55 dB weaker, 8 ms later.
+    #[test]
+    fn what_the_band_leaves_out_of_an_echo_stays_near_it() {
+        let pulse = Pulse {
+            duration_s: 0.6e-3,
+            ..pulse(PulseKind::Cw, 0.0)
+        };
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let still = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        let mut chunk = ArrivalChunk::new();
+        chunk.len = 2;
+        chunk.delay_s[..2].copy_from_slice(&[FIRST_S + 0.020_003, FIRST_S + 0.028_017]);
+        let weak = 10f64.powf(-55.0 / 20.0);
+        chunk.amplitude[..2].copy_from_slice(&[Complex64::ONE, Complex64::new(0.0, weak)]);
+        let chunks = [chunk];
+        let want = direct(&pulse, Some(&filter), &chunks);
+        let heard = (0.028_017 * RATE_HZ) as usize..(0.0286 * RATE_HZ) as usize;
+        for tolerance in [1e-3, 1e-4, 1e-5] {
+            let spec = Spec {
+                doppler: DopplerModel::None,
+                tolerance,
+                ..spec(&pulse, Some(&filter), still)
+            };
+            let (got, _) = gridded(&spec, still, &chunks);
+            let off: f64 = heard.clone().map(|k| (got[k] - want[k]).norm_sqr()).sum();
+            let all: f64 = heard.clone().map(|k| want[k].norm_sqr()).sum();
+            let error = (off / all).sqrt();
+            println!("{tolerance:e}: {error:.1e}");
+            assert!(error < tolerance, "{error:e} > {tolerance:e}");
+        }
+    }
+
+    #[test]
+    fn without_a_filter_it_refuses_what_the_band_leaves_out_and_meets_the_rest() {
+        let sharp = pulse(PulseKind::LfmUp, 0.0);
+        let refusal = Gridded1d::new(&spec(&sharp, None, SIDESCAN)).err();
+        let Some(GriddedError::OutOfBand { tolerance, share }) = refusal else {
+            panic!("{refusal:?}");
+        };
+        assert_eq!(tolerance, 1e-3);
+        assert!(share > SHARE * 1e-3, "{share:e}");
+
+        let soft = pulse(PulseKind::LfmUp, 1.0);
+        let chunks = arrivals(700, SIDESCAN);
+        let want = direct(&soft, None, &chunks);
+        let (got, _) = gridded(&spec(&soft, None, SIDESCAN), SIDESCAN, &chunks);
+        let error = windowed(&got, &want, &soft);
+        assert!(error < 1e-3, "{error:e}");
+    }
+
+    #[test]
+    fn still_and_nearly_common_dopplers_take_one_column() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+        let narrow = DopplerSpan {
+            least: 1.0e-3,
+            greatest: 1.0e-3 + 1e-7,
+        };
+        let still = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        for (doppler, span) in [(DopplerModel::None, still), (DopplerModel::Stretch, narrow)] {
+            let chunks = arrivals(700, span);
+            let want = direct(&pulse, Some(&filter), &chunks);
+            let spec = Spec {
+                doppler,
+                ..spec(&pulse, Some(&filter), span)
+            };
+            let (got, _) = gridded(&spec, span, &chunks);
+            let error = windowed(&got, &want, &pulse);
+            assert!(error < 1e-3, "{doppler:?}: {error:e}");
+            let why = &Gridded1d::new(&spec)
+                .expect("within reach")
+                .error_model()
+                .why
+                .clone();
+            assert!(why.contains("1 Doppler columns, 1 taps"), "{why}");
+        }
+    }
+
+    /// Curvatures as of 5 m/s at 36 m, as of a swell, and as of a scatterer next to a fast platform.
+    #[test]
+    fn curvature_keeps_every_tolerance_in_every_window() {
+        for (kind, greatest) in [
+            (PulseKind::LfmUp, 5e-4),
+            (PulseKind::LfmDown, 0.02),
+            (PulseKind::Cw, 4e-3),
+        ] {
+            let pulse = pulse(kind, 1.0);
+            let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+            let mut chunks = arrivals(700, SIDESCAN);
+            for (j, chunk) in chunks.iter_mut().enumerate() {
+                for i in 0..chunk.len {
+                    let m = j * CHUNK + i;
+                    let part = (0.5 + 0.819_172_513_396_164 * m as f64).fract();
+                    chunk.curvature_per_s[i] = greatest * (2.0 * part - 1.0);
+                }
+            }
+            let want = direct(&pulse, Some(&filter), &chunks);
+            // The direct sum's own parabolas leave some 1e-8 of bent sweeps.
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6] {
+                let spec = Spec {
+                    doppler: DopplerModel::StretchQuadratic,
+                    curvature_per_s: greatest,
+                    tolerance,
+                    ..spec(&pulse, Some(&filter), SIDESCAN)
+                };
+                let (got, predicted) = gridded(&spec, SIDESCAN, &chunks);
+                let error = windowed(&got, &want, &pulse);
+                println!("{kind:?} {greatest} {tolerance:e}: {error:.2e}, {predicted:.2e}");
+                assert!(error <= tolerance, "{kind:?}: {error:e} > {tolerance:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pulse_that_bends_too_far_is_refused() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let spec = Spec {
+            doppler: DopplerModel::StretchQuadratic,
+            curvature_per_s: 1.0,
+            ..spec(&pulse, Some(&filter), SIDESCAN)
+        };
+        let refusal = Gridded1d::new(&spec).err();
+        assert!(
+            matches!(refusal, Some(GriddedError::Curvature { .. })),
+            "{refusal:?}"
+        );
+    }
+
+    #[test]
+    fn no_doppler_leaves_the_arrivals_own_aside() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let spec = Spec {
+            doppler: DopplerModel::None,
+            ..spec(&pulse, Some(&filter), SIDESCAN)
+        };
+        let moving = arrivals(300, SIDESCAN);
+        let mut still = arrivals(300, SIDESCAN);
+        still.iter_mut().for_each(|chunk| chunk.doppler.fill(0.0));
+        let (got, _) = gridded(&spec, SIDESCAN, &moving);
+        let (want, _) = gridded(&spec, SIDESCAN, &still);
+        assert_eq!(got, want);
+    }
+
+    #[test]
+    fn a_ping_of_a_narrower_span_needs_no_other_plan() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 2000.0, 48).expect("fits");
+        let wide = DopplerSpan {
+            least: -4e-3,
+            greatest: 4e-3,
+        };
+        for span in [
+            SIDESCAN,
+            DopplerSpan {
+                least: 1e-3,
+                greatest: 1.3e-3,
+            },
+        ] {
+            let chunks = arrivals(700, span);
+            let want = direct(&pulse, Some(&filter), &chunks);
+            let (got, _) = gridded(&spec(&pulse, Some(&filter), wide), span, &chunks);
+            let error = windowed(&got, &want, &pulse);
+            assert!(error < 1e-3, "{span:?}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        let engine = Gridded1d::new(&spec(&pulse, Some(&filter), SIDESCAN)).expect("within reach");
+        let mut work = engine.work();
+        let mut chunk = ArrivalChunk::new();
+        chunk.len = 4;
+        chunk.delay_s[..4].copy_from_slice(&[FIRST_S, -1.0, f64::NAN, FIRST_S + 0.01]);
+        chunk.doppler[3] = 0.05;
+        chunk.amplitude[..4].fill(Complex64::ONE);
+        work.start(FIRST_S, SIDESCAN);
+        work.accept(&chunk);
+        let mut out = vec![Complex64::ZERO; SAMPLES];
+        let want = Misfits {
+            outside_window: 2,
+            outside_span: 1,
+        };
+        assert_eq!(work.finish(&mut out), want);
+        assert!(out.iter().all(|x| x.is_finite()));
+    }
+
+    #[test]
+    fn impossible_wishes_are_refused_with_their_numbers() {
+        let pulse = pulse(PulseKind::LfmUp, 1.0);
+        let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
+        for tolerance in [0.0, -1.0, 1e-12, f64::NAN] {
+            let spec = Spec {
+                tolerance,
+                ..spec(&pulse, Some(&filter), SIDESCAN)
+            };
+            let refusal = Gridded1d::new(&spec).err().map(|e| e.to_string());
+            let said = refusal.expect("out of reach");
+            assert!(said.contains("its least is 1e-10"), "{said}");
+        }
+        let backwards = DopplerSpan {
+            least: 1e-3,
+            greatest: -1e-3,
+        };
+        let refusal = Gridded1d::new(&spec(&pulse, Some(&filter), backwards)).err();
+        assert!(
+            matches!(refusal, Some(GriddedError::Doppler { .. })),
+            "{refusal:?}"
+        );
+    }
+}

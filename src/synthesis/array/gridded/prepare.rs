@@ -1,0 +1,445 @@
+//! From a chunk of arrivals to points on the grids: middle of the echo, carrier phase there, place among the Doppler columns.
+//!
+//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)).
+//!
+//! With curvature q its middle comes where eta m + q m^2 = T/2, the phase is exp(j 2pi f_c (d m + q m^2 - u)), and d from there on that of
+//! the middle: sqrt(eta^2 + 2 q T) - 1. Where weights carry the curvature ([`super::doppler`]), what they do too much at the ends of the pulse is a
+//! delay and a Doppler.
+
+use std::ops::Range;
+
+use num_complex::Complex;
+
+use crate::array::phasor::cis;
+use echotank_core::flow::{ArrivalChunk, CHUNK};
+
+use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
+use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
+use super::simd_level::{Kind, SimdLevel};
+
+const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
+
+/// What does not change between the chunks of an element.
+#[derive(Clone, Copy)]
+pub struct Frame {
+    pub carrier_hz: f64,
+    pub half_pulse_s: f64,
+    /// Stretch is left out: eta is 1.
+    pub still: bool,
+    /// Greatest |q| and |p|; 0 where curvature is left out.
+    pub greatest_q: f64,
+    pub greatest_p: f64,
+    /// Weights carry the curvature.
+    pub bent: bool,
+    /// Of the pulse; 0 without.
+    pub sweep_hz_per_s: f64,
+}
+
+/// Where echoes go among the columns of a grid of Dopplers.
+pub struct Columns<T> {
+    pub grid: DopplerGrid,
+    /// Whether weights carry a curvature.
+    bent: bool,
+    /// Across a cell, [`ENTRIES`] of them.
+    table: Vec<Entry<T>>,
+}
+
+/// Entries of a table of weights across a cell, powers of two. Each is the middle of a Taylor series that ends after the square: 1e-7 is left, or with f64
+/// moments, from whose tolerances on the table is that much finer, 1e-11.
+const ENTRIES: [usize; 2] = [128, 2048];
+
+/// Weights about a place in a cell, and what a curvature makes of them, for each tap.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct Entry<T> {
+    /// The weights and their derivatives in x, the second one halved.
+    pub plain: [[T; MAX_TAPS]; 3],
+    /// To be multiplied with the curvature: imaginary part and its derivative, real part; with its square: real part.
+    pub imaginary: [[T; MAX_TAPS]; 2],
+    pub real: [T; MAX_TAPS],
+    pub real_2: [T; MAX_TAPS],
+}
+
+/// What the values of a chunk's points are made of: `beyond` the middle of an entry lies each point's place.
+pub struct Sharing<'a, T> {
+    pub table: &'a [Entry<T>],
+    pub entry: &'a [u32],
+    pub beyond: &'a [T],
+    pub amplitude: &'a [Complex<T>],
+    pub bend: &'a [T],
+}
+
+/// A chunk's points; `delay_s` is that of the middle.
+pub struct Prepared<T> {
+    pub delay_s: [f64; BLOCK],
+    pub amplitude: [Complex<T>; BLOCK],
+    /// Of the middle.
+    pub doppler: [f64; BLOCK],
+    /// p over the greatest; where weights carry it, p eta^4 over the greatest p.
+    pub bend: [T; BLOCK],
+    /// Greatest |bend|.
+    pub most_bent: f64,
+    pub column: [u32; BLOCK],
+    /// Weight times amplitude.
+    pub value: [Shared<T>; BLOCK],
+}
+
+impl<T: Real> Prepared<T> {
+    pub fn new() -> Self {
+        Self {
+            delay_s: [0.0; BLOCK],
+            amplitude: [Complex::new(T::zero(), T::zero()); BLOCK],
+            doppler: [0.0; BLOCK],
+            bend: [T::zero(); BLOCK],
+            most_bent: 0.0,
+            column: [0; BLOCK],
+            value: [[T::zero(); 2 * MAX_TAPS]; BLOCK],
+        }
+    }
+}
+
+impl Frame {
+    /// Fills the first `chunk.len` points but for their columns. Returns how many had a Doppler outside `span`, that of middles, or more
+    /// curvature than there is room for; they sound like the nearest within.
+    pub fn prepare<T: Real>(
+        &self,
+        simd_level: SimdLevel,
+        chunk: &ArrivalChunk,
+        span: DopplerSpan,
+        points: &mut Prepared<T>,
+    ) -> u64 {
+        match simd_level.kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => unsafe { self.prepare_avx512(chunk, span, points) },
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => unsafe { self.prepare_avx2(chunk, span, points) },
+            _ => self.prepare_plain(chunk, span, points),
+        }
+    }
+
+    /// The AVX-512 and AVX2 builds of [`Self::prepare_plain`]: the same arithmetic, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+    fn prepare_avx512<T: Real>(
+        &self,
+        chunk: &ArrivalChunk,
+        span: DopplerSpan,
+        points: &mut Prepared<T>,
+    ) -> u64 {
+        self.prepare_plain(chunk, span, points)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn prepare_avx2<T: Real>(
+        &self,
+        chunk: &ArrivalChunk,
+        span: DopplerSpan,
+        points: &mut Prepared<T>,
+    ) -> u64 {
+        self.prepare_plain(chunk, span, points)
+    }
+
+    #[inline(always)]
+    fn prepare_plain<T: Real>(
+        &self,
+        chunk: &ArrivalChunk,
+        span: DopplerSpan,
+        points: &mut Prepared<T>,
+    ) -> u64 {
+        let n = chunk.len.min(BLOCK);
+        let DopplerSpan { least, greatest } = span;
+        let mut outside = 0;
+        let (mut cos, mut sin) = ([0.0; BLOCK], [0.0; BLOCK]);
+        // Of the middle's emission before its reception: d m + q m^2.
+        let mut ahead_s = [0.0; BLOCK];
+        let mut middle_s = [0.0; BLOCK];
+        let mut later_s = [0.0; BLOCK];
+        points.most_bent = 0.0;
+        if self.still {
+            points.doppler[..n].fill(0.0);
+            middle_s[..n].fill(self.half_pulse_s);
+        } else if self.greatest_q == 0.0 {
+            for j in 0..n {
+                let d = chunk.doppler[j];
+                outside += u64::from(!((d >= least) & (d <= greatest)));
+                // In this order NaN becomes an end of the span too.
+                let d = d.max(least).min(greatest);
+                points.doppler[j] = d;
+                middle_s[j] = self.half_pulse_s / (1.0 + d);
+                ahead_s[j] = d * middle_s[j];
+            }
+        } else {
+            let middles = Middles {
+                ahead_s: &mut ahead_s,
+                middle_s: &mut middle_s,
+                later_s: &mut later_s,
+            };
+            outside = match self.gentle() {
+                true => self.bend::<T, true>(chunk, span, points, middles),
+                false => self.bend::<T, false>(chunk, span, points, middles),
+            };
+        }
+        for j in 0..n {
+            let turns = self.carrier_hz * chunk.delay_s[j];
+            // Whole turns away first: the rest keeps its digits.
+            let turns = self.carrier_hz * ahead_s[j] - (turns - turns.round_ties_even());
+            points.delay_s[j] = chunk.delay_s[j] + (middle_s[j] + later_s[j]);
+            (cos[j], sin[j]) = cis(turns);
+        }
+        for j in 0..n {
+            let a = chunk.amplitude[j];
+            points.amplitude[j] = Complex::new(
+                T::narrow(a.re * cos[j] - a.im * sin[j]),
+                T::narrow(a.re * sin[j] + a.im * cos[j]),
+            );
+        }
+        outside
+    }
+
+    /// Whether series will do for the roots of curved echoes: to 1e-13 of a middle.
+    fn gentle(&self) -> bool {
+        const MOST: f64 = 1e-3;
+        4.0 * self.half_pulse_s * self.greatest_q <= 0.8 * MOST
+    }
+
+    /// Middles, Dopplers there and curvatures; returns how many echoes lie outside the plan.
+    #[inline(always)]
+    fn bend<T: Real, const GENTLE: bool>(
+        &self,
+        chunk: &ArrivalChunk,
+        DopplerSpan { least, greatest }: DopplerSpan,
+        points: &mut Prepared<T>,
+        middles: Middles,
+    ) -> u64 {
+        let n = chunk.len.min(BLOCK);
+        let half_s = self.half_pulse_s;
+        let per_greatest = 1.0 / self.greatest_p;
+        let (later_s2, faster) = match self.bent {
+            true => (
+                half_s.powi(2),
+                half_s.powi(2) * self.sweep_hz_per_s / self.carrier_hz,
+            ),
+            false => (0.0, 0.0),
+        };
+        // The greatest |bend| by its bits, whose order is the same: compilers put the greatest of integers into vectors.
+        let (mut outside, mut most) = (0, 0u64);
+        for j in 0..n {
+            let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
+            outside += u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
+            // In this order NaN becomes an end of the span too.
+            let d = d.max(least).min(greatest);
+            let q = q.max(-self.greatest_q).min(self.greatest_q);
+            let eta = 1.0 + d;
+            // eta of the middle is the root of eta^2 (1 + z).
+            let (m, p, of_middle) = if GENTLE {
+                let per_eta = 1.0 / eta;
+                let z = 4.0 * half_s * q * per_eta * per_eta;
+                (
+                    half_s * per_eta * (1.0 - z * (0.25 - z * (0.125 - z * 0.078125))),
+                    q * per_eta * per_eta * per_eta * (1.0 - z * (1.5 - z * 1.875)),
+                    eta * (1.0 + z * (0.5 - z * 0.125)),
+                )
+            } else {
+                let of_middle = (eta * eta + 4.0 * half_s * q).sqrt();
+                (
+                    2.0 * half_s / (eta + of_middle),
+                    q / (of_middle * of_middle * of_middle),
+                    of_middle,
+                )
+            };
+            middles.middle_s[j] = m;
+            middles.ahead_s[j] = (d + q * m) * m;
+            middles.later_s[j] = later_s2 * p;
+            // Its difference from d is a small one: no digits are lost.
+            points.doppler[j] = (d + 2.0 * q * m + faster * p).max(least).min(greatest);
+            let bend = match self.bent {
+                true => q * of_middle * per_greatest,
+                false => p * per_greatest,
+            };
+            points.bend[j] = T::narrow(bend);
+            most = most.max(bend.abs().to_bits());
+        }
+        points.most_bent = f64::from_bits(most);
+        outside
+    }
+}
+
+/// Of a chunk's echoes: emission of the middle before its reception, reception of the middle after the leading edge, and what is added to that.
+struct Middles<'a> {
+    ahead_s: &'a mut [f64; BLOCK],
+    middle_s: &'a mut [f64; BLOCK],
+    later_s: &'a mut [f64; BLOCK],
+}
+
+impl<T: Real> Columns<T> {
+    /// With `bent` weights carry a curvature that turns the ends of pulses by the greatest angle given with it.
+    pub fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
+        let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
+        let (b, max_rad) = match &bent {
+            Some((bent, max_rad)) => (Some(bent), *max_rad),
+            None => (None, 0.0),
+        };
+        let none = [[0.0; MAX_TAPS]; POWERS];
+        let imaginary = b.map_or(none, |b| b.imaginary);
+        let imaginary_slope = derivative(&imaginary, 1);
+        let real = b.map_or(none, |b| b.real);
+        let real_2 = b.map_or(none, |b| b.real_2);
+        let (slope, bow) = (derivative(&grid.weights, 1), derivative(&grid.weights, 2));
+        let table = (0..entries)
+            .map(|e| {
+                let x = (2 * e + 1) as f64 / entries as f64 - 1.0;
+                let at = |powers: &Polynomials, factor: f64| -> [T; MAX_TAPS] {
+                    std::array::from_fn(|tap| T::narrow(factor * value_of(powers, tap, x)))
+                };
+                Entry {
+                    plain: [at(&grid.weights, 1.0), at(&slope, 1.0), at(&bow, 0.5)],
+                    imaginary: [at(&imaginary, max_rad), at(&imaginary_slope, max_rad)],
+                    real: at(&real, max_rad),
+                    real_2: at(&real_2, max_rad * max_rad),
+                }
+            })
+            .collect();
+        Self {
+            grid,
+            bent: bent.is_some(),
+            table,
+        }
+    }
+
+    /// First columns, counted from the first of `columns`, and values on them of the first `n` points.
+    pub fn place(
+        &self,
+        simd_level: SimdLevel,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+    ) {
+        let n = n.min(BLOCK);
+        let mut entry = [0u32; BLOCK];
+        let mut beyond = [T::zero(); BLOCK];
+        match simd_level.kind() {
+            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => unsafe {
+                self.enter_avx512(n, columns, points, &mut entry, &mut beyond);
+            },
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => unsafe {
+                self.enter_avx2(n, columns, points, &mut entry, &mut beyond);
+            },
+            _ => self.enter(n, columns, points, &mut entry, &mut beyond),
+        }
+        let sharing = Sharing {
+            table: &self.table,
+            entry: &entry[..n],
+            beyond: &beyond[..n],
+            amplitude: &points.amplitude[..n],
+            bend: &points.bend[..n],
+        };
+        let value = &mut points.value[..n];
+        match self.bent {
+            true => T::share::<true>(simd_level, sharing, value),
+            false => T::share::<false>(simd_level, sharing, value),
+        }
+    }
+
+    /// The AVX-512 and AVX2 builds of [`Self::enter`]: the same arithmetic, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+    fn enter_avx512(
+        &self,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
+    ) {
+        self.enter(n, columns, points, entry, beyond)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn enter_avx2(
+        &self,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
+    ) {
+        self.enter(n, columns, points, entry, beyond)
+    }
+
+    /// First columns of the points, entries of the table and places beyond them.
+    #[inline(always)]
+    fn enter(
+        &self,
+        n: usize,
+        columns: Range<usize>,
+        points: &mut Prepared<T>,
+        entry: &mut [u32; BLOCK],
+        beyond: &mut [T; BLOCK],
+    ) {
+        let first = columns.start as u32;
+        let most = (columns.len() - self.grid.taps) as u32;
+        let last = (self.table.len() * self.grid.cells - 1) as f64;
+        let per_cell = self.table.len() as f64;
+        let (per_doppler, offset) = (
+            self.grid.per_doppler * per_cell,
+            self.grid.offset * per_cell,
+        );
+        let (shift, mask) = (
+            self.table.len().trailing_zeros(),
+            self.table.len() as u32 - 1,
+        );
+        for j in 0..n {
+            // Entries from the span's beginning; half of one earlier rounding truncates, and the sum's low bits are the number.
+            let position = (points.doppler[j] * per_doppler + offset - 0.5)
+                .max(-0.5)
+                .min(last + 0.499);
+            let rounded = position + ROUND;
+            let number = rounded.to_bits() as u32;
+            // A hair's rounding at the end of the ping's span must not lead to a column that it has not.
+            let column = (number >> shift).max(first) - first;
+            points.column[j] = column.min(most);
+            entry[j] = number & mask;
+            beyond[j] = T::narrow((position - (rounded - ROUND)) * (2.0 / per_cell));
+        }
+    }
+}
+
+/// The portable twin of the vector loops.
+pub fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [Shared<T>]) {
+    let Sharing {
+        table,
+        entry,
+        beyond,
+        amplitude,
+        bend,
+    } = points;
+    let all = values
+        .iter_mut()
+        .zip(entry)
+        .zip(beyond)
+        .zip(amplitude)
+        .zip(bend);
+    for ((((value, &entry), &x), &c), &bend) in all {
+        let weights = &table[entry as usize];
+        let (re, im) = value.split_at_mut(MAX_TAPS);
+        for i in 0..MAX_TAPS {
+            let [plain, slope, bow] = [0, 1, 2].map(|k| weights.plain[k][i]);
+            let plain = plain + x * (slope + x * bow);
+            if BENT {
+                let real = plain + bend * (weights.real[i] + bend * weights.real_2[i]);
+                let imaginary = bend * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
+                re[i] = c.re * real - c.im * imaginary;
+                im[i] = c.re * imaginary + c.im * real;
+            } else {
+                re[i] = c.re * plain;
+                im[i] = c.im * plain;
+            }
+        }
+    }
+}

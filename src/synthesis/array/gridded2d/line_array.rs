@@ -1,0 +1,238 @@
+//! The engine as a pipeline uses it: made once for the limits, then one call per ping.
+
+use std::sync::{Mutex, PoisonError};
+
+use num_complex::{Complex, Complex64};
+use rayon::prelude::*;
+
+use echotank_core::flow::{EchoCounts, ErrorModel, LineSource, PingPlan};
+
+use super::engine::{Filter, LineEngine, TaskReport, Work};
+use super::plan::{Precision, Refusal, Spec, choose};
+use super::sample::Sample;
+
+/// `gridded-2d` for one line array: every element's samples from one call per ping.
+///
+/// To be made inside the pool of threads that will run it. Samples are the same bits for any number of threads. Nothing is allocated once
+/// the largest ping has been; a pulse of another length rebuilds its tables (some tens of milliseconds).
+///
+/// ```
+/// use crate::array::Decimator;
+/// use crate::array::gridded::SIMD level::Dialect;
+/// use crate::array::gridded2d::{Bounds, Gridded2d, Spec};
+/// # use echotank_core::flow::*;
+/// # use glam::{DQuat, DVec3};
+/// # let array = ArrayGeometry {
+/// #     mounting: Mounting { position_m: DVec3::ZERO, body_from_array: DQuat::IDENTITY },
+/// #     elements: 64, spacing_m: 1.875e-3, element_pattern: Pattern::Omnidirectional, sensitivity_db: 0.0, transmit: 0,
+/// # };
+/// # let pulse = Pulse { kind: PulseKind::LfmUp, center_frequency_hz: 400e3, bandwidth_hz: 30e3, duration_s: 5e-3, taper: 0.1 };
+/// # let model = ModelChoice {
+/// #     path: PathModel::KSegment, doppler: DopplerModel::Stretch, synthesis: Synthesis::Direct, segment_s: 0.05, cull_db: None,
+/// # };
+/// let filter = Decimator::new(&pulse, 52e3, 2700.0, 8).expect("the band fits");
+/// let spec = Spec {
+///     array: &array,
+///     pulse: &pulse,
+///     sound_speed_m_per_s: 1500.0,
+///     sample_rate_hz: 52e3,
+///     filter: Some(&filter),
+///     model: &model,
+///     bounds: Bounds {
+///         nearest_m: 30.0,
+///         greatest_slope: 0.5,
+///         along_m_per_s: 5.0,
+///         across_m_per_s: 0.5,
+///         turning_rad_per_s: 0.1,
+///     },
+///     tolerance: 1e-3,
+///     level_range_db: 60.0,
+///     samples: 10_000,
+///     scatterers: 1_000_000,
+///     SIMD level: Dialect::best(),
+/// };
+/// let engine = Gridded2d::new(&spec).expect("within reach");
+/// assert!(engine.error model().error <= 1e-3);
+/// // And then, ping by ping, after `echo::insonify`:
+/// //     let echoes = LineEchoes { plan, array: &array, transmit_leg: &transmit_leg, work: &line_workspaces };
+/// //     counts += engine.synthesise(plan, &echoes, &mut frame.iq);
+/// ```
+pub struct Gridded2d {
+    error_model: ErrorModel,
+    elements: usize,
+    member: Member,
+    /// Of the last ping.
+    left_out: f64,
+}
+
+/// The two precisions.
+enum Member {
+    Single(Tasks<f32>),
+    Double(Tasks<f64>),
+}
+
+impl Gridded2d {
+    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+        let choice = choose(spec)?;
+        let Some(decimator) = spec.filter else {
+            return Err(Refusal::NoFilter);
+        };
+        let filter = Filter {
+            gain: &|f_hz| decimator.gain(f_hz),
+            half_s: decimator.half_s(),
+        };
+        let fastest_m_per_s = spec.bounds.along_m_per_s.hypot(spec.bounds.across_m_per_s);
+        let member = match choice.precision {
+            Precision::Single => Member::Single(Tasks::new(
+                LineEngine::new(
+                    spec.array,
+                    spec.sample_rate_hz,
+                    filter,
+                    choice.fineness,
+                    spec.simd_level,
+                )
+                .with_room_for(fastest_m_per_s),
+            )),
+            Precision::Double => Member::Double(Tasks::new(
+                LineEngine::new(
+                    spec.array,
+                    spec.sample_rate_hz,
+                    filter,
+                    choice.fineness,
+                    spec.simd_level,
+                )
+                .with_room_for(fastest_m_per_s),
+            )),
+        };
+        Ok(Self {
+            error_model: choice.error_model,
+            elements: spec.array.elements,
+            member,
+            left_out: 0.0,
+        })
+    }
+
+    /// Predicted error by window, and core milliseconds per ping.
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
+    }
+
+    /// One ping: overwrites `iq`, element-major as [`echotank_core::flow::ElementFrame`] has it.
+    ///
+    /// Of the counts, `outside_window` are the pairs that no stretch asked for.
+    pub fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        source: &impl LineSource,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        assert_eq!(
+            iq.len(),
+            self.elements * plan.sample_count,
+            "element-major samples"
+        );
+        let (mut counts, left_out) = match &mut self.member {
+            Member::Single(tasks) => tasks.run(plan, source, iq),
+            Member::Double(tasks) => tasks.run(plan, source, iq),
+        };
+        self.left_out = left_out;
+        let all = source.scatterers() * self.elements as u64;
+        counts.outside_window += all.saturating_sub(counts.used + counts.culled);
+        counts
+    }
+
+    /// What the tasks of the last ping met, and where their time went.
+    pub fn reports(&self) -> impl Iterator<Item = &TaskReport> {
+        let (single, double) = match &self.member {
+            Member::Single(tasks) => (Some(tasks.reports()), None),
+            Member::Double(tasks) => (None, Some(tasks.reports())),
+        };
+        single
+            .into_iter()
+            .flatten()
+            .chain(double.into_iter().flatten())
+    }
+
+    /// Bound on what the last ping's own echoes left out of their series, relative to an echo: above the tolerance where the ping was
+    /// beyond the bounds that the engine was made for.
+    pub fn left_out(&self) -> f64 {
+        self.left_out
+    }
+}
+
+/// What one task leaves.
+#[derive(Clone, Default)]
+struct Output<T> {
+    values: Vec<Complex<T>>,
+    counts: EchoCounts,
+    report: TaskReport,
+}
+
+struct Tasks<T: Sample> {
+    engine: LineEngine<T>,
+    /// One per thread of the pool.
+    work: Vec<Mutex<Work<T>>>,
+    /// One per task.
+    outputs: Vec<Output<T>>,
+}
+
+impl<T: Sample> Tasks<T> {
+    fn new(engine: LineEngine<T>) -> Self {
+        Self {
+            work: (0..rayon::current_num_threads())
+                .map(|_| Mutex::new(engine.work()))
+                .collect(),
+            engine,
+            outputs: Vec::new(),
+        }
+    }
+
+    /// Of the last ping.
+    fn reports(&self) -> impl Iterator<Item = &TaskReport> {
+        let tasks = self.engine.tasks().min(self.outputs.len());
+        self.outputs[..tasks].iter().map(|output| &output.report)
+    }
+
+    fn run(
+        &mut self,
+        plan: &PingPlan,
+        source: &impl LineSource,
+        iq: &mut [Complex64],
+    ) -> (EchoCounts, f64) {
+        self.engine.prepare_from(plan, source.earliest_s());
+        let tasks = self.engine.tasks();
+        if self.outputs.len() < tasks {
+            self.outputs.resize_with(tasks, Output::default);
+        }
+        let Self {
+            engine,
+            work,
+            outputs,
+        } = self;
+        let engine = &*engine;
+        outputs[..tasks]
+            .par_iter_mut()
+            .with_max_len(1)
+            .enumerate()
+            .for_each(|(task, output)| {
+                let thread = rayon::current_thread_index().unwrap_or(0);
+                // A panic in another ping leaves the buffers as good as any: every task overwrites them.
+                let mut work = work[thread].lock().unwrap_or_else(PoisonError::into_inner);
+                let (counts, report) = engine.run(task, source, &mut work, &mut output.values);
+                (output.counts, output.report) = (counts, report);
+            });
+        let outputs = &outputs[..tasks];
+        iq.par_chunks_mut(plan.sample_count.max(1))
+            .enumerate()
+            .for_each(|(element, record)| {
+                engine.assemble(|task| &outputs[task].values, element, record);
+            });
+        let mut counts = EchoCounts::default();
+        let mut left_out: f64 = 0.0;
+        for output in outputs {
+            counts += output.counts;
+            left_out = left_out.max(output.report.left_out);
+        }
+        (counts, left_out)
+    }
+}

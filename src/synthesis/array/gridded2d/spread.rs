@@ -1,0 +1,588 @@
+//! Echoes in: what a survey remembers, and the spreading of every echo onto the grid, each in all channels.
+
+use std::time::{Duration, Instant};
+
+use num_complex::Complex64;
+
+use crate::array::gridded::kernel::MAX_WIDTH;
+use crate::array::gridded::simd_level::Kind as Processor;
+use crate::array::phasor::cis;
+use echotank_core::flow::{CHUNK, LineChunk, LineSink};
+
+use super::engine::{Orders, Ping, PulseMotion, Work};
+use super::merge::Merge;
+use super::panel::{PANEL, Row};
+use super::sample::Sample;
+use super::series::chebyshev_terms as chebyshev;
+use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
+use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
+use super::weights::{Taps, taps};
+
+/// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
+const MIN_BROADSIDE: f64 = 1e-3;
+
+/// From here on a survey remembers only every second chunk, then every third, ...
+const SURVEYED: usize = 16_384;
+
+/// Adding it to a whole number (|n| < 2^31) leaves that number in the low bits.
+const WHOLE: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+
+/// Most values of one echo on one row of the grid, and a panel before and behind.
+const MAX_LINE: usize = MAX_WIDTH * MAX_CHANNELS + 2 * PANEL;
+
+/// From leading edges to mid-pulse, for one task.
+#[derive(Clone, Copy)]
+pub struct Centring {
+    half_s: f64,
+    /// 1/c where the change of the stretch is followed, else 0.
+    bent: f64,
+    /// 1 where it is, else 0.
+    follows: f64,
+    carrier_hz: f64,
+    nepers_per_m: f64,
+    /// First sample of the slab.
+    first_s: f64,
+}
+
+/// One echo about mid-pulse, less its amplitude.
+struct Centred {
+    /// From the slab's first sample.
+    middle_s: f64,
+    slope: f64,
+    dilation: f64,
+    per_range_per_m: f64,
+    twist_per_s: f64,
+    /// Of what the amplitude is turned by.
+    turns: f64,
+    stretched: f64,
+}
+
+impl Centring {
+    pub fn new(ping: &Ping, motion: PulseMotion, first_s: f64) -> Self {
+        Self {
+            half_s: 0.5 * ping.duration_s,
+            bent: match motion {
+                PulseMotion::Stretch => 0.0,
+                PulseMotion::Quadratic => 1.0 / ping.sound_speed_m_per_s,
+            },
+            follows: f64::from(u8::from(motion == PulseMotion::Quadratic)),
+            carrier_hz: ping.carrier_hz,
+            nepers_per_m: ping.nepers_per_m,
+            first_s,
+        }
+    }
+
+    #[inline(always)]
+    fn echo(&self, chunk: &LineChunk, i: usize) -> Centred {
+        let half_s = self.half_s;
+        let stretched = 1.0 / (1.0 + chunk.doppler[i]);
+        let at_edge = -chunk.doppler[i] * stretched;
+        let rate = self.bent * chunk.swing_m_per_s2[i];
+        let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
+        let slope = chunk.slope[i];
+        // The third order of the pulse's motion that follows from the second: the range changes along the line.
+        let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(MIN_BROADSIDE);
+        let third = 3.0 * slope * per_range_there * self.follows * chunk.swing_m_per_s2[i];
+        let twist = chunk.twist_per_s[i] + 0.5 * third * half_s;
+        let middle = slope - twist * half_s;
+        let twist_per_s = chunk.twist_per_s[i] + third * half_s;
+        // The bend changes during the pulse too: third order, so plain 1/R will do.
+        let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range_there * twist * half_s;
+        Centred {
+            middle_s: delay_s + half_s - self.first_s,
+            slope: middle,
+            dilation: at_edge + rate * half_s,
+            per_range_per_m: bend / (1.0 - middle * middle).max(MIN_BROADSIDE),
+            twist_per_s,
+            turns: -self.carrier_hz * delay_s,
+            stretched,
+        }
+    }
+
+    /// The fade beyond what range and absorption make of it.
+    #[inline(always)]
+    fn fade_per_m(&self, chunk: &LineChunk, i: usize, echo: &Centred) -> f64 {
+        chunk.fade_per_m[i] - echo.slope * (echo.per_range_per_m + self.nepers_per_m)
+    }
+}
+
+/// Remembers what echoes are like.
+pub struct Survey<'a> {
+    pub echoes: &'a mut Echoes,
+    pub centring: Centring,
+    pub chunks: usize,
+}
+
+impl LineSink for Survey<'_> {
+    fn accept(&mut self, chunk: &LineChunk) {
+        self.chunks += 1;
+        let every = 1 + self.echoes.len() / SURVEYED;
+        for i in 0..chunk.len {
+            let echo = self.centring.echo(chunk, i);
+            let e = &mut *self.echoes;
+            if chunk.amplitude[i] != Complex64::ZERO {
+                e.heard.push(HeardEcho {
+                    middle_s: echo.middle_s,
+                    slope: echo.slope,
+                    per_range_per_m: echo.per_range_per_m,
+                    energy: chunk.amplitude[i].norm_sqr(),
+                    fade_per_m: self.centring.fade_per_m(chunk, i, &echo),
+                    curl_per_m2: chunk.curl_per_m2[i],
+                });
+            }
+            if !self.chunks.is_multiple_of(every) {
+                continue;
+            }
+            e.slope.push(echo.slope);
+            e.dilation.push(echo.dilation);
+            e.per_range_per_m.push(echo.per_range_per_m);
+            e.twist_per_s.push(echo.twist_per_s);
+            e.swing_m_per_s2.push(chunk.swing_m_per_s2[i]);
+        }
+    }
+}
+
+/// A chunk between its two loops, structure of arrays.
+pub struct Prepared<T> {
+    pub(super) re: [T; CHUNK],
+    pub(super) im: [T; CHUNK],
+    /// What is left of dilation, bend and twist, each over its span.
+    pub(super) dilation: [T; CHUNK],
+    pub(super) bend: [T; CHUNK],
+    pub(super) twist: [T; CHUNK],
+    /// Of every kind but the echo itself: what fade and curl make of it at the stretch's end, what is left of the swing at the pulse's.
+    pub(super) kinds: [[T; CHUNK]; KINDS - 1],
+    /// Greatest of the three.
+    farthest: [f64; CHUNK],
+    pub(super) row: [i32; CHUNK],
+    pub(super) column: [i32; CHUNK],
+    /// -1..1 across the cell.
+    pub(super) in_row: [T; CHUNK],
+    pub(super) in_column: [T; CHUNK],
+}
+
+/// How products become channels, and where those of an echo's columns lie in the vectors of a panel.
+#[derive(Default)]
+pub struct Mixing<T> {
+    /// `[product][channel]`, whole vectors.
+    pub(super) into: Vec<[T; PANEL]>,
+    /// Vectors of one product.
+    vectors: usize,
+    /// By the place of an echo's first value in its panel, and vector by vector: each lane's channel, and its tap.
+    pub(super) lanes: Vec<[[i32; PANEL]; 2]>,
+    /// Vectors of one place.
+    pub(super) reach: usize,
+}
+
+/// A tap that every kernel has, of weight 0.
+const NO_TAP: i32 = MAX_WIDTH as i32 - 1;
+
+impl<T: Sample> Mixing<T> {
+    fn set(&mut self, merge: &Merge, products: usize, slope_width: usize) {
+        let channels = merge.count;
+        self.vectors = channels.div_ceil(PANEL);
+        self.into.clear();
+        for product in 0..products {
+            for vector in 0..self.vectors {
+                self.into.push(std::array::from_fn(|lane| {
+                    let channel = vector * PANEL + lane;
+                    let known = channel < channels;
+                    T::narrow(if known {
+                        merge.share_of_channel(product, channel)
+                    } else {
+                        0.0
+                    })
+                }));
+            }
+        }
+        let values = slope_width * channels;
+        self.reach = (PANEL - 1 + values).div_ceil(PANEL);
+        self.lanes.clear();
+        for before in 0..PANEL {
+            for vector in 0..self.reach {
+                let value = |lane: usize| (vector * PANEL + lane).checked_sub(before);
+                let within = |lane: usize| value(lane).filter(|&value| value < values);
+                self.lanes.push([
+                    std::array::from_fn(|lane| within(lane).map_or(0, |v| (v % channels) as i32)),
+                    std::array::from_fn(|lane| {
+                        within(lane).map_or(NO_TAP, |v| (v / channels) as i32)
+                    }),
+                ]);
+            }
+        }
+    }
+}
+
+impl<T: Sample> Mixing<T> {
+    /// The channels of one echo, less its amplitude; zeros up to a whole vector.
+    #[inline(always)]
+    fn one<const FUSED: bool>(
+        &self,
+        task: &Task<T>,
+        p: &Prepared<T>,
+        i: usize,
+        mixed: &mut [T; MAX_CHANNELS + PANEL],
+    ) {
+        let (orders, kinds) = (task.orders, task.kinds());
+        let dilation = chebyshev::<T, MAX_DILATION>(p.dilation[i], orders.dilation);
+        let bend = chebyshev::<T, MAX_BEND>(p.bend[i], orders.bend);
+        let twist = chebyshev::<T, MAX_TWIST>(p.twist[i], orders.twist);
+        mixed[..self.vectors * PANEL].fill(T::ZERO);
+        let mut rows = self.into.chunks_exact(self.vectors.max(1));
+        for kept in task.kept() {
+            let of_kind = match kinds[kept.kind] {
+                Kind::Whole => T::one(),
+                Kind::Fade(order) => p.kinds[order][i],
+                Kind::Swing => p.kinds[FADES][i],
+            };
+            let share = of_kind * bend[kept.bend] * twist[kept.twist];
+            for (&r, into) in dilation[..kept.dilation].iter().zip(&mut rows) {
+                for (v, into) in into.iter().enumerate() {
+                    let sum = vector_mut(mixed, v * PANEL);
+                    *sum = scaled_plus::<T, FUSED>(*into, share * r, *sum);
+                }
+            }
+        }
+    }
+}
+
+/// One chunk of echoes onto the grid, a vector for each: what the processor's own kernel of [`Sample::spread_wide`] is given.
+pub struct Wide<'a, T> {
+    pub(super) prepared: &'a Prepared<T>,
+    pub(super) len: usize,
+    pub(super) grid: &'a mut [Row<T>],
+    pub(super) panel_rows: usize,
+    pub(super) channels: usize,
+    pub(super) orders: Orders,
+    pub(super) kinds: &'a [Kind],
+    pub(super) kept: &'a [Kept],
+    pub(super) mixing: &'a Mixing<T>,
+    pub(super) time_taps: &'a [Taps<T>],
+    pub(super) slope_taps: &'a [Taps<T>],
+    pub(super) time_width: usize,
+    pub(super) slope_width: usize,
+    pub(super) last_row: usize,
+    pub(super) last_column: usize,
+}
+
+impl<T: Sample> Default for Prepared<T> {
+    fn default() -> Self {
+        Self {
+            re: [T::ZERO; CHUNK],
+            im: [T::ZERO; CHUNK],
+            dilation: [T::ZERO; CHUNK],
+            bend: [T::ZERO; CHUNK],
+            twist: [T::ZERO; CHUNK],
+            kinds: [[T::ZERO; CHUNK]; KINDS - 1],
+            farthest: [0.0; CHUNK],
+            row: [0; CHUNK],
+            column: [0; CHUNK],
+            in_row: [T::ZERO; CHUNK],
+            in_column: [T::ZERO; CHUNK],
+        }
+    }
+}
+
+/// What turns an echo into places on the grid.
+#[derive(Clone, Copy)]
+struct Scales {
+    smooth: Smooth,
+    per_dilation: f64,
+    per_bend: f64,
+    per_twist: f64,
+    half_m: f64,
+    /// Phase of a swing at the pulse's ends.
+    per_swing: f64,
+    /// Columns: per unit of slope, and where a cell is; and the first value's column.
+    per_step: f64,
+    slope_shift: f64,
+    first_column: f64,
+    /// Rows: per second, and so on.
+    rows_per_s: f64,
+    time_shift: f64,
+    first_row: f64,
+}
+
+impl Scales {
+    fn new<T: Sample>(task: &Task<T>) -> Self {
+        let smooth = task.smooth;
+        let over = |half: f64| if half > 0.0 { 1.0 / half } else { 0.0 };
+        let (time, slope) = (&task.engine.time_kernel, &task.engine.slope_kernel);
+        Self {
+            smooth,
+            per_dilation: over(smooth.dilation_rest),
+            per_bend: over(smooth.per_range_per_m.half),
+            per_twist: over(smooth.twist_rest),
+            half_m: task.half_m(),
+            per_swing: task.rad_per_swing(),
+            per_step: 1.0 / task.step,
+            slope_shift: slope.shift(),
+            first_column: (slope.first() - task.first) as f64,
+            rows_per_s: task.engine.rows_per_s(),
+            time_shift: time.shift(),
+            first_row: time.first() as f64,
+        }
+    }
+}
+
+/// Everything about a chunk that goes side by side. The chunk and what is made of it are parameters of their own so that the compiler knows
+/// them apart.
+#[inline(always)]
+fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let (cos, sin) = cis(echo.turns);
+        let a = chunk.amplitude[i];
+        let (re, im) = (a.re * echo.stretched, a.im * echo.stretched);
+        p.re[i] = T::narrow(re * cos - im * sin);
+        p.im[i] = T::narrow(re * sin + im * cos);
+    }
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let s = echo.slope;
+        let shared = k.smooth.dilation(s) + k.smooth.bow(s);
+        let dilation = (echo.dilation - shared) * k.per_dilation;
+        let bend = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_bend;
+        let shared = echo.per_range_per_m * k.smooth.twist.at(s);
+        let twist = (echo.twist_per_s - shared) * k.per_twist;
+        p.farthest[i] = dilation.abs().max(bend.abs()).max(twist.abs());
+        p.dilation[i] = T::narrow(dilation);
+        p.bend[i] = T::narrow(bend);
+        p.twist[i] = T::narrow(twist);
+    }
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let (cell, within) = cell(echo.slope * k.per_step + k.slope_shift);
+        p.in_column[i] = T::narrow(within);
+        p.column[i] = (cell + k.first_column + WHOLE).to_bits() as i32;
+        let (cell, within) = self::cell(echo.middle_s * k.rows_per_s + k.time_shift);
+        p.in_row[i] = T::narrow(within);
+        p.row[i] = (cell + k.first_row + WHOLE).to_bits() as i32;
+    }
+}
+
+/// What is left of fade, curl and swing.
+#[inline(always)]
+fn prepare_kinds<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
+    for i in 0..chunk.len.min(CHUNK) {
+        let echo = centring.echo(chunk, i);
+        let shared = k.smooth.shared_fade(echo.slope, echo.per_range_per_m);
+        let fade = centring.fade_per_m(chunk, i, &echo) - shared;
+        let swing = chunk.swing_m_per_s2[i] - echo.per_range_per_m * k.smooth.swing.at(echo.slope);
+        p.kinds[0][i] = T::narrow(fade * k.half_m);
+        p.kinds[1][i] = T::narrow(chunk.curl_per_m2[i] * k.half_m * k.half_m);
+        p.kinds[2][i] = T::narrow(swing * k.per_swing);
+    }
+}
+
+/// The cell of a place, a whole number, and where in it: -1..1. By adding, where `floor` may be a call: the nearest whole number to
+/// what lies half a step below.
+#[inline(always)]
+fn cell(place: f64) -> (f64, f64) {
+    let cell = (place - 0.5 + WHOLE) - WHOLE;
+    (cell, 2.0 * (place - cell) - 1.0)
+}
+
+/// Spreads echoes onto the grid of a task.
+pub struct Spread<'a, T: Sample> {
+    task: &'a Task<'a, T>,
+    scales: Scales,
+    centring: Centring,
+    grid: &'a mut [Row<T>],
+    prepared: &'a mut Prepared<T>,
+    mixing: &'a Mixing<T>,
+    pub echoes: usize,
+    /// Echoes outside the spans that the task was made for: left out if they would lie outside the grid.
+    pub beyond: usize,
+    /// In here, and not in what hands the echoes on.
+    pub spent: Duration,
+}
+
+impl<'a, T: Sample> Spread<'a, T> {
+    pub fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
+        let start = Instant::now();
+        if !work.cleared {
+            work.grid.fill(Row::ZERO);
+        }
+        let rows = task.panels() * task.engine.panel_rows();
+        if work.grid.len() < rows {
+            work.grid.resize(rows, Row::ZERO);
+        }
+        work.cleared = false;
+        let slope_width = task.engine.slope_kernel.width;
+        work.mixing
+            .set(&work.merge, task.products().count(), slope_width);
+        Self {
+            task,
+            scales: Scales::new(task),
+            centring,
+            grid: &mut work.grid[..rows],
+            prepared: &mut work.prepared,
+            mixing: &work.mixing,
+            echoes: 0,
+            beyond: 0,
+            spent: start.elapsed(),
+        }
+    }
+
+    fn accept_as_can_be(&mut self, chunk: &LineChunk) {
+        #[cfg(target_arch = "x86_64")]
+        match self.task.engine.simd_level.kind() {
+            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
+            Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
+            // SAFETY: as above.
+            Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
+            Processor::Portable => {}
+        }
+        self.accept_plain::<false>(chunk);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+    fn accept_avx512(&mut self, chunk: &LineChunk) {
+        if !T::WIDE || self.task.channels() > PANEL {
+            return self.accept_plain::<true>(chunk);
+        }
+        self.prepare_all(chunk);
+        let (engine, task) = (self.task.engine, self.task);
+        let len = chunk.len.min(CHUNK);
+        self.echoes += len;
+        let farthest = self.prepared.farthest[..len].iter();
+        self.beyond += farthest.filter(|&&farthest| farthest > 1.0).count();
+        self.beyond += T::spread_wide(
+            Wide {
+                prepared: self.prepared,
+                len,
+                grid: self.grid,
+                panel_rows: engine.panel_rows(),
+                channels: task.channels(),
+                orders: task.orders,
+                kinds: task.kinds(),
+                kept: task.kept(),
+                mixing: self.mixing,
+                time_taps: &engine.time_taps,
+                slope_taps: &engine.slope_taps,
+                time_width: engine.time_kernel.width,
+                slope_width: engine.slope_kernel.width,
+                last_row: engine.rows - engine.time_kernel.width,
+                last_column: task.columns - engine.slope_kernel.width,
+            },
+            engine.simd_level,
+        );
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn accept_avx2(&mut self, chunk: &LineChunk) {
+        self.accept_plain::<true>(chunk);
+    }
+
+    #[inline(always)]
+    fn accept_plain<const FUSED: bool>(&mut self, chunk: &LineChunk) {
+        self.prepare_all(chunk);
+        self.add::<FUSED>(chunk.len);
+    }
+
+    #[inline(always)]
+    fn prepare_all(&mut self, chunk: &LineChunk) {
+        prepare(self.scales, self.centring, chunk, self.prepared);
+        if self.task.kinds().len() > 1 {
+            prepare_kinds(self.scales, self.centring, chunk, self.prepared);
+        }
+    }
+
+    /// Echo by echo onto the grid.
+    #[inline(always)]
+    fn add<const FUSED: bool>(&mut self, len: usize) {
+        let task = self.task;
+        let engine = task.engine;
+        let (time_width, slope_width) = (engine.time_kernel.width, engine.slope_kernel.width);
+        let (last_row, last_column) = (engine.rows - time_width, task.columns - slope_width);
+        let channels = task.channels();
+        let panel_rows = engine.panel_rows();
+        let mut each = [[T::ZERO; MAX_CHANNELS + PANEL]; 2];
+        let mut mixed = [T::ZERO; MAX_CHANNELS + PANEL];
+        let mut line = [[T::ZERO; MAX_LINE]; 2];
+        let p = &*self.prepared;
+        self.echoes += len;
+        for i in 0..len.min(CHUNK) {
+            let (row, column) = (p.row[i] as usize, p.column[i] as usize);
+            self.beyond += usize::from(p.farthest[i] > 1.0);
+            if row > last_row || column > last_column {
+                self.beyond += 1;
+                continue;
+            }
+            self.mixing.one::<FUSED>(task, p, i, &mut mixed);
+            for v in (0..channels).step_by(PANEL) {
+                let mixed = *vector(&mixed, v);
+                *vector_mut(&mut each[0], v) = scaled(mixed, p.re[i]);
+                *vector_mut(&mut each[1], v) = scaled(mixed, p.im[i]);
+            }
+            // Whole vectors, each tap's over the zeros behind the one before it; zeros before the first and behind the last.
+            let weights = taps::<T, FUSED>(&engine.slope_taps, p.in_column[i]);
+            let place = column * channels;
+            let (first, before) = (place / PANEL, place % PANEL);
+            let end = before + slope_width * channels;
+            for part in 0..2 {
+                let (line, each) = (&mut line[part], &each[part]);
+                *vector_mut(line, 0) = [T::ZERO; PANEL];
+                for (tap, &weight) in weights[..slope_width].iter().enumerate() {
+                    let at = before + tap * channels;
+                    for v in (0..channels).step_by(PANEL) {
+                        *vector_mut(line, at + v) = scaled(*vector(each, v), weight);
+                    }
+                }
+                *vector_mut(line, end) = [T::ZERO; PANEL];
+            }
+            let weights = taps::<T, FUSED>(&engine.time_taps, p.in_row[i]);
+            for (panel, at) in (0..end).step_by(PANEL).enumerate() {
+                let (re, im) = (vector(&line[0], at), vector(&line[1], at));
+                let rows = &mut self.grid[(first + panel) * panel_rows + row..][..time_width];
+                for (sum, &weight) in rows.iter_mut().zip(&weights) {
+                    sum.re = scaled_plus::<T, FUSED>(*re, weight, sum.re);
+                    sum.im = scaled_plus::<T, FUSED>(*im, weight, sum.im);
+                }
+            }
+        }
+    }
+}
+
+impl<T: Sample> LineSink for Spread<'_, T> {
+    fn accept(&mut self, chunk: &LineChunk) {
+        let start = Instant::now();
+        self.accept_as_can_be(chunk);
+        self.spent += start.elapsed();
+    }
+}
+
+#[inline(always)]
+fn vector<T>(values: &[T], at: usize) -> &[T; PANEL] {
+    values[at..][..PANEL].try_into().expect("a vector")
+}
+
+#[inline(always)]
+fn vector_mut<T>(values: &mut [T], at: usize) -> &mut [T; PANEL] {
+    (&mut values[at..][..PANEL]).try_into().expect("a vector")
+}
+
+/// By value, here and below: so the compiler knows that nothing overlaps, and takes whole vectors.
+#[inline(always)]
+fn scaled<T: Sample>(mut a: [T; PANEL], by: T) -> [T; PANEL] {
+    for a in &mut a {
+        *a = *a * by;
+    }
+    a
+}
+
+/// a by + plus
+#[inline(always)]
+fn scaled_plus<T: Sample, const FUSED: bool>(
+    a: [T; PANEL],
+    by: T,
+    mut plus: [T; PANEL],
+) -> [T; PANEL] {
+    for j in 0..PANEL {
+        plus[j] = a[j].times_plus::<FUSED>(by, plus[j]);
+    }
+    plus
+}

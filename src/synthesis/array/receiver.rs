@@ -1,0 +1,141 @@
+//! The receiver chain behind one element: noise, fixed gain, time-varying gain, converter.
+
+use num_complex::Complex64;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use echotank_core::flow::{ArrayGeometry, PingPlan, Receiver, TimeVaryingGain};
+
+use super::phasor::cis;
+
+/// Keeps these draws apart from everything else that is seeded with the same number.
+const NOISE_TAG: [u8; 8] = *b"elementn";
+/// ... and the draws of parts of lines from those of elements.
+const PART_TAG: [u8; 8] = *b"partnois";
+
+/// Takes the samples of one element through the receiver, in place, and returns how many I or Q values met the converter's ends.
+///
+/// Noise: circular Gaussian of variance N_0 f_s, in volts after `array.sensitivity_db`; a stream of its own for every (seed, sonar, ping,
+/// array, element), so that no order of computation and no machine changes it. A part of a line has the mean of its elements' noise, of another
+/// stream: the line made of parts has the same noise as of elements in level and spectrum, and not in samples.
+pub fn receive(
+    plan: &PingPlan,
+    receiver: &Receiver,
+    array: &ArrayGeometry,
+    array_index: usize,
+    element: usize,
+    samples: &mut [Complex64],
+) -> u64 {
+    if let Some(noise_db) = receiver.noise_db {
+        let variance =
+            10f64.powf((noise_db + array.sensitivity_db) / 10.0) * receiver.sample_rate_hz;
+        let (variance, tag) = match array.element_pattern.stands_for() {
+            1 => (variance, NOISE_TAG),
+            of => (variance / of as f64, PART_TAG),
+        };
+        let rng = noise_stream(plan, receiver.seed, (array_index, element), tag);
+        add_noise(variance.sqrt(), rng, samples);
+    }
+    amplify(plan, receiver, samples);
+    match receiver.adc_bits {
+        Some(bits) => quantise(bits, receiver.full_scale_v, samples),
+        None => 0,
+    }
+}
+
+fn noise_stream(
+    plan: &PingPlan,
+    seed: u64,
+    (array, element): (usize, usize),
+    tag: [u8; 8],
+) -> ChaCha8Rng {
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(&seed.to_le_bytes());
+    key[8..12].copy_from_slice(&plan.ping_number.to_le_bytes());
+    key[12..16].copy_from_slice(&(plan.sonar as u32).to_le_bytes());
+    key[16..20].copy_from_slice(&(array as u32).to_le_bytes());
+    key[20..24].copy_from_slice(&(element as u32).to_le_bytes());
+    key[24..].copy_from_slice(&tag);
+    ChaCha8Rng::from_seed(key)
+}
+
+/// Adds circular Gaussian noise: E|n|^2 = rms^2.
+pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
+    const UNIT: f64 = 1.0 / (1u64 << 53) as f64;
+    for sample in samples {
+        // Box and Muller (1958): both of the pair are wanted, as I and Q.
+        let chance = ((rng.next_u64() >> 11) + 1) as f64 * UNIT; // (0, 1]
+        let turns = (rng.next_u64() >> 11) as f64 * UNIT;
+        let radius = rms * (-libm::log(chance)).sqrt();
+        let (cos, sin) = cis(turns);
+        sample.re += radius * cos;
+        sample.im += radius * sin;
+    }
+}
+
+/// Fixed gain and the time-varying law at slant range c t / 2.
+pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
+    let gain_db = plan.settings.gain_db;
+    let fixed = linear(gain_db);
+    let range_m = |k: usize| {
+        let time_s = plan.first_sample_s + k as f64 / receiver.sample_rate_hz;
+        0.5 * plan.sound_speed_m_per_s * time_s.max(0.0)
+    };
+    match &receiver.tvg {
+        TimeVaryingGain::None if gain_db == 0.0 => {}
+        TimeVaryingGain::None => samples.iter_mut().for_each(|sample| *sample *= fixed),
+        TimeVaryingGain::Law {
+            spreading,
+            absorption_db_per_m,
+            max_db,
+        } => {
+            for (k, sample) in samples.iter_mut().enumerate() {
+                let r = range_m(k);
+                // log10(0) is minus infinity, which the clip below makes 0 dB.
+                let law_db = spreading * libm::log10(r) + 2.0 * absorption_db_per_m * r;
+                *sample *= fixed * linear(law_db.min(*max_db).max(0.0));
+            }
+        }
+        TimeVaryingGain::Table(table) => {
+            let mut next = 0;
+            for (k, sample) in samples.iter_mut().enumerate() {
+                let r = range_m(k);
+                while next < table.len() && table[next].0 <= r {
+                    next += 1;
+                }
+                *sample *= fixed * linear(table_db(table, next, r));
+            }
+        }
+    }
+}
+
+/// dB to a linear amplitude, with the same bits on every machine.
+fn linear(db: f64) -> f64 {
+    libm::exp(db * (std::f64::consts::LN_10 / 20.0))
+}
+
+/// Between `table[next - 1]` and `table[next]`, held outside; 0 dB from an empty table.
+fn table_db(table: &[(f64, f64)], next: usize, range_m: f64) -> f64 {
+    match (next.checked_sub(1).map(|i| table[i]), table.get(next)) {
+        (None, None) => 0.0,
+        (None, Some(&(_, db))) | (Some((_, db)), None) => db,
+        (Some((r0, db0)), Some(&(r1, db1))) => db0 + (db1 - db0) * (range_m - r0) / (r1 - r0),
+    }
+}
+
+/// Rounds I and Q to steps of 2 full_scale / 2^bits between the converter's ends, and counts the values beyond them.
+pub(super) fn quantise(bits: u32, full_scale_v: f64, samples: &mut [Complex64]) -> u64 {
+    let codes = 2f64.powi(bits as i32);
+    let step = 2.0 * full_scale_v / codes;
+    let (lowest, highest) = (-0.5 * codes, 0.5 * codes - 1.0);
+    let mut saturated = 0;
+    let mut convert = |volts: f64| {
+        let code = (volts / step).round_ties_even();
+        saturated += u64::from(code < lowest || code > highest);
+        code.clamp(lowest, highest) * step
+    };
+    for sample in samples {
+        *sample = Complex64::new(convert(sample.re), convert(sample.im));
+    }
+    saturated
+}

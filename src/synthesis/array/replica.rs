@@ -1,0 +1,72 @@
+//! One pulse as the receiver hears it, sampled once for all echoes: what [`nearest`](super::nearest) and [`linear`](super::linear) lay down.
+
+use num_complex::Complex64;
+
+use echotank_core::flow::{ArrivalChunk, ArrivalSink, Edges, PingPlan, Pulse};
+
+use super::direct::Direct;
+use super::filter::Decimator;
+use super::phasor::cis;
+
+/// An echo of unit strength that begins at time zero, without carrier, at the sample rate and behind the receiver filter.
+#[derive(Clone, Debug, Default)]
+pub struct Replica {
+    pulse: Option<Pulse>,
+    /// `samples[before]` is the one at time zero; the filter rings ahead of it.
+    before: usize,
+    samples: Vec<Complex64>,
+    dense: Vec<Complex64>,
+}
+
+impl Replica {
+    /// Makes the replica of the plan's pulse, unless it is made already. Allocates only where a pulse is longer than any before it.
+    pub fn prepare(&mut self, plan: &PingPlan, rate_hz: f64, filter: Option<&Decimator>) {
+        if self.pulse == Some(plan.pulse) {
+            return;
+        }
+        self.pulse = Some(plan.pulse);
+        let reach_s = filter.map_or(0.0, |f| -f.dense_first_s(0.0));
+        self.before = (reach_s * rate_hz).ceil() as usize;
+        let sounding = (plan.pulse.duration_s * rate_hz).floor() as usize + 1;
+        self.samples.clear();
+        self.samples
+            .resize(sounding + 2 * self.before, Complex64::ZERO);
+        let first_s = -(self.before as f64) / rate_hz;
+        let mut echo = ArrivalChunk::new();
+        echo.len = 1;
+        echo.amplitude[0] = Complex64::ONE;
+        match filter {
+            None => Direct::new(plan, rate_hz, first_s, &mut self.samples).accept(&echo),
+            Some(filter) => {
+                self.dense.clear();
+                self.dense
+                    .resize(filter.dense_len(self.samples.len()), Complex64::ZERO);
+                let dense_first_s = filter.dense_first_s(first_s);
+                Direct::new(plan, filter.dense_rate_hz(), dense_first_s, &mut self.dense)
+                    .with_edges(Edges::Weighted)
+                    .accept(&echo);
+                filter.apply(&self.dense, &mut self.samples);
+            }
+        }
+    }
+
+    /// Adds the replica to `out`, its sample at time zero on `out[start]`, which may lie off either end.
+    pub(super) fn add(&self, start: i64, factor: Complex64, out: &mut [Complex64]) {
+        let from = start.saturating_sub(self.before as i64);
+        let skip = usize::try_from(from.saturating_neg()).unwrap_or(0);
+        let at = usize::try_from(from).unwrap_or(0);
+        let (Some(out), Some(samples)) = (out.get_mut(at..), self.samples.get(skip..)) else {
+            return;
+        };
+        for (sum, sample) in out.iter_mut().zip(samples) {
+            *sum += factor * sample;
+        }
+    }
+}
+
+/// Amplitude with the carrier's phase after `delay_s`.
+pub(super) fn with_carrier(amplitude: Complex64, carrier_hz: f64, delay_s: f64) -> Complex64 {
+    let cycles = carrier_hz * delay_s;
+    let (cos, sin) = cis(cycles.round_ties_even() - cycles);
+    amplitude * Complex64::new(cos, sin)
+}

@@ -1,0 +1,203 @@
+//! The paper's own algorithm (Meng et al. 2023, Eqs. 18 and 21): a sum over scatterers at every frequency of a grid, and one inverse FFT.
+//!
+//! ```text
+//! Y(f) = sum_m A_m exp(-j 2pi f tau_m) S(f) H(f),   f = f_c + k Df,   |k Df| < f_s/2
+//! ```
+//!
+//! tau is the delay of the plan's path model (Eq. 18), or that with either leg's frequency ratio in it (Eq. 21, `doppler = "paper-eq21"`).
+//! S is the pulse's spectrum and H the receiver filter's gain. The series repeats every 1/Df: a step above 1/(record length) lays late echoes
+//! over early ones. Everything in f64. Not modelled: a stretch of the pulse, which no common S can hold; without a receiver filter the pulse
+//! is cut to the sampled band.
+
+use std::sync::Arc;
+
+use echotank_fft::{Fft, Planned};
+use num_complex::Complex64;
+
+use echotank_core::flow::{
+    ArrivalChunk, ArrivalSink, EDGE_POINTS, PingPlan, Pulse, edge_corrections,
+};
+
+use super::direct::add_tone;
+use super::filter::{Decimator, occupied_hz};
+
+/// Points per period of the widest band at which S is integrated; weighted at the pulse's ends it is good to 1e-8 of its peak.
+const SPECTRUM_DENSITY: f64 = 64.0;
+
+/// The frequency grid of one sonar, and S H on it.
+pub struct Spectrum {
+    rate_hz: f64,
+    step_hz: f64,
+    pulse: Option<Pulse>,
+    /// H, or 1 without a filter. Bin k lies (k - bins/2) steps from the centre frequency.
+    gain: Vec<f64>,
+    /// S H.
+    shaped: Vec<Complex64>,
+    inverse: Arc<dyn Fft<f64>>,
+}
+
+/// One thread's bins.
+#[derive(Clone, Debug, Default)]
+pub struct Bins {
+    sum: Vec<Complex64>,
+    turned: Vec<Complex64>,
+    scratch: Vec<Complex64>,
+}
+
+impl Spectrum {
+    /// For records of up to `record_s`, pulse and filter tails included. `step_hz` sets the grid's own step, too coarse if one likes; none
+    /// takes the finest whose transform is quick at or below 1/`record_s`. Rounded so that the sampled band holds whole steps.
+    pub fn new(
+        rate_hz: f64,
+        record_s: f64,
+        step_hz: Option<f64>,
+        filter: Option<&Decimator>,
+    ) -> Self {
+        let bins = match step_hz {
+            Some(step_hz) => (rate_hz / step_hz).round().max(1.0) as usize,
+            None => quick_len((rate_hz * record_s).ceil().max(1.0) as usize),
+        };
+        let step_hz = rate_hz / bins as f64;
+        let gain = (0..bins)
+            .map(|k| filter.map_or(1.0, |f| f.gain(offset(k, bins) * step_hz)))
+            .collect();
+        Self {
+            rate_hz,
+            step_hz,
+            pulse: None,
+            gain,
+            shaped: vec![Complex64::ZERO; bins],
+            inverse: f64::plan_inverse(bins),
+        }
+    }
+
+    pub fn bins(&self) -> usize {
+        self.gain.len()
+    }
+
+    pub fn step_hz(&self) -> f64 {
+        self.step_hz
+    }
+
+    /// Works out S H for the plan's pulse, unless that is done already.
+    pub fn prepare(&mut self, plan: &PingPlan) {
+        if self.pulse == Some(plan.pulse) {
+            return;
+        }
+        self.pulse = Some(plan.pulse);
+        let pulse = &plan.pulse;
+        let density_hz = SPECTRUM_DENSITY * occupied_hz(pulse).max(self.rate_hz);
+        let steps = pulse.duration_s * density_hz;
+        let last = steps.floor() as usize;
+        let sharp = pulse.taper == 0.0;
+        let (leading, trailing) = (edge_corrections(0.0), edge_corrections(steps - last as f64));
+        self.shaped.fill(Complex64::ZERO);
+        let lowest_hz = offset(0, self.bins()) * self.step_hz;
+        for n in 0..=last {
+            let mut weight = 1.0;
+            if sharp && n < EDGE_POINTS {
+                weight += leading[n];
+            }
+            if sharp && last - n < EDGE_POINTS {
+                weight += trailing[last - n];
+            }
+            let t_s = n as f64 / density_hz;
+            let sample = pulse.envelope(t_s) * (weight / density_hz);
+            add_tone(
+                -lowest_hz * t_s,
+                -self.step_hz * t_s,
+                sample,
+                &mut self.shaped,
+            );
+        }
+        for (shaped, gain) in self.shaped.iter_mut().zip(&self.gain) {
+            *shaped *= gain;
+        }
+    }
+}
+
+/// Steps of bin `k` from the centre frequency.
+fn offset(k: usize, bins: usize) -> f64 {
+    k as f64 - (bins / 2) as f64
+}
+
+/// Least length with no prime factor above 5 that is not below `least`.
+fn quick_len(least: usize) -> usize {
+    (least..)
+        .find(|&n| {
+            let mut rest = n;
+            for prime in [2, 3, 5] {
+                while rest % prime == 0 {
+                    rest /= prime;
+                }
+            }
+            rest == 1
+        })
+        .unwrap_or(least)
+}
+
+/// Sums the echoes of one element on the grid.
+pub struct Spectral<'a> {
+    spectrum: &'a Spectrum,
+    bins: &'a mut Bins,
+    carrier_hz: f64,
+    first_sample_s: f64,
+}
+
+impl<'a> Spectral<'a> {
+    /// `first_sample_s`: of the samples that [`Self::finish`] will give. [`Spectrum::prepare`] has seen this plan's pulse.
+    pub fn new(
+        plan: &PingPlan,
+        spectrum: &'a Spectrum,
+        first_sample_s: f64,
+        bins: &'a mut Bins,
+    ) -> Self {
+        bins.sum.clear();
+        bins.sum.resize(spectrum.bins(), Complex64::ZERO);
+        Self {
+            spectrum,
+            bins,
+            carrier_hz: plan.pulse.center_frequency_hz,
+            first_sample_s,
+        }
+    }
+
+    /// Times S H, and back to time: overwrites `out`. Samples beyond 1/Df are those of the period before.
+    pub fn finish(self, out: &mut [Complex64]) {
+        let Self { spectrum, bins, .. } = self;
+        let count = spectrum.bins();
+        let Bins {
+            sum,
+            turned,
+            scratch,
+        } = bins;
+        turned.resize(count, Complex64::ZERO);
+        scratch.resize(spectrum.inverse.get_inplace_scratch_len(), Complex64::ZERO);
+        // The transform wants the centre frequency first.
+        for (k, (y, shaped)) in sum.iter().zip(&spectrum.shaped).enumerate() {
+            turned[(k + count - count / 2) % count] = y * shaped * spectrum.step_hz;
+        }
+        spectrum.inverse.process_with_scratch(turned, scratch);
+        for (k, sample) in out.iter_mut().enumerate() {
+            *sample = turned[k % count];
+        }
+    }
+}
+
+impl ArrivalSink for Spectral<'_> {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        let step_hz = self.spectrum.step_hz;
+        let lowest_hz = offset(0, self.spectrum.bins()) * step_hz;
+        for i in 0..chunk.len {
+            let delay_s = chunk.delay_s[i];
+            let carrier = self.carrier_hz * delay_s;
+            let since_s = delay_s - self.first_sample_s;
+            add_tone(
+                -(carrier - carrier.round_ties_even()) - lowest_hz * since_s,
+                -step_hz * since_s,
+                chunk.amplitude[i],
+                &mut self.bins.sum,
+            );
+        }
+    }
+}

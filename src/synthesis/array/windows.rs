@@ -1,0 +1,293 @@
+//! What the ways to sum promise in every window of a pulse's length, noise being there, and not of whole echoes as [`super::error_models`] do.
+//!
+//! A window may hold no more of an echo than one of its ends, or than the end of the receiver filter's tail, and what a sum leaves beside echoes
+//! counts against that, or against the noise where it is more. So one echo is made alone, by the sum and exactly, between two samples here and there,
+//! and looked at window by window.
+//!
+//! In: conditions, the plan's pulse, how deep the noise lies. Out: an error model whose error is that of the worst window.
+
+use num_complex::Complex64;
+
+use echotank_core::flow::{
+    ArrivalChunk, ArrivalSink, Conditions, Edges, ErrorModel, MIN_WINDOW, PingPlan, ReceiverFilter,
+    Synthesis,
+};
+
+use super::error_models::synthesis_error_model;
+use super::filter::{Decimator, FilterError, oversample};
+use super::{Bins, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
+
+/// Places of an echo between two samples: on one, half way, and some that repeat on no grid of dense samples.
+const PLACES: [f64; 6] = [0.0, 0.5, 0.118, 0.236, 0.618, 0.854];
+
+/// What places between those may be worse, and several echoes in one window.
+const MORE: f64 = 1.5;
+
+/// As an echo turned upside down.
+const MOST: f64 = 2.0;
+
+/// As [`synthesis_error_model`], in the worst window: noise lies `noise_below_db` below the strongest. The engines for a tolerance have error models of their own.
+/// `doppler_hz`: what the receiver filter lets pass beside the pulse's band.
+pub fn window_error_model(
+    synthesis: Synthesis,
+    conditions: &Conditions,
+    plan: &PingPlan,
+    doppler_hz: f64,
+    noise_below_db: f64,
+) -> Result<ErrorModel, FilterError> {
+    let mut error_model = synthesis_error_model(synthesis, conditions);
+    let exact = match synthesis {
+        Synthesis::Direct => conditions.filter == ReceiverFilter::None,
+        Synthesis::Spectral | Synthesis::Nearest | Synthesis::Linear => false,
+        Synthesis::Reference | Synthesis::Gridded1d | Synthesis::Gridded2d => true,
+    };
+    if !exact {
+        let alone = Alone::new(synthesis, conditions, plan, doppler_hz)?;
+        let worst = alone.worst(conditions, noise_below_db);
+        error_model.error = error_model.error.max(MORE * worst).min(MOST);
+        error_model.why += &format!(
+            "; {worst:.1e} of an echo alone in its worst window, noise {noise_below_db} dB down"
+        );
+    }
+    Ok(error_model)
+}
+
+/// What is made once for all places.
+enum Sum {
+    Direct,
+    Spectral(Spectrum),
+    Nearest(Replica),
+    Linear(Replica),
+}
+
+/// One echo in a record of its own.
+struct Alone<'a> {
+    plan: &'a PingPlan,
+    rate_hz: f64,
+    sum: Sum,
+    own: Option<Decimator>,
+    exact: Option<Decimator>,
+    /// Samples of a window, and of silence to either side of the echo: a window and what filters reach.
+    window: usize,
+    silence: usize,
+    samples: usize,
+}
+
+impl<'a> Alone<'a> {
+    fn new(
+        synthesis: Synthesis,
+        conditions: &Conditions,
+        plan: &'a PingPlan,
+        doppler_hz: f64,
+    ) -> Result<Self, FilterError> {
+        let rate_hz = conditions.sample_rate_hz;
+        let filter = |like: Synthesis| match conditions.filter {
+            ReceiverFilter::None => Ok(None),
+            ReceiverFilter::Fir => {
+                let dense = oversample(&plan.pulse, rate_hz, like);
+                Decimator::new(&plan.pulse, rate_hz, doppler_hz, dense).map(Some)
+            }
+        };
+        let (own, exact) = (filter(synthesis)?, filter(Synthesis::Reference)?);
+        let sounding = (plan.pulse.duration_s * rate_hz).ceil();
+        let window = sounding.max(MIN_WINDOW) as usize;
+        let reach = own.as_ref().map_or(0.0, |f| (f.half_s() * rate_hz).ceil());
+        let silence = window + reach as usize + 2;
+        let samples = sounding as usize + 2 * silence;
+        let replica = || {
+            let mut replica = Replica::default();
+            replica.prepare(plan, rate_hz, own.as_ref());
+            replica
+        };
+        let sum = match synthesis {
+            Synthesis::Spectral => {
+                let record_s = samples as f64 / rate_hz;
+                let mut spectrum = Spectrum::new(rate_hz, record_s, None, own.as_ref());
+                spectrum.prepare(plan);
+                Sum::Spectral(spectrum)
+            }
+            Synthesis::Nearest => Sum::Nearest(replica()),
+            Synthesis::Linear => Sum::Linear(replica()),
+            _ => Sum::Direct,
+        };
+        Ok(Self {
+            plan,
+            rate_hz,
+            sum,
+            own,
+            exact,
+            window,
+            silence,
+            samples,
+        })
+    }
+
+    /// Over all places, at rest and, where the sum knows of Doppler, as fast as goes.
+    fn worst(&self, conditions: &Conditions, noise_below_db: f64) -> f64 {
+        let fastest = 2.0 * conditions.speed_m_per_s / conditions.sound_speed_m_per_s;
+        let dopplers = match self.sum {
+            Sum::Direct if fastest > 0.0 => &[0.0, fastest, -fastest][..],
+            _ => &[0.0],
+        };
+        let places = dopplers
+            .iter()
+            .flat_map(|&doppler| PLACES.map(|place| (place, doppler)));
+        places
+            .map(|(place, doppler)| self.at(place, doppler, noise_below_db))
+            .fold(0.0, f64::max)
+    }
+
+    /// The worst window of an echo that begins `place` samples after one.
+    fn at(&self, place: f64, doppler: f64, noise_below_db: f64) -> f64 {
+        let (want, got) = (self.exactly(place, doppler), self.summed(place, doppler));
+        let energies = |samples: Vec<f64>| -> Vec<f64> {
+            let windows = samples.windows(self.window);
+            windows.map(|w| w.iter().sum()).collect()
+        };
+        let pairs = got.iter().zip(&want);
+        let off = energies(pairs.map(|(g, w)| (g - w).norm_sqr()).collect());
+        let all = energies(want.iter().map(|w| w.norm_sqr()).collect());
+        let noise = all.iter().copied().fold(0.0, f64::max) * 10f64.powf(-noise_below_db / 10.0);
+        let weakest = self.plan.pulse.weakest_window(self.rate_hz).powi(2);
+        let shares = off.iter().zip(&all);
+        shares
+            .map(|(off, here)| off / (here * weakest).max(noise))
+            .fold(0.0, f64::max)
+            .sqrt()
+    }
+
+    fn echo(&self, place: f64, doppler: f64) -> ArrivalChunk {
+        let mut echo = ArrivalChunk::new();
+        echo.len = 1;
+        echo.delay_s[0] = (self.silence as f64 + place) / self.rate_hz;
+        echo.doppler[0] = doppler;
+        echo.amplitude[0] = Complex64::ONE;
+        echo
+    }
+
+    fn exactly(&self, place: f64, doppler: f64) -> Vec<Complex64> {
+        self.direct(self.exact.as_ref(), &self.echo(place, doppler))
+    }
+
+    fn direct(&self, filter: Option<&Decimator>, echo: &ArrivalChunk) -> Vec<Complex64> {
+        let mut out = vec![Complex64::ZERO; self.samples];
+        match filter {
+            None => Direct::new(self.plan, self.rate_hz, 0.0, &mut out).accept(echo),
+            Some(filter) => {
+                let mut dense = vec![Complex64::ZERO; filter.dense_len(self.samples)];
+                let first_s = filter.dense_first_s(0.0);
+                Direct::new(self.plan, filter.dense_rate_hz(), first_s, &mut dense)
+                    .with_edges(Edges::Weighted)
+                    .accept(echo);
+                filter.apply(&dense, &mut out);
+            }
+        }
+        out
+    }
+
+    fn summed(&self, place: f64, doppler: f64) -> Vec<Complex64> {
+        let echo = self.echo(place, doppler);
+        let mut out = vec![Complex64::ZERO; self.samples];
+        match &self.sum {
+            Sum::Direct => return self.direct(self.own.as_ref(), &echo),
+            Sum::Spectral(spectrum) => {
+                let mut bins = Bins::default();
+                let mut sink = Spectral::new(self.plan, spectrum, 0.0, &mut bins);
+                sink.accept(&echo);
+                sink.finish(&mut out);
+            }
+            Sum::Nearest(replica) => {
+                Nearest::new(self.plan, replica, self.rate_hz, 0.0, &mut out).accept(&echo);
+            }
+            Sum::Linear(replica) => {
+                Linear::new(self.plan, replica, self.rate_hz, 0.0, &mut out).accept(&echo);
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use echotank_core::flow::testing::plan_at_rest;
+    use echotank_core::flow::{Pulse, PulseKind};
+
+    fn conditions(pulse: Pulse, filter: ReceiverFilter) -> Conditions {
+        Conditions {
+            pulse,
+            sound_speed_m_per_s: 1500.0,
+            sample_rate_hz: 40e3,
+            filter,
+            speed_m_per_s: 0.0,
+            acceleration_m_per_s2: 0.0,
+            turning_m_per_s: 0.0,
+            range_m: (10.0, 50.0),
+            segment_s: 0.01,
+            scatterers: 1000,
+            elements: 1,
+            tolerance: 1e-3,
+            heard: None,
+        }
+    }
+
+    fn pulse(bandwidth_hz: f64, duration_s: f64, taper: f64) -> Pulse {
+        Pulse {
+            kind: match bandwidth_hz {
+                0.0 => PulseKind::Cw,
+                _ => PulseKind::LfmUp,
+            },
+            center_frequency_hz: 400e3,
+            bandwidth_hz,
+            duration_s,
+            taper,
+        }
+    }
+
+    #[test]
+    fn no_place_between_two_samples_is_worse_than_the_card() {
+        for (synthesis, filter) in [
+            (Synthesis::Direct, ReceiverFilter::Fir),
+            (Synthesis::Spectral, ReceiverFilter::Fir),
+            (Synthesis::Nearest, ReceiverFilter::Fir),
+            (Synthesis::Linear, ReceiverFilter::Fir),
+            (Synthesis::Spectral, ReceiverFilter::None),
+            (Synthesis::Linear, ReceiverFilter::None),
+        ] {
+            for pulse in [
+                pulse(24e3, 1e-3, 0.0),
+                pulse(24e3, 0.4e-3, 0.5),
+                pulse(0.0, 1e-3, 0.1),
+            ] {
+                let c = conditions(pulse, filter);
+                let plan = plan_at_rest(&pulse, 100, 1500.0);
+                let error_model =
+                    window_error_model(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+                let alone = Alone::new(synthesis, &c, &plan, 900.0).expect("fits");
+                let got = (0..24)
+                    .map(|k| (0.01 + 0.754_877_666 * f64::from(k)).fract())
+                    .map(|place| alone.at(place, 0.0, 55.0))
+                    .fold(0.0, f64::max);
+                println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {error_model:?}");
+                // Twice an echo is as much as an error model says.
+                assert!(
+                    got.min(MOST) <= error_model.error,
+                    "{got:e}, {error_model:?}"
+                );
+            }
+        }
+    }
+
+    /// Flanks that rise as the square: half a sample is much of what little is heard of an echo where it comes out of the noise.
+    #[test]
+    fn the_worst_window_is_an_end_and_worse_than_the_whole_echo() {
+        let pulse = pulse(0.0, 1e-3, 1.0);
+        let c = conditions(pulse, ReceiverFilter::Fir);
+        let plan = plan_at_rest(&pulse, 100, 1500.0);
+        for synthesis in [Synthesis::Nearest, Synthesis::Linear] {
+            let whole = synthesis_error_model(synthesis, &c).error;
+            let worst = window_error_model(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
+            assert!(worst.error > 2.0 * whole, "{whole:e}, {worst:?}");
+        }
+    }
+}

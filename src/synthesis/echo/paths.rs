@@ -1,0 +1,862 @@
+//! Where the receiver is when an echo arrives: delays of the four path models.
+//!
+//! Three of them are legs of constant velocity and solved in closed form: `stop-and-hop` has one leg without velocity, `polyline` the plan's
+//! segments, `k-segment` the element's own chords between the same vertices. `continuous` starts from the chords and ends on the trajectory
+//! itself by Newton's iteration.
+//!
+//! Sound leaves the transmitter (the origin here) at t = 0 and reaches the scatterer S at t1 = r_T/c. A receiver at R + v (t - t_k) on
+//! segment k then sees S at D = S - R - v (t1 - t_k), and the second leg tau solves |D - v tau| = c tau, so
+//! (c^2 - v^2) tau^2 + 2 (D.v) tau - D.D = 0. Its one positive root, written without cancellation, is
+//!
+//! ```text
+//! q   = sqrt((D.v)^2 + (c^2 - v^2) D.D)
+//! tau = D.D / (q + D.v)            D.v >= 0
+//!     = (q - D.v) / (c^2 - v^2)    D.v <  0
+//! ```
+//!
+//! The same root as Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It holds for every |v| < c, v = 0 and D = 0 included.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use echotank_core::flow::{ArrayGeometry, CHUNK, DopplerModel, PathModel, PingPlan, TransmitArray};
+use echotank_core::frames::Pose;
+
+/// Guard, in metres, on the bounds by which whole segments are passed over: far above the rounding of ranges, far below any range.
+const BOUND_GUARD_M: f64 = 1e-6;
+
+/// A Newton step below this ends the iteration, seconds: the next would be its square times v^2/(r c), below 1e-20 s even 1 mm away.
+const SETTLED_S: f64 = 1e-11;
+
+/// Where a ping is transmitted: the origin of everything below.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Transmit {
+    /// The platform's reference point at the start of the pulse, world, metres, and the transmitter's arm from it. Kept apart: their sum
+    /// would round the arm at the size of the world.
+    reference_m: DVec3,
+    arm_m: DVec3,
+    pub array_from_world: DMat3,
+    /// As Doppler needs it.
+    pub motion: Motion,
+}
+
+/// How a point moves about one instant; zero under [`DopplerModel::None`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    pub velocity_m_per_s: DVec3,
+    pub acceleration_m_per_s2: DVec3,
+}
+
+impl Transmit {
+    /// From the first segment of the plan or, where the path model follows the trajectory, from that.
+    pub fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
+        let first = &plan.segments[0];
+        let mounting = &tx.mounting;
+        let (arm_m, world_from_body, motion) = match plan.model.path {
+            PathModel::StopAndHop | PathModel::Polyline => {
+                let arm_m = first.world_from_body * mounting.position_m;
+                (arm_m, first.world_from_body, segment_motion(plan, 0, arm_m))
+            }
+            PathModel::KSegment | PathModel::Continuous => {
+                let pose = plan.trajectory.pose_from(first.position_m, 0.0);
+                let motion = trajectory_motion(plan, mounting.position_m, &pose, 0.0);
+                let arm_m = pose.point_m(mounting.position_m);
+                (arm_m, pose.world_from_body, motion)
+            }
+        };
+        Self {
+            reference_m: first.position_m,
+            arm_m,
+            array_from_world: array_from_world(world_from_body, mounting.body_from_array),
+            motion: heard_motion(plan, motion),
+        }
+    }
+
+    /// A world position relative to where this ping is transmitted.
+    #[inline(always)]
+    pub fn relative_m(&self, world_m: DVec3) -> DVec3 {
+        (world_m - self.reference_m) - self.arm_m
+    }
+}
+
+fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
+    DMat3::from_quat((world_from_body * body_from_array).inverse())
+}
+
+/// A point on an arm (in world axes) while the platform is on its `k`th segment: the segment's velocity and what the platform's turning adds.
+/// The segment itself holds its attitude; how fast it turned there is the trajectory's to say.
+fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
+    let segment = &plan.segments[k];
+    let turning = plan
+        .trajectory
+        .pose_at(segment.start_s)
+        .angular_velocity_rad_per_s;
+    Motion {
+        velocity_m_per_s: segment.velocity_m_per_s + turning.cross(arm_m),
+        acceleration_m_per_s2: DVec3::ZERO,
+    }
+}
+
+/// A point of the body on the trajectory, `pose` its pose at `time_s`. The acceleration is the mean one of the pulse that begins there, and
+/// only worked out where something uses it.
+fn trajectory_motion(plan: &PingPlan, body_m: DVec3, pose: &Pose, time_s: f64) -> Motion {
+    let velocity_m_per_s = pose.point_velocity_m_per_s(body_m);
+    let acceleration_m_per_s2 = match plan.model.doppler {
+        DopplerModel::StretchQuadratic => {
+            let duration_s = plan.pulse.duration_s;
+            let later = plan.trajectory.pose_at(time_s + duration_s);
+            (later.point_velocity_m_per_s(body_m) - velocity_m_per_s) / duration_s
+        }
+        _ => DVec3::ZERO,
+    };
+    Motion {
+        velocity_m_per_s,
+        acceleration_m_per_s2,
+    }
+}
+
+fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
+    match plan.model.doppler {
+        DopplerModel::None => Motion::default(),
+        _ => motion,
+    }
+}
+
+/// One element on one segment of the polyline.
+#[derive(Clone, Copy, Debug)]
+pub struct Leg {
+    pub start_s: f64,
+    /// Infinite on the last.
+    pub end_s: f64,
+    /// Element at `start_s`, relative to the transmit position.
+    pub origin_m: DVec3,
+    /// In the path: zero for stop-and-hop.
+    pub velocity_m_per_s: DVec3,
+    /// In the Doppler term: at `start_s`, and how it changes from there.
+    pub doppler: Motion,
+    array_from_world: DMat3,
+    /// How fast these axes turn, rad/s in themselves, and how long after `start_s` they lie so.
+    turning_rad_per_s: DVec3,
+    facing_s: f64,
+    /// What is so far off, there and back, falls on a later leg; what is nearer than the other, on an earlier one. Metres.
+    passed_m: f64,
+    begun_m: f64,
+}
+
+impl Leg {
+    fn at_m(&self, time_s: f64) -> DVec3 {
+        self.origin_m + self.velocity_m_per_s * (time_s - self.start_s)
+    }
+
+    /// The path's velocity in array axes.
+    pub fn velocity_in_array_m_per_s(&self) -> DVec3 {
+        self.array_from_world * self.velocity_m_per_s
+    }
+}
+
+/// The way of one element through one ping. Its buffer is kept between uses.
+#[derive(Debug, Default)]
+pub struct ElementTrack {
+    legs: Vec<Leg>,
+    /// Where the polyline was meant to end; echoes from here on are counted.
+    end_s: f64,
+    /// Neighbouring legs meet: every scatterer has just one root.
+    seamless: bool,
+    /// How far the element strays from its legs, metres.
+    sag_m: f64,
+    /// The element in the body, and the array's axes there.
+    element_m: DVec3,
+    body_from_array: DQuat,
+}
+
+impl ElementTrack {
+    /// With room for a polyline of so many segments.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            legs: Vec::with_capacity(segments),
+            ..Self::default()
+        }
+    }
+
+    /// Sets out the legs of `element` under the plan's path and Doppler models.
+    pub fn lay(
+        &mut self,
+        plan: &PingPlan,
+        transmit: &Transmit,
+        array: &ArrayGeometry,
+        element: usize,
+    ) {
+        self.lay_at(plan, transmit, array, array.element_x_m(element));
+    }
+
+    /// As [`Self::lay`], for a point `along_m` from the array's centre.
+    pub fn lay_at(
+        &mut self,
+        plan: &PingPlan,
+        transmit: &Transmit,
+        array: &ArrayGeometry,
+        along_m: f64,
+    ) {
+        self.element_m = array.mounting.position_m
+            + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
+        self.body_from_array = array.mounting.body_from_array;
+        self.sag_m = 0.0;
+        self.legs.clear();
+        match plan.model.path {
+            PathModel::StopAndHop | PathModel::Polyline => self.lay_segments(plan, transmit),
+            PathModel::KSegment | PathModel::Continuous => self.lay_chords(plan, transmit),
+        }
+        self.seamless = plan.model.path != PathModel::Polyline;
+        self.end_s = match (plan.model.path, self.legs.last()) {
+            (PathModel::Polyline | PathModel::KSegment, Some(last)) => {
+                last.start_s + plan.model.segment_s
+            }
+            _ => f64::INFINITY,
+        };
+        self.bound_legs(plan.sound_speed_m_per_s);
+    }
+
+    /// c (t - t1) - |S - r(t)| grows along a leg, so its sign at the ends says whether the root lies between. Two triangle inequalities settle that
+    /// for all scatterers at once. Legs come in order, each bound at most the next one's.
+    fn bound_legs(&mut self, c: f64) {
+        let mut passed_m = f64::INFINITY;
+        for leg in self.legs.iter_mut().rev() {
+            if leg.end_s.is_finite() {
+                let end_m = leg.at_m(leg.end_s).length();
+                passed_m = passed_m.min(c * leg.end_s + end_m + BOUND_GUARD_M);
+            }
+            leg.passed_m = passed_m;
+            leg.begun_m = c * leg.start_s - leg.origin_m.length() - BOUND_GUARD_M;
+        }
+    }
+
+    /// The plan's own segments; the first alone, and still, for stop-and-hop.
+    fn lay_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
+        let (segments, moving) = match plan.model.path {
+            PathModel::StopAndHop => (&plan.segments[..1], 0.0),
+            _ => (&plan.segments[..], 1.0),
+        };
+        for (k, segment) in segments.iter().enumerate() {
+            let arm_m = segment.world_from_body * self.element_m;
+            self.legs.push(Leg {
+                start_s: segment.start_s,
+                end_s: segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s),
+                origin_m: transmit.relative_m(segment.position_m) + arm_m,
+                velocity_m_per_s: segment.velocity_m_per_s * moving,
+                doppler: heard_motion(plan, segment_motion(plan, k, arm_m)),
+                array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
+                turning_rad_per_s: DVec3::ZERO,
+                facing_s: 0.0,
+                passed_m: f64::INFINITY,
+                begun_m: 0.0,
+            });
+        }
+    }
+
+    /// Chords between the element's own places at the segments' vertices. Axes are those of each chord's middle and turn evenly from there; the
+    /// velocity that Doppler sees runs linearly from one vertex's to the next one's.
+    fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
+        let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
+        let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
+        let segments = &plan.segments;
+        let mut here = pose_at(segments[0].start_s);
+        let mut step_s = plan.model.segment_s;
+        for (k, segment) in segments.iter().enumerate() {
+            let start_s = segment.start_s;
+            let end_s = segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s);
+            // The last is as long as the one before it.
+            if end_s.is_finite() {
+                step_s = end_s - start_s;
+            }
+            let (middle, next) = (pose_at(start_s + 0.5 * step_s), pose_at(start_s + step_s));
+            let origin_m = place_m(&here);
+            let chord_m = place_m(&next) - origin_m;
+            let speed = here.point_velocity_m_per_s(self.element_m);
+            let later = next.point_velocity_m_per_s(self.element_m);
+            // Twice the middle's distance from the chord bounds any smooth arc's.
+            let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
+            let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
+            self.sag_m = self.sag_m.max(2.0 * off_m);
+            self.legs.push(Leg {
+                start_s,
+                end_s,
+                origin_m,
+                velocity_m_per_s: chord_m / step_s,
+                doppler: heard_motion(
+                    plan,
+                    Motion {
+                        velocity_m_per_s: speed,
+                        acceleration_m_per_s2: (later - speed) / step_s,
+                    },
+                ),
+                array_from_world,
+                turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
+                facing_s: 0.5 * step_s,
+                passed_m: f64::INFINITY,
+                begun_m: 0.0,
+            });
+            here = next;
+        }
+    }
+
+    pub fn end_s(&self) -> f64 {
+        self.end_s
+    }
+
+    /// From the first on whose end is not before every root of the batch.
+    fn not_passed(&self, batch: Batch) -> &[Leg] {
+        let passed = |leg: &Leg| 2.0 * batch.min_range_m > leg.passed_m;
+        &self.legs[self.legs.partition_point(passed)..]
+    }
+
+    /// The leg on which an echo arrives at `time_s`, and its number.
+    pub fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
+        let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
+        let at = at.saturating_sub(1);
+        (at, &self.legs[at])
+    }
+
+    /// The leg of that number.
+    pub fn leg(&self, number: usize) -> &Leg {
+        &self.legs[number]
+    }
+
+    /// The farthest this element gets from the transmit position up to `time_s`, metres.
+    pub fn reach_m(&self, time_s: f64) -> f64 {
+        let mut reach_m: f64 = 0.0;
+        for leg in self.legs.iter().filter(|leg| leg.start_s <= time_s) {
+            reach_m = reach_m
+                .max(leg.origin_m.length())
+                .max(leg.at_m(leg.end_s.min(time_s)).length());
+        }
+        reach_m + self.sag_m
+    }
+
+    /// Tells `visit` the velocities that Doppler can see on this way: some, and how far others lie beside them, m/s.
+    pub fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
+        let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
+        for leg in &self.legs {
+            let end_s = leg.end_s.min(last_s).max(leg.start_s);
+            let Motion {
+                velocity_m_per_s: first,
+                acceleration_m_per_s2,
+            } = leg.doppler;
+            let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
+            let beside = match plan.model.path {
+                PathModel::Continuous => {
+                    // Twice the middle's distance from the chord bounds any smooth arc's.
+                    let middle_s = 0.5 * (leg.start_s + end_s);
+                    let middle = self.motion_at(plan, middle_s).velocity_m_per_s;
+                    2.0 * (middle - 0.5 * (first + last)).length()
+                }
+                _ => 0.0,
+            };
+            visit(first, beside);
+            visit(last, beside);
+        }
+    }
+
+    /// The element's motion when each of up to [`CHUNK`] echoes arrives, as Doppler sees it: velocity and acceleration, axis by axis.
+    pub fn motions_at(&self, plan: &PingPlan, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
+        let n = times_s.len().min(CHUNK);
+        let (min_s, greatest_s) = ends(&times_s[..n]);
+        let (first, leg) = self.leg_at(min_s);
+        let (last, _) = self.leg_at(greatest_s);
+        if plan.model.path != PathModel::Continuous && first == last {
+            let (v, a) = (
+                leg.doppler.velocity_m_per_s.to_array(),
+                leg.doppler.acceleration_m_per_s2.to_array(),
+            );
+            for axis in 0..3 {
+                for (moving, time_s) in moving[axis][..n].iter_mut().zip(times_s) {
+                    *moving = v[axis] + a[axis] * (time_s - leg.start_s);
+                }
+                moving[3 + axis][..n].fill(a[axis]);
+            }
+            return;
+        }
+        for (i, &time_s) in times_s[..n].iter().enumerate() {
+            let motion = self.motion_at(plan, time_s);
+            let (v, a) = (motion.velocity_m_per_s, motion.acceleration_m_per_s2);
+            for (axis, value) in [v.x, v.y, v.z, a.x, a.y, a.z].into_iter().enumerate() {
+                moving[axis][i] = value;
+            }
+        }
+    }
+
+    /// Velocity of the element on the trajectory itself, whatever the path model, and the turn that takes it out of array axes.
+    pub fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
+        let pose = plan.trajectory.pose_at(time_s);
+        let velocity = pose.point_velocity_m_per_s(self.element_m);
+        (velocity, pose.world_from_body * self.body_from_array)
+    }
+
+    /// The element's motion when an echo arrives, as Doppler sees it.
+    pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
+        if plan.model.path == PathModel::Continuous {
+            let pose = plan.trajectory.pose_at(time_s);
+            return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
+        }
+        let (_, leg) = self.leg_at(time_s);
+        let Motion {
+            velocity_m_per_s: velocity,
+            acceleration_m_per_s2,
+        } = leg.doppler;
+        Motion {
+            velocity_m_per_s: velocity + acceleration_m_per_s2 * (time_s - leg.start_s),
+            acceleration_m_per_s2,
+        }
+    }
+}
+
+/// Least and greatest, several at a time. What is no number is neither.
+fn ends(values: &[f64]) -> (f64, f64) {
+    const SIDE_BY_SIDE: usize = 8;
+    let mut least = [f64::INFINITY; SIDE_BY_SIDE];
+    let mut greatest = [f64::NEG_INFINITY; SIDE_BY_SIDE];
+    let mut look = |values: &[f64]| {
+        for ((least, greatest), &value) in least.iter_mut().zip(&mut greatest).zip(values) {
+            *least = if value < *least { value } else { *least };
+            *greatest = if value > *greatest { value } else { *greatest };
+        }
+    };
+    let (eights, rest) = values.as_chunks::<SIDE_BY_SIDE>();
+    eights.iter().for_each(|eight| look(eight));
+    look(rest);
+    (
+        least.into_iter().fold(f64::INFINITY, f64::min),
+        greatest.into_iter().fold(f64::NEG_INFINITY, f64::max),
+    )
+}
+
+/// Up to [`CHUNK`] scatterers relative to the transmit position, metres; `range_m` is their distance from it.
+#[derive(Clone, Copy)]
+pub struct Batch<'a> {
+    pub x_m: &'a [f64],
+    pub y_m: &'a [f64],
+    pub z_m: &'a [f64],
+    pub range_m: &'a [f64],
+    pub min_range_m: f64,
+    pub greatest_range_m: f64,
+}
+
+impl<'a> Batch<'a> {
+    /// Those from `first` on, [`PART`] at most.
+    fn part(self, first: usize) -> Self {
+        let span = first..(first + PART).min(self.range_m.len());
+        let range_m = &self.range_m[span.clone()];
+        let (min_range_m, greatest_range_m) = ends(range_m);
+        Self {
+            x_m: &self.x_m[span.clone()],
+            y_m: &self.y_m[span.clone()],
+            z_m: &self.z_m[span],
+            range_m,
+            min_range_m,
+            greatest_range_m,
+        }
+    }
+}
+
+/// How a batch meets one element: the delay, and the receive ray at reception.
+pub struct Rays {
+    /// Leading edge, seconds after the start of the pulse.
+    pub delay_s: [f64; CHUNK],
+    /// From the element to the scatterer, world, metres.
+    pub x_m: [f64; CHUNK],
+    pub y_m: [f64; CHUNK],
+    pub z_m: [f64; CHUNK],
+    /// The same in array axes.
+    pub array_x_m: [f64; CHUNK],
+    pub array_y_m: [f64; CHUNK],
+    pub array_z_m: [f64; CHUNK],
+    /// Receiver's velocity times that vector, m^2/s: the closing speed times the range.
+    pub closing_m2_per_s: [f64; CHUNK],
+}
+
+impl Default for Rays {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            delay_s: zero,
+            x_m: zero,
+            y_m: zero,
+            z_m: zero,
+            array_x_m: zero,
+            array_y_m: zero,
+            array_z_m: zero,
+            closing_m2_per_s: zero,
+        }
+    }
+}
+
+impl Rays {
+    /// Nothing placed yet.
+    fn begin(&mut self) {
+        *self = Self {
+            delay_s: [f64::INFINITY; CHUNK],
+            ..Self::default()
+        };
+    }
+}
+
+/// What went other than plainly while a batch was solved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Oddities {
+    pub no_root: u64,
+    pub two_roots: u64,
+}
+
+/// Second leg, seconds, from the scatterer to a receiver that saw it at `(x, y, z)` when the sound reached it. See the module's head.
+#[inline(always)]
+fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
+    let along = x * v.x + y * v.y + z * v.z;
+    let square = x * x + y * y + z * z;
+    let root = (along * along + c2_minus_v2 * square).sqrt();
+    let sum = along.abs() + root;
+    let ahead = along >= 0.0;
+    let over = if ahead { square } else { sum };
+    // Not 0/0 where the receiver sits on the scatterer.
+    let under = if ahead {
+        sum.max(f64::MIN_POSITIVE)
+    } else {
+        c2_minus_v2
+    };
+    over / under
+}
+
+/// Solves one leg for a whole batch, whose rays begin `at` some place, and keeps what falls on it. Returns how many were placed. `ALONE`: the leg has
+/// neither a start nor an end, so that everything falls on it and nothing needs to have been begun.
+#[inline(always)]
+fn solve_leg<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    at: usize,
+    odd: &mut Oddities,
+) -> u64 {
+    let n = batch.range_m.len().min(CHUNK - at);
+    let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
+    let range_m = &batch.range_m[..n];
+    let (o, v) = (leg.origin_m, leg.velocity_m_per_s);
+    let (w, dw) = (
+        leg.doppler.velocity_m_per_s,
+        leg.doppler.acceleration_m_per_s2,
+    );
+    let (m, turning) = (leg.array_from_world, leg.turning_rad_per_s);
+    // A ray in array axes, so long after the leg's start.
+    let in_array = |x: f64, y: f64, z: f64, after_s: f64| {
+        let u = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
+        let v = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
+        let w = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
+        // Seen from axes that turn, it turns the other way.
+        let turned_s = after_s - leg.facing_s;
+        [
+            u + turned_s * (v * turning.z - w * turning.y),
+            v + turned_s * (w * turning.x - u * turning.z),
+            w + turned_s * (u * turning.y - v * turning.x),
+        ]
+    };
+    let c2_minus_v2 = c * c - v.length_squared();
+    let to_delay_s = &mut rays.delay_s[at..][..n];
+    let to_x_m = &mut rays.x_m[at..][..n];
+    let to_y_m = &mut rays.y_m[at..][..n];
+    let to_z_m = &mut rays.z_m[at..][..n];
+    let to_array_x_m = &mut rays.array_x_m[at..][..n];
+    let to_array_y_m = &mut rays.array_y_m[at..][..n];
+    let to_array_z_m = &mut rays.array_z_m[at..][..n];
+    let to_closing_m2_per_s = &mut rays.closing_m2_per_s[at..][..n];
+    let (mut placed, mut none, mut two) = (0, 0, 0);
+    for i in 0..n {
+        let (x, y, z) = (x_m[i] - o.x, y_m[i] - o.y, z_m[i] - o.z);
+        let first_leg_s = range_m[i] / c;
+        let waited_s = first_leg_s - leg.start_s;
+        let second_s = second_leg_s(
+            x - v.x * waited_s,
+            y - v.y * waited_s,
+            z - v.z * waited_s,
+            v,
+            c2_minus_v2,
+        );
+        let root_s = first_leg_s + second_s;
+        if ALONE {
+            let after_s = root_s - leg.start_s;
+            let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
+            to_delay_s[i] = root_s;
+            (to_x_m[i], to_y_m[i], to_z_m[i]) = (x, y, z);
+            [to_array_x_m[i], to_array_y_m[i], to_array_z_m[i]] = in_array(x, y, z, after_s);
+            let (wx, wy, wz) = (
+                w.x + dw.x * after_s,
+                w.y + dw.y * after_s,
+                w.z + dw.z * after_s,
+            );
+            to_closing_m2_per_s[i] = wx * x + wy * y + wz * z;
+            continue;
+        }
+
+        let open = to_delay_s[i] == f64::INFINITY;
+        let early = root_s < leg.start_s;
+        let on_time = root_s < leg.end_s;
+        let take = open & on_time;
+        // Wrapping: a check for overflow would be a branch. They count to 256.
+        placed = u64::wrapping_add(placed, take as u64);
+        none = u64::wrapping_add(none, (open & early) as u64);
+        two = u64::wrapping_add(two, (!open & !early & on_time) as u64);
+
+        // Early means that every earlier leg found its root late: the element jumped at the vertex, and the vertex it is.
+        let delay_s = root_s.max(leg.start_s);
+        let after_s = delay_s - leg.start_s;
+        let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
+        // Each scatterer is placed once, on arrays that began as zeros: adding 0 or 1 times is a choice that still vectorises, where an
+        // `if` would become a branch around the stores.
+        let chosen = if take { 1.0 } else { 0.0 };
+        to_delay_s[i] = to_delay_s[i].min(if take { delay_s } else { f64::INFINITY });
+        to_x_m[i] += chosen * x;
+        to_y_m[i] += chosen * y;
+        to_z_m[i] += chosen * z;
+        let [array_x, array_y, array_z] = in_array(x, y, z, after_s);
+        to_array_x_m[i] += chosen * array_x;
+        to_array_y_m[i] += chosen * array_y;
+        to_array_z_m[i] += chosen * array_z;
+        let (wx, wy, wz) = (
+            w.x + dw.x * after_s,
+            w.y + dw.y * after_s,
+            w.z + dw.z * after_s,
+        );
+        to_closing_m2_per_s[i] += chosen * (wx * x + wy * y + wz * z);
+    }
+    if ALONE {
+        return n as u64;
+    }
+    odd.no_root += none;
+    odd.two_roots += two;
+    placed
+}
+
+/// The AVX2 and AVX-512 builds of [`solve_leg`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn solve_leg_avx2<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    at: usize,
+    odd: &mut Oddities,
+) -> u64 {
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn solve_leg_avx512<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    at: usize,
+    odd: &mut Oddities,
+) -> u64 {
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
+}
+
+/// [`solve_leg`] in the widest registers that this processor has.
+fn solve_widest<const ALONE: bool>(
+    leg: &Leg,
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    at: usize,
+    odd: &mut Oddities,
+) -> u64 {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, at, odd) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, at, odd) };
+        }
+    }
+    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
+}
+
+/// AVX-512 F, DQ and VL.
+#[cfg(target_arch = "x86_64")]
+pub fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
+}
+
+/// Scatterers that look for their legs together, where those of a batch lie on many: neighbours on the bottom lie on few.
+pub const PART: usize = 32;
+/// So many legs are looked at by a whole batch.
+const FEW_LEGS: usize = 2;
+
+/// Delays and receive rays of a batch: per scatterer the first leg k with t_k <= u < t_{k+1}.
+pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
+    let n = batch.range_m.len();
+    let mut odd = Oddities::default();
+    if let [leg] = &track.legs[..]
+        && leg.start_s == 0.0
+    {
+        solve_widest::<true>(leg, c, batch, rays, 0, &mut odd);
+        return odd;
+    }
+    rays.begin();
+    let legs = track.not_passed(batch);
+    let begun = legs.partition_point(|leg| leg.begun_m <= 2.0 * batch.greatest_range_m);
+    if begun <= FEW_LEGS {
+        solve_legs(legs, c, batch, rays, 0, &mut odd);
+    } else {
+        for first in (0..n).step_by(PART) {
+            let part = batch.part(first);
+            solve_legs(track.not_passed(part), c, part, rays, first, &mut odd);
+        }
+    }
+    // Where legs meet, what falls between them fell there by rounding.
+    if track.seamless {
+        return Oddities::default();
+    }
+    odd
+}
+
+/// One leg after the other, until all scatterers are placed and none could be placed again.
+fn solve_legs(legs: &[Leg], c: f64, batch: Batch, rays: &mut Rays, at: usize, odd: &mut Oddities) {
+    let n = batch.range_m.len() as u64;
+    let mut placed = 0;
+    for leg in legs {
+        if placed == n && leg.begun_m > 2.0 * batch.greatest_range_m {
+            break;
+        }
+        placed += solve_widest::<false>(leg, c, batch, rays, at, odd);
+    }
+    debug_assert_eq!(placed, n, "the last leg has no end");
+}
+
+/// Newton steps at most. Chords leave microseconds, and each step squares what is left.
+const MAX_STEPS: usize = 12;
+
+/// Takes the delays that [`solve`] found on an element's chords to the trajectory itself, and the rays with them: c u = r_T + |S - r(u)|.
+///
+/// The left side less the right grows by 0.9 c at least, so that the residual itself brackets the root: no step may be longer than it says.
+pub fn refine(
+    plan: &PingPlan,
+    transmit: &Transmit,
+    track: &ElementTrack,
+    batch: Batch,
+    rays: &mut Rays,
+) {
+    let c = plan.sound_speed_m_per_s;
+    for i in 0..batch.range_m.len().min(CHUNK) {
+        let at_m = DVec3::new(batch.x_m[i], batch.y_m[i], batch.z_m[i]) + transmit.arm_m;
+        let mut delay_s = rays.delay_s[i];
+        let mut pose = Pose::default();
+        let mut ray_m = DVec3::ZERO;
+        for _ in 0..MAX_STEPS {
+            pose = plan.trajectory.pose_from(transmit.reference_m, delay_s);
+            ray_m = at_m - pose.point_m(track.element_m);
+            let leg_m = ray_m.length();
+            let residual_m = c * delay_s - batch.range_m[i] - leg_m;
+            let closing = pose.point_velocity_m_per_s(track.element_m).dot(ray_m)
+                / leg_m.max(f64::MIN_POSITIVE);
+            let step_s = -residual_m / (c + closing).max(0.9 * c);
+            delay_s += step_s;
+            // The ray is of the last place looked at, at most this step's millimetres away; of the delay nothing is left to gain.
+            if step_s.abs() <= SETTLED_S {
+                break;
+            }
+        }
+        let in_array = array_from_world(pose.world_from_body, track.body_from_array) * ray_m;
+        let heard = match plan.model.doppler {
+            DopplerModel::None => DVec3::ZERO,
+            _ => pose.point_velocity_m_per_s(track.element_m),
+        };
+        rays.delay_s[i] = delay_s;
+        (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = ray_m.into();
+        (rays.array_x_m[i], rays.array_y_m[i], rays.array_z_m[i]) = in_array.into();
+        rays.closing_m2_per_s[i] = heard.dot(ray_m);
+    }
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_avx2_build_gives_the_same_bits() {
+        if !is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let turn = DQuat::from_rotation_x(0.3) * DQuat::from_rotation_z(1.1);
+        let leg = Leg {
+            start_s: 0.04,
+            end_s: 0.08,
+            origin_m: DVec3::new(0.4, -0.2, 0.1),
+            velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+            doppler: Motion {
+                velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
+                acceleration_m_per_s2: DVec3::new(0.1, 0.2, -0.5),
+            },
+            array_from_world: DMat3::from_quat(turn),
+            turning_rad_per_s: DVec3::new(0.1, -0.3, 0.2),
+            facing_s: 0.02,
+            passed_m: f64::INFINITY,
+            begun_m: 0.0,
+        };
+        let place = |step: f64| -> Vec<f64> {
+            (0..CHUNK)
+                .map(|k| 150.0 * ((k as f64 * step).fract() - 0.5))
+                .collect()
+        };
+        let (x, y, z) = (place(0.618), place(0.755), place(0.57));
+        let range: Vec<f64> = (0..CHUNK)
+            .map(|i| DVec3::new(x[i], y[i], z[i]).length())
+            .collect();
+        let batch = Batch {
+            x_m: &x,
+            y_m: &y,
+            z_m: &z,
+            range_m: &range,
+            min_range_m: 0.0,
+            greatest_range_m: 300.0,
+        };
+        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut Oddities) -> u64;
+        let run = |leg: &Leg, build: Build| {
+            let mut rays = Rays::default();
+            rays.begin();
+            let mut odd = Oddities::default();
+            // SAFETY: asked for before any build that needs it is run.
+            let placed = unsafe { build(leg, 1500.0, batch, &mut rays, 0, &mut odd) };
+            assert!(placed > 20, "{placed}");
+            let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
+            (
+                placed,
+                odd,
+                [
+                    bits(&rays.delay_s),
+                    bits(&rays.z_m),
+                    bits(&rays.array_x_m),
+                    bits(&rays.closing_m2_per_s),
+                ],
+            )
+        };
+        let want = run(&leg, solve_leg::<false>);
+        assert!(run(&leg, solve_leg_avx2::<false>) == want);
+        // A leg alone gives what it gives among others, but for the sign of zero.
+        let alone = Leg {
+            start_s: 0.0,
+            end_s: f64::INFINITY,
+            ..leg
+        };
+        let want_alone = run(&alone, solve_leg::<false>);
+        assert!(run(&alone, solve_leg::<true>) == want_alone);
+        assert!(run(&alone, solve_leg_avx2::<true>) == want_alone);
+        if has_avx512() {
+            assert!(run(&leg, solve_leg_avx512::<false>) == want);
+            assert!(run(&alone, solve_leg_avx512::<true>) == want_alone);
+        }
+    }
+}

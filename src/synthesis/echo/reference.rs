@@ -1,0 +1,376 @@
+//! The slow truth: the retarded-time sum, sample by sample, on the continuous trajectory.
+//!
+//! A sample received at t left at t' with c (t - t') = |S - p_T(t')| + |S - r_e(t)|, and
+//! x_e(t) = sum A a(t') exp(j 2pi f_c (t' - t)). Both ends move as [`Trajectory`] says, rotation included, during the pulse and during the
+//! echo. A is held at its value at the leading edge. Plain f64, nothing linearised, no pattern culled, no segments; path and Doppler models
+//! of the plan do not enter. It shares the sonar equation with the fast walk and nothing else.
+
+use glam::{DMat3, DQuat, DVec3};
+use num_complex::Complex64;
+
+use echotank_core::flow::{
+    ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, LawCurve, PingPlan, ScatterLaw, Scatterers,
+    TransmitArray, edge_corrections,
+};
+use echotank_core::frames::Trajectory;
+
+use super::levels::{Directivity, OneWay, amplitude_from_db};
+
+/// Newton steps at most; a step that leaves the bracket halves it, and 60 halvings reach the last bit of f64.
+const MAX_STEPS: usize = 80;
+
+/// [`reference_with`] the edges of echoes merely sampled.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the whole problem, each part a noun of its own"
+)]
+pub fn reference(
+    plan: &PingPlan,
+    tx: &TransmitArray,
+    array: &ArrayGeometry,
+    element: usize,
+    scatterers: &Scatterers,
+    rate_hz: f64,
+    first_sample_s: f64,
+    out: &mut [Complex64],
+) -> EchoCounts {
+    reference_with(
+        Edges::Sampled,
+        plan,
+        tx,
+        array,
+        element,
+        scatterers,
+        rate_hz,
+        first_sample_s,
+        out,
+    )
+}
+
+/// Adds nothing to what is in `out`: overwrites it with the echoes of all scatterers at one element, volts (rms) of the complex envelope.
+/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo lasts 0 <= t' <= T, both ends inclusive. `edges`: what
+/// happens at the ends of a rectangular pulse; a tapered one is sampled.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "the whole problem, each part a noun of its own"
+)]
+pub fn reference_with(
+    edges: Edges,
+    plan: &PingPlan,
+    tx: &TransmitArray,
+    array: &ArrayGeometry,
+    element: usize,
+    scatterers: &Scatterers,
+    rate_hz: f64,
+    first_sample_s: f64,
+    out: &mut [Complex64],
+) -> EchoCounts {
+    out.fill(Complex64::ZERO);
+    let mut counts = EchoCounts::default();
+    let c = plan.sound_speed_m_per_s;
+    let carrier_hz = plan.pulse.center_frequency_hz;
+    let duration_s = plan.pulse.duration_s;
+
+    let (track, origin_m) = near_origin(&plan.trajectory);
+    let transmitter = Mover {
+        track: &track,
+        body_m: tx.mounting.position_m,
+    };
+    let receiver = Mover {
+        track: &track,
+        body_m: array.element_body_m(element),
+    };
+    let time_s = |k: usize| first_sample_s + k as f64 / rate_hz;
+    let receiver_m: Vec<DVec3> = (0..out.len()).map(|k| receiver.at(time_s(k)).0).collect();
+    let sonar = Sonar::new(plan, tx, array, &track);
+    let weighted = edges == Edges::Weighted && plan.pulse.taper == 0.0;
+    let transmit_m = transmitter.at(0.0).0;
+    let last_transmit_m = transmitter.at(duration_s).0;
+
+    for i in 0..scatterers.len() {
+        let at_m = scatterers.position_m(i) - origin_m;
+        let first_leg_m = at_m.distance(transmit_m);
+        let leading_s = receive_time_s(c, first_leg_m, at_m, &receiver);
+        let trailing_s = receive_time_s(
+            c,
+            c * duration_s + at_m.distance(last_transmit_m),
+            at_m,
+            &receiver,
+        );
+        // One sample to spare at either end; t' itself decides.
+        let first = ((leading_s - first_sample_s) * rate_hz).floor() - 1.0;
+        let end = ((trailing_s - first_sample_s) * rate_hz).ceil() + 2.0;
+        let range = (first.max(0.0) as usize)..(end.max(0.0) as usize).min(out.len());
+        if range.is_empty() {
+            counts.outside_window += 1;
+            continue;
+        }
+        counts.used += 1;
+        let receive_m = receiver.at(leading_s).0;
+        let second_leg_m = at_m.distance(receive_m);
+        counts.too_close += u64::from(first_leg_m.min(second_leg_m) < sonar.one_way.wavelength_m);
+        let amplitude = scatterers.strength[i]
+            * sonar.amplitude(
+                at_m - transmit_m,
+                at_m - receive_m,
+                leading_s,
+                facing(scatterers, i),
+            );
+        let weights = EdgeWeights::new(leading_s, trailing_s, first_sample_s, rate_hz);
+        let mut guess_s = 0.0;
+        for k in range {
+            let t_s = time_s(k);
+            let second_leg_m = at_m.distance(receiver_m[k]);
+            // c (t - t') - |S - p_T(t')| - second leg: falls with t', so the pulse's ends tell whether t' lies in it.
+            let before = c * t_s - first_leg_m - second_leg_m;
+            let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
+            // Beside an edge the weights go by its place in time, and so must what lies inside it.
+            let weight = if weighted {
+                weights.at(k)
+            } else {
+                f64::from(u8::from(before >= 0.0 && after <= 0.0))
+            };
+            if weight == 0.0 {
+                continue;
+            }
+            let emitted_s = newton(0.0, duration_s, guess_s, |emitted_s| {
+                let (place_m, velocity) = transmitter.at(emitted_s);
+                let ray_m = at_m - place_m;
+                let leg_m = ray_m.length();
+                let residual = c * (t_s - emitted_s) - leg_m - second_leg_m;
+                let slope = velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE) - c;
+                (-residual, -slope)
+            });
+            guess_s = emitted_s + 1.0 / rate_hz;
+            let cycles = carrier_hz * (emitted_s - t_s);
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * (cycles - cycles.round()));
+            // Newton keeps to the pulse; a hair outside its end is its end.
+            let sent = plan.pulse.envelope(emitted_s.clamp(0.0, duration_s));
+            out[k] += amplitude * weight * sent * Complex64::new(cos, sin);
+        }
+    }
+    counts
+}
+
+/// The weights of points between two edges.
+struct EdgeWeights {
+    /// First and last point inside, counted from the first sample, and their distances from their edges, in steps.
+    first: f64,
+    last: f64,
+    corrections: [[f64; EDGE_POINTS]; 2],
+}
+
+impl EdgeWeights {
+    fn new(leading_s: f64, trailing_s: f64, first_sample_s: f64, rate_hz: f64) -> Self {
+        let leading = (leading_s - first_sample_s) * rate_hz;
+        let trailing = (trailing_s - first_sample_s) * rate_hz;
+        let (first, last) = (leading.ceil(), trailing.floor());
+        Self {
+            first,
+            last,
+            corrections: [
+                edge_corrections(first - leading),
+                edge_corrections(trailing - last),
+            ],
+        }
+    }
+
+    /// Of sample `k`; 0 outside.
+    fn at(&self, k: usize) -> f64 {
+        let k = k as f64;
+        if k < self.first || k > self.last {
+            return 0.0;
+        }
+        let from_edges = [k - self.first, self.last - k];
+        let beside = |(from, corrections): (f64, &[f64; EDGE_POINTS])| {
+            corrections.get(from as usize).copied().unwrap_or(0.0)
+        };
+        1.0 + from_edges
+            .into_iter()
+            .zip(&self.corrections)
+            .map(beside)
+            .sum::<f64>()
+    }
+}
+
+/// The trajectory moved so that its first knot is at zero, and where that was: positions far from the world's origin lose nothing then.
+fn near_origin(trajectory: &Trajectory) -> (Trajectory, DVec3) {
+    let mut track = trajectory.clone();
+    let origin_m = track.position.first().map_or(DVec3::ZERO, |k| k.value);
+    for knot in &mut track.position {
+        knot.value -= origin_m;
+    }
+    (track, origin_m)
+}
+
+/// A point of the body on its way.
+struct Mover<'a> {
+    track: &'a Trajectory,
+    body_m: DVec3,
+}
+
+impl Mover<'_> {
+    /// Position and velocity.
+    fn at(&self, time_s: f64) -> (DVec3, DVec3) {
+        let pose = self.track.pose_at(time_s);
+        (
+            pose.point_m(self.body_m),
+            pose.point_velocity_m_per_s(self.body_m),
+        )
+    }
+}
+
+/// When sound that has `travelled_m` behind it at the scatterer (in metres since t = 0) reaches the receiver: c t = travelled + |S - r(t)|.
+fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f64 {
+    let residual = |t_s: f64| {
+        let (place_m, velocity) = receiver.at(t_s);
+        let ray_m = at_m - place_m;
+        let leg_m = ray_m.length();
+        (
+            c * t_s - travelled_m - leg_m,
+            c + velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE),
+        )
+    };
+    let low_s = travelled_m / c;
+    let leg_s = at_m.distance(receiver.at(low_s).0) / c;
+    // The receiver is slower than 0.1 c: twice the leg is more than enough, but a wild trajectory must end too.
+    let mut high_s = low_s + 2.0 * leg_s + 1e-6;
+    for _ in 0..60 {
+        if residual(high_s).0 >= 0.0 {
+            break;
+        }
+        high_s = low_s + 2.0 * (high_s - low_s);
+    }
+    newton(low_s, high_s, low_s + leg_s, residual)
+}
+
+/// Root of a growing function between `low` and `high`, to the last bits: Newton, halving the bracket where a step leaves it.
+fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)) -> f64 {
+    let mut x = start.clamp(low, high);
+    for _ in 0..MAX_STEPS {
+        let (value, slope) = f(x);
+        if value < 0.0 {
+            low = x;
+        } else {
+            high = x;
+        }
+        let mut next = x - value / slope;
+        if !(next >= low && next <= high) {
+            next = 0.5 * (low + high);
+        }
+        let step = (next - x).abs();
+        x = next;
+        if step <= f64::EPSILON * x.abs().max(1e-3) {
+            break;
+        }
+    }
+    x
+}
+
+/// What a scatterer makes of directions: law, normal, and the curve that comes with it.
+pub(super) type Facing<'a> = (ScatterLaw, [f32; 3], Option<&'a LawCurve>);
+
+pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {
+    (
+        scatterers.law[i],
+        scatterers.normal[i],
+        scatterers.curve.as_deref(),
+    )
+}
+
+/// The sonar equation for one element.
+pub(super) struct Sonar<'a> {
+    track: &'a Trajectory,
+    tx: &'a TransmitArray,
+    array: &'a ArrayGeometry,
+    transmit_pattern: Directivity,
+    element_pattern: Directivity,
+    one_way: OneWay,
+    /// Source level and sensitivity.
+    gain: f64,
+}
+
+impl<'a> Sonar<'a> {
+    pub(super) fn new(
+        plan: &PingPlan,
+        tx: &'a TransmitArray,
+        array: &'a ArrayGeometry,
+        track: &'a Trajectory,
+    ) -> Self {
+        let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
+        Self {
+            track,
+            tx,
+            array,
+            transmit_pattern: Directivity::new(&tx.pattern, wavelength_m),
+            element_pattern: Directivity::new(&array.element_pattern, wavelength_m),
+            one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
+            gain: amplitude_from_db(
+                plan.settings.source_level_db + tx.level_offset_db + array.sensitivity_db,
+            ),
+        }
+    }
+
+    /// Everything but the scatterer's own strength. Rays run from the sonar to the scatterer.
+    fn amplitude(
+        &self,
+        transmit_ray_m: DVec3,
+        receive_ray_m: DVec3,
+        leading_s: f64,
+        facing: Facing,
+    ) -> f64 {
+        let attitude = |time_s: f64| self.track.pose_at(time_s).world_from_body;
+        self.amplitude_seen_from(
+            (transmit_ray_m, attitude(0.0)),
+            (receive_ray_m, attitude(leading_s)),
+            facing,
+        )
+    }
+
+    /// [`Self::amplitude`] with the platform's attitudes at transmission and reception given.
+    pub(super) fn amplitude_seen_from(
+        &self,
+        (transmit_ray_m, transmit_attitude): (DVec3, DQuat),
+        (receive_ray_m, receive_attitude): (DVec3, DQuat),
+        (law, normal, curve): Facing,
+    ) -> f64 {
+        let towards = |pattern: &Directivity, ray_m: DVec3, world_from_body: DQuat, mounting| {
+            let array_from_world = DMat3::from_quat(world_from_body * mounting).transpose();
+            let u = array_from_world * ray_m.normalize_or_zero();
+            pattern.towards(u.x, u.y, u.z)
+        };
+        let transmit = towards(
+            &self.transmit_pattern,
+            transmit_ray_m,
+            transmit_attitude,
+            self.tx.mounting.body_from_array,
+        );
+        let receive = towards(
+            &self.element_pattern,
+            receive_ray_m,
+            receive_attitude,
+            self.array.mounting.body_from_array,
+        );
+        let normal = DVec3::new(normal[0].into(), normal[1].into(), normal[2].into());
+        let facing = |ray_m: DVec3| (-normal.dot(ray_m.normalize_or_zero())).max(0.0);
+        let law = match (law, curve) {
+            (ScatterLaw::Point, _) => 1.0,
+            (ScatterLaw::Lambert, _) => (facing(transmit_ray_m) * facing(receive_ray_m)).sqrt(),
+            (ScatterLaw::LambertOneWay, _) => facing(transmit_ray_m),
+            (ScatterLaw::Curve, Some(curve)) => {
+                let half = |ray_m| match facing(ray_m) {
+                    0.0 => 0.0,
+                    cosine => curve.half(cosine.sqrt()),
+                };
+                half(transmit_ray_m) * half(receive_ray_m)
+            }
+            (ScatterLaw::Curve, None) => 0.0,
+        };
+        self.gain
+            * transmit
+            * self.one_way.amplitude(transmit_ray_m.length())
+            * law
+            * self.one_way.amplitude(receive_ray_m.length())
+            * receive
+    }
+}

@@ -1,0 +1,52 @@
+//! The Dopplers that a ping's echoes can have, before a single one is computed.
+//!
+//! In: what is insonified, a receive array. Out: least and greatest eta - 1 over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and
+//! v_T.e_T is known of every scatterer. The rest is bounded: v_R.e_R lies within |v_R - v_T| + |v_T| |e_R - e_T| of it, and two unit
+//! vectors to one point differ by 2 |a - b|/(|a| + |b|) at most (Dunkl and Williams 1964).
+
+use echotank_core::flow::{ArrayGeometry, DopplerModel, PingPlan};
+
+use super::walk::{TransmitLeg, Workspace};
+
+/// Least and greatest eta - 1 that [`arrivals`](super::walk::arrivals) can hand on for any element of `array`. `work` is scratch.
+pub fn doppler_span(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    transmit_leg: &TransmitLeg,
+    work: &mut Workspace,
+) -> (f64, f64) {
+    if transmit_leg.is_empty() || plan.model.doppler == DopplerModel::None {
+        return (0.0, 0.0);
+    }
+    let c = plan.sound_speed_m_per_s;
+    let transmit_m_per_s = transmit_leg.transmit.motion.velocity_m_per_s;
+    // Places and velocities of a line's elements are linear in where they sit: the ends bound the rest.
+    let (mut arm_m, mut speed, mut change) = (0.0f64, transmit_m_per_s.length(), 0.0f64);
+    for element in [0, array.elements - 1] {
+        let track = &mut work.track;
+        track.lay(plan, &transmit_leg.transmit, array, element);
+        arm_m = arm_m.max(track.reach_m(0.0));
+        track.bound_velocities(plan, |velocity_m_per_s, beside| {
+            speed = speed.max(velocity_m_per_s.length() + beside);
+            change = change.max((velocity_m_per_s - transmit_m_per_s).length() + beside);
+        });
+    }
+    let per_range = 2.0 * speed / c;
+    let still_m = arm_m * (1.0 + speed / c);
+    let transmit_speed = transmit_m_per_s.length();
+    let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+    let batches = transmit_leg
+        .batch_closing_m_per_s
+        .iter()
+        .zip(&transmit_leg.batch_range_m);
+    for (&(leaving, closing), &(nearest_m, _)) in batches {
+        // How far the element is from where the ping was transmitted when an echo arrives, over how far the scatterer is: greatest nearby.
+        let apart_m = still_m + per_range * nearest_m;
+        let turned = (2.0 * apart_m / (2.0 * nearest_m - apart_m).max(0.0)).min(2.0);
+        let beside = change + transmit_speed * turned;
+        // Below c both are monotonic in the transmitter's part.
+        least = least.min((2.0 * leaving - beside) / (c - leaving));
+        greatest = greatest.max((2.0 * closing + beside) / (c - closing));
+    }
+    (least, greatest)
+}

@@ -1,0 +1,931 @@
+//! The walk over the scatterers: once per ping and transmit array ([`insonify`]), then once per element ([`arrivals`]).
+//!
+//! Structure of arrays throughout, in batches of [`CHUNK`] that stay in L1. Coordinates are relative to the transmit position, so that
+//! world positions of any size keep the carrier phase to 1e-10 rad.
+//!
+//! Culling (`ModelChoice::cull_db`) is exact per scatterer-element pair: left out is what has |transmit pattern x element pattern| below
+//! the floor, and what has no amplitude at all (behind a baffle, on the far side of its patch). `insonify` already drops what the
+//! transmit pattern alone puts below the floor; no element pattern exceeds 1, so that drops nothing the pair test would keep.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use echotank_core::flow::{
+    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, EchoCounts, LawCurve, PathModel,
+    PingPlan, ScatterLaw, Scatterers, TransmitArray,
+};
+
+use super::levels::{Directivity, OneWay, amplitude_from_db};
+#[cfg(target_arch = "x86_64")]
+use super::paths::has_avx512;
+use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
+use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
+
+mod light;
+mod line;
+mod parts;
+
+use light::Light;
+pub use line::{LineEchoes, LineWorkspace, line_arrivals};
+use parts::{Answer, Elements};
+
+/// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    pub first_s: f64,
+    pub last_s: f64,
+}
+
+impl Window {
+    /// Of `count` samples from `first_sample_s` on.
+    pub fn of_samples(first_sample_s: f64, rate_hz: f64, count: usize) -> Self {
+        Self {
+            first_s: first_sample_s,
+            last_s: first_sample_s + count.saturating_sub(1) as f64 / rate_hz,
+        }
+    }
+}
+
+/// The scatterers as the transmitter sees them, structure of arrays; what no element can hear is already gone. Kept between pings.
+#[derive(Debug, Default)]
+pub struct TransmitLeg {
+    window: Option<Window>,
+    pub(super) transmit: Transmit,
+    /// Relative to the transmit position, metres.
+    x_m: Vec<f64>,
+    y_m: Vec<f64>,
+    z_m: Vec<f64>,
+    range_m: Vec<f64>,
+    /// Source level, pattern, first leg, strength and the transmit half of the scattering law; uPa at 1 m from the scatterer.
+    amplitude: Vec<Complex64>,
+    /// |transmit pattern|.
+    level: Vec<f64>,
+    /// The receive half of the law is sqrt(max(0, bias - normal.ray)): 0 and the normal for Lambert, 1 and zero for points; or, where `curved`, the
+    /// curve's value there.
+    bias: Vec<f32>,
+    curved: Vec<bool>,
+    curve: Option<Arc<LawCurve>>,
+    normal_x: Vec<f32>,
+    normal_y: Vec<f32>,
+    normal_z: Vec<f32>,
+    /// Transmitter's speed towards the scatterer, m/s.
+    closing_m_per_s: Vec<f64>,
+    /// Least and greatest `range_m` of each batch of [`CHUNK`].
+    pub(super) batch_range_m: Vec<(f64, f64)>,
+    /// ... and of `closing_m_per_s`.
+    pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
+    /// Lowest and highest corner of each batch.
+    batch_box_m: Vec<(DVec3, DVec3)>,
+}
+
+impl TransmitLeg {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    pub fn len(&self) -> usize {
+        self.range_m.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.range_m.is_empty()
+    }
+
+    /// Only so much of what it was insonified for will be synthesised.
+    pub fn hear(&mut self, window: Window) {
+        if self.window.is_some() {
+            self.window = Some(window);
+        }
+    }
+}
+
+/// Scratch of one thread of [`arrivals`].
+#[derive(Default)]
+pub struct Workspace {
+    pub(super) track: ElementTrack,
+    rays: Rays,
+    heard: Heard,
+    answer: Answer,
+    chunk: ArrivalChunk,
+}
+
+impl Workspace {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// With room for a polyline of so many segments, so that no ping allocates.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            track: ElementTrack::with_room_for(segments),
+            ..Self::default()
+        }
+    }
+}
+
+/// A batch at one element, before anything is left out.
+struct Heard {
+    doppler: [f64; CHUNK],
+    /// Half the second derivative of the emission time, per second.
+    curvature_per_s: [f64; CHUNK],
+    /// Second leg, element pattern, receive half of the law, sensitivity: volts per uPa at 1 m from the scatterer.
+    gain: [f64; CHUNK],
+    /// |transmit pattern x element pattern|.
+    level: [f64; CHUNK],
+    range_m: [f64; CHUNK],
+    /// The element's velocity and acceleration when it hears the leading edge, axis by axis.
+    moving: [[f64; CHUNK]; 6],
+    /// With the scatterer's own.
+    amplitude: [Complex64; CHUNK],
+    /// Whether it goes on.
+    keep: [bool; CHUNK],
+}
+
+impl Default for Heard {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            doppler: zero,
+            curvature_per_s: zero,
+            gain: zero,
+            level: zero,
+            range_m: zero,
+            moving: [zero; 6],
+            amplitude: [Complex64::ZERO; CHUNK],
+            keep: [false; CHUNK],
+        }
+    }
+}
+
+fn wavelength_m(plan: &PingPlan) -> f64 {
+    plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz
+}
+
+/// Least |transmit x element pattern| that is kept.
+fn pattern_floor(plan: &PingPlan) -> f64 {
+    plan.model.cull_db.map_or(0.0, amplitude_from_db)
+}
+
+/// The transmit leg of every scatterer. `window` is what the samples to be made will cover.
+///
+/// Counts each scatterer that it leaves out once, whatever the number of elements; `used` stays 0.
+pub fn insonify(
+    plan: &PingPlan,
+    tx: &TransmitArray,
+    window: Window,
+    scatterers: &Scatterers,
+    transmit_leg: &mut TransmitLeg,
+) -> EchoCounts {
+    let transmit = Transmit::new(plan, tx);
+    let pattern = Directivity::new(&tx.pattern, wavelength_m(plan));
+    let one_way = OneWay::new(wavelength_m(plan), plan.absorption_db_per_m);
+    let source = amplitude_from_db(plan.settings.source_level_db + tx.level_offset_db);
+    let floor = pattern_floor(plan);
+    let farthest_m = plan.sound_speed_m_per_s * window.last_s;
+
+    transmit_leg.batch_range_m.clear();
+    transmit_leg.batch_closing_m_per_s.clear();
+    transmit_leg.batch_box_m.clear();
+    transmit_leg.window = Some(window);
+    transmit_leg.transmit = transmit;
+    transmit_leg.curve.clone_from(&scatterers.curve);
+    let light = Light {
+        leg: TransmitLegTerms {
+            transmit: &transmit,
+            pattern,
+            one_way,
+            source,
+        },
+        scatterers,
+        floor,
+        farthest_m,
+    };
+    let counts = light.shine(transmit_leg);
+    transmit_leg
+        .batch_range_m
+        .extend(transmit_leg.range_m.chunks(CHUNK).map(ends));
+    transmit_leg
+        .batch_closing_m_per_s
+        .extend(transmit_leg.closing_m_per_s.chunks(CHUNK).map(ends));
+    let places = transmit_leg
+        .x_m
+        .chunks(CHUNK)
+        .zip(transmit_leg.y_m.chunks(CHUNK));
+    transmit_leg
+        .batch_box_m
+        .extend(
+            places
+                .zip(transmit_leg.z_m.chunks(CHUNK))
+                .map(|((x, y), z)| {
+                    let (x, y, z) = (ends(x), ends(y), ends(z));
+                    (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
+                }),
+        );
+    counts
+}
+
+/// What the first leg needs.
+struct TransmitLegTerms<'a> {
+    transmit: &'a Transmit,
+    pattern: Directivity,
+    one_way: OneWay,
+    source: f64,
+}
+
+/// A batch as the transmitter sees it.
+struct Ahead {
+    x_m: [f64; CHUNK],
+    y_m: [f64; CHUNK],
+    z_m: [f64; CHUNK],
+    range_m: [f64; CHUNK],
+    /// Cosine of the incidence.
+    facing: [f64; CHUNK],
+    /// Source level, pattern and loss.
+    amplitude: [f64; CHUNK],
+    /// |pattern|.
+    level: [f64; CHUNK],
+    closing_m_per_s: [f64; CHUNK],
+}
+
+impl Default for Ahead {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            x_m: zero,
+            y_m: zero,
+            z_m: zero,
+            range_m: zero,
+            facing: zero,
+            amplitude: zero,
+            level: zero,
+            closing_m_per_s: zero,
+        }
+    }
+}
+
+/// The first leg of `n` scatterers from `first` on, [`CHUNK`] at most.
+fn look(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    ahead: &mut Ahead,
+) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { look_avx512(leg, scatterers, first, n, ahead) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { look_avx2(leg, scatterers, first, n, ahead) };
+        }
+    }
+    look_plain(leg, scatterers, first, n, ahead);
+}
+
+/// The AVX2 and AVX-512 builds of [`look_plain`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn look_avx2(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
+    look_plain(leg, scatterers, first, n, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn look_avx512(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
+    look_plain(leg, scatterers, first, n, out);
+}
+
+#[inline(always)]
+fn look_plain(
+    leg: &TransmitLegTerms,
+    scatterers: &Scatterers,
+    first: usize,
+    n: usize,
+    out: &mut Ahead,
+) {
+    let n = n.min(CHUNK);
+    let north_m = &scatterers.north_m[first..][..n];
+    let east_m = &scatterers.east_m[first..][..n];
+    let down_m = &scatterers.down_m[first..][..n];
+    let normal = &scatterers.normal[first..][..n];
+    let v = leg.transmit.motion.velocity_m_per_s;
+    for j in 0..n {
+        let ray_m = leg
+            .transmit
+            .relative_m(DVec3::new(north_m[j], east_m[j], down_m[j]));
+        let range_m = (ray_m.x * ray_m.x + ray_m.y * ray_m.y + ray_m.z * ray_m.z).sqrt();
+        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let ray = (ray_m.x * per_m, ray_m.y * per_m, ray_m.z * per_m);
+        let m = &leg.transmit.array_from_world;
+        let response = leg.pattern.towards(
+            m.x_axis.x * ray.0 + m.y_axis.x * ray.1 + m.z_axis.x * ray.2,
+            m.x_axis.y * ray.0 + m.y_axis.y * ray.1 + m.z_axis.y * ray.2,
+            m.x_axis.z * ray.0 + m.y_axis.z * ray.1 + m.z_axis.z * ray.2,
+        );
+        let [a, b, c] = normal[j];
+        let n = [f64::from(a), f64::from(b), f64::from(c)];
+        (out.x_m[j], out.y_m[j], out.z_m[j]) = (ray_m.x, ray_m.y, ray_m.z);
+        out.range_m[j] = range_m;
+        out.facing[j] = -(n[0] * ray.0 + n[1] * ray.1 + n[2] * ray.2);
+        out.amplitude[j] = leg.source * response * leg.one_way.amplitude_at(range_m, per_m);
+        out.level[j] = response.abs();
+        out.closing_m_per_s[j] = v.x * ray.0 + v.y * ray.1 + v.z * ray.2;
+    }
+}
+
+/// Least and greatest.
+fn ends(values: &[f64]) -> (f64, f64) {
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
+            (least.min(x), most.max(x))
+        })
+}
+
+/// One leg of a scatterer on a curve: nothing on the far side.
+#[inline(always)]
+fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
+    match curve {
+        Some(curve) if root > 0.0 => curve.half(root),
+        _ => 0.0,
+    }
+}
+
+/// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's, and (1 + 0.1)/(1 - 0.1) = 1.22.
+const LONGEST_ECHO: f64 = 1.3;
+
+/// Echoes of everything insonified at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
+///
+/// An echo that overlaps the window at all is kept. Counts are of scatterer-element pairs.
+pub fn arrivals(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    element: usize,
+    transmit_leg: &TransmitLeg,
+    work: &mut Workspace,
+    sink: &mut impl ArrivalSink,
+) -> EchoCounts {
+    let Some(window) = transmit_leg.window else {
+        return EchoCounts::default(); // nothing was ever insonified
+    };
+    let all = Slab {
+        window,
+        own_s: (f64::NEG_INFINITY, f64::INFINITY),
+    };
+    arrivals_of_slab(plan, array, element, transmit_leg, all, work, sink)
+}
+
+/// A slab of delays, of all that were insonified.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slab {
+    pub window: Window,
+    /// Echoes that begin from the first instant until before the second are counted here; others with other slabs.
+    pub own_s: (f64, f64),
+}
+
+/// [`arrivals`] of what overlaps one slab. All slabs together count every pair of scatterer and element once.
+pub fn arrivals_of_slab(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    element: usize,
+    transmit_leg: &TransmitLeg,
+    slab: Slab,
+    work: &mut Workspace,
+    sink: &mut impl ArrivalSink,
+) -> EchoCounts {
+    let mut counts = EchoCounts::default();
+    let Slab { window, own_s } = slab;
+    let is_own = |delay_s: f64| (own_s.0 <= delay_s) & (delay_s < own_s.1);
+    let c = plan.sound_speed_m_per_s;
+    let receive = ReceiveLeg {
+        c,
+        pattern: Directivity::new(&array.element_pattern, wavelength_m(plan)),
+        one_way: OneWay::new(wavelength_m(plan), plan.absorption_db_per_m),
+        sensitivity: amplitude_from_db(array.sensitivity_db),
+    };
+    let floor = pattern_floor(plan);
+    let duration_s = plan.pulse.duration_s;
+    let Workspace {
+        track,
+        rays,
+        heard,
+        answer,
+        chunk,
+    } = work;
+    let part = Elements::of(plan, array);
+    track.lay(plan, &transmit_leg.transmit, array, element);
+    // u >= (2 r_T - reach)/c: batches wholly past the window need no solving. Eq. 21 may move an echo forward, by 3 v/c of its delay at most
+    // and with v below 0.1 c.
+    let forward = match plan.model.doppler {
+        DopplerModel::PaperEq21 => 1.5,
+        _ => 1.0,
+    };
+    let last_s = forward * window.last_s;
+    let farthest_m = 0.5 * (c * last_s + track.reach_m(last_s));
+    // And u <= (2 r_T + reach)/c: batches whose last echo has ended before it.
+    let ended_s = window.first_s - LONGEST_ECHO * duration_s;
+    let nearest_m = 0.5 * (c * ended_s / forward - track.reach_m(window.first_s));
+    chunk.element = element;
+    chunk.len = 0;
+
+    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
+        let [is_late, is_early] = [
+            min_range_m > farthest_m * (1.0 + 1e-12),
+            greatest_range_m < nearest_m * (1.0 - 1e-12),
+        ];
+        if is_late || is_early {
+            // Counted where there is no next or previous slab.
+            let ends_here = match is_late {
+                true => own_s.1 == f64::INFINITY,
+                false => own_s.0 == f64::NEG_INFINITY,
+            };
+            counts.outside_window += u64::from(ends_here) * span.len() as u64;
+            continue;
+        }
+        let batch = Batch {
+            x_m: &transmit_leg.x_m[span.clone()],
+            y_m: &transmit_leg.y_m[span.clone()],
+            z_m: &transmit_leg.z_m[span.clone()],
+            range_m: &transmit_leg.range_m[span.clone()],
+            min_range_m,
+            greatest_range_m,
+        };
+        let odd = solve(track, c, batch, rays);
+        if is_own(rays.delay_s[0]) {
+            counts.no_root += odd.no_root;
+            counts.two_roots += odd.two_roots;
+        }
+        if plan.model.path == PathModel::Continuous {
+            refine(plan, &transmit_leg.transmit, track, batch, rays);
+        }
+        weigh(&receive, transmit_leg, span.clone(), rays, heard);
+        match plan.model.doppler {
+            DopplerModel::None | DopplerModel::Stretch => {}
+            DopplerModel::StretchQuadratic => {
+                stretch_twice(plan, transmit_leg, track, batch, rays, heard);
+            }
+            DopplerModel::PaperEq21 => stretch_delays(c, transmit_leg, span.clone(), rays, heard),
+        }
+
+        let n = span.len();
+        let amplitude = &transmit_leg.amplitude[span];
+        let mut kept = 0;
+        for (i, amplitude) in amplitude.iter().enumerate() {
+            let delay_s = rays.delay_s[i];
+            let counted = is_own(delay_s);
+            let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
+            let heard_s = window.first_s - delay_s;
+            let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
+            let outside = (delay_s > window.last_s) | ended;
+            let product = *amplitude * heard.gain[i];
+            let silent = (heard.level[i] < floor) | (product.re == 0.0) & (product.im == 0.0);
+            heard.amplitude[i] = product;
+            let keep = !(outside | silent);
+            heard.keep[i] = keep;
+            kept += u64::from(keep);
+            counts.used += u64::from(counted & keep);
+            counts.outside_window += u64::from(counted & outside);
+            counts.culled += u64::from(counted & !outside & silent);
+            let near = heard.range_m[i] < receive.one_way.wavelength_m;
+            counts.too_close += u64::from(counted & keep & near);
+            counts.beyond_track += u64::from(counted & keep & (delay_s >= track.end_s()));
+        }
+        if let Some(part) = &part {
+            part.answer(plan, track, rays, n, answer);
+            for (amplitude, answer) in heard.amplitude[..n].iter_mut().zip(answer.of_each()) {
+                *amplitude *= answer;
+            }
+        }
+        // The usual case: a whole batch into an empty chunk.
+        if kept == n as u64 && chunk.len == 0 {
+            chunk.delay_s[..n].copy_from_slice(&rays.delay_s[..n]);
+            chunk.doppler[..n].copy_from_slice(&heard.doppler[..n]);
+            chunk.curvature_per_s[..n].copy_from_slice(&heard.curvature_per_s[..n]);
+            chunk.amplitude[..n].copy_from_slice(&heard.amplitude[..n]);
+            chunk.len = n;
+        } else {
+            for i in (0..n).filter(|&i| heard.keep[i]) {
+                if chunk.len == CHUNK {
+                    sink.accept(chunk);
+                    chunk.len = 0;
+                }
+                let at = chunk.len;
+                chunk.delay_s[at] = rays.delay_s[i];
+                chunk.doppler[at] = heard.doppler[i];
+                chunk.curvature_per_s[at] = heard.curvature_per_s[i];
+                chunk.amplitude[at] = heard.amplitude[i];
+                chunk.len = at + 1;
+            }
+        }
+        if chunk.len == CHUNK {
+            sink.accept(chunk);
+            chunk.len = 0;
+        }
+    }
+    if chunk.len > 0 {
+        sink.accept(chunk);
+        chunk.len = 0;
+    }
+    counts
+}
+
+/// What the second leg of a batch needs besides its rays.
+struct ReceiveLeg {
+    c: f64,
+    pattern: Directivity,
+    one_way: OneWay,
+    sensitivity: f64,
+}
+
+/// Second leg of a batch: gain, pattern level and Doppler.
+fn weigh(
+    receive: &ReceiveLeg,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    let curved = transmit_leg.curved[span.clone()].contains(&true);
+    match (curved, receive.pattern.is_omnidirectional()) {
+        (false, false) => weigh_as::<false, false>(receive, transmit_leg, span, rays, heard),
+        (false, true) => weigh_as::<false, true>(receive, transmit_leg, span, rays, heard),
+        (true, false) => weigh_as::<true, false>(receive, transmit_leg, span, rays, heard),
+        (true, true) => weigh_as::<true, true>(receive, transmit_leg, span, rays, heard),
+    }
+}
+
+/// `CURVED`: some of the batch lie on the curve. `ROUND`: the element hears the same from everywhere.
+fn weigh_as<const CURVED: bool, const ROUND: bool>(
+    receive: &ReceiveLeg,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe {
+                weigh_avx512::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+            };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe {
+                weigh_avx2::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+            };
+        }
+    }
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+}
+
+/// The AVX2 and AVX-512 builds of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn weigh_avx2<const CURVED: bool, const ROUND: bool>(
+    receive: &ReceiveLeg,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn weigh_avx512<const CURVED: bool, const ROUND: bool>(
+    receive: &ReceiveLeg,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+}
+
+#[inline(always)]
+fn weigh_plain<const CURVED: bool, const ROUND: bool>(
+    receive: &ReceiveLeg,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &Rays,
+    heard: &mut Heard,
+) {
+    let n = span.len().min(CHUNK);
+    let level = &transmit_leg.level[span.clone()][..n];
+    let bias = &transmit_leg.bias[span.clone()][..n];
+    let normal_x = &transmit_leg.normal_x[span.clone()][..n];
+    let normal_y = &transmit_leg.normal_y[span.clone()][..n];
+    let normal_z = &transmit_leg.normal_z[span.clone()][..n];
+    let curved = &transmit_leg.curved[span.clone()][..n];
+    let curve = transmit_leg.curve.as_deref();
+    let closing_m_per_s = &transmit_leg.closing_m_per_s[span][..n];
+    for i in 0..n {
+        let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
+        let range_m = (x * x + y * y + z * z).sqrt();
+        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let response = if ROUND {
+            1.0
+        } else {
+            receive.pattern.towards(
+                rays.array_x_m[i] * per_m,
+                rays.array_y_m[i] * per_m,
+                rays.array_z_m[i] * per_m,
+            )
+        };
+        let normal_along_ray =
+            (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
+                * per_m;
+        let mut law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
+        if CURVED && curved[i] {
+            law = half_of_curve(curve, law);
+        }
+        heard.range_m[i] = range_m;
+        heard.gain[i] =
+            receive.sensitivity * response * law * receive.one_way.amplitude_at(range_m, per_m);
+        heard.level[i] = level[i] * response.abs();
+        // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), without taking 1 from a number near 1.
+        heard.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
+            / (receive.c - closing_m_per_s[i]);
+    }
+}
+
+/// [`DopplerModel::StretchQuadratic`]: expansions about mid-pulse in place of those about the leading edge.
+fn stretch_twice(
+    plan: &PingPlan,
+    transmit_leg: &TransmitLeg,
+    track: &ElementTrack,
+    batch: Batch,
+    rays: &mut Rays,
+    heard: &mut Heard,
+) {
+    let n = batch.range_m.len().min(CHUNK);
+    track.motions_at(plan, &rays.delay_s[..n], &mut heard.moving);
+    let middle = Middle {
+        c: plan.sound_speed_m_per_s,
+        half_s: 0.5 * plan.pulse.duration_s,
+        transmit: transmit_leg.transmit.motion,
+    };
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { expand_avx512(middle, batch, rays, heard) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: asked on the line above; the function needs nothing else.
+            return unsafe { expand_avx2(middle, batch, rays, heard) };
+        }
+    }
+    expand_plain(middle, batch, rays, heard);
+}
+
+/// What is the same for all echoes of a batch.
+#[derive(Clone, Copy)]
+struct Middle {
+    c: f64,
+    half_s: f64,
+    transmit: Motion,
+}
+
+/// The AVX2 and AVX-512 builds of [`expand_plain`]: the same arithmetic in the same order, so the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn expand_avx2(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
+    expand_plain(middle, batch, rays, heard);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn expand_avx512(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
+    expand_plain(middle, batch, rays, heard);
+}
+
+#[inline(always)]
+fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
+    let Middle {
+        c,
+        half_s,
+        transmit,
+    } = middle;
+    let n = batch.range_m.len().min(CHUNK);
+    let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
+    let [vx, vy, vz, ax, ay, az] = &heard.moving;
+    for i in 0..n {
+        let transmit = Leg {
+            ray_m: DVec3::new(x_m[i], y_m[i], z_m[i]),
+            motion: transmit,
+        };
+        let receive = Leg {
+            ray_m: DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]),
+            motion: Motion {
+                velocity_m_per_s: DVec3::new(vx[i], vy[i], vz[i]),
+                acceleration_m_per_s2: DVec3::new(ax[i], ay[i], az[i]),
+            },
+        };
+        let (delay_s, doppler) = (rays.delay_s[i], heard.doppler[i]);
+        let echo = about_mid_pulse(c, half_s, transmit, receive, delay_s, doppler);
+        rays.delay_s[i] = echo.delay_s;
+        heard.doppler[i] = echo.doppler;
+        heard.curvature_per_s[i] = echo.curvature_per_s;
+    }
+}
+
+/// [`DopplerModel::PaperEq21`]: the stretch goes into the delays.
+fn stretch_delays(
+    c: f64,
+    transmit_leg: &TransmitLeg,
+    span: std::ops::Range<usize>,
+    rays: &mut Rays,
+    heard: &mut Heard,
+) {
+    for (i, m) in span.enumerate() {
+        let a = transmit_leg.closing_m_per_s[m];
+        // eta - 1 = (a + b)/(c - a)
+        let b = heard.doppler[i] * (c - a) - a;
+        rays.delay_s[i] =
+            paper_eq21_delay_s(c, transmit_leg.range_m[m] / c, rays.delay_s[i], (a, b));
+        heard.doppler[i] = 0.0;
+    }
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+    use echotank_core::flow::Pattern;
+
+    #[test]
+    fn the_avx2_build_gives_the_same_bits() {
+        if !is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let place = |step: f64| -> Vec<f64> {
+            (0..CHUNK)
+                .map(|k| (k as f64 * step).fract() - 0.5)
+                .collect()
+        };
+        let narrow = |v: &[f64]| -> Vec<f32> { v.iter().map(|x| *x as f32).collect() };
+        let (a, b, c) = (place(0.618), place(0.755), place(0.57));
+        let transmit_leg = TransmitLeg {
+            level: a.clone(),
+            bias: (0..CHUNK).map(|k| (k % 2) as f32).collect(),
+            curved: (0..CHUNK).map(|k| k % 4 < 2).collect(),
+            curve: Some(Arc::new(LawCurve::new(|cosine| 0.1 + cosine.powi(3)))),
+            normal_x: narrow(&a),
+            normal_y: narrow(&b),
+            normal_z: narrow(&c),
+            closing_m_per_s: b.clone(),
+            ..TransmitLeg::default()
+        };
+        let mut rays = Rays::default();
+        for i in 0..CHUNK {
+            (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = (90.0 * a[i], 90.0 * b[i], 90.0 * c[i]);
+            (rays.array_x_m[i], rays.array_y_m[i]) = (rays.y_m[i], rays.z_m[i]);
+            rays.array_z_m[i] = rays.x_m[i];
+            rays.closing_m2_per_s[i] = 100.0 * c[i];
+        }
+        let receive = ReceiveLeg {
+            c: 1500.0,
+            pattern: Directivity::new(
+                &Pattern::Rectangle {
+                    length_m: 0.3,
+                    width_m: 0.01,
+                    baffled: true,
+                },
+                0.00375,
+            ),
+            one_way: OneWay::new(0.00375, 0.096),
+            sensitivity: 1e-9,
+        };
+        fn run<const CURVED: bool>(
+            wide: bool,
+            (receive, transmit_leg, rays): (&ReceiveLeg, &TransmitLeg, &Rays),
+        ) -> [[u64; CHUNK]; 4] {
+            let mut heard = Heard::default();
+            if wide {
+                // SAFETY: asked above.
+                unsafe {
+                    weigh_avx2::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard)
+                };
+            } else {
+                weigh_plain::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard);
+            }
+            [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
+        }
+        let all = (&receive, &transmit_leg, &rays);
+        let (plain, curved) = (run::<false>(false, all), run::<true>(false, all));
+        assert!(run::<false>(true, all) == plain && run::<true>(true, all) == curved);
+        assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
+        assert!(plain[1] != curved[1]);
+        if has_avx512() {
+            let mut heard = Heard::default();
+            // SAFETY: asked above.
+            unsafe {
+                weigh_avx512::<true, false>(&receive, &transmit_leg, 0..CHUNK, &rays, &mut heard)
+            };
+            let wide = [heard.doppler, heard.gain, heard.level, heard.range_m]
+                .map(|v| v.map(f64::to_bits));
+            assert!(wide == curved);
+        }
+    }
+
+    #[test]
+    fn every_build_of_the_second_order_gives_the_same_bits() {
+        if !has_avx512() {
+            return;
+        }
+        let place = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
+        let at = |step: f64| -> Vec<f64> { (0..CHUNK).map(|k| 90.0 * place(k, step)).collect() };
+        let (x_m, y_m, z_m) = (at(0.618), at(0.755), at(0.57));
+        let length = |k: usize| (x_m[k].powi(2) + y_m[k].powi(2) + z_m[k].powi(2)).sqrt();
+        let range_m: Vec<f64> = (0..CHUNK).map(length).collect();
+        let batch = Batch {
+            x_m: &x_m,
+            y_m: &y_m,
+            z_m: &z_m,
+            range_m: &range_m,
+            min_range_m: 0.0,
+            greatest_range_m: 200.0,
+        };
+        let middle = Middle {
+            c: 1500.0,
+            half_s: 2.5e-3,
+            transmit: Motion {
+                velocity_m_per_s: DVec3::new(5.0, 0.3, -0.2),
+                acceleration_m_per_s2: DVec3::new(0.1, 0.0, 0.4),
+            },
+        };
+        let run = |expand: &dyn Fn(&mut Rays, &mut Heard)| {
+            let (mut rays, mut heard) = (Rays::default(), Heard::default());
+            for k in 0..CHUNK {
+                (rays.x_m[k], rays.y_m[k], rays.z_m[k]) = (x_m[k] - 0.3, y_m[k], z_m[k] + 0.1);
+                rays.delay_s[k] = 2.0 * range_m[k] / 1500.0;
+                heard.doppler[k] = 6e-3 * place(k, 0.33);
+                for (axis, moving) in heard.moving.iter_mut().enumerate() {
+                    moving[k] = 5.0 * place(k + axis, 0.41);
+                }
+            }
+            expand(&mut rays, &mut heard);
+            [rays.delay_s, heard.doppler, heard.curvature_per_s].map(|v| v.map(f64::to_bits))
+        };
+        let want = run(&|rays, heard| expand_plain(middle, batch, rays, heard));
+        // SAFETY (twice): AVX-512 was asked for above, and no processor has it without AVX2.
+        assert!(run(&|r, h| unsafe { expand_avx2(middle, batch, r, h) }) == want);
+        assert!(run(&|r, h| unsafe { expand_avx512(middle, batch, r, h) }) == want);
+        assert!(want[2].iter().filter(|&&q| q != 0).count() > CHUNK / 2);
+    }
+
+    #[test]
+    fn every_build_of_the_first_leg_gives_the_same_bits() {
+        let mut scatterers = Scatterers::default();
+        let place = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
+        for k in 0..CHUNK {
+            let (a, b, c) = (place(k, 0.618), place(k, 0.755), place(k, 0.57));
+            let normal = [a as f32, b as f32, c as f32];
+            let position_m = DVec3::new(a, b, c) * 90.0;
+            scatterers.push(position_m, normal, Complex64::ONE, ScatterLaw::Lambert);
+        }
+        let leg = TransmitLegTerms {
+            transmit: &Transmit::default(),
+            pattern: Directivity::new(&Pattern::Omnidirectional, 0.00375),
+            one_way: OneWay::new(0.00375, 0.096),
+            source: 3.0,
+        };
+        let bits = |a: &Ahead| {
+            let all = [a.x_m, a.range_m, a.facing, a.amplitude, a.level];
+            all.map(|v| v.map(f64::to_bits))
+        };
+        let mut want = Ahead::default();
+        look_plain(&leg, &scatterers, 0, CHUNK, &mut want);
+        assert!(want.amplitude.iter().all(|a| *a > 0.0));
+        for wide in [look_avx2, look_avx512] {
+            if !has_avx512() {
+                return;
+            }
+            let mut got = Ahead::default();
+            // SAFETY: AVX-512 was asked for above, and no processor has it without AVX2.
+            unsafe { wide(&leg, &scatterers, 0, CHUNK, &mut got) };
+            assert!(bits(&got) == bits(&want));
+        }
+    }
+}

@@ -1,0 +1,724 @@
+//! The walk for stretches of a line array: the echoes at one point of the line, with their derivatives along it and during the pulse.
+//!
+//! c (w + u) = c w + |S - p_T - V_T w| + |S - r - a y - v (w + u)|, differentiated at the leading edge. With e the receive ray's unit
+//! vector, R its length, a the line's axis and a' how it turns, v the velocity in the path and V that of the Doppler term (the same, or zero
+//! in one of them), V_y how V differs along the line, A accelerations:
+//!
+//! ```text
+//! u_y       = -(e.a) / (c + v.e)                     q = a + v u_y,  q.e = -c u_y
+//! u_yy      = ((q.q - (q.e)^2) / R - 2 u_y a'.e) / (c + v.e)
+//! u_yw      = (1 + u_w) [(V.q - (V.e)(q.e)) / R - V_y.e] / (c + V.e)
+//! u_ww      = [(V_T.V_T - (V_T.e_T)^2) / r_T - A_T.e_T + (1 + u_w)^2 ((V.V - (V.e)^2) / R - A.e)] / (c + V.e)
+//! 1 + u_w   = 1 / (1 + doppler)
+//! ```
+//!
+//! Scatterers that follow one another usually lie close together, so that the corners of a batch's box span what its echoes can be:
+//! that is what [`LineSource::survey`] hands on.
+
+use std::sync::{Mutex, PoisonError};
+
+use glam::DVec3;
+
+use echotank_core::flow::{
+    ArrayGeometry, CHUNK, DopplerModel, EchoCounts, LineChunk, LineSink, LineSource, LineStretch,
+    PathModel, PingPlan,
+};
+
+use super::{
+    Batch, Complex64, Heard, Rays, ReceiveLeg, TransmitLeg, pattern_floor, refine, solve, weigh,
+};
+use super::{Directivity, ElementTrack, Motion, OneWay, amplitude_from_db, wavelength_m};
+
+/// Corners of a box.
+const CORNERS: usize = 8;
+/// A box wider than this much of its range is not small: its points are surveyed themselves.
+const SMALL_BOX: f64 = 0.25;
+
+/// Of the gain at the ends of a stretch, what its middle has at least.
+const NULL: f64 = 1e-6;
+/// Batches, about, whose echoes a survey hands on.
+const SAMPLED: usize = 16;
+
+/// Scratch of one thread of [`line_arrivals`].
+pub struct LineWorkspace {
+    track: LineTrack,
+    rays: Rays,
+    heard: Heard,
+    /// The same at an end of the stretch, and the gains at both.
+    end_rays: Rays,
+    end_heard: Heard,
+    gains: Box<[[f64; CHUNK]; 2]>,
+    chunk: Box<LineChunk>,
+    /// Of a survey.
+    places: Box<Places>,
+}
+
+impl Default for LineWorkspace {
+    fn default() -> Self {
+        Self {
+            track: LineTrack::default(),
+            rays: Rays::default(),
+            heard: Heard::default(),
+            end_rays: Rays::default(),
+            end_heard: Heard::default(),
+            gains: Box::new([[0.0; CHUNK]; 2]),
+            chunk: Box::default(),
+            places: Box::default(),
+        }
+    }
+}
+
+impl LineWorkspace {
+    /// With room for a polyline of so many segments, so that no ping allocates.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            track: LineTrack {
+                middle: ElementTrack::with_room_for(segments),
+                ahead: ElementTrack::with_room_for(segments),
+            },
+            ..Self::default()
+        }
+    }
+}
+
+/// Up to [`CHUNK`] points as [`TransmitLeg`] has them, less their strengths.
+struct Places {
+    len: usize,
+    x_m: [f64; CHUNK],
+    y_m: [f64; CHUNK],
+    z_m: [f64; CHUNK],
+    range_m: [f64; CHUNK],
+    closing_m_per_s: [f64; CHUNK],
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            len: 0,
+            x_m: zero,
+            y_m: zero,
+            z_m: zero,
+            range_m: zero,
+            closing_m_per_s: zero,
+        }
+    }
+}
+
+/// The way of a stretch through one ping: that of its middle and that of a point one metre along. A rigid line's places and velocities
+/// differ evenly along it, so that two points tell all.
+#[derive(Debug, Default)]
+struct LineTrack {
+    middle: ElementTrack,
+    ahead: ElementTrack,
+}
+
+/// How a line moves while its middle is on one leg.
+#[derive(Clone, Copy, Debug, Default)]
+struct LineMotion {
+    start_s: f64,
+    until_s: f64,
+    /// At `start_s`, and how it turns.
+    axis: DVec3,
+    turning_per_s: DVec3,
+    /// Beyond that, (t - start)(end - t) of it: on the continuous path the line lies as its attitude has it, and not on a chord between
+    /// vertices. Zero on others.
+    arc_per_s2: DVec3,
+    length_s: f64,
+    /// In the path; and in array axes.
+    velocity_m_per_s: DVec3,
+    velocity_in_array_m_per_s: DVec3,
+    /// Whether the path's velocity is that of Doppler, moment by moment.
+    exact: bool,
+    /// Of Doppler, at `start_s`; and how it differs along the line.
+    heard: Motion,
+    heard_along_per_s: DVec3,
+}
+
+impl LineTrack {
+    fn motion_at(&self, plan: &PingPlan, array: &ArrayGeometry, time_s: f64) -> LineMotion {
+        let (number, leg) = self.middle.leg_at(time_s);
+        let ahead = self.ahead.leg(number);
+        let axis = ahead.origin_m - leg.origin_m;
+        let turning_per_s = ahead.velocity_m_per_s - leg.velocity_m_per_s;
+        let continuous = plan.model.path == PathModel::Continuous;
+        let length_s = match leg.end_s.is_finite() {
+            true => leg.end_s - leg.start_s,
+            false => plan.model.segment_s,
+        };
+        let arc_per_s2 = if continuous && length_s > 0.0 {
+            let pose = plan.trajectory.pose_at(leg.start_s + 0.5 * length_s);
+            let there = pose.world_from_body * (array.mounting.body_from_array * DVec3::X);
+            (there - axis - turning_per_s * (0.5 * length_s)) * (4.0 / (length_s * length_s))
+        } else {
+            DVec3::ZERO
+        };
+        LineMotion {
+            start_s: leg.start_s,
+            until_s: leg.end_s,
+            axis,
+            turning_per_s,
+            arc_per_s2,
+            length_s,
+            exact: continuous && plan.model.doppler != DopplerModel::None,
+            velocity_m_per_s: leg.velocity_m_per_s,
+            velocity_in_array_m_per_s: leg.velocity_in_array_m_per_s(),
+            heard: leg.doppler,
+            heard_along_per_s: ahead.doppler.velocity_m_per_s - leg.doppler.velocity_m_per_s,
+        }
+    }
+}
+
+/// The echoes of one ping at one line array, for whoever synthesises whole stretches of it.
+pub struct LineEchoes<'a> {
+    pub plan: &'a PingPlan,
+    pub array: &'a ArrayGeometry,
+    pub transmit_leg: &'a TransmitLeg,
+    /// One per thread of the pool: no lock ever waits.
+    pub work: &'a [Mutex<LineWorkspace>],
+}
+
+impl LineEchoes<'_> {
+    fn with_work<R>(&self, f: impl FnOnce(&mut LineWorkspace) -> R) -> R {
+        let thread = rayon::current_thread_index().unwrap_or(0);
+        // A panic in another ping leaves the scratch as good as any: every use overwrites it.
+        let mut work = self.work[thread]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        f(&mut work)
+    }
+}
+
+impl LineSource for LineEchoes<'_> {
+    fn scatterers(&self) -> u64 {
+        self.transmit_leg.len() as u64
+    }
+
+    fn earliest_s(&self) -> f64 {
+        let nearest_m = self.transmit_leg.batch_range_m.iter();
+        let nearest_m =
+            nearest_m.fold(f64::INFINITY, |least, &(nearest_m, _)| least.min(nearest_m));
+        if !nearest_m.is_finite() {
+            return f64::INFINITY;
+        }
+        let c = self.plan.sound_speed_m_per_s;
+        self.with_work(|work| {
+            let track = &mut work.track;
+            track
+                .middle
+                .lay_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
+            let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
+            // What begins later than from the transmitter's place need not be looked at.
+            let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
+            (2.0 * nearest_m - reach_m * (1.0 + 1e-9)) * (1.0 - 1e-9) / c
+        })
+    }
+
+    fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink) {
+        self.with_work(|work| {
+            line_survey(
+                self.plan,
+                self.array,
+                stretch,
+                self.transmit_leg,
+                work,
+                sink,
+            )
+        });
+    }
+
+    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts {
+        self.with_work(|work| {
+            line_arrivals(
+                self.plan,
+                self.array,
+                stretch,
+                self.transmit_leg,
+                work,
+                sink,
+            )
+        })
+    }
+}
+
+/// Echoes of everything insonified at the middle of a stretch of the line, in chunks of at most [`CHUNK`], always in the same order.
+///
+/// What [`insonify`](super::illuminate) was told of the window does not count here: `stretch` does. Counts are of scatterer-element
+/// pairs; an echo outside the delays asked for is not counted at all, since another call asks for it.
+pub fn line_arrivals(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    transmit_leg: &TransmitLeg,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) -> EchoCounts {
+    walk_batches(plan, array, stretch, transmit_leg, 1, work, sink)
+}
+
+/// [`line_arrivals`] of every so many batches.
+fn walk_batches(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    transmit_leg: &TransmitLeg,
+    every: usize,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) -> EchoCounts {
+    let mut counts = EchoCounts::default();
+    if transmit_leg.window.is_none() {
+        return counts;
+    }
+    let c = plan.sound_speed_m_per_s;
+    let receive = ReceiveLeg {
+        c,
+        pattern: Directivity::new(&array.element_pattern, wavelength_m(plan)),
+        one_way: OneWay::new(wavelength_m(plan), plan.absorption_db_per_m),
+        sensitivity: amplitude_from_db(array.sensitivity_db),
+    };
+    let floor = pattern_floor(plan);
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
+    let LineWorkspace {
+        track,
+        rays,
+        heard,
+        end_rays,
+        end_heard,
+        gains,
+        chunk,
+        ..
+    } = work;
+    let asked = stretch.earliest_s..stretch.latest_s;
+
+    for (b, &(min_range_m, greatest_range_m)) in
+        transmit_leg.batch_range_m.iter().enumerate().step_by(every)
+    {
+        if min_range_m > farthest_m || greatest_range_m < nearest_m {
+            continue;
+        }
+        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
+        let batch = Batch {
+            x_m: &transmit_leg.x_m[span.clone()],
+            y_m: &transmit_leg.y_m[span.clone()],
+            z_m: &transmit_leg.z_m[span.clone()],
+            range_m: &transmit_leg.range_m[span.clone()],
+            min_range_m,
+            greatest_range_m,
+        };
+        let odd = solve(&track.middle, c, batch, rays);
+        if plan.model.path == PathModel::Continuous {
+            refine(plan, &transmit_leg.transmit, &track.middle, batch, rays);
+        }
+        let n = span.len();
+        let (first_s, last_s) = rays.delay_s[..n]
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &u| {
+                (a.min(u), b.max(u))
+            });
+        if first_s >= stretch.latest_s || last_s < stretch.earliest_s {
+            continue;
+        }
+        counts.no_root += odd.no_root * stretch.elements;
+        counts.two_roots += odd.two_roots * stretch.elements;
+        weigh(&receive, transmit_leg, span.clone(), rays, heard);
+
+        let whole = asked.contains(&first_s) && asked.contains(&last_s);
+        let mut since_s = first_s;
+        while since_s <= last_s {
+            let motion = track.motion_at(plan, array, since_s);
+            let derivation = Derivation {
+                c,
+                motion: &motion,
+                transmit: transmit_leg.transmit.motion,
+                batch,
+                closing_m_per_s: &transmit_leg.closing_m_per_s[span.clone()],
+                rays,
+            };
+            derivation.run(&heard.doppler, chunk);
+            if stretch.fades {
+                let half_m = stretch.half_m;
+                for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
+                    see_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
+                    weigh(&receive, transmit_leg, span.clone(), end_rays, end_heard);
+                    gains[..n].copy_from_slice(&end_heard.gain[..n]);
+                }
+                fade(&mut heard.gain[..n], gains, half_m, chunk);
+            } else {
+                chunk.fade_per_m[..n].fill(0.0);
+                chunk.curl_per_m2[..n].fill(0.0);
+            }
+            let one_leg = since_s == first_s && last_s < motion.until_s;
+            let mut used = 0;
+            for i in 0..n {
+                let delay_s = rays.delay_s[i];
+                let here = one_leg || (since_s..motion.until_s).contains(&delay_s);
+                if !(whole || asked.contains(&delay_s)) || !here {
+                    continue;
+                }
+                let amplitude = transmit_leg.amplitude[span.start + i] * heard.gain[i];
+                if heard.level[i] < floor || amplitude == Complex64::ZERO {
+                    counts.culled += stretch.elements;
+                    continue;
+                }
+                if heard.range_m[i] < receive.one_way.wavelength_m {
+                    counts.too_close += stretch.elements;
+                }
+                if delay_s >= track.middle.end_s() {
+                    counts.beyond_track += stretch.elements;
+                }
+                chunk.delay_s[used] = delay_s;
+                chunk.doppler[used] = heard.doppler[i];
+                chunk.amplitude[used] = amplitude;
+                if used < i {
+                    chunk.move_derivatives(i, used);
+                }
+                used += 1;
+            }
+            counts.used += used as u64 * stretch.elements;
+            if used > 0 {
+                chunk.len = used;
+                sink.accept(chunk);
+            }
+            since_s = motion.until_s;
+        }
+    }
+    counts
+}
+
+/// The rays of a batch to a place on the line, `end_m` along it, when the echoes arrive there: sooner or later than in the middle, while the line moves.
+fn see_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64, to: &mut Rays) {
+    let offset_m = motion.axis * end_m;
+    let (v, in_array) = (motion.velocity_m_per_s, motion.velocity_in_array_m_per_s);
+    for (i, slope) in slope.iter().take(CHUNK).enumerate() {
+        let later_s = -slope * end_m / c;
+        to.x_m[i] = rays.x_m[i] - (offset_m.x + v.x * later_s);
+        to.y_m[i] = rays.y_m[i] - (offset_m.y + v.y * later_s);
+        to.z_m[i] = rays.z_m[i] - (offset_m.z + v.z * later_s);
+        to.array_x_m[i] = rays.array_x_m[i] - (end_m + in_array.x * later_s);
+        to.array_y_m[i] = rays.array_y_m[i] - in_array.y * later_s;
+        to.array_z_m[i] = rays.array_z_m[i] - in_array.z * later_s;
+    }
+}
+
+/// Fade and curl from the gains at both ends. Where the middle lies in a null it is given a millionth of what the ends hear, so that there
+/// is something to scale.
+fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
+    // A single element has no ends to speak of.
+    let per_m = if half_m > 0.0 { 0.5 / half_m } else { 0.0 };
+    let per_m2 = 2.0 * per_m * per_m;
+    for (i, gain) in gain.iter_mut().enumerate() {
+        let (before, after, here) = (ends[0][i], ends[1][i], *gain);
+        let least = NULL * before.abs().max(after.abs());
+        if here.abs() < least {
+            *gain = least.copysign(here);
+        }
+        let per_gain = if *gain == 0.0 { 0.0 } else { 1.0 / *gain };
+        chunk.fade_per_m[i] = (after - before) * per_m * per_gain;
+        chunk.curl_per_m2[i] = (after + before - 2.0 * here) * per_m2 * per_gain;
+    }
+}
+
+/// Sets out the stretch's way. Returns the nearest and the farthest that a scatterer heard in time can be from the transmitter, metres:
+/// 2 r_T - reach <= c u <= 2 r_T + reach.
+fn lay(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    transmit_leg: &TransmitLeg,
+    track: &mut LineTrack,
+) -> (f64, f64) {
+    let c = plan.sound_speed_m_per_s;
+    let (middle_m, ahead_m) = (stretch.middle_m, stretch.middle_m + 1.0);
+    track
+        .middle
+        .lay_at(plan, &transmit_leg.transmit, array, middle_m);
+    track
+        .ahead
+        .lay_at(plan, &transmit_leg.transmit, array, ahead_m);
+    let reach_m = track.middle.reach_m(stretch.latest_s) * (1.0 + 1e-9);
+    (
+        0.5 * (c * stretch.earliest_s - reach_m) * (1.0 - 1e-12),
+        0.5 * (c * stretch.latest_s + reach_m) * (1.0 + 1e-12),
+    )
+}
+
+/// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 0: corners of small boxes, and every point of others. And
+/// the echoes of every so many batches.
+pub fn line_survey(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    transmit_leg: &TransmitLeg,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) {
+    if transmit_leg.window.is_none() {
+        return;
+    }
+    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
+    work.places.len = 0;
+    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+        if min_range_m > farthest_m || greatest_range_m < nearest_m {
+            continue;
+        }
+        let (low_m, high_m) = transmit_leg.batch_box_m[b];
+        if work.places.len > CHUNK - CORNERS {
+            survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+        }
+        if (high_m - low_m).length() < SMALL_BOX * min_range_m {
+            for corner in 0..CORNERS {
+                let pick = |bit: usize, low: f64, high: f64| {
+                    if corner >> bit & 1 == 0 { low } else { high }
+                };
+                let at_m = DVec3::new(
+                    pick(0, low_m.x, high_m.x),
+                    pick(1, low_m.y, high_m.y),
+                    pick(2, low_m.z, high_m.z),
+                );
+                let range_m = at_m.length();
+                let closing = transmit_leg.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
+                work.places.push(at_m, range_m, closing);
+            }
+            continue;
+        }
+        survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+        for i in b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len()) {
+            let at_m = DVec3::new(
+                transmit_leg.x_m[i],
+                transmit_leg.y_m[i],
+                transmit_leg.z_m[i],
+            );
+            work.places.push(
+                at_m,
+                transmit_leg.range_m[i],
+                transmit_leg.closing_m_per_s[i],
+            );
+        }
+        let asked = stretch.earliest_s..stretch.latest_s;
+        survey_places(plan, array, stretch, Some(asked), transmit_leg, work, sink);
+    }
+    survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+    let heard =
+        |&&(min_m, greatest_m): &&(f64, f64)| min_m <= farthest_m && greatest_m >= nearest_m;
+    let every = transmit_leg.batch_range_m.iter().filter(heard).count() / SAMPLED;
+    let fades = true;
+    let sampled = LineStretch { fades, ..stretch };
+    walk_batches(plan, array, sampled, transmit_leg, every.max(1), work, sink);
+}
+
+impl Places {
+    fn push(&mut self, at_m: DVec3, range_m: f64, closing_m_per_s: f64) {
+        let at = self.len;
+        (self.x_m[at], self.y_m[at], self.z_m[at]) = at_m.into();
+        self.range_m[at] = range_m;
+        self.closing_m_per_s[at] = closing_m_per_s;
+        self.len = at + 1;
+    }
+}
+
+/// Hands on the gathered places and forgets them; of exact ones only those `asked` for.
+fn survey_places(
+    plan: &PingPlan,
+    array: &ArrayGeometry,
+    stretch: LineStretch,
+    asked: Option<std::ops::Range<f64>>,
+    transmit_leg: &TransmitLeg,
+    work: &mut LineWorkspace,
+    sink: &mut impl LineSink,
+) {
+    let LineWorkspace {
+        track,
+        rays,
+        heard,
+        chunk,
+        places,
+        ..
+    } = work;
+    let n = std::mem::take(&mut places.len);
+    if n == 0 {
+        return;
+    }
+    let c = plan.sound_speed_m_per_s;
+    let ranges = places.range_m[..n].iter().copied();
+    let batch = Batch {
+        x_m: &places.x_m[..n],
+        y_m: &places.y_m[..n],
+        z_m: &places.z_m[..n],
+        range_m: &places.range_m[..n],
+        min_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
+        greatest_range_m: ranges.fold(0.0, f64::max),
+    };
+    solve(&track.middle, c, batch, rays);
+    for i in 0..n {
+        let ray_m = DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]).length();
+        let closing = places.closing_m_per_s[i];
+        heard.doppler[i] =
+            (rays.closing_m2_per_s[i] / ray_m.max(f64::MIN_POSITIVE) + closing) / (c - closing);
+    }
+    let mut since_s = f64::NEG_INFINITY;
+    loop {
+        let motion = track.motion_at(plan, array, since_s.max(stretch.earliest_s));
+        let derivation = Derivation {
+            c,
+            motion: &motion,
+            transmit: transmit_leg.transmit.motion,
+            batch,
+            closing_m_per_s: &places.closing_m_per_s[..n],
+            rays,
+        };
+        derivation.run(&heard.doppler, chunk);
+        // What corners lie beyond the delays asked for belongs to the legs at their ends.
+        let last = motion.until_s >= stretch.latest_s;
+        let until_s = if last { f64::INFINITY } else { motion.until_s };
+        let mut used = 0;
+        for i in 0..n {
+            let delay_s = rays.delay_s[i];
+            let wanted = asked.as_ref().is_none_or(|asked| asked.contains(&delay_s));
+            if !wanted || delay_s < since_s || delay_s >= until_s {
+                continue;
+            }
+            chunk.delay_s[used] = delay_s;
+            chunk.doppler[used] = heard.doppler[i];
+            chunk.amplitude[used] = Complex64::ZERO;
+            if used < i {
+                chunk.move_derivatives(i, used);
+            }
+            used += 1;
+        }
+        if used > 0 {
+            chunk.len = used;
+            sink.accept(chunk);
+        }
+        if last {
+            return;
+        }
+        since_s = until_s;
+    }
+}
+
+/// A scatterer nearer than this lies on the array: its derivatives are those at this distance, large and finite, and engines count them as beyond
+/// what they are made for.
+const TOUCHING_M: f64 = 1e-6;
+
+/// What the derivatives of a batch's echoes are made from.
+struct Derivation<'a> {
+    c: f64,
+    motion: &'a LineMotion,
+    transmit: Motion,
+    batch: Batch<'a>,
+    closing_m_per_s: &'a [f64],
+    rays: &'a Rays,
+}
+
+impl Derivation<'_> {
+    /// Slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
+    fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx512f") {
+            // SAFETY: the processor has AVX-512 F, asked on the line above; the function needs nothing else.
+            return unsafe { self.run_avx512(doppler, chunk) };
+        }
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+            return unsafe { self.run_avx2(doppler, chunk) };
+        }
+        self.run_plain(doppler, chunk);
+    }
+
+    /// The AVX-512 build of [`Self::run_plain`]: the same arithmetic in the same order, so the same bits.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f")]
+    fn run_avx512(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        self.run_plain(doppler, chunk);
+    }
+
+    /// As [`Self::run_avx512`].
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn run_avx2(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        self.run_plain(doppler, chunk);
+    }
+
+    #[inline(always)]
+    fn run_plain(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
+        let n = self.batch.range_m.len().min(CHUNK);
+        let (tx, ty, tz) = (
+            &self.batch.x_m[..n],
+            &self.batch.y_m[..n],
+            &self.batch.z_m[..n],
+        );
+        let transmit_m = &self.batch.range_m[..n];
+        let transmit_closing = &self.closing_m_per_s[..n];
+        let (rx, ry, rz) = (
+            &self.rays.x_m[..n],
+            &self.rays.y_m[..n],
+            &self.rays.z_m[..n],
+        );
+        let delay_s = &self.rays.delay_s[..n];
+        let doppler = &doppler[..n];
+        let (slope, bend) = (&mut chunk.slope[..n], &mut chunk.bend_per_m[..n]);
+        let (twist, swing) = (&mut chunk.twist_per_s[..n], &mut chunk.swing_m_per_s2[..n]);
+        let c = self.c;
+        let LineMotion {
+            start_s,
+            axis: a0,
+            turning_per_s: turning,
+            arc_per_s2: arc,
+            length_s,
+            velocity_m_per_s: v,
+            exact,
+            heard:
+                Motion {
+                    velocity_m_per_s: w0,
+                    acceleration_m_per_s2: dw,
+                },
+            heard_along_per_s: along,
+            ..
+        } = *self.motion;
+        let transmit_v2 = self.transmit.velocity_m_per_s.length_squared();
+        let transmit_a = self.transmit.acceleration_m_per_s2;
+        for i in 0..n {
+            let (x, y, z) = (rx[i], ry[i], rz[i]);
+            let per_m = 1.0 / (x * x + y * y + z * z).sqrt().max(TOUCHING_M);
+            let (x, y, z) = (x * per_m, y * per_m, z * per_m);
+            let dot = |a: DVec3| a.x * x + a.y * y + a.z * z;
+            let after_s = delay_s[i] - start_s;
+            let (wx, wy, wz) = (
+                w0.x + dw.x * after_s,
+                w0.y + dw.y * after_s,
+                w0.z + dw.z * after_s,
+            );
+            let within = after_s * (length_s - after_s);
+            let (ax, ay, az) = (
+                a0.x + turning.x * after_s + arc.x * within,
+                a0.y + turning.y * after_s + arc.y * within,
+                a0.z + turning.z * after_s + arc.z * within,
+            );
+            let (vx, vy, vz) = if exact { (wx, wy, wz) } else { (v.x, v.y, v.z) };
+            let per_s = 1.0 / (c + (vx * x + vy * y + vz * z));
+            let u_y = -(ax * x + ay * y + az * z) * per_s;
+            let (qx, qy, qz) = (ax + vx * u_y, ay + vy * u_y, az + vz * u_y);
+            let s = -c * u_y;
+            let closing = wx * x + wy * y + wz * z;
+            let per_w = c / (c + closing);
+            let stretched = 1.0 / (1.0 + doppler[i]);
+            slope[i] = s;
+            bend[i] = ((qx * qx + qy * qy + qz * qz - s * s) * per_m - 2.0 * u_y * dot(turning))
+                * c
+                * per_s;
+            twist[i] = stretched
+                * ((wx * qx + wy * qy + wz * qz - closing * s) * per_m - dot(along))
+                * per_w;
+            let transmit_per_m = 1.0 / transmit_m[i].max(TOUCHING_M);
+            let pulled = transmit_a.x * tx[i] + transmit_a.y * ty[i] + transmit_a.z * tz[i];
+            swing[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
+                * transmit_per_m
+                + stretched
+                    * stretched
+                    * ((wx * wx + wy * wy + wz * wz - closing * closing) * per_m - dot(dw)))
+                * per_w;
+        }
+    }
+}
