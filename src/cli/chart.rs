@@ -20,36 +20,36 @@ use echotank_runtime::chart::{self, ChartOptions};
 const REPEATS: usize = 3;
 
 #[derive(Args, Clone, Debug)]
-pub struct ChartArgs {
+pub(crate) struct ChartArgs {
     #[command(flatten)]
-    pub config: ConfigArgs,
+    pub(crate) config: ConfigArgs,
     /// Folder for chart.svg, chart.png, chart.html, chart.csv, chart.json, work.svg, work.png; made if absent
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Which sonar (default: the first)
     #[arg(long, value_name = "NAME")]
-    pub sonar: Option<String>,
+    pub(crate) sonar: Option<String>,
     /// Pings looked at, spread over the first `--span`
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub pings: u32,
+    pub(crate) pings: u32,
     /// The last ping looked at
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub span: u32,
+    pub(crate) span: u32,
     /// Threads; 0 means as many as there are cores (default: the configuration's)
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
     /// Fewer methods, one ping, one repeat, no second chart
     #[arg(long)]
-    pub quick: bool,
+    pub(crate) quick: bool,
     /// What `tools/peers` has measured of other software (default: out/peers/points.json, if it is there)
     #[arg(long, value_name = "FILE")]
-    pub peers: Option<PathBuf>,
+    pub(crate) peers: Option<PathBuf>,
     /// No progress bar
     #[arg(long)]
-    pub quiet: bool,
+    pub(crate) quiet: bool,
 }
 
-pub fn main(args: &ChartArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     let spec = load(&args.config.config, &args.config.set)?;
     let sonar = match &args.sonar {
         None => 0,

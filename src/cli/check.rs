@@ -14,37 +14,37 @@ use echotank_ping::pipeline::{PipelineError, engine_error_models};
 use echotank_synthesis::echo::culling::left_out_share;
 
 #[derive(Args, Clone, Debug)]
-pub struct CheckArgs {
+pub(crate) struct CheckArgs {
     /// Configuration file (TOML)
     #[arg(required_unless_present_any = ["template", "schema"])]
-    pub config: Option<PathBuf>,
+    pub(crate) config: Option<PathBuf>,
     /// Change a value before checking (see `run --help`)
     #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
     /// Print a commented configuration with every key to start from
     #[arg(long)]
-    pub template: bool,
+    pub(crate) template: bool,
     /// Print the JSON Schema of a configuration
     #[arg(long, conflicts_with = "template")]
-    pub schema: bool,
+    pub(crate) schema: bool,
     /// Print the plan of methods, and nothing else, as JSON
     #[arg(long, requires = "config")]
-    pub json: bool,
+    pub(crate) json: bool,
     /// Print every candidate of the plan too, cheapest first
     #[arg(long, requires = "config")]
-    pub all: bool,
+    pub(crate) all: bool,
     /// Do not plan: say only whether the configuration is right
     #[arg(long, conflicts_with_all = ["json", "all"])]
-    pub quick: bool,
+    pub(crate) quick: bool,
     /// What methods cost on this machine, as --calibrate writes it (default: run.costs, or the table that comes with the program)
     #[arg(long, value_name = "FILE")]
-    pub costs: Option<PathBuf>,
+    pub(crate) costs: Option<PathBuf>,
     /// Measure what methods cost on this machine, on this configuration's sonars and scene, and write FILE
     #[arg(long, value_name = "FILE", requires = "config")]
-    pub calibrate: Option<PathBuf>,
+    pub(crate) calibrate: Option<PathBuf>,
 }
 
-pub fn main(args: &CheckArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
     if args.template {
         print!("{}", config::template());
     } else if args.schema {

@@ -9,19 +9,19 @@ use super::Failure;
 use echotank_runtime::io::control::{Command, Settings, TriggerName, client};
 
 #[derive(Args, Clone, Debug)]
-pub struct CtlArgs {
+pub(crate) struct CtlArgs {
     /// Where the daemon's control listens: `control.listen` of its configuration
     #[arg(long, default_value = "127.0.0.1:7780")]
-    pub address: SocketAddr,
+    pub(crate) address: SocketAddr,
     /// `control.token` of its configuration, where it has one
     #[arg(long, env = "ECHOTANK_TOKEN", hide_env_values = true)]
-    pub token: Option<String>,
+    pub(crate) token: Option<String>,
     #[command(subcommand)]
-    pub what: What,
+    pub(crate) what: What,
 }
 
 #[derive(Subcommand, Clone, Debug)]
-pub enum What {
+pub(crate) enum What {
     /// Stop time
     Pause,
     /// Let time go on
@@ -60,26 +60,26 @@ pub enum What {
 }
 
 #[derive(Args, Clone, Debug)]
-pub struct SetArgs {
+pub(crate) struct SetArgs {
     /// Which sonar, where there are several
     #[arg(long)]
-    pub sonar: Option<String>,
+    pub(crate) sonar: Option<String>,
     #[arg(long)]
-    pub range_m: Option<f64>,
+    pub(crate) range_m: Option<f64>,
     /// 0 holds the sonar
     #[arg(long)]
-    pub rate_hz: Option<f64>,
+    pub(crate) rate_hz: Option<f64>,
     #[arg(long)]
-    pub source_level_db: Option<f64>,
+    pub(crate) source_level_db: Option<f64>,
     #[arg(long)]
-    pub gain_db: Option<f64>,
+    pub(crate) gain_db: Option<f64>,
     #[arg(long)]
-    pub pulse_ms: Option<f64>,
+    pub(crate) pulse_ms: Option<f64>,
     #[arg(long)]
-    pub pinging: Option<bool>,
+    pub(crate) pinging: Option<bool>,
     /// internal: the sonar's own beat; external: it pings only when asked
     #[arg(long, value_parser = trigger_name)]
-    pub trigger: Option<TriggerName>,
+    pub(crate) trigger: Option<TriggerName>,
 }
 
 fn trigger_name(text: &str) -> Result<TriggerName, String> {
@@ -90,7 +90,7 @@ fn trigger_name(text: &str) -> Result<TriggerName, String> {
     }
 }
 
-pub fn main(args: &CtlArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     let command = match &args.what {
         What::Pause => Command::Pause,
         What::Resume => Command::Resume,

@@ -18,10 +18,10 @@ const PRIORITY: u64 = 40;
 const COMPUTE_NICE: i64 = -10;
 
 #[derive(Args, Clone, Debug)]
-pub struct DoctorArgs {
+pub(crate) struct DoctorArgs {
     /// As JSON
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
@@ -46,7 +46,7 @@ impl Finding {
     }
 }
 
-pub fn main(args: &DoctorArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &DoctorArgs) -> Result<(), Failure> {
     let findings = findings(Path::new("/"));
     if args.json {
         println!("{}", serde_json::json!(findings));

@@ -22,51 +22,51 @@ use verify::FamilyName;
 const EVERYTHING: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
 
 #[derive(Args, Clone, Debug)]
-pub struct ListenArgs {
+pub(crate) struct ListenArgs {
     /// 7k server, e.g. 127.0.0.1:7000; with --family the address of its server (of its data), of VITA 49 where its datagrams come to
-    pub address: String,
+    pub(crate) address: String,
     /// Record types to subscribe to, separated by commas [default: all that a ping makes]
     #[arg(long, value_delimiter = ',', value_name = "TYPE")]
-    pub records: Vec<u32>,
+    pub(crate) records: Vec<u32>,
     /// Stop after this many seconds (default: listen until the server closes)
     #[arg(long, value_name = "S")]
-    pub seconds: Option<f64>,
+    pub(crate) seconds: Option<f64>,
     /// Do not print records; account at the end for those sent, lost, duplicated, late and damaged, by whatever numbers they carry. A client
     /// that was reset connects again
     #[arg(long)]
-    pub verify: bool,
+    pub(crate) verify: bool,
     /// What is spoken there. Imagenex 872 carries no numbers: its answers are only counted
     #[arg(long, value_enum, default_value = "7k", requires = "verify")]
-    pub family: FamilyName,
+    pub(crate) family: FamilyName,
     /// Write every finding as a line of JSON, for `echotank score`
     #[arg(long, value_name = "FILE", requires = "verify")]
-    pub report: Option<PathBuf>,
+    pub(crate) report: Option<PathBuf>,
     /// Write a sum of every record: of a run without faults, for --against
     #[arg(long, value_name = "FILE", requires = "verify")]
-    pub sums: Option<PathBuf>,
+    pub(crate) sums: Option<PathBuf>,
     /// Compare every record with these sums of the same run without faults: what no checksum tells
     #[arg(long, value_name = "FILE", requires = "verify")]
-    pub against: Option<PathBuf>,
+    pub(crate) against: Option<PathBuf>,
     /// Find a silence where nothing comes for so long, ms
     #[arg(long, value_name = "MS", requires = "verify")]
-    pub silence_ms: Option<f64>,
+    pub(crate) silence_ms: Option<f64>,
     /// The range that an Imagenex 872 is asked for, m
     #[arg(long, value_name = "M", default_value_t = 50)]
-    pub range_m: u8,
+    pub(crate) range_m: u8,
     /// The address is an element stream (sonar.output.elements): account for its frames, and tell how long after its pulse each ping's first
     /// sample came, and each frame after the instant its last sample was heard; needs nav.stamp = "host"
     #[arg(long, conflicts_with_all = ["records", "verify"])]
-    pub elements: bool,
+    pub(crate) elements: bool,
     /// The address is where datagrams of VITA 49 come to (sonar.output.vita49.send_to), e.g. 127.0.0.1:4991: as --elements, of its packets
     #[arg(long, conflicts_with_all = ["records", "verify", "elements"])]
-    pub vita49: bool,
+    pub(crate) vita49: bool,
     /// Trigger the pings itself, at random instants (with --elements or --vita49), and tell how long after that their first samples came: where
     /// [sonar.trigger] listens, udp=ADDRESS or tcp=ADDRESS; or ctl=ADDRESS of [control], for pings asked for by number
     #[arg(long, value_name = "WAY=ADDRESS")]
-    pub trigger: Option<TriggerTo>,
+    pub(crate) trigger: Option<TriggerTo>,
     /// Half to one and a half times so long from trigger to trigger, ms; longer than a ping's window
     #[arg(long, value_name = "MS", default_value_t = 200.0, requires = "trigger")]
-    pub every_ms: f64,
+    pub(crate) every_ms: f64,
 }
 
 impl ListenArgs {
@@ -150,7 +150,7 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
     }
 }
 
-pub fn main(args: &ListenArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
     if args.trigger.is_some() && !(args.elements || args.vita49) {
         let rule = "--trigger: only with --elements or --vita49";
         return Err(Failure::Configuration(rule.into()));

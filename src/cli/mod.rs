@@ -2,18 +2,18 @@
 //!
 //! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
 
-pub mod chart;
-pub mod check;
-pub mod ctl;
-pub mod doctor;
-pub mod listen;
-pub mod mosaic;
-pub mod nav;
-pub mod recover;
-pub mod replay;
-pub mod run;
-pub mod scene;
-pub mod score;
+pub(crate) mod chart;
+pub(crate) mod check;
+pub(crate) mod ctl;
+pub(crate) mod doctor;
+pub(crate) mod listen;
+pub(crate) mod mosaic;
+pub(crate) mod nav;
+pub(crate) mod recover;
+pub(crate) mod replay;
+pub(crate) mod run;
+pub(crate) mod scene;
+pub(crate) mod score;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -65,15 +65,15 @@ enum Command {
 
 /// A configuration and the changes to it that the command line makes.
 #[derive(Args, Clone, Debug)]
-pub struct ConfigArgs {
+pub(crate) struct ConfigArgs {
     /// Configuration file (TOML); `echotank check --template` prints one to start from
-    pub config: PathBuf,
+    pub(crate) config: PathBuf,
     /// Change a value before checking, e.g. --set 'sonar.model.synthesis="reference"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
     #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
 }
 
-pub fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     if let Some(Command::Check(_) | Command::Doctor(_) | Command::Nav(_) | Command::Score(_)) =
         cli.command
@@ -121,7 +121,7 @@ fn end_with_the_reader() {
 
 /// Why a command ended without success.
 #[derive(Debug)]
-pub enum Failure {
+pub(crate) enum Failure {
     /// The operator's: the whole list of problems.
     Configuration(String),
     /// The world's.
@@ -129,13 +129,13 @@ pub enum Failure {
 }
 
 impl Failure {
-    pub fn running(error: impl std::fmt::Display) -> Self {
+    pub(crate) fn running(error: impl std::fmt::Display) -> Self {
         Self::Running(error.to_string())
     }
 }
 
 /// Reads and checks a configuration with the command line's changes in it.
-pub fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
+pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
     let refuse = |text: String| Failure::Configuration(text);
     if set.is_empty() {
         return config::load(path).map_err(|e| refuse(e.to_string()));

@@ -17,15 +17,15 @@ use echotank_runtime::io::record::picture::write_mosaic;
 const NEIGHBOURS: usize = 7;
 
 #[derive(Args, Clone, Debug)]
-pub struct MosaicArgs {
+pub(crate) struct MosaicArgs {
     /// What `echotank replay` or `run` recorded: .s7k or pings.npz
-    pub recording: PathBuf,
+    pub(crate) recording: PathBuf,
     /// GeoTIFF to write (dB, 32-bit floats, UTM on WGS84); a PNG of the same name comes beside it
     #[arg(long, value_name = "FILE.tif")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Of several pulses in one ping, which: 1 is the sonar's own, 2 that of the first [[sonar.more_pulse]]
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub pulse: u16,
+    pub(crate) pulse: u16,
     /// The beams look so far ahead of broadside; negative is astern. (No recording says where a pulse's transmitter looks.)
     #[arg(
         long,
@@ -33,16 +33,16 @@ pub struct MosaicArgs {
         default_value_t = 0.0,
         allow_negative_numbers = true
     )]
-    pub squint: f64,
+    pub(crate) squint: f64,
     /// Side of a pixel
     #[arg(long, value_name = "METRES", default_value_t = 0.25)]
-    pub pixel: f64,
+    pub(crate) pixel: f64,
     /// Ground range to each side; without it, all there is
     #[arg(long, value_name = "METRES")]
-    pub range: Option<f64>,
+    pub(crate) range: Option<f64>,
     /// Directions nearer to the vertical than this are left out
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
-    pub nadir: f64,
+    pub(crate) nadir: f64,
     /// The sonar lies so far behind the position of the records; negative is ahead. (An .npz knows where its arrays are.)
     #[arg(
         long,
@@ -50,30 +50,30 @@ pub struct MosaicArgs {
         default_value_t = 0.0,
         allow_negative_numbers = true
     )]
-    pub layback: f64,
+    pub(crate) layback: f64,
     /// Altitude over the bottom; without it, the first return of each line
     #[arg(long, value_name = "METRES")]
-    pub altitude: Option<f64>,
+    pub(crate) altitude: Option<f64>,
     /// What a pixel keeps of several passes
     #[arg(long, value_enum, default_value = "nearest")]
-    pub overlap: OverlapArg,
+    pub(crate) overlap: OverlapArg,
     /// Colours of the PNG
     #[arg(long, value_enum, default_value = "copper")]
-    pub colours: ColoursArg,
+    pub(crate) colours: ColoursArg,
     /// Shares of the pixels, in per cent, that are darkest and not brightest, e.g. 2,99.8
     #[arg(long, value_name = "LOW,HIGH", value_parser = shares, default_value = "2,99.8")]
-    pub percentiles: (f64, f64),
+    pub(crate) percentiles: (f64, f64),
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum OverlapArg {
+pub(crate) enum OverlapArg {
     Nearest,
     Mean,
     Last,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ColoursArg {
+pub(crate) enum ColoursArg {
     Copper,
     Grey,
     Blue,
@@ -137,7 +137,7 @@ fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
     }
 }
 
-pub fn main(args: &MosaicArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
     refuse(args)?;
     let pings = lines::read(&args.recording, args.pulse).map_err(Failure::running)?;
     let altitudes = match args.altitude {

@@ -29,48 +29,48 @@ const SHOWN: usize = 5;
 const MAX_BYTES: u64 = 256 << 20;
 
 #[derive(Args, Clone, Debug)]
-pub struct NavArgs {
+pub(crate) struct NavArgs {
     /// A recorded log: text, pcap or pcapng, MAVLink tlog, or records of one maker
-    pub log: PathBuf,
+    pub(crate) log: PathBuf,
     /// Draw track and attitude
     #[arg(long, value_name = "FILE")]
-    pub png: Option<PathBuf>,
+    pub(crate) png: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
     /// What the bytes are, where the file does not tell
     #[arg(long, value_enum, default_value = "nmea")]
-    pub format: Format,
+    pub(crate) format: Format,
     #[arg(long, value_enum, default_value = "require")]
-    pub checksum: Checksum,
+    pub(crate) checksum: Checksum,
     /// Sentences whose checksum is not looked at, e.g. PTNTHPR or HDT
     #[arg(long, value_name = "NAME")]
-    pub ignore_checksum_for: Vec<String>,
+    pub(crate) ignore_checksum_for: Vec<String>,
     /// When a measurement holds
     #[arg(long, value_enum, default_value = "burst")]
-    pub time: Time,
+    pub(crate) time: Time,
     /// With --time arrival
     #[arg(long, default_value_t = 0.0)]
-    pub latency_ms: f64,
+    pub(crate) latency_ms: f64,
     /// PASHR carries heave + up
     #[arg(long)]
-    pub pashr_heave_up: bool,
+    pub(crate) pashr_heave_up: bool,
     /// DPT, DBT, DBS and DBK say how deep the platform itself is
     #[arg(long)]
-    pub own_depth: bool,
+    pub(crate) own_depth: bool,
     /// Quantities sent with the opposite sign of their format's documentation
     #[arg(long, value_enum)]
-    pub reverse: Vec<Reverse>,
+    pub(crate) reverse: Vec<Reverse>,
     /// East positive; makes magnetic headings true where the sentence does not say it
     #[arg(long, allow_hyphen_values = true)]
-    pub magnetic_variation_deg: Option<f64>,
+    pub(crate) magnetic_variation_deg: Option<f64>,
     /// Sentences per second where neither lines nor messages carry a time
     #[arg(long, default_value_t = 10.0)]
-    pub plain_rate_hz: f64,
+    pub(crate) plain_rate_hz: f64,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
-pub enum Format {
+pub(crate) enum Format {
     Nmea,
     Tss1,
     Em3000,
@@ -79,27 +79,27 @@ pub enum Format {
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
-pub enum Checksum {
+pub(crate) enum Checksum {
     Require,
     AcceptMissing,
     Ignore,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
-pub enum Time {
+pub(crate) enum Time {
     Message,
     Burst,
     Arrival,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reverse {
+pub(crate) enum Reverse {
     Roll,
     Pitch,
     Heave,
 }
 
-pub fn main(args: &NavArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &NavArgs) -> Result<(), Failure> {
     let rate_ok = args.plain_rate_hz.is_finite() && args.plain_rate_hz > 0.0;
     if !rate_ok || !args.latency_ms.is_finite() {
         let text = "--plain-rate-hz and --latency-ms must be finite, the rate above zero";

@@ -8,13 +8,13 @@ use super::Failure;
 use echotank_runtime::io::record::recover::recover;
 
 #[derive(Args, Clone, Debug)]
-pub struct RecoverArgs {
+pub(crate) struct RecoverArgs {
     /// .s7k, .jsf, .xtf, .svlog, .wav, .jsonl, .sigmf-meta; mended in place
     #[arg(required = true)]
-    pub files: Vec<PathBuf>,
+    pub(crate) files: Vec<PathBuf>,
 }
 
-pub fn main(args: &RecoverArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &RecoverArgs) -> Result<(), Failure> {
     let mut failed = Vec::new();
     for file in &args.files {
         match recover(file) {

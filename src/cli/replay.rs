@@ -10,34 +10,34 @@ use echotank_config::spec::{NavInputSpec, RigSpec, SonarSpec};
 use echotank_runtime::replay::{Formats, Replay, ReplayOptions};
 
 #[derive(Args, Clone, Debug)]
-pub struct ReplayArgs {
+pub(crate) struct ReplayArgs {
     #[command(flatten)]
-    pub config: ConfigArgs,
+    pub(crate) config: ConfigArgs,
     /// Recorded navigation to use instead of the first source's file
     #[arg(long, value_name = "LOG")]
-    pub nav: Option<PathBuf>,
+    pub(crate) nav: Option<PathBuf>,
     /// Folder for the results; made if absent
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// What to write, separated by commas; truth.jsonl is always written
     #[arg(long, value_enum, value_delimiter = ',', default_value = "s7k,png")]
-    pub formats: Vec<Format>,
+    pub(crate) formats: Vec<Format>,
     /// Element samples and beams in .npz as complex128 instead of complex64
     #[arg(long)]
-    pub f64: bool,
+    pub(crate) f64: bool,
     /// Only these pings, counted from 1, both ends included, e.g. 1..600
     #[arg(long, value_name = "A..B", value_parser = parse_range)]
-    pub pings: Option<(u32, u32)>,
+    pub(crate) pings: Option<(u32, u32)>,
     /// Threads; 0 means as many as there are cores (default: the configuration's)
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
     /// No progress bar
     #[arg(long)]
-    pub quiet: bool,
+    pub(crate) quiet: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
+pub(crate) enum Format {
     /// Teledyne RESON 7k records, one file per sonar
     S7k,
     /// Element samples, beams and lines as NumPy arrays, one file per sonar
@@ -86,7 +86,7 @@ fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure>
     ))
 }
 
-pub fn main(args: &ReplayArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
     let mut spec = load(&args.config.config, &args.config.set)?;
     if let Some(log) = &args.nav {
         replace_log(&mut spec, log)?;

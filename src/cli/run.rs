@@ -17,18 +17,18 @@ use echotank_runtime::io::signals;
 const QUICKSTART: &str = "hil-configs/quickstart.toml";
 
 #[derive(Args, Clone, Debug, Default)]
-pub struct RunArgs {
+pub(crate) struct RunArgs {
     /// Configuration file (TOML) [default: hil-configs/quickstart.toml]
-    pub config: Option<PathBuf>,
+    pub(crate) config: Option<PathBuf>,
     /// Change a value before checking, e.g. --set 'sonar.output.sevenk.listen="127.0.0.1:7001"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
     #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
     /// Threads; 0 means as many as there are cores (default: the configuration's)
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
     /// Stop after this many seconds (default: run until SIGINT or SIGTERM)
     #[arg(long, value_name = "S")]
-    pub seconds: Option<f64>,
+    pub(crate) seconds: Option<f64>,
 }
 
 /// The quickstart: in the folder we are in or, for a build from source, where it was built.
@@ -87,7 +87,7 @@ fn what_it_does(spec: &RigSpec) -> Vec<String> {
     lines
 }
 
-pub fn main(args: &RunArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
     let path = match &args.config {
         Some(path) => path.clone(),
         None => quickstart()?,

@@ -19,20 +19,20 @@ use echotank_scene::read::survey::{Layout, Lookup, Survey};
 const PERCENTILES: [f64; 7] = [0.0, 0.01, 0.05, 0.5, 0.95, 0.99, 1.0];
 
 #[derive(Args, Clone, Debug)]
-pub struct SceneArgs {
+pub(crate) struct SceneArgs {
     #[command(subcommand)]
-    pub command: SceneCommand,
+    pub(crate) command: SceneCommand,
 }
 
 #[derive(Subcommand, Clone, Debug)]
-pub enum SceneCommand {
+pub(crate) enum SceneCommand {
     /// What a seabed or a model is found to be: format, coordinates, which way heights are positive, holes, depths
     Info(InfoArgs),
     /// Leaves out the scatterers of a seabed that one sonar's view can do without, and writes the others as points
     Simplify(simplify::SimplifyArgs),
 }
 
-pub fn main(args: &SceneArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &SceneArgs) -> Result<(), Failure> {
     match &args.command {
         SceneCommand::Info(args) => info(args),
         SceneCommand::Simplify(args) => simplify::main(args),
@@ -40,46 +40,46 @@ pub fn main(args: &SceneArgs) -> Result<(), Failure> {
 }
 
 #[derive(Args, Clone, Debug)]
-pub struct InfoArgs {
+pub(crate) struct InfoArgs {
     /// Seabed (GeoTIFF, BAG, ESRI ASCII grid, XYZ or CSV soundings, LAS, PLY) or model (OBJ, STL)
-    pub file: PathBuf,
+    pub(crate) file: PathBuf,
     /// Draw the seabed as shaded relief
     #[arg(long, value_name = "FILE")]
-    pub png: Option<PathBuf>,
+    pub(crate) png: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
     /// Depth at a place of the file: northing,easting or latitude,longitude, as the file counts them; may be repeated
     #[arg(long, value_name = "Y,X", value_parser = parse_place, allow_hyphen_values = true)]
-    pub at: Vec<(f64, f64)>,
+    pub(crate) at: Vec<(f64, f64)>,
     /// Take the file for this format
     #[arg(long, value_enum)]
-    pub format: Option<Format>,
+    pub(crate) format: Option<Format>,
     /// Take its coordinates for these: local, geographic, projected, utm-31n, EPSG:32631
     #[arg(long)]
-    pub crs: Option<CrsSpec>,
+    pub(crate) crs: Option<CrsSpec>,
     /// Take its heights for these
     #[arg(long, value_enum)]
-    pub values: Option<Values>,
+    pub(crate) values: Option<Values>,
     /// Which end of a grid its first row lies at
     #[arg(long, value_enum)]
-    pub first_row: Option<Row>,
+    pub(crate) first_row: Option<Row>,
     /// Stands for a hole, besides the value that the file names
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
-    pub nodata: Option<f64>,
+    pub(crate) nodata: Option<f64>,
     /// Soundings: cell of the grid that they are made into
     #[arg(long, value_name = "M", value_parser = parse_length)]
-    pub cell_m: Option<f64>,
+    pub(crate) cell_m: Option<f64>,
     /// Soundings: triangles with a longer edge are holes
     #[arg(long, value_name = "M", value_parser = parse_length)]
-    pub max_edge_m: Option<f64>,
+    pub(crate) max_edge_m: Option<f64>,
     /// Models: where x, y and z point
     #[arg(long, value_enum, default_value = "east-north-up")]
-    pub axes: Axes,
+    pub(crate) axes: Axes,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Format {
+pub(crate) enum Format {
     EsriAscii,
     Geotiff,
     Bag,
@@ -89,19 +89,19 @@ pub enum Format {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Values {
+pub(crate) enum Values {
     Elevation,
     Depth,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Row {
+pub(crate) enum Row {
     North,
     South,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Axes {
+pub(crate) enum Axes {
     EastNorthUp,
     NorthEastDown,
     EastUpSouth,

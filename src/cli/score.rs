@@ -10,26 +10,26 @@ use echotank_runtime::io::text_of;
 use echotank_runtime::score::{Score, log_of, score};
 
 #[derive(Args, Clone, Debug)]
-pub struct ScoreArgs {
+pub(crate) struct ScoreArgs {
     /// The daemon's log, faults-TIME.jsonl
-    pub log: PathBuf,
+    pub(crate) log: PathBuf,
     /// What a device, or `echotank listen --verify --report`, found: JSON lines, e.g. {"kind": "lost", "ping_number": 17, "record_type": 7038}.
     /// Kinds: lost, duplicate, late, damaged, different, reset, silent, or a fault's own. A line with the keys report, line (7k, jsf, wbms,
     /// ping, imagenex872, vita49, elements), sonar, covers (record types), tells (kinds of faults), first_ping and last_ping says what it is of
-    pub report: PathBuf,
+    pub(crate) report: PathBuf,
     /// Only faults of this sonar
     #[arg(long)]
-    pub sonar: Option<String>,
+    pub(crate) sonar: Option<String>,
     /// As JSON
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
     text_of(path).map_err(|why| Failure::Configuration(format!("{}: {why}", path.display())))
 }
 
-pub fn main(args: &ScoreArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &ScoreArgs) -> Result<(), Failure> {
     let log = log_of(&read(&args.log)?).map_err(|(line, why)| {
         Failure::Configuration(format!("{}: line {line}: {why}", args.log.display()))
     })?;

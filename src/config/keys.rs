@@ -10,7 +10,7 @@ mod samples;
 mod trigger;
 
 /// A TOML table.
-pub struct Table {
+pub(crate) struct Table {
     pub doc: &'static str,
     pub keys: &'static [Key],
     /// Names the design knows and this version does not build: refused with those words.
@@ -18,15 +18,15 @@ pub struct Table {
 }
 
 /// One key of a table.
-pub struct Key {
+pub(crate) struct Key {
     pub name: &'static str,
     pub kind: Kind,
-    pub presence: Presence,
+    pub(crate) presence: Presence,
     pub doc: &'static str,
 }
 
 /// What may stand behind a key.
-pub enum Kind {
+pub(crate) enum Kind {
     Bool,
     /// A finite number.
     Number(Range),
@@ -57,9 +57,9 @@ pub enum Kind {
 }
 
 /// Choices the design knows and this version does not build.
-pub type Later = &'static [&'static str];
+pub(crate) type Later = &'static [&'static str];
 
-pub enum Presence {
+pub(crate) enum Presence {
     /// Must be there. With an example for the template (tables have none).
     Required(&'static str),
     /// May be left out: this TOML text then stands in its place.
@@ -75,9 +75,9 @@ use Presence::{Default, Optional, Required, Set, Shown};
 
 /// Numbers from `min` (itself only if `min_included`) to `max`.
 #[derive(Clone, Copy)]
-pub struct Range {
+pub(crate) struct Range {
     pub min: f64,
-    pub min_included: bool,
+    pub(crate) min_included: bool,
     pub max: f64,
 }
 
@@ -119,7 +119,7 @@ const SIDE_M: Range = from(0.0, 100.0);
 const MAX_INTEGER: i64 = i64::MAX;
 
 /// The whole file.
-pub static RIG: Table = Table {
+pub(crate) static RIG: Table = Table {
     doc: "An echotank rig: water, navigation, scene, and one or more sonars.",
     keys: &[
         key("medium", Kind::Table(&MEDIUM), Default("{}"), ""),

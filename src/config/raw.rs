@@ -22,7 +22,7 @@ const QUOTED_CHARACTERS: usize = 60;
 
 /// A table as read.
 #[derive(Debug)]
-pub struct RawTable {
+pub(crate) struct RawTable {
     /// `sonar[0].pulse`; empty for the whole file.
     pub path: String,
     entries: HashMap<&'static str, RawEntry>,
@@ -30,7 +30,7 @@ pub struct RawTable {
 
 /// One declared key as read.
 #[derive(Debug)]
-pub struct RawEntry {
+pub(crate) struct RawEntry {
     pub path: String,
     pub line: Option<usize>,
     /// As written, shortened.
@@ -41,7 +41,7 @@ pub struct RawEntry {
 }
 
 #[derive(Debug)]
-pub enum RawValue {
+pub(crate) enum RawValue {
     Bool(bool),
     Integer(i64),
     /// The digits as written, so that units can be shifted without rounding twice.
@@ -58,11 +58,11 @@ pub enum RawValue {
 
 /// The list everything wrong goes on.
 #[derive(Debug, Default)]
-pub struct Problems(pub Vec<Problem>);
+pub(crate) struct Problems(pub Vec<Problem>);
 
 impl Problems {
     /// `rule` does not hold for what stands at `entry`.
-    pub fn refuse(&mut self, entry: &RawEntry, rule: impl Into<String>) {
+    pub(crate) fn refuse(&mut self, entry: &RawEntry, rule: impl Into<String>) {
         self.0.push(Problem {
             path: entry.path.clone(),
             line: entry.line,
@@ -73,7 +73,7 @@ impl Problems {
     }
 
     /// As [`Problems::refuse`], with a name of `names` offered in place of `name`.
-    pub fn refuse_name<'a>(
+    pub(crate) fn refuse_name<'a>(
         &mut self,
         entry: &RawEntry,
         rule: impl Into<String>,
@@ -119,7 +119,7 @@ fn scaled(text: &str, power: i32) -> f64 {
 
 impl RawTable {
     /// The entry of a declared key; an undeclared one is the programmer's mistake.
-    pub fn entry(&self, key: &str) -> &RawEntry {
+    pub(crate) fn entry(&self, key: &str) -> &RawEntry {
         let entry = self.entries.get(key);
         entry.unwrap_or_else(|| panic!("{}.{key} is not declared in keys.rs", self.path))
     }
@@ -128,18 +128,18 @@ impl RawTable {
         self.entry(key).value.as_ref()
     }
 
-    pub fn given(&self, key: &str) -> bool {
+    pub(crate) fn given(&self, key: &str) -> bool {
         self.entry(key).given
     }
 
-    pub fn bool(&self, key: &str) -> Option<bool> {
+    pub(crate) fn bool(&self, key: &str) -> Option<bool> {
         match self.value(key)? {
             RawValue::Bool(b) => Some(*b),
             _ => None,
         }
     }
 
-    pub fn integer(&self, key: &str) -> Option<i64> {
+    pub(crate) fn integer(&self, key: &str) -> Option<i64> {
         match self.value(key)? {
             RawValue::Integer(i) => Some(*i),
             _ => None,
@@ -147,42 +147,42 @@ impl RawTable {
     }
 
     /// A count; its declared range keeps it from being negative.
-    pub fn count(&self, key: &str) -> Option<usize> {
+    pub(crate) fn count(&self, key: &str) -> Option<usize> {
         usize::try_from(self.integer(key)?).ok()
     }
 
-    pub fn number(&self, key: &str) -> Option<f64> {
+    pub(crate) fn number(&self, key: &str) -> Option<f64> {
         self.scaled(key, 0)
     }
 
     /// The number times 10^`power`: `scaled("duration_ms", -3)` is in seconds.
-    pub fn scaled(&self, key: &str, power: i32) -> Option<f64> {
+    pub(crate) fn scaled(&self, key: &str, power: i32) -> Option<f64> {
         match self.value(key)? {
             RawValue::Number(text) => Some(scaled(text, power)),
             _ => None,
         }
     }
 
-    pub fn angle_rad(&self, key: &str) -> Option<f64> {
+    pub(crate) fn angle_rad(&self, key: &str) -> Option<f64> {
         self.number(key).map(f64::to_radians)
     }
 
     /// A choice, a name or a text.
-    pub fn text(&self, key: &str) -> Option<&str> {
+    pub(crate) fn text(&self, key: &str) -> Option<&str> {
         match self.value(key)? {
             RawValue::Text(text) => Some(text),
             _ => None,
         }
     }
 
-    pub fn path(&self, key: &str) -> Option<PathBuf> {
+    pub(crate) fn path(&self, key: &str) -> Option<PathBuf> {
         match self.value(key)? {
             RawValue::Path(path) => Some(path.clone()),
             _ => None,
         }
     }
 
-    pub fn vector(&self, key: &str) -> Option<DVec3> {
+    pub(crate) fn vector(&self, key: &str) -> Option<DVec3> {
         match self.value(key)? {
             RawValue::Numbers(n) if n.len() == 3 => Some(DVec3::new(
                 scaled(&n[0], 0),
@@ -194,7 +194,7 @@ impl RawTable {
     }
 
     /// Two numbers, each times 10^`power`.
-    pub fn pair(&self, key: &str, power: i32) -> Option<(f64, f64)> {
+    pub(crate) fn pair(&self, key: &str, power: i32) -> Option<(f64, f64)> {
         match self.value(key)? {
             RawValue::Numbers(n) if n.len() == 2 => {
                 Some((scaled(&n[0], power), scaled(&n[1], power)))
@@ -203,28 +203,28 @@ impl RawTable {
         }
     }
 
-    pub fn rows(&self, key: &str) -> Option<&[(f64, f64)]> {
+    pub(crate) fn rows(&self, key: &str) -> Option<&[(f64, f64)]> {
         match self.value(key)? {
             RawValue::Rows(rows) => Some(rows),
             _ => None,
         }
     }
 
-    pub fn texts(&self, key: &str) -> Option<&[String]> {
+    pub(crate) fn texts(&self, key: &str) -> Option<&[String]> {
         match self.value(key)? {
             RawValue::Texts(texts) => Some(texts),
             _ => None,
         }
     }
 
-    pub fn table(&self, key: &str) -> Option<&RawTable> {
+    pub(crate) fn table(&self, key: &str) -> Option<&RawTable> {
         match self.value(key)? {
             RawValue::Table(table) => Some(table),
             _ => None,
         }
     }
 
-    pub fn tables(&self, key: &str) -> &[RawTable] {
+    pub(crate) fn tables(&self, key: &str) -> &[RawTable] {
         match self.value(key) {
             Some(RawValue::Tables(tables)) => tables,
             _ => &[],
@@ -233,7 +233,7 @@ impl RawTable {
 }
 
 /// The text as a table of `declared`, all problems on the list. A text that is no TOML gives none.
-pub fn read(
+pub(crate) fn read(
     text: &str,
     base_dir: &Path,
     declared: &'static Table,
@@ -570,7 +570,7 @@ fn readable(path: &Path) -> Result<(), String> {
 }
 
 /// The error in words that are the same on every system.
-pub fn plain(error: &std::io::Error) -> String {
+pub(crate) fn plain(error: &std::io::Error) -> String {
     match error.kind() {
         std::io::ErrorKind::NotFound => "not found".to_owned(),
         std::io::ErrorKind::PermissionDenied => "no permission".to_owned(),
@@ -579,7 +579,7 @@ pub fn plain(error: &std::io::Error) -> String {
 }
 
 /// The rule of a kind in words, fit after "must be".
-pub fn rule(kind: &Kind) -> String {
+pub(crate) fn rule(kind: &Kind) -> String {
     let quoted = |choices: &[&str], last: &str| {
         let all: Vec<_> = choices.iter().map(|c| format!("\"{c}\"")).collect();
         match all.split_last() {

@@ -956,7 +956,7 @@ impl BaffledFace {
 
 impl Footprint {
     /// Length and width of transmitter and element.
-    pub const SIDES: usize = 4;
+    pub(crate) const SIDES: usize = 4;
 
     /// Everything within range.
     pub fn all_round(apex_m: DVec3, max_range_m: f64) -> Self {

@@ -8,7 +8,7 @@ use echotank_core::flow::{
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 
 /// Applies `changes` in order, unless one of them would be refused: then nothing is changed.
-pub fn apply_all(
+pub(crate) fn apply_all(
     settings: &dyn SettingsPort,
     changes: &[SettingChange],
     asked: Asked,
@@ -53,6 +53,6 @@ pub fn part_of((min, max): (f64, f64), value: f64) -> f64 {
 }
 
 /// The reverse of [`part_of`].
-pub fn at_part((min, max): (f64, f64), part: f64) -> f64 {
+pub(crate) fn at_part((min, max): (f64, f64), part: f64) -> f64 {
     min + part * (max - min)
 }

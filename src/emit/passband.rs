@@ -12,7 +12,7 @@ use num_complex::Complex64;
 /// Samples that each interpolated one is made from.
 pub const TAPS: usize = 40;
 /// Of a tone's amplitude, worst within 0.8 of the band; a test holds it.
-pub const INTERPOLATION_ERROR: f64 = 2e-5;
+pub(crate) const INTERPOLATION_ERROR: f64 = 2e-5;
 /// Places between two samples that the kernel is tabled at; linear between: pi^2 0.8^2 / 8 over the square of it, 5e-8.
 const PHASES: usize = 4096;
 /// Kaiser's shape for 100 dB: 0.1102 (100 - 8.7).

@@ -66,13 +66,13 @@ pub struct Heard<'a> {
     pub checksum: Checksum,
     pub arrival: UtcNs,
     /// The time in the message itself.
-    pub message_utc: Option<UtcNs>,
+    pub(crate) message_utc: Option<UtcNs>,
     /// One bit per [`NavChannel`]: quantities taken.
     pub taken: u8,
     /// Quantities that a better sentence of this source gives.
     pub outspoken: u8,
     /// Quantities that the source is not to provide.
-    pub unwanted: u8,
+    pub(crate) unwanted: u8,
     pub reading: Option<&'a Reading>,
 }
 
@@ -192,7 +192,11 @@ impl NavDecoder {
         self.flush_watched(out, &mut unwatched);
     }
 
-    pub fn flush_watched(&mut self, out: &mut Vec<NavSample>, watch: &mut impl FnMut(&Heard)) {
+    pub(crate) fn flush_watched(
+        &mut self,
+        out: &mut Vec<NavSample>,
+        watch: &mut impl FnMut(&Heard),
+    ) {
         match &mut self.finder {
             Finder::Sentences(framing) => {
                 if let Some(sentence) = framing.flush() {
@@ -208,7 +212,7 @@ impl NavDecoder {
     }
 
     /// Takes a message that somebody else has found and decoded (MAVLink).
-    pub fn push_record(
+    pub(crate) fn push_record(
         &mut self,
         name: &str,
         record: &Record,
@@ -219,13 +223,13 @@ impl NavDecoder {
     }
 
     /// Bytes that the finder of such messages has looked at, and those of them that belonged to none.
-    pub fn count_bytes(&mut self, bytes: u64, resync_bytes: u64) {
+    pub(crate) fn count_bytes(&mut self, bytes: u64, resync_bytes: u64) {
         self.reader.counters.bytes += bytes;
         self.reader.counters.resync_bytes += resync_bytes;
     }
 
     /// The arrivals are not clock time (a log without stamps): dates are taken as they come.
-    pub fn distrust_arrivals(&mut self) {
+    pub(crate) fn distrust_arrivals(&mut self) {
         self.reader.clock.distrust_arrivals();
     }
 

@@ -7,13 +7,13 @@ use echotank_core::time::NS_PER_S;
 const MAX_FIELDS: usize = 32;
 
 /// The comma-separated fields of a sentence; field 0 is the address. Absent fields read as empty.
-pub struct Fields<'a> {
+pub(crate) struct Fields<'a> {
     text: [&'a str; MAX_FIELDS],
     pub count: usize,
 }
 
 impl<'a> Fields<'a> {
-    pub fn split(body: &'a str) -> Self {
+    pub(crate) fn split(body: &'a str) -> Self {
         let mut fields = Self {
             text: [""; MAX_FIELDS],
             count: 0,
@@ -25,12 +25,12 @@ impl<'a> Fields<'a> {
         fields
     }
 
-    pub fn text(&self, i: usize) -> &'a str {
+    pub(crate) fn text(&self, i: usize) -> &'a str {
         self.text[i]
     }
 
     /// `None` where the field is empty.
-    pub fn number(&self, i: usize) -> Result<Option<f64>, Refusal> {
+    pub(crate) fn number(&self, i: usize) -> Result<Option<f64>, Refusal> {
         if self.text(i).is_empty() {
             return Ok(None);
         }
@@ -41,7 +41,12 @@ impl<'a> Fields<'a> {
     }
 
     /// An unsigned number and the letter behind it that says its sign.
-    pub fn signed_by(&self, i: usize, plus: &str, minus: &str) -> Result<Option<f64>, Refusal> {
+    pub(crate) fn signed_by(
+        &self,
+        i: usize,
+        plus: &str,
+        minus: &str,
+    ) -> Result<Option<f64>, Refusal> {
         match (self.number(i)?, self.text(i + 1)) {
             (None, _) => Ok(None),
             (Some(v), letter) if letter == plus => Ok(Some(v)),
@@ -51,7 +56,7 @@ impl<'a> Fields<'a> {
     }
 
     /// hhmmss or hhmmss.sss to nanoseconds since midnight, exactly.
-    pub fn time_of_day(&self, i: usize) -> Result<Option<i64>, Refusal> {
+    pub(crate) fn time_of_day(&self, i: usize) -> Result<Option<i64>, Refusal> {
         if self.text(i).is_empty() {
             return Ok(None);
         }
@@ -59,7 +64,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W, in degrees.
-    pub fn position(&self, i: usize) -> Result<Option<(f64, f64)>, Refusal> {
+    pub(crate) fn position(&self, i: usize) -> Result<Option<(f64, f64)>, Refusal> {
         let (Some(latitude), Some(longitude)) = (self.number(i)?, self.number(i + 2)?) else {
             return Ok(None);
         };
@@ -82,7 +87,7 @@ impl<'a> Fields<'a> {
     }
 
     /// ddmmyy.
-    pub fn day_month_year(&self, i: usize) -> Result<(u32, u32, i32), Refusal> {
+    pub(crate) fn day_month_year(&self, i: usize) -> Result<(u32, u32, i32), Refusal> {
         let text = self.text(i);
         if text.len() != 6 || !text.bytes().all(|b| b.is_ascii_digit()) {
             return Err(Malformed);
@@ -93,7 +98,7 @@ impl<'a> Fields<'a> {
 }
 
 /// hhmmss[.fraction] as nanoseconds since midnight, exact to nine decimals; second 60 is accepted.
-pub fn time_of_day_ns(text: &str) -> Option<i64> {
+pub(crate) fn time_of_day_ns(text: &str) -> Option<i64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
     if whole.len() != 6 || !digits(whole) || !digits(fraction) {
@@ -109,7 +114,7 @@ pub fn time_of_day_ns(text: &str) -> Option<i64> {
 }
 
 /// Decimal digits after a point, as nanoseconds; digits beyond the ninth are cut.
-pub fn fraction_ns(digits: &str) -> i64 {
+pub(crate) fn fraction_ns(digits: &str) -> i64 {
     let padded = digits
         .bytes()
         .map(|b| i64::from(b - b'0'))

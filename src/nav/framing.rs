@@ -6,7 +6,7 @@
 use echotank_core::time::UtcNs;
 
 /// Longest sentence taken, bytes. NMEA allows 82; proprietary attitude reaches about 130.
-pub const MAX_SENTENCE: usize = 256;
+pub(crate) const MAX_SENTENCE: usize = 256;
 
 /// What precedes the sentences of an IEC 61162-450 datagram.
 const UDP_HEADER: &[u8; 6] = b"UdPbC\0";

@@ -45,7 +45,7 @@ pub struct Limits {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub struct Health {
+pub(crate) struct Health {
     limits: Limits,
     last: Option<UtcNs>,
     /// Smoothed, seconds.
@@ -57,7 +57,7 @@ pub struct Health {
 }
 
 impl Health {
-    pub fn new(limits: Limits) -> Self {
+    pub(crate) fn new(limits: Limits) -> Self {
         Self {
             limits,
             last: None,
@@ -69,7 +69,7 @@ impl Health {
     }
 
     /// A sample arrived. Several of one instant (one sentence) count once.
-    pub fn heard(&mut self, arrival: UtcNs) {
+    pub(crate) fn heard(&mut self, arrival: UtcNs) {
         self.at(arrival);
         let Some(last) = self.last else {
             self.last = Some(arrival);
@@ -99,7 +99,7 @@ impl Health {
     }
 
     /// Its state at `now`; times before the last sample leave it as it is.
-    pub fn at(&mut self, now: UtcNs) -> State {
+    pub(crate) fn at(&mut self, now: UtcNs) -> State {
         let Some(last) = self.last else {
             return self.state;
         };
@@ -131,17 +131,17 @@ impl Health {
     }
 
     /// Times that the state changed.
-    pub fn changes(&self) -> u64 {
+    pub(crate) fn changes(&self) -> u64 {
         self.changes
     }
 
     /// Seconds between samples as of late.
-    pub fn interval_s(&self) -> Option<f64> {
+    pub(crate) fn interval_s(&self) -> Option<f64> {
         self.interval_s
     }
 
     /// Since the last sample.
-    pub fn age_s(&self, now: UtcNs) -> Option<f64> {
+    pub(crate) fn age_s(&self, now: UtcNs) -> Option<f64> {
         self.last.map(|last| now.seconds_since(last))
     }
 

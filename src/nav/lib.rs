@@ -16,7 +16,7 @@ pub mod health;
 pub mod history;
 pub mod log;
 pub mod mavlink;
-pub mod message_time;
+pub(crate) mod message_time;
 mod proprietary;
 pub mod reading;
 pub mod records;

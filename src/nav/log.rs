@@ -26,7 +26,7 @@ const QUARTER_HOUR_NS: i64 = 900 * NS_PER_S;
 /// Bytes; of EM3000.
 const SHORTEST_RECORD: usize = 10;
 /// Above this the recorder's clock and the messages do not share a time; serial latency stays below it.
-pub const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
+pub(crate) const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 
 /// What kind of file a log is; told from its first bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -147,7 +147,7 @@ pub fn read_log(
 }
 
 /// The same; `watch` is told of every sentence, in the file's order, with the arrival that its line says.
-pub fn read_log_watched(
+pub(crate) fn read_log_watched(
     bytes: &[u8],
     source: u16,
     spec: &NavSourceSpec,

@@ -92,7 +92,7 @@ fn x25(bytes: &[u8], extra: u8) -> u16 {
     })
 }
 
-pub fn is_tlog(bytes: &[u8]) -> bool {
+pub(crate) fn is_tlog(bytes: &[u8]) -> bool {
     let mut at = 0;
     for _ in 0..FRAMES_TO_BELIEVE {
         match frame(&bytes[at..]) {
@@ -107,7 +107,7 @@ pub fn is_tlog(bytes: &[u8]) -> bool {
 }
 
 /// A tlog's messages in the file's order; bytes that belong to none are passed over and counted.
-pub struct Messages<'a> {
+pub(crate) struct Messages<'a> {
     rest: &'a [u8],
     /// By sender: UTC minus its own clock, microseconds.
     boots_us: HashMap<(u8, u8), i64>,
@@ -115,7 +115,7 @@ pub struct Messages<'a> {
 }
 
 impl<'a> Messages<'a> {
-    pub fn new(bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
         let mut messages = Self {
             rest: bytes,
             boots_us: HashMap::new(),
@@ -141,7 +141,7 @@ impl<'a> Messages<'a> {
         messages
     }
 
-    pub fn resync_bytes(&self) -> u64 {
+    pub(crate) fn resync_bytes(&self) -> u64 {
         self.resync_bytes
     }
 

@@ -35,7 +35,7 @@ const LEAP_S: [(i64, i64); 5] = [
 ];
 
 /// UTC of a GPS time counted as though GPS had no offset: nanoseconds since 1970.
-pub fn utc_of_gps(gps_ns: i64) -> i64 {
+pub(crate) fn utc_of_gps(gps_ns: i64) -> i64 {
     let leap_s = LEAP_S
         .iter()
         .rev()
@@ -46,7 +46,7 @@ pub fn utc_of_gps(gps_ns: i64) -> i64 {
 
 /// What a message's time came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stamp {
+pub(crate) enum Stamp {
     /// The message has no time.
     None,
     At(UtcNs),
@@ -55,7 +55,7 @@ pub enum Stamp {
 }
 
 #[derive(Debug, Default)]
-pub struct MessageClock {
+pub(crate) struct MessageClock {
     dated: bool,
     last: Option<(UtcNs, UtcNs)>,
     last_sentence: Option<UtcNs>,
@@ -69,7 +69,7 @@ pub struct MessageClock {
 
 impl MessageClock {
     /// Every sentence of the source passes here first, understood or not: pauses between them part the bursts.
-    pub fn arrived(&mut self, arrival: UtcNs) {
+    pub(crate) fn arrived(&mut self, arrival: UtcNs) {
         if let Some(before) = self.last_sentence
             && arrival.0.saturating_sub(before.0) > BURST_GAP_NS
         {
@@ -79,30 +79,30 @@ impl MessageClock {
     }
 
     /// Time of the last sentence with a time in the current burst.
-    pub fn burst(&self) -> Option<UtcNs> {
+    pub(crate) fn burst(&self) -> Option<UtcNs> {
         self.burst
     }
 
     /// The last believed message time and its arrival.
-    pub fn last(&self) -> Option<(UtcNs, UtcNs)> {
+    pub(crate) fn last(&self) -> Option<(UtcNs, UtcNs)> {
         self.last
     }
 
     /// A full date has been seen.
-    pub fn is_dated(&self) -> bool {
+    pub(crate) fn is_dated(&self) -> bool {
         self.dated
     }
 
     /// Dates that were moved by whole rollovers.
-    pub fn week_rollovers(&self) -> u64 {
+    pub(crate) fn week_rollovers(&self) -> u64 {
         self.week_rollovers
     }
 
-    pub fn distrust_arrivals(&mut self) {
+    pub(crate) fn distrust_arrivals(&mut self) {
         self.arrivals_distrusted = true;
     }
 
-    pub fn stamp(&mut self, reading: &Reading, arrival: UtcNs) -> Stamp {
+    pub(crate) fn stamp(&mut self, reading: &Reading, arrival: UtcNs) -> Stamp {
         let Some(when) = reading.when else {
             return Stamp::None;
         };
@@ -177,7 +177,7 @@ impl MessageClock {
 }
 
 /// The instant with this time of day that lies nearest to `reference`.
-pub fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
+pub(crate) fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
     let midnight = reference.0.saturating_sub(reference.0.rem_euclid(DAY_NS));
     let same_day = midnight.saturating_add(time_of_day_ns);
     let away = same_day.saturating_sub(reference.0);

@@ -15,7 +15,7 @@ use echotank_core::time::UtcNs;
 const GPS_EPOCH_S: i64 = 315_964_800;
 const WEEK_S: i64 = 604_800;
 
-pub fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
+pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
     match (f.text(0), f.text(1)) {
         ("PASHR", "ATT" | "AT2") => pashr_att(f),
         ("PASHR", "HPR") => pashr_hpr(f),
@@ -319,7 +319,7 @@ fn psbg(f: &Fields, time: usize, heave: Option<usize>) -> Decoded {
 }
 
 /// VectorNav's sentences: `VNYMR,yaw,pitch,roll,...`, `VNINS,seconds of week,week,status,yaw,pitch,roll,lat,lon,alt,vN,vE,...`.
-pub fn vectornav(f: &Fields) -> Decoded {
+pub(crate) fn vectornav(f: &Fields) -> Decoded {
     let heading = |yaw: Option<f64>| yaw.map(|y| y.rem_euclid(360.0));
     match f.text(0) {
         "VNYMR" => {

@@ -80,7 +80,7 @@ impl Kind {
     }
 
     /// Of use although it gives no quantity: time and quality.
-    pub fn guides(self) -> bool {
+    pub(crate) fn guides(self) -> bool {
         matches!(self, Kind::Zda | Kind::Psxn20 | Kind::MavTime)
     }
 }
@@ -123,14 +123,14 @@ pub struct Reading {
     /// True.
     pub heading_rad: Option<f64>,
     /// A magnetic heading, deviation applied, whose variation is not known.
-    pub magnetic_rad: Option<f64>,
+    pub(crate) magnetic_rad: Option<f64>,
     /// Roll + starboard down, pitch + bow up, radians.
-    pub roll_pitch_rad: Option<(f64, f64)>,
+    pub(crate) roll_pitch_rad: Option<(f64, f64)>,
     pub heave_down_m: Option<f64>,
     /// Of water, as the sounder says it.
-    pub water_depth_m: Option<f64>,
+    pub(crate) water_depth_m: Option<f64>,
     /// Of the platform's own depth sensor below the surface.
-    pub own_depth_m: Option<f64>,
+    pub(crate) own_depth_m: Option<f64>,
     pub invalid: Option<Invalid>,
     /// Something was said, though nothing of the above.
     pub said: bool,
@@ -273,7 +273,7 @@ pub enum Refusal {
     Malformed,
 }
 
-pub type Decoded = Result<Reading, Refusal>;
+pub(crate) type Decoded = Result<Reading, Refusal>;
 pub(super) type Sound = Result<(), Refusal>;
 
 /// `Malformed` unless the values make sense.

@@ -62,7 +62,7 @@ pub struct SentenceReport {
     /// Quantities left to a better sentence, by channel.
     pub outspoken: [u64; CHANNEL_COUNT],
     /// Quantities that the source is not to provide, by channel.
-    pub unwanted: [u64; CHANNEL_COUNT],
+    pub(crate) unwanted: [u64; CHANNEL_COUNT],
     /// Magnetic headings without a variation.
     pub magnetic: u64,
     /// Depths of water.

@@ -10,7 +10,7 @@ use echotank_core::frames::{AttitudeKnot, VectorKnot};
 use echotank_core::time::UtcNs;
 
 /// Hard bound of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.
-pub const MAX_KNOTS: usize = 16_384;
+pub(crate) const MAX_KNOTS: usize = 16_384;
 /// The slope at the newest knot carries extrapolation, so it is taken over knots at least this far apart, seconds: between neighbours at
 /// 100 Hz and 0.01 deg, one step of the resolution would count as 1 deg/s.
 const END_BASELINE_S: f64 = 0.05;
@@ -74,13 +74,13 @@ impl Ring {
     }
 
     /// The newest knot not after `utc`.
-    pub fn last_at_or_before(&self, utc: UtcNs) -> Option<&Knot> {
+    pub(crate) fn last_at_or_before(&self, utc: UtcNs) -> Option<&Knot> {
         let after = self.knots.partition_point(|k| k.utc <= utc);
         after.checked_sub(1).and_then(|i| self.knots.get(i))
     }
 
     /// Time of the `count`-th knot at or after `utc`.
-    pub fn nth_at_or_after(&self, utc: UtcNs, count: usize) -> Option<UtcNs> {
+    pub(crate) fn nth_at_or_after(&self, utc: UtcNs, count: usize) -> Option<UtcNs> {
         let first = self.first_at_or_after(utc);
         self.knots.get(first + count - 1).map(|k| k.utc)
     }
@@ -123,7 +123,7 @@ impl Ring {
 }
 
 /// Rates of vector knots from their values.
-pub fn set_rates(knots: &mut [VectorKnot]) {
+pub(crate) fn set_rates(knots: &mut [VectorKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
             i,
@@ -136,7 +136,7 @@ pub fn set_rates(knots: &mut [VectorKnot]) {
 }
 
 /// Body rates of attitude knots from their rotations, through the rotation vectors between them.
-pub fn set_body_rates(knots: &mut [AttitudeKnot]) {
+pub(crate) fn set_body_rates(knots: &mut [AttitudeKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
             i,

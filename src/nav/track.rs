@@ -10,7 +10,7 @@ use echotank_config::spec::NavChannel;
 use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-pub const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
+pub(crate) const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
 const COLUMNS: [&str; 7] = [
     "time_s",
     "north_m",

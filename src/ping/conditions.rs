@@ -15,7 +15,7 @@ const STILL_M_PER_S: f64 = 1e-12;
 
 /// Segments are as many as a window takes, all alike: so long is one where they are to be no longer than `segment_s`. An element's chord that is
 /// alone in its window reaches as far as it is told to, beyond the window's end.
-pub fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
+pub(crate) fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
     match (window_s / segment_s).ceil() {
         count if count > 1.0 => window_s / count,
         _ => segment_s,

@@ -22,7 +22,7 @@ pub const LEVEL_RANGE_DB: f64 = 80.0;
 const NOMINAL_ARRIVALS: usize = 30_000;
 
 /// Acceleration of an array along its rays that the engines have room for, m/s^2: a small boat in a steep sea.
-pub const HARDEST_M_PER_S2: f64 = 5.0;
+pub(crate) const HARDEST_M_PER_S2: f64 = 5.0;
 
 /// Engines kept: the one in use, and those that pings ordered before the latest changes still need.
 const KEPT: usize = 4;
@@ -35,7 +35,7 @@ const SHORTEST: usize = 256;
 
 /// Dense rate of the receiver filter, at least, in sample rates: an engine's band is up to nine of them wide, and the filter's response
 /// repeats with its dense rate.
-pub const MIN_DENSITY: usize = 20;
+pub(crate) const MIN_DENSITY: usize = 20;
 
 /// Which engine: made for this pulse, and for records of at most so many samples.
 #[derive(Clone, Copy, PartialEq)]
@@ -59,7 +59,7 @@ struct Wish {
 }
 
 /// The engines of one sonar.
-pub struct Engines {
+pub(crate) struct Engines {
     wish: Arc<Wish>,
     sound_speed_m_per_s: f64,
     max_samples: usize,
@@ -69,7 +69,7 @@ pub struct Engines {
 }
 
 /// The receiver filter as the engines want it.
-pub fn engine_filter(
+pub(crate) fn engine_filter(
     pulse: &Pulse,
     sample_rate_hz: f64,
     doppler_hz: f64,
@@ -81,7 +81,7 @@ pub fn engine_filter(
 impl Engines {
     /// Makes the engine of the starting settings, if those of the ends of the limits could be made too. To be called inside the pool that will
     /// run it. `fastest_m_per_s`: of the platform.
-    pub fn new(
+    pub(crate) fn new(
         spec: &SonarSpec,
         sound_speed_m_per_s: f64,
         fastest_m_per_s: f64,
@@ -103,12 +103,12 @@ impl Engines {
     }
 
     /// Of the engine in use: predicted error, and milliseconds of one core per element.
-    pub fn error_model(&self) -> &ErrorModel {
+    pub(crate) fn error_model(&self) -> &ErrorModel {
         self.kept[0].1.error_model()
     }
 
     /// Dopplers that every engine takes.
-    pub fn span(&self) -> DopplerSpan {
+    pub(crate) fn span(&self) -> DopplerSpan {
         self.wish.span
     }
 
@@ -126,7 +126,7 @@ impl Engines {
     }
 
     /// Begins to make the engine of these settings, unless it is there or under way. Returns at once.
-    pub fn expect(&mut self, settings: &SonarSettings) {
+    pub(crate) fn expect(&mut self, settings: &SonarSettings) {
         let key = self.key(settings);
         let under_way = self.coming.iter().any(|(coming, _)| *coming == key);
         if under_way || self.kept.iter().any(|(kept, _)| *kept == key) {
@@ -155,7 +155,7 @@ impl Engines {
 
     /// Has the engine of this ping at hand as [`Engines::current`]. False where the ends of the limits could be made and this one could not:
     /// the direct sum then takes its place, which is exact, and slow.
-    pub fn ready(&mut self, plan: &PingPlan) -> bool {
+    pub(crate) fn ready(&mut self, plan: &PingPlan) -> bool {
         let key = self.key_of(plan.pulse.duration_s, plan.sample_count);
         if let Some(at) = self.kept.iter().position(|(kept, _)| *kept == key) {
             self.kept[..=at].rotate_right(1);
@@ -170,7 +170,7 @@ impl Engines {
     }
 
     /// What [`Engines::ready`] found last.
-    pub fn current(&self) -> &Made {
+    pub(crate) fn current(&self) -> &Made {
         &self.kept[0].1
     }
 

@@ -31,7 +31,7 @@ pub const SHARE: f64 = 0.03;
 /// A checked error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
 pub const FAULT: f64 = 1.3;
 /// Looked at in one ping, at most.
-pub const MAX_PER_PING: usize = 64;
+pub(crate) const MAX_PER_PING: usize = 64;
 /// A window's rms is taken over a pulse, but over this many samples at least.
 const MIN_WINDOW: usize = 32;
 
@@ -88,7 +88,7 @@ struct Probe {
     error: f64,
 }
 
-pub struct ErrorChecker {
+pub(crate) struct ErrorChecker {
     /// The receiver filter at the reference's density.
     decimator: Option<Decimator>,
     /// The first `active` are this ping's.
@@ -114,7 +114,11 @@ pub struct ErrorChecker {
 
 impl ErrorChecker {
     /// To be made inside the pool that will run it. `shortest`: the pulse that the receiver filter is made for.
-    pub fn new(spec: &SonarSpec, shortest: &Pulse, doppler_hz: f64) -> Result<Self, FilterError> {
+    pub(crate) fn new(
+        spec: &SonarSpec,
+        shortest: &Pulse,
+        doppler_hz: f64,
+    ) -> Result<Self, FilterError> {
         let rate_hz = spec.receiver.sample_rate_hz;
         let oversample = filter::oversample(shortest, rate_hz, Synthesis::Reference);
         let decimator = match spec.receiver.filter {
@@ -142,7 +146,7 @@ impl ErrorChecker {
     }
 
     /// How much error checks may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
-    pub fn allow(&mut self, share: f64) {
+    pub(crate) fn allow(&mut self, share: f64) {
         self.share = share;
         self.credit_ns = 0.0;
     }
@@ -153,7 +157,7 @@ impl ErrorChecker {
     }
 
     /// Chooses this ping's samples, as many as its cost allows.
-    pub fn choose(&mut self, plan: &PingPlan, spec: &SonarSpec, scatterers: usize) {
+    pub(crate) fn choose(&mut self, plan: &PingPlan, spec: &SonarSpec, scatterers: usize) {
         let rate_hz = spec.receiver.sample_rate_hz;
         let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
         let window_s = plan.window_s(rate_hz);
@@ -204,7 +208,7 @@ impl ErrorChecker {
     }
 
     /// Keeps what is needed of one element's finished samples, before the receiver changes them.
-    pub fn take(
+    pub(crate) fn take(
         &self,
         plan: &PingPlan,
         rate_hz: f64,
@@ -228,7 +232,7 @@ impl ErrorChecker {
     }
 
     /// Computes this ping's samples again, and says what the newest ones tell together.
-    pub fn check_error(
+    pub(crate) fn check_error(
         &mut self,
         plan: &PingPlan,
         spec: &SonarSpec,

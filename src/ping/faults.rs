@@ -454,7 +454,7 @@ impl Faults {
     }
 
     /// How much too late this ping is stamped, seconds.
-    pub fn stamp_error_s(&self, ping: PingMark) -> f64 {
+    pub(crate) fn stamp_error_s(&self, ping: PingMark) -> f64 {
         let mut error_s = 0.0;
         let of_stamp = |kind: &FaultKind| matches!(kind, FaultKind::WrongSecond { .. });
         self.inject(ping, 0, of_stamp, |spec, strength, _| {

@@ -60,7 +60,7 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
 
 /// What lies farther than this from every transmitter, where it is when the pulse begins, is heard by nobody so many seconds after that. The elements
 /// may be elsewhere by then.
-pub fn max_audible_range_m(spec: &SonarSpec, plan: &PingPlan, after_s: f64) -> f64 {
+pub(crate) fn max_audible_range_m(spec: &SonarSpec, plan: &PingPlan, after_s: f64) -> f64 {
     let window_s = plan.window_s(spec.receiver.sample_rate_hz);
     let start = plan.trajectory.pose_at(0.0);
     let (turn, moved_m) = motion(plan, &start, window_s);

@@ -9,7 +9,7 @@ pub mod error_check;
 pub mod fan_truth;
 pub mod faults;
 pub mod footprints;
-pub mod line_engines;
+pub(crate) mod line_engines;
 pub mod line_truth;
 pub mod method_selection;
 pub mod methods;

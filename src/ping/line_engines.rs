@@ -22,17 +22,17 @@ const FASTEST_TURN_RAD_PER_S: f64 = 0.25;
 
 /// Across a line, m/s: what a ship sways and heaves. How much more a line can follow depends on the pulse and on where echoes come from, so it
 /// is measured ping by ping, and pings that leave out too much are counted.
-pub const SIDEWAYS_M_PER_S: f64 = 0.5;
+pub(crate) const SIDEWAYS_M_PER_S: f64 = 0.5;
 
 /// For which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
-pub const NOMINAL_SCATTERERS: usize = 300_000;
+pub(crate) const NOMINAL_SCATTERERS: usize = 300_000;
 
 /// What the engine's bound on its series may be, in tolerances: eight of them that each leave less than half of it, all at their peaks at
 /// once. A ping above that was beyond what the engine is made for.
 const SERIES: f64 = 4.0;
 
 /// One engine per receive array.
-pub struct LineEngines {
+pub(crate) struct LineEngines {
     engines: Vec<Gridded2d>,
     /// One per thread of the pool: no lock ever waits.
     work: Vec<Mutex<LineWorkspace>>,
@@ -84,7 +84,7 @@ fn wanted<'a>(
 }
 
 /// What engines would be made, one per receive array, without making them.
-pub fn choices(
+pub(crate) fn choices(
     spec: &SonarSpec,
     sound_speed_m_per_s: f64,
     fastest_m_per_s: f64,
@@ -111,7 +111,7 @@ pub fn choices(
 
 impl LineEngines {
     /// To be made inside the pool that will run it. `segments`: of the longest polyline.
-    pub fn new(
+    pub(crate) fn new(
         spec: &SonarSpec,
         sound_speed_m_per_s: f64,
         fastest_m_per_s: f64,
@@ -140,13 +140,13 @@ impl LineEngines {
     }
 
     /// One per receive array.
-    pub fn error_models(&self) -> impl Iterator<Item = &ErrorModel> {
+    pub(crate) fn error_models(&self) -> impl Iterator<Item = &ErrorModel> {
         self.engines.iter().map(Gridded2d::error_model)
     }
 
     /// The samples of receive array `index`, element-major. Where a ping was nearer or faster than the engine is made for, by more than the
     /// tolerance bears, all its echoes are counted as beyond it.
-    pub fn synthesise(
+    pub(crate) fn synthesise(
         &mut self,
         plan: &PingPlan,
         spec: &SonarSpec,

@@ -20,7 +20,7 @@ use echotank_imaging::beam::conventional::line_array_response;
 use echotank_synthesis::echo::levels::Directivity;
 
 /// Two-way pattern along the track, against its own middle, down to which an echo shows its target.
-pub const MAIN_LOBE_DB: f64 = -12.0;
+pub(crate) const MAIN_LOBE_DB: f64 = -12.0;
 /// Poses kept of a listening window: between two of them a platform moves by millimetres.
 const POSES: usize = 128;
 

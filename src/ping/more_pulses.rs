@@ -35,7 +35,7 @@ use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, i
 use echotank_synthesis::slabs::Listener;
 
 /// One pulse with everything it needs.
-pub struct MorePulse {
+pub(crate) struct MorePulse {
     /// The sonar as this pulse sees it: its pulse, and who listens to whom.
     spec: SonarSpec,
     delay_s: f64,
@@ -53,7 +53,7 @@ pub struct MorePulse {
 }
 
 /// What one element's sum is written with.
-pub struct Desk<'a> {
+pub(crate) struct Desk<'a> {
     pub walk: &'a mut Workspace,
     pub dense: &'a mut Vec<Complex64>,
     /// The pulse's own samples.
@@ -63,7 +63,7 @@ pub struct Desk<'a> {
 
 impl MorePulse {
     /// `more` is one of `sonar`'s. To be made inside the pool that will run it.
-    pub fn new(
+    pub(crate) fn new(
         sonar: &SonarSpec,
         more: &MorePulseSpec,
         medium: &MediumSpec,
@@ -108,7 +108,7 @@ impl MorePulse {
         })
     }
 
-    pub fn blank_output(&self) -> PulseLines {
+    pub(crate) fn blank_output(&self) -> PulseLines {
         let blank = |line: &LineFormer| Line {
             side: line.side(),
             amplitude: Vec::new(),
@@ -120,14 +120,14 @@ impl MorePulse {
     }
 
     /// As [`Engines::expect`].
-    pub fn expect(&mut self, settings: &SonarSettings) {
+    pub(crate) fn expect(&mut self, settings: &SonarSettings) {
         if let Some(engines) = &mut self.engines {
             engines.expect(settings);
         }
     }
 
     /// The transmit leg, and all else that its elements have in common.
-    pub fn light(
+    pub(crate) fn light(
         &mut self,
         ping: &PingPlan,
         scatterers: &Scatterers,
@@ -200,7 +200,7 @@ impl MorePulse {
     }
 
     /// Adds this pulse's echoes at one element to `iq`.
-    pub fn add(
+    pub(crate) fn add(
         &self,
         scatterers: &Scatterers,
         index: usize,
@@ -275,7 +275,7 @@ impl MorePulse {
     }
 
     /// This pulse's lines from the samples of all pulses.
-    pub fn form(&mut self, elements: &[ElementFrame], out: &mut PulseLines) {
+    pub(crate) fn form(&mut self, elements: &[ElementFrame], out: &mut PulseLines) {
         for (former, line) in self.lines.iter_mut().zip(&mut out.lines) {
             let (own, given) = (&mut self.frame, &elements[former.array()]);
             own.array = given.array;

@@ -292,7 +292,7 @@ impl SonarPipeline {
     }
 
     /// What is wrong with the elements in the next ping.
-    pub fn faults_mut(&mut self) -> &mut Vec<ActiveFault> {
+    pub(crate) fn faults_mut(&mut self) -> &mut Vec<ActiveFault> {
         &mut self.faults
     }
 
@@ -354,7 +354,7 @@ impl SonarPipeline {
     }
 
     /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
-    pub fn max_audible_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+    pub(crate) fn max_audible_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
         let samples = std::mem::replace(&mut plan.sample_count, end);
         // As far as the receiver filter looks ahead.
         let (first_s, rate_hz, len) = self.grid(plan);

@@ -100,7 +100,7 @@ pub struct Rig {
     /// For threads beside the pings.
     pub world: Placed,
     scatterers: Scatterers,
-    pub simplify_counts: StageCounts,
+    pub(crate) simplify_counts: StageCounts,
 }
 
 impl Rig {

@@ -62,12 +62,12 @@ impl Schedule {
     }
 
     /// When a queued trigger is obeyed.
-    pub fn queued_utc(&self) -> Option<UtcNs> {
+    pub(crate) fn queued_utc(&self) -> Option<UtcNs> {
         self.queued_utc
     }
 
     /// The ping of a queued trigger whose instant has come.
-    pub fn queued_due(
+    pub(crate) fn queued_due(
         &mut self,
         now: UtcNs,
         settings_at: impl Fn(UtcNs) -> Option<SonarSettings>,

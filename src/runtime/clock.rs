@@ -140,7 +140,7 @@ impl Pace {
 
 impl PacedClock {
     /// Goes `rate` times as fast as the machine's; 1 is real time.
-    pub fn at_rate(rate: f64) -> Self {
+    pub(crate) fn at_rate(rate: f64) -> Self {
         Self {
             machine: SystemClock::new(),
             pace: std::sync::Mutex::new(Pace {
@@ -163,7 +163,7 @@ impl PacedClock {
         self.set(false);
     }
 
-    pub fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.lock().stopped
     }
 

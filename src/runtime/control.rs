@@ -113,7 +113,7 @@ impl RunControl {
     }
 
     /// Pings that were not as they should have been, for the log.
-    pub fn overload_states(&self) -> &OverloadLog {
+    pub(crate) fn overload_states(&self) -> &OverloadLog {
         &self.overload_states
     }
 
@@ -130,7 +130,7 @@ impl RunControl {
         self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
-    pub fn set_nav(&self, lines: Vec<String>, sources: Vec<(State, SourceCounters)>) {
+    pub(crate) fn set_nav(&self, lines: Vec<String>, sources: Vec<(State, SourceCounters)>) {
         *lock(&self.nav_lines) = lines;
         *lock(&self.nav_sources) = sources;
     }

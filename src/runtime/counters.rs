@@ -13,11 +13,11 @@ use echotank_ping::method_selection::live::PlanCounts;
 pub struct PingCounters {
     pub made: AtomicU64,
     /// Navigation did not cover the ping in time.
-    pub skipped_nav: AtomicU64,
+    pub(crate) skipped_nav: AtomicU64,
     /// The deadline had passed before the ping could be computed.
-    pub skipped_late: AtomicU64,
+    pub(crate) skipped_late: AtomicU64,
     /// More pings waited than the queue holds.
-    pub skipped_queue: AtomicU64,
+    pub(crate) skipped_queue: AtomicU64,
     /// Made with a looser tolerance because computing did not keep up, and how many steps looser the newest ping is.
     pub degraded: AtomicU64,
     pub looser: AtomicU64,
@@ -25,47 +25,47 @@ pub struct PingCounters {
     pub truncated: AtomicU64,
     /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
     pub stretched: AtomicU64,
-    pub stretched_us: AtomicU64,
+    pub(crate) stretched_us: AtomicU64,
     /// A recorder ended with an error, as of a full disk; pings go on.
     pub recordings_stopped: AtomicU64,
     /// A fault had the pulse missed.
-    pub triggers_missed: AtomicU64,
+    pub(crate) triggers_missed: AtomicU64,
     /// Delivered, but after the deadline.
-    pub deadline_misses: AtomicU64,
+    pub(crate) deadline_misses: AtomicU64,
     /// Worst lateness of a delivery, microseconds.
-    pub worst_late_us: AtomicU64,
+    pub(crate) worst_late_us: AtomicU64,
     /// Lateness of the newest delivery, microseconds: deadlines are absolute, so it is how far pings have drifted since the first.
-    pub drift_us: AtomicU64,
+    pub(crate) drift_us: AtomicU64,
     /// Age of the newest position or attitude sample behind the last ping, milliseconds; interpolated pings have 0.
-    pub nav_age_ms: AtomicU64,
+    pub(crate) nav_age_ms: AtomicU64,
     /// Sum and worst of the time `compute_ping` took, microseconds.
-    pub compute_us: AtomicU64,
-    pub worst_compute_us: AtomicU64,
-    pub samples_saturated: AtomicU64,
+    pub(crate) compute_us: AtomicU64,
+    pub(crate) worst_compute_us: AtomicU64,
+    pub(crate) samples_saturated: AtomicU64,
     pub arrivals: AtomicU64,
     pub culled: AtomicU64,
     pub extrapolated: AtomicU64,
     /// Made with navigation that is flagged invalid.
-    pub invalid_nav: AtomicU64,
+    pub(crate) invalid_nav: AtomicU64,
     /// Pings that carried an error check.
     pub checked: AtomicU64,
     /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
     pub error_check_faults: AtomicU64,
     /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
     pub plan: AtomicU64,
-    pub plan_promise: [AtomicU64; 2],
+    pub(crate) plan_promise: [AtomicU64; 2],
     /// Elements of a line that it makes as one.
-    pub plan_part_elements: AtomicU64,
+    pub(crate) plan_part_elements: AtomicU64,
     /// Plans given up because an error check was above their tolerance, and that could not be made.
     pub plans_given_up: AtomicU64,
-    pub plans_failed: AtomicU64,
+    pub(crate) plans_failed: AtomicU64,
     /// Echoes nearer or faster than the engine is made for.
     pub beyond_engine: AtomicU64,
     /// Scatterers of the seabed, sums over the pings.
-    pub seabed_made: AtomicU64,
-    pub seabed_culled: AtomicU64,
-    pub seabed_shadowed: AtomicU64,
-    pub seabed_used: AtomicU64,
+    pub(crate) seabed_made: AtomicU64,
+    pub(crate) seabed_culled: AtomicU64,
+    pub(crate) seabed_shadowed: AtomicU64,
+    pub(crate) seabed_used: AtomicU64,
     /// The newest error check: error, low, high, as the bits of f64.
     pub error_check: [AtomicU64; 3],
 }
@@ -211,7 +211,7 @@ impl PingCounters {
     }
 
     /// The newest plan of methods with its error check; null where nothing is left to a plan.
-    pub fn methods_json(&self) -> serde_json::Value {
+    pub(crate) fn methods_json(&self) -> serde_json::Value {
         if read(&self.plan) == 0 {
             return serde_json::Value::Null;
         }
@@ -242,7 +242,7 @@ impl PingCounters {
     }
 
     /// For `replay`, which has no clock.
-    pub fn replay_line(&self) -> String {
+    pub(crate) fn replay_line(&self) -> String {
         format!(
             "{} pings made, {} skipped (navigation), {} samples saturated{}",
             read(&self.made),

@@ -82,7 +82,7 @@ impl Gate {
     }
 
     /// Nothing may leave now.
-    pub fn is_held(&self) -> bool {
+    pub(crate) fn is_held(&self) -> bool {
         self.lock().holds()
     }
 
@@ -100,7 +100,7 @@ impl Gate {
         true
     }
 
-    pub fn is_paused(&self) -> bool {
+    pub(crate) fn is_paused(&self) -> bool {
         self.lock().paused
     }
 
@@ -109,7 +109,7 @@ impl Gate {
     }
 
     /// Waits until a ping may be made; false when the daemon stops.
-    pub fn wait_open(&self) -> bool {
+    pub(crate) fn wait_open(&self) -> bool {
         let mut state = self.lock();
         while state.holds() {
             state = self.wait(state);

@@ -79,10 +79,10 @@ impl Spread {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Figures {
     pub count: u64,
-    pub min_us: u64,
+    pub(crate) min_us: u64,
     /// A thousandth and a hundredth are no more than this: the bad end of a margin.
-    pub p01_us: u64,
-    pub p1_us: u64,
+    pub(crate) p01_us: u64,
+    pub(crate) p1_us: u64,
     pub p50_us: u64,
     pub p99_us: u64,
     pub p999_us: u64,
@@ -101,27 +101,27 @@ impl Histograms {
     }
 
     /// A ping's records began to be handed over so long after their instant.
-    pub fn start_error_us(&self, us: u64) {
+    pub(crate) fn start_error_us(&self, us: u64) {
         self.start_error.note(us);
     }
 
     /// A ping was whole so long before its records had to leave; too late counts as 0.
-    pub fn margin_us(&self, ns: i64) {
+    pub(crate) fn margin_us(&self, ns: i64) {
         self.margin.note((ns.max(0) / 1000) as u64);
     }
 
     /// From the pulse, whose motion is the newest the ping is made with, until its samples were whole.
-    pub fn nav_to_samples_us(&self, ns: i64) {
+    pub(crate) fn nav_to_samples_us(&self, ns: i64) {
         self.nav_to_samples.note((ns.max(0) / 1000) as u64);
     }
 
     /// All of a ping's records were with the servers and the recorder so long after their instant.
-    pub fn handed_over_us(&self, ns: i64) {
+    pub(crate) fn handed_over_us(&self, ns: i64) {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
     /// A group of datagrams left so long after its own instant.
-    pub fn pacing_us(&self, ns: i64) {
+    pub(crate) fn pacing_us(&self, ns: i64) {
         self.pacing.note((ns.max(0) / 1000) as u64);
     }
 

@@ -18,7 +18,7 @@ pub mod overload;
 pub mod page;
 pub mod pictures;
 pub mod recorded;
-pub mod recorders;
+pub(crate) mod recorders;
 pub mod replay;
 pub mod rig;
 pub mod score;

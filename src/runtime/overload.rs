@@ -68,7 +68,7 @@ impl Cost {
 /// Which setting the next ping has: down at once when it could not be ready, up again after so many that were, and more patiently each time
 /// that was too early.
 #[derive(Clone, Debug)]
-pub struct DegradationLevels {
+pub(crate) struct DegradationLevels {
     costs: Vec<Cost>,
     level: usize,
     good: u32,
@@ -79,7 +79,7 @@ pub struct DegradationLevels {
 
 impl DegradationLevels {
     /// `levels`: settings, the finest first.
-    pub fn new(levels: usize) -> Self {
+    pub(crate) fn new(levels: usize) -> Self {
         Self {
             costs: vec![Cost::default(); levels.max(1)],
             level: 0,
@@ -99,7 +99,7 @@ impl DegradationLevels {
     }
 
     /// The level of a ping that must be ready within `left_ns`; none where no level is quick enough, and it `waited` for another ping.
-    pub fn choose(&mut self, left_ns: i64, waited: bool) -> Option<usize> {
+    pub(crate) fn choose(&mut self, left_ns: i64, waited: bool) -> Option<usize> {
         self.consider_finer(left_ns);
         let loosest = self.costs.len() - 1;
         let fits = (self.level..=loosest).find(|&level| self.cost_ns(level) <= left_ns);
@@ -131,7 +131,7 @@ impl DegradationLevels {
     }
 
     /// A ping on the chosen level took so long, and was ready in time or not.
-    pub fn note(&mut self, took_ns: i64, in_time: bool) {
+    pub(crate) fn note(&mut self, took_ns: i64, in_time: bool) {
         self.costs[self.level].note(took_ns);
         self.good = match in_time {
             true => self.good.saturating_add(1),
@@ -144,14 +144,14 @@ impl DegradationLevels {
     }
 
     /// What the next ping will cost.
-    pub fn now_ns(&self) -> i64 {
+    pub(crate) fn now_ns(&self) -> i64 {
         self.cost_ns(self.level)
     }
 }
 
 /// What the beat knows of the pipeline: how much is ordered and not yet made. One per rig.
 #[derive(Debug, Default)]
-pub struct Backlog {
+pub(crate) struct Backlog {
     sonars: Vec<Work>,
     /// When the ping that is being made was begun, ns of the rig's clock; 0: none is.
     began_ns: AtomicI64,
@@ -166,36 +166,36 @@ struct Work {
 }
 
 impl Backlog {
-    pub fn new(sonars: usize) -> Self {
+    pub(crate) fn new(sonars: usize) -> Self {
         Self {
             sonars: (0..sonars).map(|_| Work::default()).collect(),
             began_ns: AtomicI64::new(0),
         }
     }
 
-    pub fn ordered(&self, sonar: usize) {
+    pub(crate) fn ordered(&self, sonar: usize) {
         self.sonars[sonar].ordered.fetch_add(1, Relaxed);
     }
 
-    pub fn begun(&self, now_ns: i64) {
+    pub(crate) fn begun(&self, now_ns: i64) {
         self.began_ns.store(now_ns, Relaxed);
     }
 
     /// An order was obeyed or dropped.
-    pub fn done(&self, sonar: usize) {
+    pub(crate) fn done(&self, sonar: usize) {
         self.began_ns.store(0, Relaxed);
         let less = |n: u64| Some(n.saturating_sub(1));
         let ordered = &self.sonars[sonar].ordered;
         let _ = ordered.fetch_update(Relaxed, Relaxed, less);
     }
 
-    pub fn costs(&self, sonar: usize, ns: i64) {
+    pub(crate) fn costs(&self, sonar: usize, ns: i64) {
         self.sonars[sonar].cost_ns.store(ns, Relaxed);
     }
 
     /// How much later a pulse of this sonar must be for its ping to be ready in time, where it would now have to be ready by `ready_by_ns`, ns.
     /// Never later than the pipeline is free: waiting longer helps nobody.
-    pub fn put_off_ns(&self, sonar: usize, now_ns: i64, ready_by_ns: i64) -> i64 {
+    pub(crate) fn put_off_ns(&self, sonar: usize, now_ns: i64, ready_by_ns: i64) -> i64 {
         let dear = |ns: i64| (ns as f64 * RESERVE) as i64;
         let load = |w: &Work| w.cost_ns.load(Relaxed) * w.ordered.load(Relaxed) as i64;
         let before: i64 = self.sonars.iter().map(load).sum();
@@ -212,7 +212,7 @@ impl Backlog {
 /// One ping that was not as it should have been. A line of `overload-*.jsonl`, which `run` writes where `run.fault_directory` says, and with
 /// `degrade` and `stretch` beside the records.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct OverloadRecord {
+pub(crate) struct OverloadRecord {
     /// `skipped`, `degraded`, `stretched`, `truncated` (its first samples streamed and the others could not), or `late`: delivered after its instant.
     pub what: &'static str,
     pub sonar: String,
@@ -224,18 +224,18 @@ pub struct OverloadRecord {
     pub tolerance: Option<f64>,
     /// How much later than the beat the pulse went out.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub put_off_ms: Option<f64>,
+    pub(crate) put_off_ms: Option<f64>,
 }
 
 /// Strained pings on their way to the file.
 #[derive(Debug, Default)]
-pub struct OverloadLog {
+pub(crate) struct OverloadLog {
     waiting: Mutex<Vec<OverloadRecord>>,
     unwritten: AtomicU64,
 }
 
 impl OverloadLog {
-    pub fn note(&self, overloaded: OverloadRecord) {
+    pub(crate) fn note(&self, overloaded: OverloadRecord) {
         let mut waiting = self.lock();
         if waiting.len() < MAX_LINES {
             waiting.push(overloaded);
@@ -245,12 +245,12 @@ impl OverloadLog {
     }
 
     /// What was noted since this was last asked.
-    pub fn take(&self) -> Vec<OverloadRecord> {
+    pub(crate) fn take(&self) -> Vec<OverloadRecord> {
         std::mem::take(&mut *self.lock())
     }
 
     /// Pings that the log has no line of.
-    pub fn unwritten(&self) -> u64 {
+    pub(crate) fn unwritten(&self) -> u64 {
         self.unwritten.load(Relaxed)
     }
 

@@ -133,7 +133,7 @@ fn sonar(sonar: &SonarSpec) -> Value {
     })
 }
 
-pub fn settings_json(settings: &SonarSettings) -> Value {
+pub(crate) fn settings_json(settings: &SonarSettings) -> Value {
     json!({
         "pinging": settings.pinging,
         "range_m": settings.range_m,

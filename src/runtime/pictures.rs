@@ -31,7 +31,7 @@ const WATERFALL_COLUMNS: f64 = 600.0;
 const MAP_SHARES: (f64, f64) = (0.02, 0.999);
 
 /// The pictures of one sonar.
-pub struct Pictures {
+pub(crate) struct Pictures {
     spec: SonarSpec,
     folder: PathBuf,
     formats: Formats,
@@ -48,7 +48,11 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    pub fn create(spec: &SonarSpec, folder: &Path, formats: Formats) -> Result<Self, RecordError> {
+    pub(crate) fn create(
+        spec: &SonarSpec,
+        folder: &Path,
+        formats: Formats,
+    ) -> Result<Self, RecordError> {
         make_folder(folder)?;
         let lined = !spec.beams.lines.is_empty();
         Ok(Self {
@@ -73,7 +77,7 @@ impl Pictures {
     }
 
     /// The ping that `rig` has just made.
-    pub fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
+    pub(crate) fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         self.fan(slot, rig)?;
         let Formats {
             png, mosaic, masks, ..
@@ -278,7 +282,7 @@ impl Pictures {
     }
 
     /// Writes what was gathered, and names the files.
-    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
+    pub(crate) fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let names = target_names(targets);
         let look = &self.spec.picture;
         let mut written = self.written;

@@ -71,7 +71,11 @@ struct Xtf {
 
 /// Begins a `.s7k`: its header and the configuration, stamped with `utc`. Nothing in it comes from the host's clock or a random source, so
 /// that the same pings make the same file.
-pub fn begin_s7k(path: &Path, sheet: &DeviceSheet, utc: UtcNs) -> Result<S7kRecorder, RecordError> {
+pub(crate) fn begin_s7k(
+    path: &Path,
+    sheet: &DeviceSheet,
+    utc: UtcNs,
+) -> Result<S7kRecorder, RecordError> {
     let stamp = sheet.stamp(utc);
     let header = FileHeader7200 {
         file_id: [sheet.sonar_id(), utc.0 as u64],
@@ -105,13 +109,17 @@ fn text_of(text: &str, bytes: usize) -> String {
     text[..end].to_string()
 }
 
-pub struct Recorders {
+pub(crate) struct Recorders {
     truth: TruthRecorder,
     sonars: Vec<SonarFiles>,
 }
 
 impl Recorders {
-    pub fn create(spec: &RigSpec, options: &ReplayOptions, rig: &Rig) -> Result<Self, RecordError> {
+    pub(crate) fn create(
+        spec: &RigSpec,
+        options: &ReplayOptions,
+        rig: &Rig,
+    ) -> Result<Self, RecordError> {
         let Formats {
             s7k,
             jsf,
@@ -201,7 +209,7 @@ impl Recorders {
     }
 
     /// The ping that `rig` has just made.
-    pub fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
+    pub(crate) fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
         self.truth.push(&files.spec, plan, output, rig.targets())?;
@@ -261,7 +269,7 @@ impl Recorders {
     }
 
     /// Closes every file and names those that hold something.
-    pub fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
+    pub(crate) fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
             if let Some(S7k {

@@ -103,7 +103,7 @@ pub struct Replay {
 
 /// What a replay did.
 pub struct Summary {
-    pub pings_made: u64,
+    pub(crate) pings_made: u64,
     text: String,
 }
 

@@ -46,7 +46,12 @@ pub fn costs_of(path: Option<&Path>) -> Result<Costs, OpenError> {
 }
 
 /// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
-pub fn read_on(rig: &mut Rig, inputs: &mut NavInputs, sonar: usize, order: &PingOrder) -> bool {
+pub(crate) fn read_on(
+    rig: &mut Rig,
+    inputs: &mut NavInputs,
+    sonar: usize,
+    order: &PingOrder,
+) -> bool {
     let from = order.transmit_utc;
     let to = from.plus_s(rig.window_s(sonar, order));
     match rig.spec.nav.mode {
@@ -68,7 +73,7 @@ pub fn read_on(rig: &mut Rig, inputs: &mut NavInputs, sonar: usize, order: &Ping
 }
 
 /// As [`Rig::plan_first`], of every sonar of a rig whose navigation is recorded and begins at `first`; reads on as far as that needs.
-pub fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
+pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
     for sonar in 0..rig.sonars.len() {
         let order = PingOrder {
             ping_number: 1,
@@ -86,7 +91,10 @@ pub fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
 }
 
 /// The threads that compute pings; 0 means as many as there are cores. Their nice value where the system allows it; 0: as whoever makes them.
-pub fn pool_of(threads: usize, nice: i8) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
+pub(crate) fn pool_of(
+    threads: usize,
+    nice: i8,
+) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(|k| format!("ping {k}"))

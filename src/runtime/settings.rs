@@ -19,7 +19,7 @@ use echotank_core::time::MonoNs;
 use echotank_ping::beats::InForce;
 
 /// Changes kept for the operator and the other protocols to look at; older ones are only counted.
-pub const RECENT_CHANGES: usize = 64;
+pub(crate) const RECENT_CHANGES: usize = 64;
 
 /// Settings that are only kept, at most: no device has nearly as many, and a client cannot fill the memory.
 pub const MAX_KEPT: usize = 4096;

@@ -13,7 +13,7 @@ use echotank_imaging::beam::backproject::BackProjection;
 use echotank_ping::plan;
 
 /// One sonar's image.
-pub struct SyntheticAperture {
+pub(crate) struct SyntheticAperture {
     spec: SyntheticApertureSpec,
     projection: BackProjection,
     pings: u64,
@@ -23,7 +23,7 @@ pub struct SyntheticAperture {
 
 impl SyntheticAperture {
     /// None where none is configured.
-    pub fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<Self> {
+    pub(crate) fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<Self> {
         let spec = sonar.beams.synthetic_aperture.clone()?;
         let limits = RowLimits {
             sample_rate_hz: sonar.receiver.sample_rate_hz,
@@ -51,7 +51,7 @@ impl SyntheticAperture {
         })
     }
 
-    pub fn push(&mut self, sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
+    pub(crate) fn push(&mut self, sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
         for &array in &self.spec.arrays {
             let receive = &sonar.receive[array];
             let transmit = &sonar.transmit[receive.transmit];
@@ -65,7 +65,7 @@ impl SyntheticAperture {
     }
 
     /// None without pings.
-    pub fn finish(self) -> Option<Patch> {
+    pub(crate) fn finish(self) -> Option<Patch> {
         let (first_m, last_m) = self.ends_m?;
         let (columns, rows) = self.spec.size();
         Some(Patch {

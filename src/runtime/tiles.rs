@@ -14,7 +14,7 @@
 use echotank_emit::blocks::end_of_block;
 
 /// Where the tiles of a ping end that follow so many of its blocks, in blocks and in samples; the whole ping, which is the last, is not among them.
-pub fn tile_ends(
+pub(crate) fn tile_ends(
     after: u32,
     samples: usize,
     rate_hz: f64,

@@ -21,7 +21,7 @@ pub struct TriggerCounts {
     /// Did not come within the watchdog's time.
     pub absent: AtomicU64,
     /// Latest pulse of a beat, after its instant, microseconds.
-    pub worst_pulse_us: AtomicU64,
+    pub(crate) worst_pulse_us: AtomicU64,
     pub listener: OnceLock<Arc<TriggerListenerCounts>>,
     pub out: OnceLock<Arc<OutCounts>>,
 }

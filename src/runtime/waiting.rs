@@ -5,7 +5,7 @@ use echotank_config::spec::{NavChannel, NavSourceSpec, NavSpec};
 use echotank_nav::NavHistory;
 
 /// What every ping needs and nothing has come of, with the sources that should send it.
-pub fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
+pub(crate) fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
     let from = |channel: NavChannel| {
         let gives = |s: &&NavSourceSpec| s.provides.contains(&channel);
         let names: Vec<_> = spec.sources.iter().filter(gives).collect();

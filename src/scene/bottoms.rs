@@ -28,29 +28,29 @@ use echotank_core::flow::{LawCurve, ScatterLaw};
 
 /// What is known of a sediment: the handbook's values, and the terms fitted to them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Preset {
+pub(crate) struct Preset {
     /// Density and sound speed of the sediment over those of the water.
-    pub density_ratio: f64,
-    pub speed_ratio: f64,
+    pub(crate) density_ratio: f64,
+    pub(crate) speed_ratio: f64,
     /// Loss parameter delta: imaginary over real wavenumber.
     pub loss: f64,
     /// Volume parameter sigma_2.
-    pub volume: f64,
+    pub(crate) volume: f64,
     /// Spectral strength w_2 of the roughness, cm^4; the exponent is 3.25.
-    pub roughness_cm4: f64,
+    pub(crate) roughness_cm4: f64,
     /// A, dB, and B, degrees.
     pub specular_db: f64,
-    pub specular_deg: f64,
+    pub(crate) specular_deg: f64,
     /// C at normal incidence, dB, and D.
     pub lambert_db: f64,
     pub lambert_exponent: f64,
     /// E, dB, and F, degrees.
     pub intermediate_db: f64,
-    pub intermediate_deg: f64,
+    pub(crate) intermediate_deg: f64,
 }
 
 /// What a sediment scatters by.
-pub fn preset(sediment: Sediment) -> Preset {
+pub(crate) fn preset(sediment: Sediment) -> Preset {
     match sediment {
         // Clay, mean grain size 9 phi.
         Sediment::Mud => Preset {
@@ -125,7 +125,7 @@ pub fn preset(sediment: Sediment) -> Preset {
 }
 
 impl Preset {
-    pub fn terms(&self) -> ThreeTerm {
+    pub(crate) fn terms(&self) -> ThreeTerm {
         ThreeTerm {
             specular_db: self.specular_db,
             specular_rad: self.specular_deg.to_radians(),
@@ -142,7 +142,7 @@ fn power(db: f64) -> f64 {
 }
 
 /// Backscattering strength of the three terms, a power, at an incidence of at most a right angle.
-pub fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
+pub(crate) fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
     let wake_up = |db: f64, width_rad: f64| {
         let x = incidence_rad / width_rad;
         power(db) * libm::exp(-0.5 * x * x)

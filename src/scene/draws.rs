@@ -14,7 +14,7 @@ const SEABED: u32 = 0x5EAB_ED02;
 
 /// Philox 4x32-10: four random words of a counter and a key.
 #[inline(always)]
-pub fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+pub(crate) fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for _ in 0..ROUNDS {
         let a = u64::from(counter[0]) * u64::from(MULTIPLIERS[0]);
         let b = u64::from(counter[2]) * u64::from(MULTIPLIERS[1]);
@@ -38,7 +38,7 @@ fn key_of(seed: u64) -> [u32; 2] {
 
 /// The four words of a cell of the seabed's finest lattice: two for its place, two for its reflectivity.
 #[inline(always)]
-pub fn of_cell(seed: u64, north: i64, east: i64) -> [u32; 4] {
+pub(crate) fn of_cell(seed: u64, north: i64, east: i64) -> [u32; 4] {
     // 48 bits of each index: 2.8e14 cells either way.
     let high = (north >> 32) as u32 & 0xFFFF | ((east >> 32) as u32) << 16;
     philox([north as u32, east as u32, high, SEABED], key_of(seed))
@@ -46,7 +46,7 @@ pub fn of_cell(seed: u64, north: i64, east: i64) -> [u32; 4] {
 
 /// A fair coin for a cell of some level: which of its two halves speaks for it. SplitMix64's finaliser (Steele, Lea and Flood 2014).
 #[inline(always)]
-pub fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
+pub(crate) fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
     let mut z = seed
         ^ (north as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ (east as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F)
@@ -58,13 +58,13 @@ pub fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
 
 /// In 0 .. 1, never 1.
 #[inline(always)]
-pub fn fraction(word: u32) -> f64 {
+pub(crate) fn fraction(word: u32) -> f64 {
     f64::from(word) / 4_294_967_296.0
 }
 
 /// Box and Muller 1958: E|z|^2 = 1 and uniform phase.
 #[inline(always)]
-pub fn circular_gaussian(a: u32, b: u32) -> Complex32 {
+pub(crate) fn circular_gaussian(a: u32, b: u32) -> Complex32 {
     // In 0 .. 1, never 0.
     let u = ((f64::from(a) + 0.5) / 4_294_967_296.0) as f32;
     let radius = (-libm::logf(u)).max(0.0).sqrt();

@@ -32,7 +32,7 @@ struct TileCount {
 
 /// Who listens to the seabed, and what may stand in the way.
 #[derive(Clone, Copy)]
-pub struct Listeners<'a> {
+pub(crate) struct Listeners<'a> {
     /// The scene's zero in the world.
     pub anchor_m: DVec3,
     pub heard: &'a [Footprint],
@@ -44,7 +44,7 @@ pub struct Listeners<'a> {
 
 /// Buffers of gathering.
 #[derive(Debug, Default)]
-pub struct Gatherer {
+pub(crate) struct Gatherer {
     wanted: Vec<(TileId, TileBox)>,
     places: Vec<Place>,
     counts: Vec<TileCount>,
@@ -53,7 +53,7 @@ pub struct Gatherer {
 impl Gatherer {
     /// Puts the scatterers that are heard and seen, of the tiles found before, at the beginning of `out`, in place of what was there, and returns
     /// how many. What lies behind them in `out` is of no use.
-    pub fn collect(
+    pub(crate) fn collect(
         &mut self,
         recipe: &Recipe,
         pool: &mut TilePool,
@@ -104,12 +104,12 @@ impl Gatherer {
     }
 
     /// The boxes of the tiles that were found.
-    pub fn boxes(&self) -> impl Iterator<Item = &TileBox> {
+    pub(crate) fn boxes(&self) -> impl Iterator<Item = &TileBox> {
         self.wanted.iter().map(|(_, tile_box)| tile_box)
     }
 
     /// The tiles that any footprint may hear, each at the level that its nearest sonar needs.
-    pub fn find(
+    pub(crate) fn find(
         &mut self,
         recipe: &Recipe,
         anchor_m: DVec3,

@@ -15,7 +15,7 @@ const LOUDEST: f64 = 1e9;
 
 /// Pressure at 1 m of what the floor is good for.
 #[derive(Clone, Copy, Debug)]
-pub enum Quiet {
+pub(crate) enum Quiet {
     /// A scatterer of the ground stands for a square metre.
     Ground { per_root_m2: f64 },
     /// Without a ground: the explicit points, root mean square.
@@ -25,7 +25,7 @@ pub enum Quiet {
 }
 
 impl Quiet {
-    pub fn new(recipe: Option<&Recipe>, points: &Scatterers) -> Self {
+    pub(crate) fn new(recipe: Option<&Recipe>, points: &Scatterers) -> Self {
         if let Some(recipe) = recipe {
             let power = recipe.bottom().strength(LOW_INCIDENCE_DEG.to_radians());
             let per_root_m2 = power.sqrt();
@@ -41,7 +41,7 @@ impl Quiet {
     }
 
     /// The factor for something of `strength` (pressure at 1 m) at a distance.
-    pub fn factor(&self, strength: f64, recipe: Option<&Recipe>, distance_m: f64) -> f32 {
+    pub(crate) fn factor(&self, strength: f64, recipe: Option<&Recipe>, distance_m: f64) -> f32 {
         let own = match *self {
             Self::Ground { per_root_m2 } => {
                 per_root_m2 * recipe.map_or(0.0, |r| r.levels().spacing_m(distance_m))

@@ -76,7 +76,7 @@ pub fn sample(shape: PaperShape, north_m: f64, east_m: f64) -> Option<Depth> {
 }
 
 /// Least and greatest depth over a rectangle; wider than need be.
-pub fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
+pub(crate) fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
     match shape {
         PaperShape::Curves => (DEPTH_M - RIDGE_HEIGHT_M, DEPTH_M),
         PaperShape::Relief => (DEPTH_M - RELIEF_HEIGHT_M, DEPTH_M),
@@ -156,13 +156,13 @@ fn smooth(x: f64) -> f64 {
 // ---------------------------------------------------------------- the cloud of Figs. 12-16
 
 /// Points of the paper's original model.
-pub const CLOUD_POINTS: usize = 42_936;
+pub(crate) const CLOUD_POINTS: usize = 42_936;
 /// A lattice of this many rows (northward) and columns (eastward) has 144 cells more; the last row goes without them.
 const CLOUD_ROWS: usize = 120;
 const CLOUD_COLS: usize = 359;
 /// What it covers: 20 m along the track, from 15 to 75 m beside it.
-pub const CLOUD_NORTH_M: (f64, f64) = (0.0, 20.0);
-pub const CLOUD_EAST_M: (f64, f64) = (15.0, 75.0);
+pub(crate) const CLOUD_NORTH_M: (f64, f64) = (0.0, 20.0);
+pub(crate) const CLOUD_EAST_M: (f64, f64) = (15.0, 75.0);
 /// Points lie anywhere within this much of their cell's side about its middle: never a lattice, and its triangles never fold.
 const CLOUD_JITTER: f64 = 0.49;
 

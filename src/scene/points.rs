@@ -10,7 +10,7 @@ use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, optio
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
 /// Rows at most: 16 million points hold a gigabyte.
-pub const MAX_POINTS: usize = 1 << 24;
+pub(crate) const MAX_POINTS: usize = 1 << 24;
 
 /// Largest amplitude: 120 dB, far above anything real, so that sums stay finite.
 const MAX_AMPLITUDE: f64 = 1e6;

@@ -10,7 +10,7 @@ const NOWHERE: u32 = u32::MAX;
 
 /// A place in the pool that a ping was given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub(crate) struct Place {
     pub id: TileId,
     index: u32,
     /// What stands there is another tile: this one must be made.
@@ -19,7 +19,7 @@ pub struct Place {
 
 /// Allocates while it grows to its capacity, and not after.
 #[derive(Debug)]
-pub struct TilePool {
+pub(crate) struct TilePool {
     capacity: usize,
     place: HashMap<TileId, u32>,
     ids: Vec<TileId>,
@@ -34,7 +34,7 @@ pub struct TilePool {
 
 impl TilePool {
     /// Room for `capacity` tiles, at least one.
-    pub fn new(capacity: usize) -> Self {
+    pub(crate) fn new(capacity: usize) -> Self {
         assert!(capacity > 0, "a pool without room");
         Self {
             capacity: capacity.min(NOWHERE as usize),
@@ -48,12 +48,16 @@ impl TilePool {
         }
     }
 
-    pub fn capacity(&self) -> usize {
+    pub(crate) fn capacity(&self) -> usize {
         self.capacity
     }
 
     /// Gives each of the tiles a place, at most as many as there is room for and none twice.
-    pub fn places(&mut self, ids: impl ExactSizeIterator<Item = TileId>, out: &mut Vec<Place>) {
+    pub(crate) fn places(
+        &mut self,
+        ids: impl ExactSizeIterator<Item = TileId>,
+        out: &mut Vec<Place>,
+    ) {
         assert!(ids.len() <= self.capacity, "more tiles than room");
         out.clear();
         // First those that are there, so that none of them makes room for another.
@@ -78,7 +82,12 @@ impl TilePool {
     }
 
     /// Works on the tile of a place, made first where it was not there. To be called once for each place before any is called again.
-    pub fn work<T>(&self, place: &Place, recipe: &Recipe, work: impl FnOnce(&mut Tile) -> T) -> T {
+    pub(crate) fn work<T>(
+        &self,
+        place: &Place,
+        recipe: &Recipe,
+        work: impl FnOnce(&mut Tile) -> T,
+    ) -> T {
         let mut tile = self.tile(place);
         if place.stale {
             recipe.make(place.id, &mut tile);
@@ -87,7 +96,7 @@ impl TilePool {
     }
 
     /// Reads a tile that was worked on.
-    pub fn read<T>(&self, place: &Place, read: impl FnOnce(&Tile) -> T) -> T {
+    pub(crate) fn read<T>(&self, place: &Place, read: impl FnOnce(&Tile) -> T) -> T {
         read(&self.tile(place))
     }
 

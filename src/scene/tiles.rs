@@ -25,8 +25,8 @@ use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
 use echotank_core::flow::Footprint;
 
 /// Cells on a tile's side. 1024 scatterers: enough that a tile's upkeep is small beside them, few enough that little is made in vain.
-pub const CELLS_ON_SIDE: usize = 32;
-pub const SCATTERERS_PER_TILE: usize = CELLS_ON_SIDE * CELLS_ON_SIDE;
+pub(crate) const CELLS_ON_SIDE: usize = 32;
+pub(crate) const SCATTERERS_PER_TILE: usize = CELLS_ON_SIDE * CELLS_ON_SIDE;
 
 /// What a full tile takes: place, normal, strength, and a place in the list of those a ping keeps.
 pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
@@ -38,7 +38,7 @@ pub const NEAREST_M: f64 = 2.0;
 
 /// A tile: its level, and row (north) and column (east) among those of its level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct TileId {
+pub(crate) struct TileId {
     pub level: u32,
     pub row: i64,
     pub col: i64,
@@ -46,7 +46,7 @@ pub struct TileId {
 
 impl TileId {
     /// The two tiles of the next finer level that cover the same area.
-    pub fn halves(self) -> [Self; 2] {
+    pub(crate) fn halves(self) -> [Self; 2] {
         let level = self.level - 1;
         let along = |half: i64| match self.level % 2 {
             1 => Self {
@@ -66,7 +66,7 @@ impl TileId {
 
 /// How densely the seabed is sampled at which distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Levels {
+pub(crate) struct Levels {
     /// Side of a cell of level 0.
     cell_m: f64,
     /// The coarsest in use.
@@ -76,7 +76,7 @@ pub struct Levels {
 }
 
 impl Levels {
-    pub fn new(density: &Density) -> Self {
+    pub(crate) fn new(density: &Density) -> Self {
         match *density {
             Density::PerM2(density_per_m2) => {
                 debug_assert!(density_per_m2 > 0.0 && density_per_m2.is_finite());
@@ -100,7 +100,7 @@ impl Levels {
     }
 
     /// The level that serves a distance.
-    pub fn at(&self, distance_m: f64) -> u32 {
+    pub(crate) fn at(&self, distance_m: f64) -> u32 {
         match self.top {
             0 => 0,
             top => ((distance_m / self.near_m).log2().floor().max(0.0) as u32).min(top),
@@ -108,36 +108,36 @@ impl Levels {
     }
 
     /// Northern and eastern side of a cell.
-    pub fn cell_m(&self, level: u32) -> DVec2 {
+    pub(crate) fn cell_m(&self, level: u32) -> DVec2 {
         DVec2::new(
             self.cell_m * (1_u64 << level.div_ceil(2)) as f64,
             self.cell_m * (1_u64 << (level / 2)) as f64,
         )
     }
 
-    pub fn tile_m(&self, level: u32) -> DVec2 {
+    pub(crate) fn tile_m(&self, level: u32) -> DVec2 {
         self.cell_m(level) * CELLS_ON_SIDE as f64
     }
 
-    pub fn density_per_m2(&self, level: u32) -> f64 {
+    pub(crate) fn density_per_m2(&self, level: u32) -> f64 {
         let cell_m = self.cell_m(level);
         1.0 / (cell_m.x * cell_m.y)
     }
 
     /// Between neighbouring scatterers at a distance, on average.
-    pub fn spacing_m(&self, distance_m: f64) -> f64 {
+    pub(crate) fn spacing_m(&self, distance_m: f64) -> f64 {
         1.0 / self.density_per_m2(self.at(distance_m)).sqrt()
     }
 
     /// The coarsest level whose tiles are no wider than `side_m`, or 0; levels above [`Self::at`] serve only to find tiles.
-    pub fn no_wider_than(&self, side_m: f64) -> u32 {
+    pub(crate) fn no_wider_than(&self, side_m: f64) -> u32 {
         let doublings = (side_m / (self.cell_m * CELLS_ON_SIDE as f64)).log2();
         // 2 levels to a doubling of both sides; 80 of them hold any seabed on Earth.
         (2.0 * doublings).floor().clamp(0.0, 80.0) as u32
     }
 
     /// The middle of the sides of tiles in use, metres.
-    pub fn typical_side_m(&self) -> f64 {
+    pub(crate) fn typical_side_m(&self) -> f64 {
         let tile_m = self.tile_m(self.top / 2);
         tile_m.x.max(tile_m.y)
     }
@@ -145,7 +145,7 @@ impl Levels {
 
 /// How tiles are made.
 #[derive(Clone, Debug)]
-pub struct Recipe {
+pub(crate) struct Recipe {
     surface: Arc<Surface>,
     seed: u64,
     levels: Levels,
@@ -186,9 +186,9 @@ impl Mosaic {
 
 /// The scatterers of one tile, structure of arrays.
 #[derive(Clone, Debug, Default)]
-pub struct Tile {
+pub(crate) struct Tile {
     /// What the places count from, in the scene's own coordinates, metres.
-    pub zero_m: DVec3,
+    pub(crate) zero_m: DVec3,
     pub north_m: Vec<f32>,
     pub east_m: Vec<f32>,
     pub down_m: Vec<f32>,
@@ -200,7 +200,7 @@ pub struct Tile {
 
 impl Tile {
     /// An empty tile that can be filled without allocating.
-    pub fn with_room() -> Self {
+    pub(crate) fn with_room() -> Self {
         Self {
             zero_m: DVec3::ZERO,
             north_m: Vec::with_capacity(SCATTERERS_PER_TILE),
@@ -212,15 +212,15 @@ impl Tile {
         }
     }
 
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.north_m.len()
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.north_m.is_empty()
     }
 
-    pub fn position_m(&self, i: usize) -> DVec3 {
+    pub(crate) fn position_m(&self, i: usize) -> DVec3 {
         let from_zero = [self.north_m[i], self.east_m[i], self.down_m[i]];
         self.zero_m + DVec3::from(from_zero.map(f64::from))
     }
@@ -235,7 +235,7 @@ impl Tile {
 }
 
 impl Recipe {
-    pub fn new(surface: Surface, spec: &SeabedSpec, seed: u64) -> Self {
+    pub(crate) fn new(surface: Surface, spec: &SeabedSpec, seed: u64) -> Self {
         Self {
             surface: Arc::new(surface),
             seed,
@@ -247,35 +247,35 @@ impl Recipe {
         }
     }
 
-    pub fn with_mosaic(mut self, surface: Surface, values: MosaicValues) -> Self {
+    pub(crate) fn with_mosaic(mut self, surface: Surface, values: MosaicValues) -> Self {
         self.mosaic = Some(Mosaic::new(surface, values, &self.bottom));
         self
     }
 
-    pub fn surface(&self) -> &Surface {
+    pub(crate) fn surface(&self) -> &Surface {
         &self.surface
     }
 
-    pub fn shared_surface(&self) -> Arc<Surface> {
+    pub(crate) fn shared_surface(&self) -> Arc<Surface> {
         Arc::clone(&self.surface)
     }
 
-    pub fn levels(&self) -> &Levels {
+    pub(crate) fn levels(&self) -> &Levels {
         &self.levels
     }
 
     /// The law that all scatterers of the seabed obey.
-    pub fn bottom(&self) -> &Bottom {
+    pub(crate) fn bottom(&self) -> &Bottom {
         &self.bottom
     }
 
     /// Row or column of the tile at a coordinate.
-    pub fn index_at(coordinate_m: f64, side_m: f64) -> i64 {
+    pub(crate) fn index_at(coordinate_m: f64, side_m: f64) -> i64 {
         (coordinate_m / side_m).floor() as i64
     }
 
     /// The box of a tile; none where it holds no seabed.
-    pub fn bounds(&self, id: TileId) -> Option<TileBox> {
+    pub(crate) fn bounds(&self, id: TileId) -> Option<TileBox> {
         let side_m = self.levels.tile_m(id.level);
         let edges = |index: i64, side_m: f64| (index as f64 * side_m, (index + 1) as f64 * side_m);
         let (north, east) = (edges(id.row, side_m.x), edges(id.col, side_m.y));
@@ -287,7 +287,7 @@ impl Recipe {
     }
 
     /// Fills `tile` with the scatterers of one tile, cells in the order of [`cell_at`]. Holes give none.
-    pub fn make(&self, id: TileId, tile: &mut Tile) {
+    pub(crate) fn make(&self, id: TileId, tile: &mut Tile) {
         tile.clear();
         let side_m = self.levels.tile_m(id.level);
         let middle_m = DVec2::new(
@@ -367,7 +367,7 @@ fn cell_at(place: usize) -> (i64, i64) {
 
 /// A box that holds all scatterers of a tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TileBox {
+pub(crate) struct TileBox {
     pub low_m: DVec3,
     pub high_m: DVec3,
 }
@@ -377,13 +377,13 @@ const BOX_MARGIN_M: f64 = 1e-3;
 
 impl TileBox {
     /// From a point in the box's coordinates to the nearest point of the box, metres.
-    pub fn distance_m(&self, from_m: DVec3) -> f64 {
+    pub(crate) fn distance_m(&self, from_m: DVec3) -> f64 {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
         from_m.clamp(low, high).distance(from_m)
     }
 
     /// False only where no point of the box is in the footprint. `apex_m` is the footprint's apex in the box's coordinates.
-    pub fn may_meet(&self, footprint: &Footprint, apex_m: DVec3) -> bool {
+    pub(crate) fn may_meet(&self, footprint: &Footprint, apex_m: DVec3) -> bool {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
         if self.distance_m(apex_m) > footprint.max_range_m {
             return false;

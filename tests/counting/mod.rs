@@ -40,11 +40,11 @@ unsafe impl GlobalAlloc for Counting {
 static COUNTING: Counting = Counting;
 
 /// Allocations of the calling thread so far.
-pub fn on_this_thread() -> u64 {
+pub(crate) fn on_this_thread() -> u64 {
     THIS_THREAD.get()
 }
 
 /// Allocations of the whole process so far.
-pub fn in_all_threads() -> u64 {
+pub(crate) fn in_all_threads() -> u64 {
     ALL_THREADS.load(Ordering::Relaxed)
 }

@@ -15,12 +15,12 @@ use super::triggers::{records, three};
 use super::{Daemon, PATIENCE};
 
 /// Records of pings by type and time stamp: what says when a file was begun stays out.
-pub type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
+pub(crate) type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
 
 /// Where year, day, seconds, hours and minutes stand in a record's frame.
 const TIME: std::ops::Range<usize> = 20..30;
 
-pub fn pings_of(folder: &Path) -> Pings {
+pub(crate) fn pings_of(folder: &Path) -> Pings {
     let files = std::fs::read_dir(folder).expect("folder");
     let paths = files.map(|e| e.expect("entry").path());
     let path = paths
@@ -44,7 +44,7 @@ pub fn pings_of(folder: &Path) -> Pings {
     pings
 }
 
-pub fn pings_in(pings: &Pings) -> usize {
+pub(crate) fn pings_in(pings: &Pings) -> usize {
     pings.keys().filter(|(kind, _)| *kind == 7000).count()
 }
 
@@ -68,7 +68,7 @@ fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
 }
 
 /// A small, quick rig: points in still water, ten pings a second.
-pub fn rig(folder: &Path, more: &[&str]) -> Daemon {
+pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
     let record = format!("record.directory={folder:?}");
     let mut arguments = vec!["hil-configs/points.toml"];
     let common = [
@@ -85,19 +85,19 @@ pub fn rig(folder: &Path, more: &[&str]) -> Daemon {
     Daemon::start(&arguments)
 }
 
-pub fn status(control: SocketAddr) -> Value {
+pub(crate) fn status(control: SocketAddr) -> Value {
     let (code, body) = client::get(control, "/status", None).expect("answers");
     assert_eq!(code, 200, "{body}");
     serde_json::from_str(&body).expect("JSON")
 }
 
-pub fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
+pub(crate) fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
     let (code, body) = client::command(control, command, None).expect("answers");
     (code, serde_json::from_str(&body).expect("JSON"))
 }
 
 /// Waits until so many pings have left.
-pub fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
+pub(crate) fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
     let until = Instant::now() + PATIENCE;
     loop {
         let now = status(control)["pings_delivered"]

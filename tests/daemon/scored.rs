@@ -104,7 +104,7 @@ impl Listeners {
 }
 
 /// A track that is long enough, and without a seam at which pings would be skipped, in the folder; the setting that has it followed.
-pub fn track(folder: &Path) -> String {
+pub(crate) fn track(folder: &Path) -> String {
     let track = folder.join("track.csv");
     let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
     for quarter in 0..300 {

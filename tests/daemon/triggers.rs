@@ -174,10 +174,10 @@ fn in_lockstep_a_trigger_is_a_step_and_a_number_counts_once() {
 }
 
 /// Bodies by kind and ping number.
-pub type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
+pub(crate) type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
 
 /// Ping number and time stamp (of the record's frame) of every 7000 of a sonar's records, and all its records of pings.
-pub fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
+pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
     let files = std::fs::read_dir(folder).expect("folder");
     let mut paths = files.map(|e| e.expect("entry").path());
     let its = |path: &std::path::PathBuf| {
@@ -225,7 +225,7 @@ fn every_pulse_is_told_with_the_number_and_the_time_of_its_records() {
 }
 
 /// The points' rig with a second and a third sonar, which follow the first at once and 40 ms later. `model`: lines of [sonar.model]; `more`: tables.
-pub fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
+pub(crate) fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let text = std::fs::read_to_string(root.join("points.toml")).expect("readable");
     let text = text

@@ -250,7 +250,7 @@ fn on_a_polyline_the_first_leg_that_holds_its_root_is_taken_and_jumps_are_counte
 }
 
 /// A platform that surges, heaves, rolls and yaws.
-pub fn restless() -> PingPlan {
+pub(crate) fn restless() -> PingPlan {
     let mut plan = ahead(0.0);
     let swing = |t: f64| (1.3 * t).sin_cos();
     plan.trajectory = Trajectory {

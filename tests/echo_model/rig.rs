@@ -7,11 +7,11 @@ use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonif
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-pub const C: f64 = 1500.0;
-pub const CARRIER_HZ: f64 = 400e3;
-pub const WAVELENGTH_M: f64 = C / CARRIER_HZ;
+pub(crate) const C: f64 = 1500.0;
+pub(crate) const CARRIER_HZ: f64 = 400e3;
+pub(crate) const WAVELENGTH_M: f64 = C / CARRIER_HZ;
 
-pub fn lfm(bandwidth_hz: f64, duration_s: f64) -> Pulse {
+pub(crate) fn lfm(bandwidth_hz: f64, duration_s: f64) -> Pulse {
     Pulse {
         kind: PulseKind::LfmUp,
         center_frequency_hz: CARRIER_HZ,
@@ -21,7 +21,7 @@ pub fn lfm(bandwidth_hz: f64, duration_s: f64) -> Pulse {
     }
 }
 
-pub fn cw(duration_s: f64) -> Pulse {
+pub(crate) fn cw(duration_s: f64) -> Pulse {
     Pulse {
         kind: PulseKind::Cw,
         bandwidth_hz: 0.0,
@@ -30,7 +30,11 @@ pub fn cw(duration_s: f64) -> Pulse {
 }
 
 /// A plan in uniform motion, polyline and stretch, one segment, absorption 0.05 dB/m, unit source level.
-pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQuat) -> PingPlan {
+pub(crate) fn uniform(
+    position_m: DVec3,
+    velocity_m_per_s: DVec3,
+    world_from_body: DQuat,
+) -> PingPlan {
     let trajectory = Trajectory::uniform(position_m, velocity_m_per_s, world_from_body);
     let pose = trajectory.pose_at(0.0);
     PingPlan {
@@ -87,12 +91,12 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
 }
 
 /// Along x (north) at `speed_m_per_s`, level, from the world's zero.
-pub fn ahead(speed_m_per_s: f64) -> PingPlan {
+pub(crate) fn ahead(speed_m_per_s: f64) -> PingPlan {
     uniform(DVec3::ZERO, DVec3::X * speed_m_per_s, DQuat::IDENTITY)
 }
 
 /// Replaces the polyline by chords of the trajectory, `count` of them over `span_s`, with the attitude of each chord's middle.
-pub fn chords(plan: &mut PingPlan, span_s: f64, count: usize) {
+pub(crate) fn chords(plan: &mut PingPlan, span_s: f64, count: usize) {
     let step_s = span_s / count as f64;
     let place_m = |k: usize| plan.trajectory.pose_at(k as f64 * step_s).position_m;
     plan.segments = (0..count)
@@ -109,14 +113,14 @@ pub fn chords(plan: &mut PingPlan, span_s: f64, count: usize) {
     plan.model.segment_s = step_s;
 }
 
-pub fn mounting(position_m: DVec3) -> Mounting {
+pub(crate) fn mounting(position_m: DVec3) -> Mounting {
     Mounting {
         position_m,
         body_from_array: DQuat::IDENTITY,
     }
 }
 
-pub fn transmitter(position_m: DVec3) -> TransmitArray {
+pub(crate) fn transmitter(position_m: DVec3) -> TransmitArray {
     TransmitArray {
         mounting: mounting(position_m),
         pattern: Pattern::Omnidirectional,
@@ -125,11 +129,11 @@ pub fn transmitter(position_m: DVec3) -> TransmitArray {
 }
 
 /// One omnidirectional element.
-pub fn element(position_m: DVec3) -> ArrayGeometry {
+pub(crate) fn element(position_m: DVec3) -> ArrayGeometry {
     line(position_m, 1)
 }
 
-pub fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
+pub(crate) fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
     ArrayGeometry {
         mounting: mounting(position_m),
         elements,
@@ -141,11 +145,11 @@ pub fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
 }
 
 /// Looks to starboard, 30 degrees below the horizon.
-pub fn starboard() -> DQuat {
+pub(crate) fn starboard() -> DQuat {
     rotation_from_angles(-60f64.to_radians(), 0.0, 0.0)
 }
 
-pub fn points(positions_m: impl IntoIterator<Item = DVec3>) -> Scatterers {
+pub(crate) fn points(positions_m: impl IntoIterator<Item = DVec3>) -> Scatterers {
     let mut scatterers = Scatterers::default();
     for position_m in positions_m {
         scatterers.push(position_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
@@ -154,18 +158,18 @@ pub fn points(positions_m: impl IntoIterator<Item = DVec3>) -> Scatterers {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Arrival {
-    pub delay_s: f64,
-    pub doppler: f64,
-    pub curvature_per_s: f64,
-    pub amplitude: Complex64,
+pub(crate) struct Arrival {
+    pub(crate) delay_s: f64,
+    pub(crate) doppler: f64,
+    pub(crate) curvature_per_s: f64,
+    pub(crate) amplitude: Complex64,
 }
 
 /// Keeps every echo.
 #[derive(Default)]
-pub struct Collected {
-    pub arrivals: Vec<Arrival>,
-    pub chunks: Vec<usize>,
+pub(crate) struct Collected {
+    pub(crate) arrivals: Vec<Arrival>,
+    pub(crate) chunks: Vec<usize>,
 }
 
 impl ArrivalSink for Collected {
@@ -183,12 +187,12 @@ impl ArrivalSink for Collected {
 }
 
 /// Listens for ever.
-pub const ALWAYS: Window = Window {
+pub(crate) const ALWAYS: Window = Window {
     first_s: 0.0,
     last_s: 1e3,
 };
 
-pub fn collect(
+pub(crate) fn collect(
     plan: &PingPlan,
     tx: &TransmitArray,
     array: &ArrayGeometry,
@@ -201,7 +205,7 @@ pub fn collect(
     (sink, counts)
 }
 
-pub fn walk(
+pub(crate) fn walk(
     plan: &PingPlan,
     tx: &TransmitArray,
     array: &ArrayGeometry,
@@ -224,7 +228,7 @@ pub fn walk(
 }
 
 /// Numbers in 0..1 that look random and are the same everywhere (a Weyl sequence).
-pub fn weyl(k: usize, which: usize) -> f64 {
+pub(crate) fn weyl(k: usize, which: usize) -> f64 {
     const STEPS: [f64; 4] = [
         0.754_877_666_246_693,
         0.569_840_290_998_053,
@@ -235,7 +239,7 @@ pub fn weyl(k: usize, which: usize) -> f64 {
 }
 
 /// |got - want| / |want| over whole records.
-pub fn relative_l2(got: &[Complex64], want: &[Complex64]) -> f64 {
+pub(crate) fn relative_l2(got: &[Complex64], want: &[Complex64]) -> f64 {
     let difference: f64 = got.iter().zip(want).map(|(a, b)| (a - b).norm_sqr()).sum();
     let size: f64 = want.iter().map(|b| b.norm_sqr()).sum();
     (difference / size).sqrt()

@@ -153,7 +153,7 @@ type Method = fn(
 ) -> (Vec<Complex64>, EchoCounts);
 
 /// A few hundred points, two arrays with patterns, normals and laws of both kinds.
-pub fn busy() -> (TransmitArray, ArrayGeometry, Scatterers) {
+pub(crate) fn busy() -> (TransmitArray, ArrayGeometry, Scatterers) {
     let mut tx = transmitter(DVec3::new(0.4, 0.0, 0.0));
     tx.pattern = Pattern::Rectangle {
         length_m: 0.01,

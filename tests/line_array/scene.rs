@@ -14,35 +14,35 @@ use num_complex::Complex64;
 
 use crate::rig::*;
 
-pub const RATE_HZ: f64 = 52e3;
+pub(crate) const RATE_HZ: f64 = 52e3;
 
 /// One ping with everything it needs.
-pub struct Scene {
-    pub plan: PingPlan,
-    pub tx: TransmitArray,
-    pub rx: ArrayGeometry,
-    pub scatterers: Scatterers,
-    pub decimator: Decimator,
+pub(crate) struct Scene {
+    pub(crate) plan: PingPlan,
+    pub(crate) tx: TransmitArray,
+    pub(crate) rx: ArrayGeometry,
+    pub(crate) scatterers: Scatterers,
+    pub(crate) decimator: Decimator,
 }
 
 /// How a scene is drawn.
 #[derive(Clone, Copy)]
-pub struct Draw {
-    pub elements: usize,
-    pub scatterers: usize,
+pub(crate) struct Draw {
+    pub(crate) elements: usize,
+    pub(crate) scatterers: usize,
     /// To either side of broadside, degrees.
-    pub sector_deg: f64,
+    pub(crate) sector_deg: f64,
     /// Surge (along the array), sway, heave.
-    pub velocity_m_per_s: DVec3,
-    pub near_m: f64,
-    pub far_m: f64,
+    pub(crate) velocity_m_per_s: DVec3,
+    pub(crate) near_m: f64,
+    pub(crate) far_m: f64,
     /// Of the bottom about its mean depth.
-    pub rough_m: f64,
-    pub taper: f64,
-    pub seed: usize,
+    pub(crate) rough_m: f64,
+    pub(crate) taper: f64,
+    pub(crate) seed: usize,
 }
 
-pub const SIDE_SCAN: Draw = Draw {
+pub(crate) const SIDE_SCAN: Draw = Draw {
     elements: 32,
     scatterers: 300,
     sector_deg: 15.0,
@@ -57,7 +57,7 @@ pub const SIDE_SCAN: Draw = Draw {
 const DEPTH_M: f64 = 30.0;
 
 /// A bottom 30 m below a line array along the track, seen to starboard.
-pub fn draw(d: Draw) -> Scene {
+pub(crate) fn draw(d: Draw) -> Scene {
     let mut plan = uniform(DVec3::ZERO, d.velocity_m_per_s, DQuat::IDENTITY);
     plan.pulse.taper = d.taper;
     plan.absorption_db_per_m = 0.096;
@@ -95,7 +95,7 @@ pub fn draw(d: Draw) -> Scene {
 }
 
 /// Records of all elements, and the reports of all tasks.
-pub fn engine<T: Sample>(
+pub(crate) fn engine<T: Sample>(
     scene: &Scene,
     fineness: Fineness,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
@@ -103,7 +103,7 @@ pub fn engine<T: Sample>(
 }
 
 /// The same in a given SIMD level, first task last if `backward`.
-pub fn engine_in<T: Sample>(
+pub(crate) fn engine_in<T: Sample>(
     scene: &Scene,
     fineness: Fineness,
     simd_level: SimdLevel,
@@ -152,7 +152,7 @@ pub fn engine_in<T: Sample>(
 }
 
 /// One element by the direct sum and the receiver filter, or by the reference.
-pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
+pub(crate) fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
     let Scene {
         plan,
         tx,
@@ -190,7 +190,7 @@ pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
 
 /// Worst |got - want| over |want| in windows of one pulse, a quarter of a window apart. Windows below a millionth of the record's rms
 /// count against that.
-pub fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
+pub(crate) fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
     let length = ((pulse_s * RATE_HZ) as usize).max(32).min(want.len());
     let energy = |x: &[Complex64]| x.iter().map(|v| v.norm_sqr()).sum::<f64>();
     let floor = 1e-12 * energy(want) * length as f64 / want.len() as f64;
@@ -208,7 +208,11 @@ pub fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 
 }
 
 /// Worst window over a few elements: the ends and one between.
-pub fn error<T: Sample>(scene: &Scene, fineness: Fineness, slow: bool) -> (f64, Vec<TaskReport>) {
+pub(crate) fn error<T: Sample>(
+    scene: &Scene,
+    fineness: Fineness,
+    slow: bool,
+) -> (f64, Vec<TaskReport>) {
     let (records, reports) = engine::<T>(scene, fineness);
     let last = scene.rx.elements - 1;
     let mut worst: f64 = 0.0;

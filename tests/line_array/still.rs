@@ -11,7 +11,7 @@ use crate::rig::ALWAYS;
 use crate::scene::*;
 
 /// Nothing spared.
-pub const FINE: Fineness = Fineness {
+pub(crate) const FINE: Fineness = Fineness {
     stretch: 16,
     slab_samples: 2048,
     time_width: 12,

@@ -42,15 +42,15 @@ unsafe impl GlobalAlloc for Peak {
 static PEAK: Peak = Peak;
 
 /// Bytes in use by the whole process.
-pub fn in_use() -> usize {
+pub(crate) fn in_use() -> usize {
     IN_USE.load(Ordering::Relaxed)
 }
 
 /// The most since [`reset`].
-pub fn highest() -> usize {
+pub(crate) fn highest() -> usize {
     HIGHEST.load(Ordering::Relaxed)
 }
 
-pub fn reset() {
+pub(crate) fn reset() {
     HIGHEST.store(in_use(), Ordering::Relaxed);
 }

@@ -7,10 +7,10 @@ use echotank_config::spec::SeabedFileSpec;
 use echotank_scene::read::Survey;
 use echotank_scene::read::mesh::{self, MeshAxes};
 
-pub struct Seed {
+pub(crate) struct Seed {
     /// Its extension tells formats without a signature apart.
-    pub name: &'static str,
-    pub bytes: Vec<u8>,
+    pub(crate) name: &'static str,
+    pub(crate) bytes: Vec<u8>,
 }
 
 impl Seed {
@@ -22,14 +22,14 @@ impl Seed {
     }
 }
 
-pub fn data(name: &str) -> PathBuf {
+pub(crate) fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/data/bathy")
         .join(name)
 }
 
 /// Small ones, and the real GeoTIFF.
-pub fn small() -> Vec<Seed> {
+pub(crate) fn small() -> Vec<Seed> {
     let reef = std::fs::read(data("laparguera_hitw_bathy.tif")).expect("the GeoTIFF");
     vec![
         Seed::new("grid.asc", ascii()),
@@ -46,13 +46,13 @@ pub fn small() -> Vec<Seed> {
     ]
 }
 
-pub fn bag() -> Seed {
+pub(crate) fn bag() -> Seed {
     let bytes = std::fs::read(data("JD211_public_Release_1-4_UTM.bag")).expect("the BAG");
     Seed::new("survey.bag", bytes)
 }
 
 /// Opens bytes as whatever the name says they are.
-pub fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
+pub(crate) fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
     let extension = name.rsplit('.').next().unwrap_or("");
     if ["obj", "stl"].contains(&extension) {
         let mesh =
@@ -83,10 +83,10 @@ pub fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
 }
 
 /// Reproducible numbers (xorshift64, Marsaglia 2003).
-pub struct Random(pub u64);
+pub(crate) struct Random(pub u64);
 
 impl Random {
-    pub fn below(&mut self, limit: usize) -> usize {
+    pub(crate) fn below(&mut self, limit: usize) -> usize {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
@@ -95,7 +95,7 @@ impl Random {
 }
 
 /// Bytes cut off, changed, doubled or put in, most often near the front, where the headers are.
-pub fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
+pub(crate) fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..1 + random.below(6) {
         let reach = match random.below(3) {
@@ -132,7 +132,7 @@ pub fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     bytes
 }
 
-pub fn ascii() -> String {
+pub(crate) fn ascii() -> String {
     let mut text =
         "ncols 9\nnrows 7\nxllcorner 1000\nyllcorner 2000\ncellsize 5\nNODATA_value -99\n"
             .to_owned();
@@ -152,7 +152,7 @@ pub fn ascii() -> String {
 }
 
 /// 0.001 degrees about 10 east, 54 north: down = 20 + 1000 (lat - 54) - 500 (lon - 10).
-pub fn degrees() -> String {
+pub(crate) fn degrees() -> String {
     let mut text =
         "ncols 21\nnrows 31\nxllcenter 9.99\nyllcenter 53.985\ncellsize 0.001\n".to_owned();
     for row in (0..31).rev() {
@@ -170,7 +170,7 @@ pub fn degrees() -> String {
     text
 }
 
-pub fn xyz() -> String {
+pub(crate) fn xyz() -> String {
     (0..60)
         .map(|k| {
             let k = f64::from(k);
@@ -184,7 +184,7 @@ pub fn xyz() -> String {
 }
 
 /// Corners of a square pyramid; its base lies at z = -2 and its top at z = 1.
-pub const PYRAMID: [[f64; 3]; 5] = [
+pub(crate) const PYRAMID: [[f64; 3]; 5] = [
     [0.0, 0.0, -2.0],
     [4.0, 0.0, -2.0],
     [4.0, 6.0, -2.0],
@@ -192,7 +192,7 @@ pub const PYRAMID: [[f64; 3]; 5] = [
     [2.0, 3.0, 1.0],
 ];
 
-pub fn ply_points() -> String {
+pub(crate) fn ply_points() -> String {
     let mut text = "ply\nformat ascii 1.0\ncomment soundings\nelement vertex 40\nproperty double x\nproperty double y\nproperty uchar red\nproperty double z\nend_header\n".to_owned();
     for k in 0..40 {
         let k = f64::from(k);
@@ -206,7 +206,7 @@ pub fn ply_points() -> String {
 }
 
 /// Binary, four sides and a four-cornered base.
-pub fn ply_mesh() -> Vec<u8> {
+pub(crate) fn ply_mesh() -> Vec<u8> {
     let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nelement face 5\nproperty list uchar int vertex_indices\nend_header\n".to_vec();
     for v in PYRAMID {
         for c in v {
@@ -229,11 +229,11 @@ pub fn ply_mesh() -> Vec<u8> {
     bytes
 }
 
-pub const OBJ: &str = "# a pyramid\nmtllib none.mtl\no pyramid\nv 0 0 -2\nv 4 0 -2\nv 4 6 -2\nv 0 6 -2\nv 2 3 1\nvn 0 0 1\nf 1//1 2//1 5//1\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 1 4 3 2\n";
+pub(crate) const OBJ: &str = "# a pyramid\nmtllib none.mtl\no pyramid\nv 0 0 -2\nv 4 0 -2\nv 4 6 -2\nv 0 6 -2\nv 2 3 1\nvn 0 0 1\nf 1//1 2//1 5//1\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 1 4 3 2\n";
 
 const STL_TEXT: &str = "solid one\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid one\n";
 
-pub fn stl() -> Vec<u8> {
+pub(crate) fn stl() -> Vec<u8> {
     let faces = [
         [0, 1, 4],
         [1, 2, 4],
@@ -259,7 +259,7 @@ pub fn stl() -> Vec<u8> {
 }
 
 /// 200 points, of which every twentieth is noise at z = 500.
-pub fn las() -> Vec<u8> {
+pub(crate) fn las() -> Vec<u8> {
     let mut builder = las::Builder::from((1, 2));
     let transform = |offset| las::Transform {
         scale: 0.001,
@@ -293,16 +293,16 @@ pub fn las() -> Vec<u8> {
 type Value = (u16, u32, Vec<u8>);
 
 /// A bare TIFF of one strip, whose tags can be said one by one.
-pub struct Tiff {
-    pub width: u32,
-    pub height: u32,
-    pub scale: Option<[f64; 3]>,
-    pub tie: [f64; 6],
-    pub transformation: Option<[f64; 16]>,
+pub(crate) struct Tiff {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) scale: Option<[f64; 3]>,
+    pub(crate) tie: [f64; 6],
+    pub(crate) transformation: Option<[f64; 16]>,
     /// Key and value of GeoKeys whose value is a short.
-    pub keys: Vec<(u16, u16)>,
-    pub nodata: Option<&'static str>,
-    pub cells: Vec<f32>,
+    pub(crate) keys: Vec<(u16, u16)>,
+    pub(crate) nodata: Option<&'static str>,
+    pub(crate) cells: Vec<f32>,
 }
 
 impl Default for Tiff {
@@ -322,7 +322,7 @@ impl Default for Tiff {
 }
 
 impl Tiff {
-    pub fn bytes(&self) -> Vec<u8> {
+    pub(crate) fn bytes(&self) -> Vec<u8> {
         const SHORT: u16 = 3;
         const LONG: u16 = 4;
         const DOUBLE: u16 = 12;

@@ -19,7 +19,7 @@ use super::wire_rig::*;
 
 const ELEMENTS: usize = 256;
 const BEAMS: usize = 256;
-pub const SAMPLES: usize = 2000;
+pub(crate) const SAMPLES: usize = 2000;
 const PINGS: u32 = 20;
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -38,7 +38,7 @@ fn large() -> SonarSpec {
     sonar
 }
 
-pub fn frames() -> PingOutput {
+pub(crate) fn frames() -> PingOutput {
     let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
     PingOutput {
         elements: vec![ElementFrame {
@@ -59,7 +59,7 @@ pub fn frames() -> PingOutput {
     }
 }
 
-pub fn start(change: impl FnOnce(&mut SevenKSpec)) -> (SonarServer, SevenKEmitter) {
+pub(crate) fn start(change: impl FnOnce(&mut SevenKSpec)) -> (SonarServer, SevenKEmitter) {
     let mut spec = output_spec();
     spec.arrays = vec![0];
     spec.client_queue_bytes = 16 << 20;

@@ -15,7 +15,7 @@ use echotank_runtime::settings::SettingsStore;
 
 use super::wire_rig::*;
 
-pub fn jsf_spec(channels: JsfChannels, format: JsfFormat) -> JsfSpec {
+pub(crate) fn jsf_spec(channels: JsfChannels, format: JsfFormat) -> JsfSpec {
     JsfSpec {
         listen: "127.0.0.1:0".parse().expect("an address"),
         listen_data: "127.0.0.1:0".parse().expect("an address"),
@@ -30,7 +30,7 @@ pub fn jsf_spec(channels: JsfChannels, format: JsfFormat) -> JsfSpec {
     }
 }
 
-pub fn jsf_sheet(channels: JsfChannels, format: JsfFormat) -> Arc<JsfSheet> {
+pub(crate) fn jsf_sheet(channels: JsfChannels, format: JsfFormat) -> Arc<JsfSheet> {
     Arc::new(JsfSheet {
         output: jsf_spec(channels, format),
         sonar: sonar(),
@@ -38,7 +38,7 @@ pub fn jsf_sheet(channels: JsfChannels, format: JsfFormat) -> Arc<JsfSheet> {
 }
 
 /// Messages of a ping; the matched filter doubles, so that one sees whether it was there.
-pub fn jsf_ping(
+pub(crate) fn jsf_ping(
     channels: JsfChannels,
     format: JsfFormat,
     plan: &PingPlan,
@@ -56,29 +56,29 @@ pub fn jsf_ping(
     messages
 }
 
-pub fn jsf_message(datagram: &Datagram) -> Message<'_> {
+pub(crate) fn jsf_message(datagram: &Datagram) -> Message<'_> {
     let message = Message::parse(&datagram.bytes).expect("a whole message");
     assert_eq!(message.size_bytes(), datagram.bytes.len());
     message
 }
 
-pub fn xtf_emitter(sonar: &SonarSpec) -> XtfEmitter {
+pub(crate) fn xtf_emitter(sonar: &SonarSpec) -> XtfEmitter {
     XtfEmitter::new(&XtfSpec { is_float: false }, sonar, SOUND_M_PER_S)
 }
 
 /// The command connection of one JSF client.
-pub struct JsfClient {
-    pub store: Arc<SettingsStore>,
-    pub session: Box<dyn Session>,
-    pub now: UtcNs,
+pub(crate) struct JsfClient {
+    pub(crate) store: Arc<SettingsStore>,
+    pub(crate) session: Box<dyn Session>,
+    pub(crate) now: UtcNs,
 }
 
 impl JsfClient {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::over(store())
     }
 
-    pub fn over(store: Arc<SettingsStore>) -> Self {
+    pub(crate) fn over(store: Arc<SettingsStore>) -> Self {
         let protocol = JsfCommands {
             sheet: jsf_sheet(JsfChannels::Sides, JsfFormat::Envelope),
             settings: store.clone(),
@@ -92,20 +92,20 @@ impl JsfClient {
     }
 
     /// What comes of bytes: the answers, in order.
-    pub fn send(&mut self, bytes: &[u8]) -> Vec<Control> {
+    pub(crate) fn send(&mut self, bytes: &[u8]) -> Vec<Control> {
         let mut out = Vec::new();
         self.session.receive(bytes, self.now, &mut out);
         answers(&out)
     }
 
-    pub fn command(&mut self, control: &Control) -> Vec<Control> {
+    pub(crate) fn command(&mut self, control: &Control) -> Vec<Control> {
         let mut bytes = Vec::new();
         control.emit(&mut bytes);
         self.send(&bytes)
     }
 
     /// None: obeyed without a word.
-    pub fn set(&mut self, message_type: u16, channel: u8, value: Value) -> Option<Value> {
+    pub(crate) fn set(&mut self, message_type: u16, channel: u8, value: Value) -> Option<Value> {
         let control = control(command_type::SET, message_type, 20, channel, value);
         let mut answers = self.command(&control);
         assert!(answers.len() <= 1);
@@ -115,7 +115,7 @@ impl JsfClient {
         })
     }
 
-    pub fn get(&mut self, message_type: u16, channel: u8) -> Value {
+    pub(crate) fn get(&mut self, message_type: u16, channel: u8) -> Value {
         let control = control(command_type::GET, message_type, 20, channel, Value::None);
         let answers = self.command(&control);
         let [answer] = &answers[..] else {
@@ -130,7 +130,7 @@ impl JsfClient {
     }
 }
 
-pub fn control(
+pub(crate) fn control(
     command_type: u8,
     message_type: u16,
     subsystem: u8,
@@ -148,7 +148,7 @@ pub fn control(
     }
 }
 
-pub fn answers(out: &[Outgoing]) -> Vec<Control> {
+pub(crate) fn answers(out: &[Outgoing]) -> Vec<Control> {
     out.iter()
         .map(|item| {
             let Outgoing::Reply(datagram) = item else {
@@ -160,7 +160,7 @@ pub fn answers(out: &[Outgoing]) -> Vec<Control> {
 }
 
 /// A head over a store, with one client.
-pub fn imagenex(store: &Arc<SettingsStore>) -> (Arc<Head>, Box<dyn Session>) {
+pub(crate) fn imagenex(store: &Arc<SettingsStore>) -> (Arc<Head>, Box<dyn Session>) {
     let head = Arc::new(Head::default());
     let protocol = ImagenexProtocol {
         settings: store.clone(),

@@ -23,17 +23,17 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 /// 2025-06-15 15:06:40 UTC.
-pub const TRANSMIT_UTC: UtcNs = UtcNs(1_750_000_000_000_000_000);
-pub const PULSE_S: f64 = 0.5;
-pub const SAMPLE_RATE_HZ: f64 = 1000.0;
-pub const FULL_SCALE_V: f64 = 2.0;
-pub const SOUND_M_PER_S: f64 = 1500.0;
-pub const ABSORPTION_DB_PER_M: f64 = 0.1;
-pub const SERIAL: u64 = 0x1122_3344_5566_7788;
-pub const DEVICE: u32 = 103;
-pub const ENUMERATOR: u16 = 2;
+pub(crate) const TRANSMIT_UTC: UtcNs = UtcNs(1_750_000_000_000_000_000);
+pub(crate) const PULSE_S: f64 = 0.5;
+pub(crate) const SAMPLE_RATE_HZ: f64 = 1000.0;
+pub(crate) const FULL_SCALE_V: f64 = 2.0;
+pub(crate) const SOUND_M_PER_S: f64 = 1500.0;
+pub(crate) const ABSORPTION_DB_PER_M: f64 = 0.1;
+pub(crate) const SERIAL: u64 = 0x1122_3344_5566_7788;
+pub(crate) const DEVICE: u32 = 103;
+pub(crate) const ENUMERATOR: u16 = 2;
 
-pub const SETTINGS: SonarSettings = SonarSettings {
+pub(crate) const SETTINGS: SonarSettings = SonarSettings {
     pinging: true,
     range_m: 75.0,
     max_ping_rate_hz: 5.0,
@@ -57,7 +57,7 @@ fn array(elements: usize, roll_rad: f64, yaw_rad: f64) -> ArrayGeometry {
 }
 
 /// Port and starboard side-scan arrays of 2 and 3 elements, and a fan of 4 beams from 5 elements.
-pub fn sonar() -> SonarSpec {
+pub(crate) fn sonar() -> SonarSpec {
     SonarSpec {
         name: "rig <1> & \"co\"".into(),
         serial: SERIAL,
@@ -149,7 +149,7 @@ pub fn sonar() -> SonarSpec {
 }
 
 /// Starboard's elements before port's; the fan's are not on the wire.
-pub fn output_spec() -> SevenKSpec {
+pub(crate) fn output_spec() -> SevenKSpec {
     SevenKSpec {
         listen: "127.0.0.1:0".parse().expect("an address"),
         device_id: DEVICE,
@@ -162,11 +162,11 @@ pub fn output_spec() -> SevenKSpec {
     }
 }
 
-pub fn sheet() -> Arc<DeviceSheet> {
+pub(crate) fn sheet() -> Arc<DeviceSheet> {
     sheet_of(&sonar())
 }
 
-pub fn sheet_of(sonar: &SonarSpec) -> Arc<DeviceSheet> {
+pub(crate) fn sheet_of(sonar: &SonarSpec) -> Arc<DeviceSheet> {
     Arc::new(DeviceSheet::new(
         &output_spec(),
         sonar,
@@ -175,7 +175,7 @@ pub fn sheet_of(sonar: &SonarSpec) -> Arc<DeviceSheet> {
     ))
 }
 
-pub fn store() -> Arc<SettingsStore> {
+pub(crate) fn store() -> Arc<SettingsStore> {
     Arc::new(SettingsStore::new(
         SETTINGS,
         sonar().limits,
@@ -183,7 +183,7 @@ pub fn store() -> Arc<SettingsStore> {
     ))
 }
 
-pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
+pub(crate) fn plan(ping_number: u32, samples: usize) -> PingPlan {
     let trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
     PingPlan {
         sonar: 0,
@@ -226,14 +226,14 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
 }
 
 /// Volts that tell array, element and sample.
-pub fn volts(array: usize, element: usize, sample: usize) -> Complex64 {
+pub(crate) fn volts(array: usize, element: usize, sample: usize) -> Complex64 {
     Complex64::new(
         0.1 * (array + 1) as f64 + 0.01 * element as f64,
         -0.001 * (sample % 1000) as f64,
     )
 }
 
-pub fn output(samples: usize) -> PingOutput {
+pub(crate) fn output(samples: usize) -> PingOutput {
     let elements = sonar()
         .receive
         .iter()
@@ -277,7 +277,12 @@ pub fn output(samples: usize) -> PingOutput {
 // ---------------------------------------------------------------- clients' bytes
 
 /// A 7500 record to a device.
-pub fn command_record(command: Command, ticket: u32, device: u32, enumerator: u16) -> Vec<u8> {
+pub(crate) fn command_record(
+    command: Command,
+    ticket: u32,
+    device: u32,
+    enumerator: u16,
+) -> Vec<u8> {
     let stamp = RecordStamp {
         time: SevenKTime::from_utc_ns_clamped(0),
         device_id: device,
@@ -294,34 +299,34 @@ pub fn command_record(command: Command, ticket: u32, device: u32, enumerator: u1
 }
 
 /// A record in one packet.
-pub fn packet(record: &[u8]) -> Vec<u8> {
+pub(crate) fn packet(record: &[u8]) -> Vec<u8> {
     let mut wire = Vec::new();
     Packetiser::whole_records().packetise(record, &mut wire);
     wire
 }
 
 /// A command to the Center, framed.
-pub fn command(command: Command, ticket: u32) -> Vec<u8> {
+pub(crate) fn command(command: Command, ticket: u32) -> Vec<u8> {
     packet(&command_record(command, ticket, 7000, 0))
 }
 
 // ---------------------------------------------------------------- bytes by offset
 
-pub fn u16_at(bytes: &[u8], at: usize) -> u16 {
+pub(crate) fn u16_at(bytes: &[u8], at: usize) -> u16 {
     u16::from_le_bytes(bytes[at..at + 2].try_into().expect("2 bytes"))
 }
-pub fn i16_at(bytes: &[u8], at: usize) -> i16 {
+pub(crate) fn i16_at(bytes: &[u8], at: usize) -> i16 {
     u16_at(bytes, at) as i16
 }
-pub fn u32_at(bytes: &[u8], at: usize) -> u32 {
+pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("4 bytes"))
 }
-pub fn f32_at(bytes: &[u8], at: usize) -> f32 {
+pub(crate) fn f32_at(bytes: &[u8], at: usize) -> f32 {
     f32::from_bits(u32_at(bytes, at))
 }
-pub fn u64_at(bytes: &[u8], at: usize) -> u64 {
+pub(crate) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"))
 }
-pub fn f64_at(bytes: &[u8], at: usize) -> f64 {
+pub(crate) fn f64_at(bytes: &[u8], at: usize) -> f64 {
     f64::from_bits(u64_at(bytes, at))
 }

@@ -1,7 +1,7 @@
 //! Rigs that a recorded track carries, in tests and tools.
 
 /// Navigation from `track.csv` beside the configuration, waited for on both sides of every ping.
-pub const ALONG_TRACK: &str = r#"[nav]
+pub(crate) const ALONG_TRACK: &str = r#"[nav]
 origin = { latitude_deg = 59.0, longitude_deg = 18.0 }
 mode = "settle"
 vertical = "depth"
@@ -13,4 +13,4 @@ provides = ["position", "heading", "roll-pitch"]
 "#;
 
 /// What that file begins with.
-pub const COLUMNS: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n";
+pub(crate) const COLUMNS: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n";

@@ -8,16 +8,16 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 /// The typeface that pictures are set in: the same on every machine.
 const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
-pub const FAMILY: &str = "Ubuntu";
+pub(crate) const FAMILY: &str = "Ubuntu";
 /// Pixels of the PNG per unit of the SVG.
 const ZOOM: f32 = 1.5;
 
-pub const INK: &str = "#1b1f24";
-pub const GREY: &str = "#8a9099";
-pub const PALE: &str = "#e4e7eb";
+pub(crate) const INK: &str = "#1b1f24";
+pub(crate) const GREY: &str = "#8a9099";
+pub(crate) const PALE: &str = "#e4e7eb";
 
 /// Text for XML.
-pub fn escaped(text: &str) -> String {
+pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
@@ -25,39 +25,45 @@ pub fn escaped(text: &str) -> String {
 }
 
 /// A drawing under way.
-pub struct Svg {
+pub(crate) struct Svg {
     text: String,
 }
 
 /// Where a text's anchor is.
 #[derive(Clone, Copy)]
-pub enum Anchor {
+pub(crate) enum Anchor {
     Start,
     Middle,
     End,
 }
 
 impl Svg {
-    pub fn new(width: f64, height: f64) -> Self {
+    pub(crate) fn new(width: f64, height: f64) -> Self {
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" font-family=\"{FAMILY}, 'Segoe UI', Helvetica, sans-serif\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
         );
         Self { text }
     }
 
-    pub fn raw(&mut self, element: &str) {
+    pub(crate) fn raw(&mut self, element: &str) {
         self.text.push_str(element);
         self.text.push('\n');
     }
 
-    pub fn line(&mut self, (x1, y1): (f64, f64), (x2, y2): (f64, f64), colour: &str, dash: &str) {
+    pub(crate) fn line(
+        &mut self,
+        (x1, y1): (f64, f64),
+        (x2, y2): (f64, f64),
+        colour: &str,
+        dash: &str,
+    ) {
         let _ = writeln!(
             self.text,
             "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\" stroke-dasharray=\"{dash}\"/>"
         );
     }
 
-    pub fn polyline(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
+    pub(crate) fn polyline(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
         let points: Vec<String> = points
             .iter()
             .map(|(x, y)| format!("{x:.1},{y:.1}"))
@@ -69,7 +75,7 @@ impl Svg {
         );
     }
 
-    pub fn words(
+    pub(crate) fn words(
         &mut self,
         (x, y): (f64, f64),
         size: f64,
@@ -89,19 +95,19 @@ impl Svg {
         );
     }
 
-    pub fn finish(mut self) -> String {
+    pub(crate) fn finish(mut self) -> String {
         self.text.push_str("</svg>\n");
         self.text
     }
 }
 
 /// Width of a text, near enough to keep labels apart.
-pub fn width_of(text: &str, size: f64) -> f64 {
+pub(crate) fn width_of(text: &str, size: f64) -> f64 {
     0.52 * size * text.chars().count() as f64
 }
 
 #[derive(Debug, thiserror::Error)]
-pub enum DrawError {
+pub(crate) enum DrawError {
     #[error("the picture cannot be drawn: {0}")]
     Svg(#[from] resvg::usvg::Error),
     #[error("the picture is too large")]
@@ -111,7 +117,7 @@ pub enum DrawError {
 }
 
 /// The SVG as PNG.
-pub fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
+pub(crate) fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());
     let options = Options {

@@ -9,7 +9,7 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:1.5rem auto
 
 const SCRIPT: &str = "const tip=document.getElementById('tip');const rows=[...document.querySelectorAll('tr[data-row]')];function at(id){for(const r of rows)r.classList.toggle('at',r.dataset.row===id)}for(const p of document.querySelectorAll('svg [data-row]')){p.addEventListener('pointermove',e=>{tip.textContent=p.dataset.tip;tip.style.display='block';tip.style.left=Math.min(e.clientX+14,innerWidth-tip.offsetWidth-8)+'px';tip.style.top=(e.clientY+14)+'px';at(p.dataset.row)});p.addEventListener('pointerleave',()=>{tip.style.display='none'});p.addEventListener('click',()=>{const r=rows.find(r=>r.dataset.row===p.dataset.row);if(r)r.scrollIntoView({block:'center',behavior:'smooth'})})}";
 
-pub fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) -> String {
+pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) -> String {
     let mut table = String::from(
         "<table><thead><tr><th>ms, median<th>least<th>greatest<th>element error<th>predicted<th>lines<th>image dB<th>level dB<th>method</tr></thead><tbody>",
     );

@@ -9,23 +9,23 @@ use echotank_runtime::chart::Chart;
 use super::super::Failure;
 
 /// Where `tools/peers` leaves its points, from the folder that it is run in.
-pub const FILE: &str = "out/peers/points.json";
+pub(crate) const FILE: &str = "out/peers/points.json";
 
 /// One program at one setting, on points of its own.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
-pub struct Peer {
-    pub name: String,
-    pub scatterers: f64,
-    pub elements: f64,
-    pub milliseconds: f64,
+pub(crate) struct Peer {
+    pub(crate) name: String,
+    pub(crate) scatterers: f64,
+    pub(crate) elements: f64,
+    pub(crate) milliseconds: f64,
     /// Against the sum that it computes.
-    pub error: f64,
-    pub threads: f64,
-    pub load: f64,
+    pub(crate) error: f64,
+    pub(crate) threads: f64,
+    pub(crate) load: f64,
 }
 
 /// None of them where nobody asked for a file and there is none.
-pub fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
+pub(crate) fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
     let path = match asked {
         Some(path) => path,
         None if Path::new(FILE).exists() => Path::new(FILE),
@@ -56,13 +56,13 @@ fn parse(text: &str) -> Result<Vec<Peer>, String> {
 
 impl Peer {
     /// As if it took this scene's pairs of scatterer and element as fast as its own, evenly on all threads.
-    pub fn here_ms(&self, chart: &Chart) -> f64 {
+    pub(crate) fn here_ms(&self, chart: &Chart) -> f64 {
         let here = (chart.scatterers * chart.elements) as f64 / chart.threads as f64;
         self.milliseconds * here * self.threads / (self.scatterers * self.elements)
     }
 
     /// In words.
-    pub fn said(&self, chart: &Chart) -> String {
+    pub(crate) fn said(&self, chart: &Chart) -> String {
         format!(
             "{}\n{:.2} ms for {} scatterers at {} elements on {} threads, load {:.1}: {:.1} ms here in proportion\nerror {:.1e} of the sum that it computes, nothing moving",
             self.name,

@@ -159,7 +159,7 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
 const MIN_ERROR: f64 = 1e-8;
 const MIN_DB: f64 = 1e-4;
 
-pub fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
+pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
     let title = format!("{}: accuracy against speed", chart.sonar);
     svg.words((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
@@ -476,7 +476,7 @@ fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
 }
 
 /// Milliseconds against four kinds of work.
-pub fn work(curves: &[Curve], about: &About) -> String {
+pub(crate) fn work(curves: &[Curve], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, 420.0);
     svg.words(
         (24.0, 32.0),

@@ -10,16 +10,16 @@ use echotank_runtime::chart::{Chart, Row};
 use super::peers::Peer;
 
 /// What a chart was measured on.
-pub struct About {
-    pub machine: String,
+pub(crate) struct About {
+    pub(crate) machine: String,
     /// Load average before and after.
-    pub load: (Option<f64>, Option<f64>),
+    pub(crate) load: (Option<f64>, Option<f64>),
     /// From ping to ping at the configured rate.
-    pub period_ms: f64,
+    pub(crate) period_ms: f64,
 }
 
 impl About {
-    pub fn load_text(&self) -> String {
+    pub(crate) fn load_text(&self) -> String {
         match self.load {
             (Some(before), Some(after)) => format!("load {before:.1} to {after:.1}"),
             _ => "load unknown".to_owned(),
@@ -28,7 +28,7 @@ impl About {
 }
 
 /// One line on everything that is the same for all methods.
-pub fn subtitle(chart: &Chart, about: &About) -> String {
+pub(crate) fn subtitle(chart: &Chart, about: &About) -> String {
     let reference = match chart.reference_error {
         Some((error, samples)) => {
             format!("reference solution within {error:.1e} of the reference at {samples} samples")
@@ -47,7 +47,7 @@ pub fn subtitle(chart: &Chart, about: &About) -> String {
 }
 
 /// What is special about a row, in words.
-pub fn note(row: &Row) -> String {
+pub(crate) fn note(row: &Row) -> String {
     let words = [
         (row.configured, "configured"),
         (row.planned_ms.is_some(), "the plan's"),
@@ -57,7 +57,7 @@ pub fn note(row: &Row) -> String {
     words.join(", ")
 }
 
-pub fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
+pub(crate) fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
     let mut out = String::new();
     let _ = writeln!(out, "{}: {}", chart.sonar, subtitle(chart, about));
     let _ = writeln!(
@@ -147,7 +147,7 @@ fn refusals(chart: &Chart) -> Vec<(String, &str)> {
         .collect()
 }
 
-pub fn csv(chart: &Chart, peers: &[Peer]) -> String {
+pub(crate) fn csv(chart: &Chart, peers: &[Peer]) -> String {
     let mut out = String::from(
         "synthesis,tolerance,path,segment_s,doppler,configured,planned,front,median_ms,least_ms,greatest_ms,making_ms,predicted_error,element_error,worst_element_error,line_error,image_db,level_db,refused\n",
     );
@@ -201,7 +201,7 @@ pub fn csv(chart: &Chart, peers: &[Peer]) -> String {
     out
 }
 
-pub fn json(chart: &Chart, curves: &[Curve], peers: &[Peer], about: &About) -> String {
+pub(crate) fn json(chart: &Chart, curves: &[Curve], peers: &[Peer], about: &About) -> String {
     let rows: Vec<_> = chart.rows.iter().map(row).collect();
     let curves: Vec<_> = curves
         .iter()

@@ -77,7 +77,7 @@ fn for_pictures(rig: &RigSpec, sonar: &SonarSpec, first: &First, costs: &Costs) 
 }
 
 /// A few lines for each sonar.
-pub fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
+pub(crate) fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
     let (costs, told) = tell(spec)?;
     let mut text = String::new();
     for told in &told {
@@ -243,7 +243,7 @@ fn output(told: &Told) -> String {
 }
 
 /// The same for programs.
-pub fn json(spec: &RigSpec) -> Result<String, Failure> {
+pub(crate) fn json(spec: &RigSpec) -> Result<String, Failure> {
     let (costs, told) = tell(spec)?;
     let sonars: Vec<Value> = told.iter().map(sonar_json).collect();
     let value = json!({ "costs": costs.machine, "sonars": sonars });
@@ -307,7 +307,7 @@ fn sonar_json(told: &Told) -> Value {
 }
 
 /// Measures this machine and writes the table.
-pub fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
+pub(crate) fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
     let costs = echotank_runtime::rig::costs_of(spec.run.costs.as_deref())
         .map_err(|why| Failure::Configuration(why.to_string()))?;
     let load = load_average().map_or("unknown".into(), |load| format!("{load:.1}"));

@@ -33,7 +33,7 @@ enum Way {
 
 /// Where triggers are sent, as `udp=127.0.0.1:7100`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TriggerTo {
+pub(crate) struct TriggerTo {
     way: Way,
     address: SocketAddr,
 }
@@ -58,7 +58,7 @@ impl FromStr for TriggerTo {
 }
 
 /// Triggers at random instants until it is dropped.
-pub struct Pulses {
+pub(crate) struct Pulses {
     /// When the last was sent, host time, until a first sample has come.
     sent_ns: Arc<AtomicI64>,
     sent: Arc<AtomicI64>,
@@ -69,7 +69,7 @@ pub struct Pulses {
 
 impl Pulses {
     /// One every half to one and a half times `every`.
-    pub fn start(to: TriggerTo, every: Duration) -> Result<Self, Failure> {
+    pub(crate) fn start(to: TriggerTo, every: Duration) -> Result<Self, Failure> {
         let mut send = sender(to).map_err(Failure::running)?;
         let stop = Arc::new(AtomicBool::new(false));
         let sent_ns = Arc::new(AtomicI64::new(NONE));
@@ -98,7 +98,7 @@ impl Pulses {
     }
 
     /// A ping's first sample was there at this instant of the host's time.
-    pub fn first_sample(&self, now_ns: i64) {
+    pub(crate) fn first_sample(&self, now_ns: i64) {
         let sent_ns = self.sent_ns.swap(NONE, Ordering::AcqRel);
         if sent_ns != NONE {
             let us = (now_ns - sent_ns).max(0) / 1000;
@@ -106,7 +106,7 @@ impl Pulses {
         }
     }
 
-    pub fn print(&self) {
+    pub(crate) fn print(&self) {
         println!("{} triggers sent", self.sent.load(Ordering::Relaxed));
         super::print_spread("first sample after its trigger", &self.to_first_sample);
     }

@@ -15,7 +15,7 @@ use echotank_runtime::io::{text_of, write_text};
 
 /// Which family, on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum FamilyName {
+pub(crate) enum FamilyName {
     #[value(name = "7k")]
     SevenK,
     Jsf,
@@ -40,7 +40,7 @@ impl From<FamilyName> for Family {
     }
 }
 
-pub fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failure> {
+pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failure> {
     let family = Family::from(args.family);
     let no_address = |why: String| Failure::Configuration(format!("{}: {why}", args.address));
     let mut addresses = args

@@ -92,7 +92,7 @@ impl Tally {
 }
 
 /// Takes the datagrams that come to an address.
-pub fn main(args: &ListenArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
     let address: SocketAddr = args.address.parse().map_err(Failure::running)?;
     let socket = UdpSocket::bind(address).map_err(Failure::running)?;
     // As much as the system gives.

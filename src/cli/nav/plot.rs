@@ -36,7 +36,7 @@ struct Picture {
 }
 
 /// Draws what the log gave.
-pub fn write(path: &Path, report: &LogReport) -> std::io::Result<()> {
+pub(crate) fn write(path: &Path, report: &LogReport) -> std::io::Result<()> {
     let mut picture = Picture {
         pixels: BACKGROUND.repeat(WIDTH * HEIGHT),
     };

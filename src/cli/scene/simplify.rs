@@ -18,47 +18,47 @@ use echotank_scene::simplify::{Selection, Settings, field, select};
 const BEAM_WIDTH: f64 = 0.886;
 
 #[derive(Args, Clone, Debug)]
-pub struct SimplifyArgs {
+pub(crate) struct SimplifyArgs {
     /// Seabed: any file that `echotank scene info` reads
-    pub file: PathBuf,
+    pub(crate) file: PathBuf,
     /// How to choose
     #[arg(long, value_enum)]
-    pub method: MethodArg,
+    pub(crate) method: MethodArg,
     /// How many to keep; acoustic-unbiased keeps so many on average
     #[arg(long)]
-    pub keep: usize,
+    pub(crate) keep: usize,
     /// CSV of the kept, as scene.points reads it: north_m,east_m,down_m,amplitude,amplitude_imag
     #[arg(long)]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Where the sonar is: north,east,down in metres from the seabed's zero. Needed but for conventional; amplitudes then hold the angle of
     /// incidence, which explicit points do not have
     #[arg(long, value_name = "N,E,D", value_parser = parse_place, allow_hyphen_values = true)]
-    pub sonar: Option<DVec3>,
+    pub(crate) sonar: Option<DVec3>,
     /// Two-way beam along the track, degrees at -3 dB each way; all round if left out
     #[arg(long, value_parser = parse_positive)]
-    pub beam_deg: Option<f64>,
+    pub(crate) beam_deg: Option<f64>,
     /// Heading of the track that the beam is narrow along
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
-    pub heading_deg: f64,
+    pub(crate) heading_deg: f64,
     /// The choice serves the sonar within this distance
     #[arg(long, default_value_t = 0.0, value_parser = parse_not_negative)]
-    pub hold_m: f64,
+    pub(crate) hold_m: f64,
     /// Weights of curvature, scattering, axis and their product scattering x axis; 1,1,1,0, or 0,0,0,1 for acoustic-unbiased
     #[arg(long, value_name = "C,S,A,E", value_parser = parse_weights)]
-    pub weights: Option<EnergyWeights>,
+    pub(crate) weights: Option<EnergyWeights>,
     /// conventional: the kept inherit the area of the removed
     #[arg(long)]
-    pub inherit_area: bool,
+    pub(crate) inherit_area: bool,
     /// Lambert's mu, dB
     #[arg(long, default_value_t = -27.0, allow_hyphen_values = true)]
-    pub lambert_db: f64,
+    pub(crate) lambert_db: f64,
     /// Of speckle and of the permanent random numbers
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum MethodArg {
+pub(crate) enum MethodArg {
     /// Highest energies (Meng et al. 2023, mended)
     Acoustic,
     /// The same as printed
@@ -69,7 +69,7 @@ pub enum MethodArg {
     Conventional,
 }
 
-pub fn main(args: &SimplifyArgs) -> Result<(), Failure> {
+pub(crate) fn main(args: &SimplifyArgs) -> Result<(), Failure> {
     if !(args.heading_deg.is_finite() && args.lambert_db.abs() <= 100.0) {
         let text = "--heading-deg must be finite and --lambert-db between -100 and 100";
         return Err(Failure::Configuration(text.into()));

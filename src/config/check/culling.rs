@@ -19,7 +19,7 @@ const AZIMUTHS: usize = 7200;
 const MIN_DB: f64 = -120.0;
 
 /// For [`ModelChoice::cull_db`](echotank_core::flow::ModelChoice); none where hardly anything may be left out.
-pub fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
+pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
     let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);
     let floors = sonar.receive.iter().flat_map(|array| {

@@ -8,7 +8,7 @@ use echotank_core::flow::Side;
 /// Ports that WBMS takes in a row.
 const WBMS_PORTS: u16 = 4;
 
-pub fn ping<'t>(
+pub(super) fn ping<'t>(
     table: &'t RawTable,
     beams: Option<&BeamsSpec>,
     listeners: &mut Vec<Listener<'t>>,
@@ -83,7 +83,7 @@ pub fn ping<'t>(
     })
 }
 
-pub fn wbms<'t>(
+pub(super) fn wbms<'t>(
     table: &'t RawTable,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,

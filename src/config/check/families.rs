@@ -11,7 +11,7 @@ const MAX_JSF_CHANNELS: usize = 256;
 const MAX_JSF_SAMPLES: f64 = ((1 << 20) - 1) as f64;
 
 /// What a side-scan family needs to know of the sonar.
-pub struct Sonar<'a> {
+pub(super) struct Sonar<'a> {
     pub arrays: &'a Arrays<'a>,
     /// Of the longest ping.
     pub samples: Option<f64>,
@@ -43,7 +43,7 @@ fn needs_lines(table: &RawTable, key: &str, sonar: &Sonar<'_>, problems: &mut Pr
     }
 }
 
-pub fn jsf<'t>(
+pub(super) fn jsf<'t>(
     table: &'t RawTable,
     sonar: &Sonar<'_>,
     listeners: &mut Vec<Listener<'t>>,
@@ -128,14 +128,14 @@ pub fn jsf<'t>(
     })
 }
 
-pub fn xtf(table: &RawTable, sonar: &Sonar<'_>, problems: &mut Problems) -> Option<XtfSpec> {
+pub(super) fn xtf(table: &RawTable, sonar: &Sonar<'_>, problems: &mut Problems) -> Option<XtfSpec> {
     needs_lines(table, "samples", sonar, problems);
     Some(XtfSpec {
         is_float: table.text("samples")? == "f32",
     })
 }
 
-pub fn imagenex872<'t>(
+pub(super) fn imagenex872<'t>(
     table: &'t RawTable,
     sonar: &Sonar<'_>,
     listeners: &mut Vec<Listener<'t>>,

@@ -8,7 +8,7 @@ use crate::spec::{
     NavOutputSpec, NavSentence, NavTargetSpec, ParitySpec, PulseSpec, SerialLine, TowSpec,
 };
 
-pub fn tow(table: &RawTable) -> Option<TowSpec> {
+pub(super) fn tow(table: &RawTable) -> Option<TowSpec> {
     Some(TowSpec {
         point_m: table.vector("point_m")?,
         cable_out_m: table.number("cable_out_m")?,
@@ -16,7 +16,7 @@ pub fn tow(table: &RawTable) -> Option<TowSpec> {
     })
 }
 
-pub fn outputs<'t>(
+pub(super) fn outputs<'t>(
     tables: &'t [RawTable],
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
@@ -128,7 +128,7 @@ fn target<'t>(
 }
 
 /// `8N1` and its kin.
-pub fn serial_line(table: &RawTable) -> Option<SerialLine> {
+pub(super) fn serial_line(table: &RawTable) -> Option<SerialLine> {
     let text = table.text("line")?.as_bytes();
     let digit = |at: usize| text.get(at).map(|b| b.wrapping_sub(b'0'));
     Some(SerialLine {

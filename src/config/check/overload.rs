@@ -4,7 +4,7 @@ use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 
 /// `degrade` needs a tolerance that can be looser, `stretch` pulses of one's own.
-pub fn refuse_what_has_nothing_to_give(
+pub(crate) fn refuse_what_has_nothing_to_give(
     run: &RawTable,
     sonars: &[&SonarSpec],
     problems: &mut Problems,

@@ -3,7 +3,7 @@
 use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 
-pub fn picture(table: &RawTable, problems: &mut Problems) -> Option<PictureSpec> {
+pub(super) fn picture(table: &RawTable, problems: &mut Problems) -> Option<PictureSpec> {
     let fixed = table.text("contrast").map(|c| c == "fixed");
     for (low, high) in [("low_db", "high_db"), ("low_percent", "high_percent")] {
         let (least, most) = (table.number(low)?, table.number(high)?);

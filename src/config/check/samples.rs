@@ -16,7 +16,7 @@ const MAX_VECTOR: usize = 65_536;
 
 /// What samples are made from.
 #[derive(Clone, Copy)]
-pub struct Source<'a> {
+pub(super) struct Source<'a> {
     pub arrays: &'a Arrays<'a>,
     pub pulse: Option<&'a Pulse>,
 }
@@ -57,7 +57,11 @@ impl Source<'_> {
     }
 }
 
-pub fn vita49(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<Vita49Spec> {
+pub(super) fn vita49(
+    table: &RawTable,
+    source: Source<'_>,
+    problems: &mut Problems,
+) -> Option<Vita49Spec> {
     let arrays = source.arrays.chosen(table, problems);
     let is_passband = table.text("samples").map(|text| text == "passband");
     let is_vector = table.text("streams").map(|text| text == "vector");
@@ -137,7 +141,7 @@ fn destinations(table: &RawTable, problems: &mut Problems) -> Option<Vec<std::ne
     parsed.ok()
 }
 
-pub fn elements<'t>(
+pub(super) fn elements<'t>(
     table: &'t RawTable,
     source: Source<'_>,
     listeners: &mut Vec<Listener<'t>>,
@@ -187,13 +191,21 @@ pub fn elements<'t>(
     })
 }
 
-pub fn sigmf(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<SigmfSpec> {
+pub(super) fn sigmf(
+    table: &RawTable,
+    source: Source<'_>,
+    problems: &mut Problems,
+) -> Option<SigmfSpec> {
     Some(SigmfSpec {
         arrays: source.arrays.chosen(table, problems)?,
     })
 }
 
-pub fn wav(table: &RawTable, source: Source<'_>, problems: &mut Problems) -> Option<WavSpec> {
+pub(super) fn wav(
+    table: &RawTable,
+    source: Source<'_>,
+    problems: &mut Problems,
+) -> Option<WavSpec> {
     let arrays = source.arrays.chosen(table, problems);
     if let Some(arrays) = &arrays {
         let channels = source.elements(arrays);

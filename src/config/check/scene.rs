@@ -25,13 +25,13 @@ const ALONG: f64 = 0.5;
 const PARALLEL: f64 = 0.999;
 
 /// What the scene must know of the rest of the rig, as far as that is without fault.
-pub struct Rig<'a> {
+pub(super) struct Rig<'a> {
     pub sonars: &'a [&'a SonarSpec],
     pub sound_speed_m_per_s: Option<f64>,
     pub longest_range_m: f64,
 }
 
-pub fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
+pub(super) fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
     let seabed_table = table.table("seabed");
     let incidence = match table.text("incidence")? {
         "flat" => IncidenceSpec::Flat,

@@ -20,14 +20,14 @@ use echotank_core::flow::{
 use echotank_core::frames::rotation_from_angles;
 
 /// The fastest platform the sample rate is made for, m/s.
-pub const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;
+pub(crate) const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;
 /// Sample rate over signal bandwidth, at least: what a matched filter and an interpolation need to leave a margin at the band's edges.
 const OVERSAMPLING: f64 = 1.25;
 /// Samples of all elements of one ping, bytes at most: a slip in a unit must not end in an allocation that ends the process.
 const MAX_PING_BYTES: f64 = 8.0 * (1u64 << 30) as f64;
 const BYTES_PER_COMPLEX_F64: f64 = 16.0;
 /// Record 7038 holds 16-bit I and Q.
-pub const BYTES_PER_7038_SAMPLE: f64 = 4.0;
+pub(crate) const BYTES_PER_7038_SAMPLE: f64 = 4.0;
 /// Every ping visits every pixel.
 const MAX_SYNTHETIC_PIXELS: f64 = 4e6;
 /// 7k counts elements in 16 bits.
@@ -40,7 +40,7 @@ const MIN_ACROSS: f64 = 0.5;
 const MIN_ALONG: f64 = 0.5;
 
 /// Shortest to longest, from the limits or else the setting.
-pub fn longest_range_m(table: &RawTable) -> Option<f64> {
+pub(crate) fn longest_range_m(table: &RawTable) -> Option<f64> {
     let limit = table
         .table("limits")
         .and_then(|t| t.pair("range_m", 0))
@@ -49,7 +49,7 @@ pub fn longest_range_m(table: &RawTable) -> Option<f64> {
 }
 
 /// `among`: its place among the sonars, and all their names.
-pub fn sonar<'t>(
+pub(crate) fn sonar<'t>(
     table: &'t RawTable,
     among: (usize, &[Option<&str>]),
     medium: Option<&MediumSpec>,
@@ -454,7 +454,7 @@ fn receive(
 }
 
 /// The receive arrays that beams and outputs name; those that could not be read are none.
-pub struct Arrays<'a> {
+pub(crate) struct Arrays<'a> {
     pub names: &'a [Option<&'a str>],
     pub specs: &'a [Option<ArrayGeometry>],
 }
@@ -473,7 +473,7 @@ impl Arrays<'_> {
     }
 
     /// The arrays named under `arrays`, or all where none are.
-    pub fn chosen(&self, table: &RawTable, problems: &mut Problems) -> Option<Vec<usize>> {
+    pub(crate) fn chosen(&self, table: &RawTable, problems: &mut Problems) -> Option<Vec<usize>> {
         if !table.given("arrays") {
             return Some((0..self.specs.len()).collect());
         }
@@ -564,14 +564,14 @@ fn known_absorption_db_per_m(medium: Option<&MediumSpec>) -> f64 {
 }
 
 /// 1.25 (max(B, 4/T) + 2 f_d) for the shortest pulse allowed and the highest frequency of the sweep.
-pub fn min_sample_rate_hz(pulse: &Pulse, shortest_s: f64, sound_speed_m_per_s: f64) -> f64 {
+pub(crate) fn min_sample_rate_hz(pulse: &Pulse, shortest_s: f64, sound_speed_m_per_s: f64) -> f64 {
     OVERSAMPLING
         * (pulse.bandwidth_hz.max(4.0 / shortest_s)
             + 2.0 * max_doppler_hz(pulse, sound_speed_m_per_s))
 }
 
 /// Doppler shift of an echo from straight ahead at the fastest speed.
-pub fn max_doppler_hz(pulse: &Pulse, sound_speed_m_per_s: f64) -> f64 {
+pub(crate) fn max_doppler_hz(pulse: &Pulse, sound_speed_m_per_s: f64) -> f64 {
     let highest_hz = pulse.center_frequency_hz + pulse.bandwidth_hz / 2.0;
     2.0 * MAX_PLATFORM_SPEED_M_PER_S / sound_speed_m_per_s * highest_hz
 }

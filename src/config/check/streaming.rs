@@ -8,7 +8,7 @@ use echotank_core::flow::{DopplerModel, Synthesis};
 /// With streaming, unless it is given, seconds.
 const AHEAD_S: f64 = 0.1;
 
-pub fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpec> {
+pub(super) fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpec> {
     let streaming = table.text("delivery").map(|text| text == "streaming");
     let keys = &["stream_block_ms", "stream_latency_ms", "stream_tiles"];
     let condition = "delivery = \"streaming\"";
@@ -22,7 +22,7 @@ pub fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpe
     })
 }
 
-pub fn ahead_s(table: &RawTable) -> Option<f64> {
+pub(super) fn ahead_s(table: &RawTable) -> Option<f64> {
     match (table.given("ahead_ms"), table.text("delivery")?) {
         (true, _) => table.scaled("ahead_ms", -3),
         (false, "streaming") => Some(AHEAD_S),
@@ -31,7 +31,11 @@ pub fn ahead_s(table: &RawTable) -> Option<f64> {
 }
 
 /// Tiles are pings cut short, and not every way to make a ping can be.
-pub fn refuse_what_has_no_tiles(run: &RawTable, sonars: &[&SonarSpec], problems: &mut Problems) {
+pub(crate) fn refuse_what_has_no_tiles(
+    run: &RawTable,
+    sonars: &[&SonarSpec],
+    problems: &mut Problems,
+) {
     if run.bool("stream_tiles") != Some(true) {
         return;
     }
@@ -61,7 +65,7 @@ pub fn refuse_what_has_no_tiles(run: &RawTable, sonars: &[&SonarSpec], problems:
 }
 
 /// What is computed before its pulse cannot wait for the motion that follows.
-pub fn refuse_without_foresight(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
+pub(crate) fn refuse_without_foresight(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
     if nav.mode == NavMode::Predict {
         return;
     }
@@ -74,7 +78,7 @@ pub fn refuse_without_foresight(nav: &NavSpec, run: &RawTable, problems: &mut Pr
 }
 
 /// What is foreseen for longer than anything may be carried on is never there.
-pub fn refuse_out_of_sight(
+pub(crate) fn refuse_out_of_sight(
     nav: &NavSpec,
     run: &RawTable,
     sonars: &[&SonarSpec],

@@ -5,7 +5,7 @@ use super::super::spec::*;
 use super::{Listener, address, index_of, needed_with, only_with};
 
 /// `sonar` is the one whose table this is, `names` are those of all.
-pub fn trigger<'t>(
+pub(super) fn trigger<'t>(
     table: &'t RawTable,
     sonar: usize,
     names: &[Option<&str>],
@@ -93,7 +93,7 @@ fn modem_line(table: &RawTable, line: ModemLine) -> Option<TriggerFrom> {
     })
 }
 
-pub fn trigger_out(table: &RawTable, problems: &mut Problems) -> Option<TriggerOutSpec> {
+pub(super) fn trigger_out(table: &RawTable, problems: &mut Problems) -> Option<TriggerOutSpec> {
     let has_port = Some(table.given("port"));
     only_with(table, &["line", "pulse_ms"], has_port, "port", problems);
     let to = match table.given("to") {
@@ -115,7 +115,7 @@ pub fn trigger_out(table: &RawTable, problems: &mut Problems) -> Option<TriggerO
 }
 
 /// Rules that need the whole rig: who follows does not lead, and triggers come in somebody's time.
-pub fn refuse_what_nobody_can_trigger(
+pub(crate) fn refuse_what_nobody_can_trigger(
     tables: &[RawTable],
     sonars: &[Option<SonarSpec>],
     run: Option<&RunSpec>,

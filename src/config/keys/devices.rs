@@ -11,7 +11,7 @@ const CLIENT_QUEUE: Key = key(
 );
 const MAX_CLIENTS: Key = key("max_clients", Kind::Integer(1, 1000), Default("8"), "");
 
-pub static PING: Table = Table {
+pub(super) static PING: Table = Table {
     doc: "The Ping protocol of Blue Robotics and Cerulean, over TCP and UDP on one port, and on a serial line.",
     keys: &[
         key(
@@ -62,7 +62,7 @@ pub static PING: Table = Table {
     later: &[],
 };
 
-pub static WBMS: Table = Table {
+pub(super) static WBMS: Table = Table {
     doc: "NORBIT WBMS on four TCP ports in a row: text control, bathymetry, water column, side-scan or snippets.",
     keys: &[
         key(

@@ -17,7 +17,7 @@ const RECORD: Key = key(
     "Into a file in [record]'s folder, which must be there.",
 );
 
-pub static JSF: Table = Table {
+pub(super) static JSF: Table = Table {
     doc: "EdgeTech JSF over two TCP connections, commands and data.",
     keys: &[
         key(
@@ -69,7 +69,7 @@ pub static JSF: Table = Table {
     later: &[],
 };
 
-pub static XTF: Table = Table {
+pub(super) static XTF: Table = Table {
     doc: "Triton XTF: side-scan lines into a file in [record]'s folder.",
     keys: &[key(
         "samples",
@@ -80,7 +80,7 @@ pub static XTF: Table = Table {
     later: &[],
 };
 
-pub static IMAGENEX872: Table = Table {
+pub(super) static IMAGENEX872: Table = Table {
     doc: "Imagenex 872 YellowFin over TCP: a line of 1000 points for every switch command.",
     keys: &[
         key(

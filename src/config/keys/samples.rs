@@ -10,7 +10,7 @@ const ARRAYS: Key = key(
     "Receive arrays whose elements go out, in this order. Left out: all.",
 );
 
-pub static VITA49: Table = Table {
+pub(super) static VITA49: Table = Table {
     doc: "ANSI/VITA 49.2 over UDP: element samples for acquisition and DSP boards. Sent whether or not anybody listens.",
     keys: &[
         key(
@@ -72,7 +72,7 @@ pub static VITA49: Table = Table {
     later: &[],
 };
 
-pub static ELEMENTS: Table = Table {
+pub(super) static ELEMENTS: Table = Table {
     doc: "Element samples with little around them (protocols/README.md), over TCP to whoever connects and over UDP to fixed addresses.",
     keys: &[
         key(
@@ -117,13 +117,13 @@ pub static ELEMENTS: Table = Table {
     later: &[],
 };
 
-pub static SIGMF: Table = Table {
+pub(crate) static SIGMF: Table = Table {
     doc: "SigMF: element samples with an annotation for every ping, in the folder of [record].",
     keys: &[ARRAYS],
     later: &[],
 };
 
-pub static WAV: Table = Table {
+pub(super) static WAV: Table = Table {
     doc: "Multichannel WAV (RF64 above 4 GiB) of what the elements hear, for benches that play it out, in the folder of [record]. Silence between the pings.",
     keys: &[
         ARRAYS,

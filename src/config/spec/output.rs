@@ -41,7 +41,7 @@ impl SonarSpec {
     }
 
     /// Why the sonar itself needs its elements; none: lines with fixed weights are all that anybody sees of it.
-    pub fn needs_elements(&self) -> Option<&'static str> {
+    pub(crate) fn needs_elements(&self) -> Option<&'static str> {
         let beams = &self.beams;
         let lines = |array: usize| beams.lines.iter().any(|line| line.array == array);
         let any = |elements: usize| self.receive.iter().any(|a| a.elements % elements != 0);

@@ -5,7 +5,12 @@ use std::fmt;
 use super::super::spec::*;
 use super::{Derived, line};
 
-pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -> fmt::Result {
+pub(super) fn write(
+    out: &mut String,
+    sonar: &SonarSpec,
+    d: &Derived,
+    output: &OutputSpec,
+) -> fmt::Result {
     let mbit_per_s = |channels: usize, sample_bytes: usize| {
         channels as f64 * d.samples * sample_bytes as f64 * d.ping_rate_hz * 8.0 / 1e6
     };

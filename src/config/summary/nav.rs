@@ -11,7 +11,7 @@ use crate::spec::{
 use echotank_core::frames::{angles_from_rotation, rotation_from_angles};
 
 /// How a motion sensor sits, and what it says when the platform tilts: a wrong sign shows at once.
-pub fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::Result {
+pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::Result {
     let sensor = &source.mounting;
     if sensor.heave_arm_m != DVec3::ZERO {
         let text = format!(
@@ -48,7 +48,7 @@ pub fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::Result {
 }
 
 /// Depth, towing, silence, and the sentences that go out.
-pub fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
+pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
     let given = |channel| nav.sources.iter().any(|s| s.provides.contains(&channel));
     let down = match nav.vertical {
         VerticalSpec::Waterline { reference_down_m } if given(NavChannel::Heave) => {

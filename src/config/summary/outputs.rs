@@ -12,7 +12,12 @@ const REAL_BYTES: f64 = 2.0;
 const BYTES_PER_DETECTION: f64 = 20.0;
 
 /// A line for an output of these; the others have their own.
-pub fn write(out: &mut String, sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -> fmt::Result {
+pub(super) fn write(
+    out: &mut String,
+    sonar: &SonarSpec,
+    d: &Derived,
+    output: &OutputSpec,
+) -> fmt::Result {
     let elements =
         |arrays: &[usize]| -> usize { arrays.iter().map(|&a| sonar.receive[a].elements).sum() };
     let rate_hz = sonar.receiver.sample_rate_hz;

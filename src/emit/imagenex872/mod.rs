@@ -23,7 +23,7 @@ use echotank_core::flow::{
 use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
-pub const VIA: &str = "imagenex872";
+pub(crate) const VIA: &str = "imagenex872";
 
 /// [`Datagram::record_type`] of a side's answer: the number that the command has for it.
 fn record_type(side: Side) -> u32 {

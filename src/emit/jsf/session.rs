@@ -28,7 +28,7 @@ use echotank_core::flow::{
 use echotank_core::time::UtcNs;
 
 /// How JSF signs what it changes.
-pub const VIA: &str = "jsf";
+pub(crate) const VIA: &str = "jsf";
 
 /// The longest body a client may send.
 const MAX_COMMAND_BODY_BYTES: u32 = 4096;

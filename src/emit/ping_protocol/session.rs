@@ -28,7 +28,7 @@ use echotank_core::flow::{
 use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
-pub const VIA: &str = "ping";
+pub(crate) const VIA: &str = "ping";
 
 /// Major and minor of this program, as the firmware's.
 const FIRMWARE: [u8; 3] = [0, 1, 0];

@@ -36,14 +36,14 @@ const NOT_DONE: u32 =
     flags_7042::COMPRESSION_FACTOR | flags_7042::SEGMENTS | flags_7042::FIRST_SAMPLE_IS_DELAY;
 
 /// Whether 7042 can be made with these flags.
-pub fn can_compress(flags: u32) -> bool {
+pub(crate) fn can_compress(flags: u32) -> bool {
     let both = flags_7042::DB_IN_8_BITS | flags_7042::MAGNITUDE_IN_32_BITS;
     flags & NOT_DONE == 0 && flags & both != both
 }
 
 /// Buffers of this module's records.
 #[derive(Default)]
-pub struct Workspace {
+pub(super) struct Workspace {
     detections: Vec<Detection7027>,
     descriptors: Vec<SnippetDescriptor>,
     intensities: Vec<u16>,
@@ -54,7 +54,7 @@ pub struct Workspace {
 }
 
 /// One ping, and where its samples lie.
-pub struct Source<'a> {
+pub(super) struct Source<'a> {
     pub plan: &'a PingPlan,
     pub output: &'a PingOutput,
     pub sonar: &'a SonarSpec,
@@ -82,7 +82,7 @@ impl Source<'_> {
         }
     }
     /// The receiver's gain over the sensitivity of an array, dB re 1 V/uPa, at a slant range.
-    pub fn gain_db(&self, array: usize, range_m: f64) -> f64 {
+    pub(super) fn gain_db(&self, array: usize, range_m: f64) -> f64 {
         self.sonar.receive[array].sensitivity_db
             + self.plan.settings.gain_db
             + tvg_db(&self.sonar.receiver.tvg, range_m)
@@ -112,7 +112,7 @@ fn tvg_db(tvg: &TimeVaryingGain, range_m: f64) -> f64 {
 }
 
 /// 7027.
-pub fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Vec<u8>) {
+pub(super) fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Vec<u8>) {
     let (plan, rate_hz) = (source.plan, source.rate_hz());
     let end = (source.silent + plan.sample_count) as f32;
     work.detections.clear();
@@ -190,7 +190,7 @@ fn samples_of<'a>(
 }
 
 /// 7028; how many intensities did not fit.
-pub fn snippets_7028(
+pub(crate) fn snippets_7028(
     work: &mut Workspace,
     source: &Source<'_>,
     fan: &BeamFrame,
@@ -220,7 +220,7 @@ pub fn snippets_7028(
 }
 
 /// 7058: the same snippets as scattering strengths, with their footprints.
-pub fn strengths_7058(
+pub(crate) fn strengths_7058(
     work: &mut Workspace,
     source: &Source<'_>,
     (fan, array): (&BeamFrame, usize),
@@ -273,7 +273,7 @@ pub fn strengths_7058(
 }
 
 /// 7042, as its set-up asks; how many magnitudes did not fit.
-pub fn water_column_7042(
+pub(crate) fn water_column_7042(
     work: &mut Workspace,
     source: &Source<'_>,
     fan: &BeamFrame,

@@ -10,20 +10,20 @@ use echotank_core::flow::{KeptKey, KeptValue, SettingsPort, TriggerSource};
 
 /// Names of kept settings and how many numbers each has.
 mod name {
-    pub const DETECTION_MASK: &str = "bottom detection mask";
-    pub const DETECTION_FILTER: &str = "bottom detection filter";
-    pub const GAIN_TYPE: &str = "gain type";
-    pub const PULSE_ENVELOPE: &str = "pulse envelope";
-    pub const PROJECTOR_STEERING: &str = "projector steering";
-    pub const PROJECTOR_WIDTHS: &str = "projector beam widths";
-    pub const MOTION: &str = "motion compensation";
-    pub const MATCH_FILTER: &str = "match filter";
-    pub const COVERAGE: &str = "coverage sector";
-    pub const TRIGGER_OUT: &str = "trigger out";
-    pub const PPS_EDGE: &str = "pps edge";
-    pub const SNIPPETS: &str = "snippet control";
-    pub const WATER_COLUMN: &str = "compressed water column";
-    pub const SOUND_VELOCITY: &str = "sound velocity";
+    pub(crate) const DETECTION_MASK: &str = "bottom detection mask";
+    pub(crate) const DETECTION_FILTER: &str = "bottom detection filter";
+    pub(super) const GAIN_TYPE: &str = "gain type";
+    pub(super) const PULSE_ENVELOPE: &str = "pulse envelope";
+    pub(super) const PROJECTOR_STEERING: &str = "projector steering";
+    pub(crate) const PROJECTOR_WIDTHS: &str = "projector beam widths";
+    pub(crate) const MOTION: &str = "motion compensation";
+    pub(super) const MATCH_FILTER: &str = "match filter";
+    pub(crate) const COVERAGE: &str = "coverage sector";
+    pub(super) const TRIGGER_OUT: &str = "trigger out";
+    pub(super) const PPS_EDGE: &str = "pps edge";
+    pub(super) const SNIPPETS: &str = "snippet control";
+    pub(super) const WATER_COLUMN: &str = "compressed water column";
+    pub(super) const SOUND_VELOCITY: &str = "sound velocity";
 }
 
 pub fn key(name: &'static str) -> KeptKey {
@@ -136,7 +136,7 @@ pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SnippetWindow {
     pub flags: u32,
-    pub min_samples: u32,
+    pub(crate) min_samples: u32,
     pub max_samples: u32,
 }
 
@@ -156,7 +156,7 @@ impl Default for SnippetWindow {
 pub struct Kept {
     pub snippets: SnippetWindow,
     /// Flags of 7042.
-    pub water_column_flags: u32,
+    pub(crate) water_column_flags: u32,
     detection_filter: Option<[f64; 5]>,
     envelope: Option<[f64; 2]>,
     steering: Option<[f64; 2]>,
@@ -166,7 +166,7 @@ pub struct Kept {
     trigger_out: Option<[f64; 3]>,
     sound_velocity: Option<[f64; 3]>,
     /// Somebody else's pulse starts the pings.
-    pub foreign_trigger: bool,
+    pub(crate) foreign_trigger: bool,
 }
 
 impl Kept {
@@ -205,7 +205,7 @@ impl Kept {
     }
 
     /// What was told, over what is.
-    pub fn report_7503(&self, s: &mut RemoteSettings7503) {
+    pub(crate) fn report_7503(&self, s: &mut RemoteSettings7503) {
         if let Some([min_range, max_range, min_depth, max_depth, tilt]) = self.detection_filter {
             s.bottom_filter_min_range_m = min_range as f32;
             s.bottom_filter_max_range_m = max_range as f32;
@@ -247,7 +247,7 @@ impl Kept {
         }
     }
 
-    pub fn report_7000(&self, s: &mut SonarSettings7000) {
+    pub(crate) fn report_7000(&self, s: &mut SonarSettings7000) {
         if let Some([min_range, max_range, min_depth, max_depth, _]) = self.detection_filter {
             s.bottom_filter_min_range_m = min_range as f32;
             s.bottom_filter_max_range_m = max_range as f32;

@@ -15,7 +15,7 @@ use echotank_core::flow::{Asker, Changed, Datagram, SettingChange, SettingsPort,
 use echotank_core::time::UtcNs;
 
 /// How 7k signs what it changes.
-pub const VIA: &str = "7k";
+pub(crate) const VIA: &str = "7k";
 
 /// 7k on one port, over TCP and UDP.
 pub struct SevenKProtocol {

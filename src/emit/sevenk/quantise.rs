@@ -8,9 +8,9 @@ use num_complex::Complex64;
 use echotank_protocols::sevenk::records::{BeamSample, PHASE_COUNTS_PER_RAD};
 
 /// Counts of I or Q at full scale.
-pub const IQ_FULL_SCALE: f64 = i16::MAX as f64;
+pub(crate) const IQ_FULL_SCALE: f64 = i16::MAX as f64;
 /// Counts of a magnitude at full scale.
-pub const MAGNITUDE_FULL_SCALE: f64 = u16::MAX as f64;
+pub(crate) const MAGNITUDE_FULL_SCALE: f64 = u16::MAX as f64;
 
 /// `value` counts, held within the i16 (symmetric), and whether it had to be.
 fn signed(value: f64) -> (i16, bool) {
@@ -41,7 +41,7 @@ pub fn iq(volts: &[Complex64], full_scale_v: f64, into: &mut Vec<[i16; 2]>) -> u
 
 /// Writes one beam (samples in time) into its column of `into`, which lies per sample, per beam, from sample `first` on; returns how many
 /// magnitudes did not fit.
-pub fn beam_column(
+pub(crate) fn beam_column(
     volts: &[Complex64],
     full_scale_v: f64,
     (beam, beams): (usize, usize),

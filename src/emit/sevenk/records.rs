@@ -58,7 +58,7 @@ pub struct View {
 }
 
 impl View {
-    pub fn of_plan(plan: &PingPlan) -> Self {
+    pub(crate) fn of_plan(plan: &PingPlan) -> Self {
         Self {
             settings: plan.settings,
             pulse: plan.pulse,
@@ -96,7 +96,7 @@ impl DeviceSheet {
         &self.sonar
     }
     /// Whether its fan finds the bottom.
-    pub fn detects_bottom(&self) -> bool {
+    pub(crate) fn detects_bottom(&self) -> bool {
         let fan = self.sonar.beams.fan.as_ref();
         fan.is_some_and(|fan| fan.form.bottom_detection)
     }
@@ -110,11 +110,11 @@ impl DeviceSheet {
         self.sonar.receiver.full_scale_v
     }
     /// Receive arrays whose elements go into 7038, in this order.
-    pub fn wire_arrays(&self) -> &[usize] {
+    pub(crate) fn wire_arrays(&self) -> &[usize] {
         &self.output.arrays
     }
     /// Elements in 7038.
-    pub fn wire_elements(&self) -> usize {
+    pub(crate) fn wire_elements(&self) -> usize {
         self.output
             .arrays
             .iter()
@@ -122,12 +122,12 @@ impl DeviceSheet {
             .sum()
     }
     /// Elements of the whole sonar.
-    pub fn receive_elements(&self) -> usize {
+    pub(crate) fn receive_elements(&self) -> usize {
         self.sonar.receive.iter().map(|array| array.elements).sum()
     }
 
     /// The records that this sonar sends while it pings.
-    pub fn ping_records(&self) -> RecordSet {
+    pub(crate) fn ping_records(&self) -> RecordSet {
         let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
         if self.sonar.beams.fan.is_some() {
             set = set.union(RecordSet::of(&[7004, 7018, 7042]));
@@ -158,7 +158,7 @@ impl DeviceSheet {
     // ------------------------------------------------------------ what the configuration fixes
 
     /// An error unless the pulse is of this kind: it is the configuration's to say.
-    pub fn confirms_pulse(&self, kind: PulseType) -> Result<(), ErrorCode> {
+    pub(crate) fn confirms_pulse(&self, kind: PulseType) -> Result<(), ErrorCode> {
         let is_cw = self.sonar.pulse.kind == PulseKind::Cw;
         (is_cw == (kind == PulseType::ContinuousWave))
             .then_some(())
@@ -166,7 +166,7 @@ impl DeviceSheet {
     }
 
     /// An error unless the pulse has this middle and, where it is not 0, this width, to the precision of an f32.
-    pub fn confirms_band(&self, center_hz: f32, width_hz: f32) -> Result<(), ErrorCode> {
+    pub(crate) fn confirms_band(&self, center_hz: f32, width_hz: f32) -> Result<(), ErrorCode> {
         let pulse = &self.sonar.pulse;
         let alike =
             |told: f32, is: f64| (f64::from(told) - is).abs() <= 1e-6 * pulse.center_frequency_hz;
@@ -186,11 +186,11 @@ impl DeviceSheet {
         }
     }
     /// Ping records: the end of the transmission.
-    pub fn ping_stamp(&self, plan: &PingPlan) -> RecordStamp {
+    pub(crate) fn ping_stamp(&self, plan: &PingPlan) -> RecordStamp {
         self.stamp(plan.stamp_utc.plus_s(plan.pulse.duration_s))
     }
     /// Navigation records: when the state holds, on the time axis of the ping's stamp.
-    pub fn nav_stamp(&self, plan: &PingPlan) -> RecordStamp {
+    pub(crate) fn nav_stamp(&self, plan: &PingPlan) -> RecordStamp {
         let after_transmit_ns = plan.nav.utc.0.saturating_sub(plan.transmit_utc.0);
         self.stamp(plan.stamp_utc.plus_ns(after_transmit_ns))
     }
@@ -198,7 +198,7 @@ impl DeviceSheet {
     // ------------------------------------------------------------ settings
 
     /// 7000 of one ping.
-    pub fn settings_7000(
+    pub(crate) fn settings_7000(
         &self,
         ping_number: u32,
         view: &View,
@@ -234,7 +234,7 @@ impl DeviceSheet {
     }
 
     /// 7503 of one ping; ping number 0 means "the settings now".
-    pub fn settings_7503(&self, ping_number: u32, view: &View) -> RemoteSettings7503 {
+    pub(crate) fn settings_7503(&self, ping_number: u32, view: &View) -> RemoteSettings7503 {
         let (along_rad, across_rad) = self.transmit_widths_rad(view);
         let mounting = self.sonar.transmit.first().map(|t| t.mounting);
         let offset = mounting.map_or(DVec3::ZERO, |m| m.position_m);
@@ -292,7 +292,7 @@ impl DeviceSheet {
     }
 
     /// Answer to a single-record request for 7503: the settings that the next ping will obey, ping number 0.
-    pub fn current_settings_7503(&self, port: &dyn SettingsPort, now: UtcNs) -> Datagram {
+    pub(crate) fn current_settings_7503(&self, port: &dyn SettingsPort, now: UtcNs) -> Datagram {
         let settings = port.settings();
         let view = View {
             settings,
@@ -384,7 +384,7 @@ impl DeviceSheet {
         }
     }
 
-    pub fn along_track_width_rad(&self, view: &View) -> f64 {
+    pub(crate) fn along_track_width_rad(&self, view: &View) -> f64 {
         self.transmit_widths_rad(view).0
     }
 
@@ -416,7 +416,7 @@ fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
 // ---------------------------------------------------------------- navigation
 
 /// Of the platform's reference point.
-pub fn position_1003(nav: &NavState) -> Position1003 {
+pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
     Position1003 {
         datum_id: 0,
         latency_s: 0.0,
@@ -438,7 +438,7 @@ pub fn position_1003(nav: &NavState) -> Position1003 {
 }
 
 /// 7k: roll port up, pitch bow up, as ours; heave up, ours is down.
-pub fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
+pub(crate) fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     RollPitchHeave1012 {
         roll_rad: nav.roll_rad as f32,
         pitch_rad: nav.pitch_rad as f32,
@@ -446,14 +446,14 @@ pub fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     }
 }
 
-pub fn heading_1013(nav: &NavState) -> Heading1013 {
+pub(crate) fn heading_1013(nav: &NavState) -> Heading1013 {
     Heading1013 {
         heading_rad: nav.heading_rad as f32,
     }
 }
 
 /// Accuracies 0: not known. Heights are above the geoid, as positions give them.
-pub fn navigation_1015(nav: &NavState) -> Navigation1015 {
+pub(crate) fn navigation_1015(nav: &NavState) -> Navigation1015 {
     let velocity = nav.pose.velocity_m_per_s;
     Navigation1015 {
         vertical_reference: 2,
@@ -472,7 +472,7 @@ pub fn navigation_1015(nav: &NavState) -> Navigation1015 {
 }
 
 /// One reading, at the record's own time.
-pub fn attitude_1016(nav: &NavState) -> AttitudeSet {
+pub(crate) fn attitude_1016(nav: &NavState) -> AttitudeSet {
     AttitudeSet {
         after_ms: 0,
         roll_rad: nav.roll_rad as f32,
@@ -483,7 +483,7 @@ pub fn attitude_1016(nav: &NavState) -> AttitudeSet {
 }
 
 /// Temperature and pressure 0: not known.
-pub fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610 {
+pub(crate) fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610 {
     SoundVelocity7610 {
         sound_velocity_m_per_s: sound_speed_m_per_s as f32,
         ..SoundVelocity7610::default()

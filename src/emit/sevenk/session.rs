@@ -36,7 +36,7 @@ use echotank_core::flow::{
 use echotank_core::time::UtcNs;
 
 /// The longest record a client may send: a command with some thousands of record types.
-pub const MAX_COMMAND_BYTES: u32 = 64 * 1024;
+pub(crate) const MAX_COMMAND_BYTES: u32 = 64 * 1024;
 
 const REMOTE_CONTROL: u32 = 7500;
 const ACK: u32 = 7501;

@@ -20,7 +20,7 @@ use echotank_core::flow::{
 use echotank_core::time::UtcNs;
 
 /// How it signs what it changes.
-pub const VIA: &str = "wbms";
+pub(crate) const VIA: &str = "wbms";
 /// The greatest amplitude.
 const MAX_AMPLITUDE: f64 = 15.0;
 /// An unended line longer than this is no command.
@@ -28,7 +28,7 @@ const MAX_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
 const READY: &str = "# Echotank, simulated WBMS, ready\r\n";
 
 /// A source level as the device's amplitude.
-pub fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
+pub(crate) fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
     (part_of(limits.source_level_db, source_level_db) * MAX_AMPLITUDE).round() as u8
 }
 

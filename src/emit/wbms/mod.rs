@@ -41,10 +41,10 @@ pub struct Device {
 pub struct Told {
     pub start_m: f64,
     /// Side-scan on the fourth port; snippets otherwise.
-    pub sidescan_mode: u8,
+    pub(crate) sidescan_mode: u8,
     /// -1 with every ping, 0 none.
-    pub snippet_rate_hz: f64,
-    pub water_column_rate_hz: f64,
+    pub(crate) snippet_rate_hz: f64,
+    pub(crate) water_column_rate_hz: f64,
 }
 
 impl Device {

@@ -11,7 +11,7 @@ use echotank_config::spec::Shading;
 use echotank_core::flow::Pulse;
 
 /// One row's filter; holds what the next block needs of those before.
-pub struct BlockFilter {
+pub(crate) struct BlockFilter {
     correlator: Correlator,
     /// Samples that wait for what follows them, at most one less than the pulse's.
     waiting: Vec<Complex64>,
@@ -23,7 +23,12 @@ pub struct BlockFilter {
 
 impl BlockFilter {
     /// For blocks of at most `block` samples. `weighting` as in [`MatchedFilter::new`](super::matched::MatchedFilter::new).
-    pub fn new(pulse: &Pulse, sample_rate_hz: f64, block: usize, weighting: Shading) -> Self {
+    pub(crate) fn new(
+        pulse: &Pulse,
+        sample_rate_hz: f64,
+        block: usize,
+        weighting: Shading,
+    ) -> Self {
         let overlap = pulse_samples(pulse.duration_s, sample_rate_hz) - 1;
         let limits = RowLimits {
             sample_rate_hz,
@@ -42,12 +47,12 @@ impl BlockFilter {
     }
 
     /// Samples by which the output runs behind the input until [`BlockFilter::finish`].
-    pub fn behind(&self) -> usize {
+    pub(crate) fn behind(&self) -> usize {
         self.overlap
     }
 
     /// Takes the next samples of the row; appends the compressed samples that are now complete to `out`. Panics on more than `block` samples.
-    pub fn push(&mut self, samples: &[Complex64], out: &mut Vec<Complex64>) {
+    pub(crate) fn push(&mut self, samples: &[Complex64], out: &mut Vec<Complex64>) {
         assert!(
             samples.len() <= self.block,
             "block of {} samples, sized for {}",
@@ -60,7 +65,7 @@ impl BlockFilter {
     }
 
     /// The row is over: appends its last samples, and is ready for another row.
-    pub fn finish(&mut self, out: &mut Vec<Complex64>) {
+    pub(crate) fn finish(&mut self, out: &mut Vec<Complex64>) {
         let rest = self.waiting.len();
         self.compress(rest, out);
     }

@@ -36,7 +36,7 @@ use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
 /// Interpolated rows for each sample.
-pub const FRACTIONS: usize = 16;
+pub(crate) const FRACTIONS: usize = 16;
 /// Length of the interpolating filters: 50 dB from 0.4 to 0.6 of the sample rate, the margin that the checked sample rate leaves.
 const TAPS: usize = 16;
 const INTERPOLATION: Shading = Shading::Kaiser { beta: 4.6 };
@@ -159,7 +159,7 @@ impl DelaySumFormer {
     }
 
     /// Only these elements, about the whole line's centre.
-    pub fn with_part(mut self, part: std::ops::Range<usize>) -> Self {
+    pub(crate) fn with_part(mut self, part: std::ops::Range<usize>) -> Self {
         self.aimed.hear_with(&part);
         self.part = part;
         self

@@ -18,7 +18,7 @@ mod aimed;
 pub mod backproject;
 pub mod block;
 pub mod conventional;
-pub mod delay_sum;
+pub(crate) mod delay_sum;
 mod directions;
 pub mod fan;
 pub mod fast;

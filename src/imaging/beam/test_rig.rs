@@ -24,7 +24,7 @@ pub fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {
 }
 
 /// Each element hears the pulse that `echo` gives it, with its leading edge's delay: exp(-j 2pi f_c u) a(t - u).
-pub fn elements_of_plane_wave(
+pub(crate) fn elements_of_plane_wave(
     array: &ArrayGeometry,
     rate_hz: f64,
     samples: usize,

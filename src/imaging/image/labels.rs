@@ -19,11 +19,11 @@ const METRE: [u8; 5] = [0, 0, 7, 7, 5];
 const DEGREE: [u8; 5] = [6, 6, 0, 0, 0];
 const SCALE: usize = 2;
 /// Of one character with its gap, and of a line.
-pub const ADVANCE: usize = 4 * SCALE;
-pub const HEIGHT: usize = 5 * SCALE;
+pub(crate) const ADVANCE: usize = 4 * SCALE;
+pub(super) const HEIGHT: usize = 5 * SCALE;
 
 /// Pixels (x, y) of `text` from its upper left corner: digits, point, minus, `m`, degree sign; anything else is a blank.
-pub fn pixels(text: &str) -> impl Iterator<Item = (usize, usize)> + '_ {
+pub(super) fn pixels(text: &str) -> impl Iterator<Item = (usize, usize)> + '_ {
     text.chars().enumerate().flat_map(|(place, letter)| {
         let rows = match letter {
             '0'..='9' => DIGITS[letter as usize - '0' as usize],
@@ -42,7 +42,7 @@ pub fn pixels(text: &str) -> impl Iterator<Item = (usize, usize)> + '_ {
 }
 
 /// A step of 1, 2 or 5 times a power of ten of which about `wanted` fit into `length`.
-pub fn round_step(length: f64, wanted: f64) -> f64 {
+pub(crate) fn round_step(length: f64, wanted: f64) -> f64 {
     let raw = (length / wanted).max(f64::MIN_POSITIVE);
     let power = 10f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0]

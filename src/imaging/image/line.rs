@@ -113,7 +113,7 @@ pub fn mean_intensity(amplitude: &[f32], axis: RangeAxis, metres_per_cell: f64, 
 }
 
 /// The same for any projection. Samples nearer than `min_m` of slant range are left out: NaN.
-pub fn cell_intensity(
+pub(crate) fn cell_intensity(
     amplitude: &[f32],
     axis: RangeAxis,
     projection: Projection,

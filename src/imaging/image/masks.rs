@@ -29,7 +29,7 @@ impl Mask {
 const TARGETS_PER_PIXEL: usize = 8;
 
 /// The masks of a line's cells, the same cells as [`super::line::cell_intensity`] makes of its samples.
-pub fn cell_masks(
+pub(crate) fn cell_masks(
     truth: &LineTruth,
     axis: RangeAxis,
     projection: Projection,

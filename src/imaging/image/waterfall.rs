@@ -159,7 +159,12 @@ impl Waterfall {
 
     /// Where an echo at `range_m` (as the columns count it) of a ping lies in the picture as it is now: column, and the uppermost of the ping's rows.
     /// None outside the picture.
-    pub fn pixel_of(&self, side: Side, range_m: f64, ping_number: u32) -> Option<(u32, u32)> {
+    pub(crate) fn pixel_of(
+        &self,
+        side: Side,
+        range_m: f64,
+        ping_number: u32,
+    ) -> Option<(u32, u32)> {
         // A range that is a multiple of the pixel belongs to the pixel it begins, whatever the quotient's last digit.
         let column = (range_m / self.spec.metres_per_pixel + 1e-9).floor();
         if !(column >= 0.0 && column < self.columns_per_side as f64) {

@@ -7,7 +7,7 @@ use echotank_config::spec::FailoverSpec;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Word {
+pub(crate) enum Word {
     /// It counts.
     Has,
     /// It counts, and is the first of another source than before: nothing joins it to what was.
@@ -24,7 +24,7 @@ struct Candidate {
 }
 
 #[derive(Clone, Debug, Default)]
-pub struct Arbiter {
+pub(crate) struct Arbiter {
     /// Best first.
     candidates: Vec<Candidate>,
     speaking: Option<usize>,
@@ -33,7 +33,7 @@ pub struct Arbiter {
 }
 
 impl Arbiter {
-    pub fn new(sources: impl Iterator<Item = u16>) -> Self {
+    pub(super) fn new(sources: impl Iterator<Item = u16>) -> Self {
         let candidate = |source| Candidate {
             source,
             last: None,
@@ -47,13 +47,13 @@ impl Arbiter {
     }
 
     /// The source whose samples count at present; before any came, the best.
-    pub fn source(&self) -> Option<u16> {
+    pub(super) fn source(&self) -> Option<u16> {
         self.candidates
             .get(self.speaking.unwrap_or(0))
             .map(|c| c.source)
     }
 
-    pub fn hear(&mut self, source: u16, arrival: UtcNs, rule: Option<FailoverSpec>) -> Word {
+    pub(super) fn hear(&mut self, source: u16, arrival: UtcNs, rule: Option<FailoverSpec>) -> Word {
         let Some(who) = self.candidates.iter().position(|c| c.source == source) else {
             return Word::HasNot;
         };

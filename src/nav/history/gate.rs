@@ -20,7 +20,7 @@ const HEAVE_SLACK_M: f64 = 0.5;
 const HEAVE_RATE_M_PER_S: f64 = 10.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Passage {
+pub(super) enum Passage {
     Open,
     /// Set aside.
     Shut,
@@ -29,7 +29,7 @@ pub enum Passage {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Gate {
+pub(super) struct Gate {
     taken: Option<(UtcNs, DVec3)>,
     doubted: Option<(UtcNs, DVec3)>,
     agreeing: u32,
@@ -37,11 +37,11 @@ pub struct Gate {
 
 impl Gate {
     /// Another source speaks from here on: whatever it says is no jump.
-    pub fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         *self = Self::default();
     }
 
-    pub fn judge(
+    pub(crate) fn judge(
         &mut self,
         channel: NavChannel,
         utc: UtcNs,

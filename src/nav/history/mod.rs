@@ -78,7 +78,7 @@ pub struct HistoryCounts {
     /// Dropped: the channel has a sample of this time.
     pub duplicates: u64,
     /// Dropped: said to hold later than it came; the source's clock is not this rig's.
-    pub from_the_future: u64,
+    pub(crate) from_the_future: u64,
     /// Dropped: another source owns the channel.
     pub not_owned: u64,
     /// Times that another source took a channel over.

@@ -317,7 +317,7 @@ impl Ear {
 
 /// Of all pairs of scatterer and element.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shares {
+pub(crate) struct Shares {
     /// Above the floor as the transmitter sees them: these are walked.
     pub transmit_leg: f64,
     /// ... and as the element hears them: these are summed.
@@ -325,14 +325,14 @@ pub struct Shares {
 }
 
 impl Shares {
-    pub const ALL: Self = Self {
+    pub(crate) const ALL: Self = Self {
         transmit_leg: 1.0,
         kept: 1.0,
     };
 }
 
 /// What each floor (dB; none is no floor) leaves.
-pub fn kept_shares(
+pub(crate) fn kept_shares(
     spec: &SonarSpec,
     plan: &PingPlan,
     scatterers: &Scatterers,

@@ -62,7 +62,7 @@ pub struct Planner {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlanCounts {
     /// Times that it was ranked anew, and that another plan came of it.
-    pub ranked: u64,
+    pub(crate) ranked: u64,
     pub changed: u64,
     /// Plans given up because an error check was above their tolerance.
     pub given_up: u64,

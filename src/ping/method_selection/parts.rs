@@ -67,7 +67,7 @@ impl Parting {
 }
 
 /// Numbers of elements that can be taken as one on every line, small ones first.
-pub fn divisors(spec: &SonarSpec) -> Vec<usize> {
+pub(crate) fn divisors(spec: &SonarSpec) -> Vec<usize> {
     let least = spec.receive.iter().map(|array| array.elements).min();
     let even = |of: &usize| spec.receive.iter().all(|a| a.elements.is_multiple_of(*of));
     (2..=least.unwrap_or(1)).filter(even).collect()

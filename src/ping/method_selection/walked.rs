@@ -10,7 +10,7 @@ const LANES: f64 = 8.0;
 /// What a run may leave out of a bent chirp's phase, turns over 32.
 const CUBIC_TURNS: f64 = 32.0 * 1e-7;
 
-pub struct Walked {
+pub(crate) struct Walked {
     /// Two-way time from the nearest to the farthest of the scatterers that look for their legs together, mean, and by how much bounds on where an element is stretch it.
     spread_s: f64,
     window_s: f64,
@@ -20,7 +20,12 @@ pub struct Walked {
 
 impl Walked {
     /// `scatterers`: all `count` of them, or a sample in their order.
-    pub fn of(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers, count: usize) -> Self {
+    pub(super) fn of(
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        count: usize,
+    ) -> Self {
         let stride = count.div_ceil(scatterers.len().max(1)).max(1);
         let batch = (PART / stride).max(2);
         let here = plan.trajectory.pose_at(0.0);
@@ -58,14 +63,18 @@ impl Walked {
     }
 
     /// Chords of this length that are looked at for one pair, mean.
-    pub fn chords(&self, segment_s: f64) -> f64 {
+    pub(super) fn chords(&self, segment_s: f64) -> f64 {
         let all = (self.window_s / segment_s).ceil().max(1.0);
         (1.0 + self.spread_s / segment_s).min(all)
     }
 }
 
 /// Runs of an echo in `direct`, each with sines and cosines of its own: the more bent, the shorter.
-pub fn direct_runs(conditions: &Conditions, doppler: DopplerModel, dense_rate_hz: f64) -> f64 {
+pub(crate) fn direct_runs(
+    conditions: &Conditions,
+    doppler: DopplerModel,
+    dense_rate_hz: f64,
+) -> f64 {
     let points = conditions.pulse.duration_s * dense_rate_hz;
     let bend = conditions.heard.map_or(0.0, |heard| heard.bend_m_per_s2);
     let longest = match doppler {
@@ -82,7 +91,7 @@ pub fn direct_runs(conditions: &Conditions, doppler: DopplerModel, dense_rate_hz
 }
 
 /// Of an echo's points those that are weighted one by one: on its flanks, in whole blocks, and what is left over at its end.
-pub fn flank_points(pulse: &Pulse, points: f64) -> f64 {
+pub(super) fn flank_points(pulse: &Pulse, points: f64) -> f64 {
     let ends = match pulse.taper > 0.0 {
         true => 1.5 * LANES,
         false => 0.5 * LANES,

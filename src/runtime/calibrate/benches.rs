@@ -14,7 +14,7 @@ use echotank_core::time::UtcNs;
 use echotank_ping::{self as ping, PingOrder};
 
 /// One of them.
-pub struct Bench {
+pub(super) struct Bench {
     pub spec: SonarSpec,
     pub medium: MediumSpec,
     pub plan: PingPlan,
@@ -194,7 +194,7 @@ fn bottom(count: usize, range_m: f64) -> Scatterers {
     scatterers
 }
 
-pub fn benches() -> impl Iterator<Item = Bench> {
+pub(super) fn benches() -> impl Iterator<Item = Bench> {
     SKETCHES.iter().map(Sketch::bench)
 }
 

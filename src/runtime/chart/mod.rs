@@ -180,7 +180,7 @@ fn plan_under(scene: &Scene, spec: &SonarSpec) -> PingPlan {
 }
 
 /// Runs one method over all scenes: its outputs and times. `repeats` timed runs after one that warms up.
-pub fn run_method(
+pub(crate) fn run_method(
     spec: &SonarSpec,
     medium: &MediumSpec,
     scenes: &[Scene],

@@ -90,7 +90,7 @@ pub(super) struct Coming {
 
 impl Coming {
     /// No order is still to come for a pulse before this instant, unless it is triggered from outside.
-    pub fn next(&self) -> UtcNs {
+    pub(super) fn next(&self) -> UtcNs {
         UtcNs(self.next_utc_ns.load(Ordering::Acquire))
     }
 }
@@ -107,11 +107,11 @@ pub(super) struct Company {
     pub control: Arc<RunControl>,
     pub faults: Arc<Faults>,
     pub clock: Arc<dyn Clock>,
-    pub backlog: Arc<Backlog>,
+    pub(crate) backlog: Arc<Backlog>,
 }
 
 impl Beat {
-    pub fn new(
+    pub(super) fn new(
         spec: &RigSpec,
         first: UtcNs,
         timeline: Timeline,
@@ -152,18 +152,18 @@ impl Beat {
         }
     }
 
-    pub fn coming(&self) -> Arc<Coming> {
+    pub(super) fn coming(&self) -> Arc<Coming> {
         self.coming.clone()
     }
 
     /// When a pulse is next due of a sonar that pings; none while nobody does.
-    pub fn next_pulse(&self) -> Option<UtcNs> {
+    pub(crate) fn next_pulse(&self) -> Option<UtcNs> {
         let pings = |sonar: usize| self.settings[sonar].snapshot().0.pinging;
         self.beats.next_utc(pings)
     }
 
     /// The next pulse that has gone out by `now`, in order of time.
-    pub fn next(&mut self, now: UtcNs) -> Option<(usize, PingOrder)> {
+    pub(super) fn next(&mut self, now: UtcNs) -> Option<(usize, PingOrder)> {
         loop {
             self.came = self.came.or_else(|| self.triggers.came.try_recv().ok());
             let until = self
@@ -356,7 +356,11 @@ impl Beat {
     }
 
     /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
-    pub fn start(self, orders: Sender<Ordered>, priority: u8) -> std::io::Result<BeatThread> {
+    pub(super) fn start(
+        self,
+        orders: Sender<Ordered>,
+        priority: u8,
+    ) -> std::io::Result<BeatThread> {
         let stop = Arc::new(AtomicBool::new(false));
         let (clock, wake_up) = (self.clock.clone(), self.triggers.wake_up.clone());
         let thread = thread::Builder::new().name("beat".into()).spawn({

@@ -31,7 +31,7 @@ pub(super) struct Came {
 pub(super) struct Triggers {
     /// Shut when dropped.
     pub listeners: Vec<Option<TriggerListener>>,
-    pub outs: Vec<Option<TriggerOut>>,
+    pub(crate) outs: Vec<Option<TriggerOut>>,
     pub came: Receiver<Came>,
     /// Rung when one has come.
     pub wake_up: Arc<WakeUp>,
@@ -48,7 +48,7 @@ pub(super) fn at_first(from: &TriggerFrom, clock: ClockSpec) -> TriggerSource {
 }
 
 impl Triggers {
-    pub fn open(
+    pub(super) fn open(
         spec: &RigSpec,
         clock: &Arc<dyn Clock>,
         gate: &Arc<Gate>,
@@ -93,7 +93,7 @@ impl Triggers {
     }
 
     /// Where triggers may come, a line each.
-    pub fn addresses(&self, spec: &RigSpec) -> Vec<String> {
+    pub(super) fn addresses(&self, spec: &RigSpec) -> Vec<String> {
         let named = spec.sonars.iter().zip(&self.listeners);
         named
             .filter_map(|(sonar, listener)| {

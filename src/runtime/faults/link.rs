@@ -76,7 +76,7 @@ impl Shape {
         },
     };
     /// The same on a serial line.
-    pub const PING_SERIAL: Self = Self {
+    pub(crate) const PING_SERIAL: Self = Self {
         name: "ping-serial",
         ..Self::PING
     };

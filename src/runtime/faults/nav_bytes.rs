@@ -14,7 +14,7 @@ const CUT_AFTER: usize = 9;
 /// Keeps the draws of noise apart from all others.
 const NOISE_TAG: [u8; 8] = *b"navnoise";
 
-pub struct ByteSpoiler {
+pub(crate) struct ByteSpoiler {
     faults: Arc<Faults>,
     lines: Vec<Sentence>,
     spoiled: Vec<u8>,
@@ -32,7 +32,7 @@ struct Sentence {
 }
 
 impl ByteSpoiler {
-    pub fn new(faults: Arc<Faults>, sources: usize) -> Self {
+    pub(super) fn new(faults: Arc<Faults>, sources: usize) -> Self {
         Self {
             faults,
             lines: vec![Sentence::default(); sources],
@@ -40,7 +40,7 @@ impl ByteSpoiler {
         }
     }
 
-    pub fn spoil(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
+    pub(super) fn spoil(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
         if self.faults.standing() == 0 {
             self.lines.fill(Sentence::default());
             return;

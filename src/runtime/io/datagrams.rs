@@ -30,7 +30,7 @@ const MAX_KEPT_BUFFERS: usize = 256;
 
 /// Where packets go.
 #[derive(Clone, Debug)]
-pub struct Route {
+pub(crate) struct Route {
     pub send_to: Vec<SocketAddr>,
     pub multicast_interface: Ipv4Addr,
     pub multicast_ttl: u32,
@@ -42,7 +42,7 @@ pub struct Route {
 
 /// When the packets of a ping leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Leaving {
+pub(crate) enum Leaving {
     /// Evenly over so many seconds from now; 0: as fast as the pace allows.
     Over(f64),
     /// Each block so long after its last sample was heard. The pulse began at this instant of the rig's clock.
@@ -51,18 +51,18 @@ pub enum Leaving {
 
 /// What was sent.
 #[derive(Debug, Default)]
-pub struct DatagramCounts {
+pub(crate) struct DatagramCounts {
     /// One for each address, in the order of [`Route::send_to`]; none where a server's clients get the packets.
-    pub receivers: Vec<ReceiverCounts>,
+    pub(crate) receivers: Vec<ReceiverCounts>,
     /// Packets handed to a server, which counts each client's itself.
-    pub to_clients: AtomicU64,
+    pub(crate) to_clients: AtomicU64,
     /// Pings that found the queue full.
-    pub dropped_pings: AtomicU64,
+    pub(crate) dropped_pings: AtomicU64,
 }
 
 /// What was sent to one address.
 #[derive(Debug)]
-pub struct ReceiverCounts {
+pub(crate) struct ReceiverCounts {
     pub to: SocketAddr,
     pub packets: AtomicU64,
     pub bytes: AtomicU64,
@@ -76,17 +76,17 @@ impl DatagramCounts {
         each.sum()
     }
     /// To anybody.
-    pub fn packets(&self) -> u64 {
+    pub(crate) fn packets(&self) -> u64 {
         self.to_clients.load(Ordering::Relaxed) + self.sum(|r| &r.packets)
     }
     /// Refused by the operating system.
-    pub fn failed(&self) -> u64 {
+    pub(crate) fn failed(&self) -> u64 {
         self.sum(|r| &r.failed)
     }
 }
 
 /// The near end of the sending thread. Stops, with everything queued sent, when dropped.
-pub struct DatagramSender {
+pub(crate) struct DatagramSender {
     full: Option<Sender<(Packets, Leaving)>>,
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
@@ -98,7 +98,11 @@ pub struct DatagramSender {
 
 impl DatagramSender {
     /// `clock` is the rig's, on which blocks are due.
-    pub fn open(route: Route, clock: Arc<dyn Clock>, sending: Sending) -> std::io::Result<Self> {
+    pub(crate) fn open(
+        route: Route,
+        clock: Arc<dyn Clock>,
+        sending: Sending,
+    ) -> std::io::Result<Self> {
         let sockets = route
             .send_to
             .iter()
@@ -125,7 +129,7 @@ impl DatagramSender {
     }
 
     /// Sends to the clients of a server instead, which paces itself: blocks are handed over when they are due.
-    pub fn serve(
+    pub(crate) fn serve(
         server: Arc<SonarServer>,
         queue: usize,
         clock: Arc<dyn Clock>,
@@ -182,21 +186,21 @@ impl DatagramSender {
     }
 
     /// All that is sent passes `line` from now on.
-    pub fn set_line(&self, line: Box<dyn FaultyLine>) {
+    pub(crate) fn set_line(&self, line: Box<dyn FaultyLine>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
-    pub fn counts(&self) -> &Arc<DatagramCounts> {
+    pub(crate) fn counts(&self) -> &Arc<DatagramCounts> {
         &self.counts
     }
 
     /// A buffer for the next ping, used before if there is one.
-    pub fn buffer(&self) -> Packets {
+    pub(crate) fn buffer(&self) -> Packets {
         self.empty.try_recv().unwrap_or_default()
     }
 
     /// Queues a ping; false if there was no room.
-    pub fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
+    pub(crate) fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = &mut *faulty {
             if let Some(server) = &self.server {

@@ -3,7 +3,7 @@ pub mod control;
 pub mod datagrams;
 pub mod line;
 pub mod nav;
-pub mod notify;
+pub(crate) mod notify;
 pub mod pace;
 pub mod priority;
 pub mod record;

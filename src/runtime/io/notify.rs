@@ -4,13 +4,13 @@ use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
 /// The way to the service manager; none where there is none.
-pub struct Notify {
+pub(crate) struct Notify {
     way: Option<(UnixDatagram, SocketAddr)>,
 }
 
 impl Notify {
     /// By the environment that systemd sets.
-    pub fn from_environment() -> Self {
+    pub(crate) fn from_environment() -> Self {
         Self::to(std::env::var("NOTIFY_SOCKET").ok().as_deref())
     }
 
@@ -27,21 +27,21 @@ impl Notify {
     }
 
     /// The service is up.
-    pub fn ready(&self) {
+    pub(crate) fn ready(&self) {
         self.tell("READY=1");
     }
 
     /// The service is well: to be said more often than every WatchdogSec.
-    pub fn alive(&self) {
+    pub(crate) fn alive(&self) {
         self.tell("WATCHDOG=1");
     }
 
-    pub fn stopping(&self) {
+    pub(crate) fn stopping(&self) {
         self.tell("STOPPING=1");
     }
 
     /// One line for `systemctl status`.
-    pub fn status(&self, line: &str) {
+    pub(crate) fn status(&self, line: &str) {
         self.tell(&format!("STATUS={line}"));
     }
 

@@ -5,7 +5,7 @@ use std::os::unix::thread::JoinHandleExt;
 use std::thread::JoinHandle;
 
 /// Puts the calling thread under SCHED_FIFO. Without CAP_SYS_NICE or a limit on rtprio this is refused.
-pub fn first_in_first_out(priority: u8) -> io::Result<()> {
+pub(crate) fn first_in_first_out(priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
     };
@@ -15,7 +15,7 @@ pub fn first_in_first_out(priority: u8) -> io::Result<()> {
 }
 
 /// The same of another thread of this process.
-pub fn first_in_first_out_of<T>(thread: &JoinHandle<T>, priority: u8) -> io::Result<()> {
+pub(crate) fn first_in_first_out_of<T>(thread: &JoinHandle<T>, priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
     };
@@ -37,13 +37,13 @@ pub fn nice(value: i8) -> io::Result<()> {
 }
 
 /// The calling thread's nice value.
-pub fn niceness() -> i32 {
+pub(crate) fn niceness() -> i32 {
     // SAFETY: takes no pointers. -1 is also an error, of which there is none for the calling thread.
     unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) }
 }
 
 /// The calling thread's scheduling: policy and priority.
-pub fn scheduling() -> (i32, i32) {
+pub(crate) fn scheduling() -> (i32, i32) {
     let mut parameters = libc::sched_param { sched_priority: 0 };
     // SAFETY: pid 0 is the calling thread; the structure is live and written by the call.
     let policy = unsafe {
@@ -55,7 +55,7 @@ pub fn scheduling() -> (i32, i32) {
 
 /// Keeps every page in memory once it has been touched. Refused unless memory may be locked without limit: under a limit a later
 /// allocation would fail instead.
-pub fn lock_memory() -> io::Result<()> {
+pub(crate) fn lock_memory() -> io::Result<()> {
     if limit(Limit::LockedMemory) != u64::MAX && !is_root() {
         let why = "the limit on locked memory is not \"unlimited\"";
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, why));

@@ -85,7 +85,7 @@ impl SerialLine {
     }
 
     /// All records pass `line` from now on; answers do not.
-    pub fn set_line(&self, line: Box<dyn Line>) {
+    pub(crate) fn set_line(&self, line: Box<dyn Line>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 

@@ -6,12 +6,12 @@ use std::io;
 use std::net::UdpSocket;
 
 /// Asks for stamps; false where there are none.
-pub fn enable(socket: &UdpSocket) -> bool {
+pub(super) fn enable(socket: &UdpSocket) -> bool {
     system::enable(socket)
 }
 
 /// One datagram: its length and its age, nanoseconds (0 where it is not known).
-pub fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
+pub(super) fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
     system::receive(socket, buffer)
 }
 
@@ -41,7 +41,7 @@ mod system {
     /// Room for the stamp's control message, eight-byte aligned; it takes 32 bytes.
     type Control = [u64; 16];
 
-    pub fn enable(socket: &UdpSocket) -> bool {
+    pub(super) fn enable(socket: &UdpSocket) -> bool {
         let on: libc::c_int = 1;
         // SAFETY: the descriptor is open for as long as `socket` is borrowed; the option's value is one int, alive during the call.
         let done = unsafe {
@@ -56,7 +56,7 @@ mod system {
         done == 0
     }
 
-    pub fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
+    pub(super) fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
         let mut control: Control = [0; 16];
         let mut part = libc::iovec {
             iov_base: buffer.as_mut_ptr().cast(),

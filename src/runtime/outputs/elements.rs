@@ -19,7 +19,7 @@ use echotank_ping::rig::PingSlot;
 /// A frame over TCP is a block, or so long: a client's buffer need not be longer.
 const TCP_FRAME_BYTES: usize = 256 * 1024;
 
-pub struct Elements {
+pub(super) struct Elements {
     name: String,
     send_to: Vec<SocketAddr>,
     server: Arc<SonarServer>,
@@ -38,7 +38,7 @@ struct Way {
 }
 
 impl Elements {
-    pub fn open(output: &ElementStreamSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &ElementStreamSpec, opening: &Opening) -> Result<Self, OutputError> {
         let (unit, spread) = (opening.unit, opening.spread);
         let name = unit.spec.name.clone();
         let queue = opening.queue();

@@ -48,7 +48,7 @@ impl Recorder for WavRecorder {
 }
 
 /// A recording of one sonar.
-pub struct Recording {
+pub(super) struct Recording {
     name: String,
     kind: &'static str,
     path: PathBuf,
@@ -101,7 +101,7 @@ impl Recording {
 }
 
 /// Opens the SigMF recording of a sonar.
-pub fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputError> {
+pub(super) fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputError> {
     let sonar = &opening.unit.spec;
     // The recorder adds what its two files are called by.
     let stem = path(opening, "sigmf")?.with_extension("");
@@ -110,7 +110,7 @@ pub fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputE
 }
 
 /// Opens the WAV recording of a sonar.
-pub fn wav(output: &WavSpec, opening: &Opening) -> Result<Recording, OutputError> {
+pub(super) fn wav(output: &WavSpec, opening: &Opening) -> Result<Recording, OutputError> {
     let sonar = &opening.unit.spec;
     let path = path(opening, "wav")?;
     let recorder = WavRecorder::create(&path, output, sonar)?;

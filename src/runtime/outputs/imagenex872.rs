@@ -11,7 +11,7 @@ use echotank_core::flow::Datagram;
 use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
 use echotank_ping::rig::PingSlot;
 
-pub struct Imagenex872 {
+pub(super) struct Imagenex872 {
     name: String,
     head: Arc<Head>,
     /// Rate and full scale of the samples.
@@ -22,7 +22,7 @@ pub struct Imagenex872 {
 }
 
 impl Imagenex872 {
-    pub fn open(output: &ImagenexSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &ImagenexSpec, opening: &Opening) -> Result<Self, OutputError> {
         let head = Arc::new(Head::default());
         let listener = ServerSpec {
             listen: output.listen,

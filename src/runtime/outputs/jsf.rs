@@ -18,7 +18,7 @@ use echotank_imaging::beam::matched::MatchedFilter;
 use echotank_ping as ping;
 use echotank_ping::rig::PingSlot;
 
-pub struct Jsf {
+pub(super) struct Jsf {
     name: String,
     emitter: JsfEmitter,
     commands: Arc<SonarServer>,
@@ -34,7 +34,7 @@ pub struct Jsf {
 }
 
 /// The matched filter that samples of formats 0 and 1 have behind them.
-pub fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
+pub(crate) fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
     let limits = RowLimits {
         sample_rate_hz: sonar.receiver.sample_rate_hz,
         samples: ping::max_samples(sonar, medium.sound_speed_m_per_s),
@@ -48,7 +48,7 @@ pub fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
 }
 
 impl Jsf {
-    pub fn open(output: &JsfSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &JsfSpec, opening: &Opening) -> Result<Self, OutputError> {
         let Opening {
             spec,
             unit,

@@ -108,7 +108,7 @@ pub struct StreamCounts {
     /// `TCP 127.0.0.1:51234`.
     pub peer: String,
     /// What it subscribed to, where the family has names for it.
-    pub receives: String,
+    pub(crate) receives: String,
     pub bytes_sent: u64,
     pub records_sent: u64,
     pub records_dropped: u64,
@@ -209,7 +209,7 @@ impl Opening<'_> {
 }
 
 /// The outputs of one sonar.
-pub struct Outputs {
+pub(crate) struct Outputs {
     all: Vec<Marked>,
 }
 
@@ -225,7 +225,7 @@ pub struct OutputReports {
 }
 
 impl Outputs {
-    pub fn open(
+    pub(crate) fn open(
         spec: &RigSpec,
         unit: &SonarUnit,
         settings: &Arc<SettingsStore>,
@@ -291,31 +291,31 @@ impl Outputs {
     }
 
     /// Where each output listens or sends to.
-    pub fn addresses(&self) -> Vec<String> {
+    pub(crate) fn addresses(&self) -> Vec<String> {
         self.all
             .iter()
             .flat_map(|out| out.output.addresses())
             .collect()
     }
 
-    pub fn reports(&self) -> OutputReports {
+    pub(crate) fn reports(&self) -> OutputReports {
         OutputReports {
             all: self.all.iter().map(|out| out.output.report()).collect(),
         }
     }
 
     /// Those that leave at the end of a ping, and those that stream.
-    pub fn split(self) -> (Self, Self) {
+    pub(crate) fn split(self) -> (Self, Self) {
         let (streams, rest) = self.all.into_iter().partition(|out| out.output.is_stream());
         (Self { all: rest }, Self { all: streams })
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
 
     /// Lets some of a ping's samples leave as they would be heard.
-    pub fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
+    pub(crate) fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         for out in &mut self.all {
             out.mark.set(&slot.plan);
             out.output.stream(slot, samples.clone(), pulse);
@@ -323,7 +323,7 @@ impl Outputs {
     }
 
     /// Makes the records of a ping that somebody wants.
-    pub fn encode(&mut self, slot: &PingSlot) {
+    pub(crate) fn encode(&mut self, slot: &PingSlot) {
         for out in &mut self.all {
             out.mark.set(&slot.plan);
             out.output.encode(slot);
@@ -331,7 +331,7 @@ impl Outputs {
     }
 
     /// Hands over what [`Self::encode`] made, every output its own; `failed` is told of each recorder that stops.
-    pub fn deliver(&mut self, mut failed: impl FnMut(OutputError)) {
+    pub(crate) fn deliver(&mut self, mut failed: impl FnMut(OutputError)) {
         for out in &mut self.all {
             if let Err(error) = out.output.deliver() {
                 failed(error);
@@ -340,7 +340,7 @@ impl Outputs {
     }
 
     /// Closes the recorders.
-    pub fn close(self) -> Result<(), OutputError> {
+    pub(crate) fn close(self) -> Result<(), OutputError> {
         let mut outcome = Ok(());
         for out in self.all {
             let this = out.output.close();

@@ -39,7 +39,7 @@ pub struct PageOpening {
 }
 
 /// The page's share of one sonar.
-pub struct Page {
+pub(super) struct Page {
     spec: SonarSpec,
     feed: Arc<Feed>,
     sonar: u16,
@@ -52,7 +52,7 @@ pub struct Page {
 }
 
 impl Page {
-    pub fn new(spec: &SonarSpec, opening: PageOpening) -> Self {
+    pub(super) fn new(spec: &SonarSpec, opening: PageOpening) -> Self {
         Self {
             spec: spec.clone(),
             feed: opening.feed,

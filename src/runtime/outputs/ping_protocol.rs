@@ -16,7 +16,7 @@ use echotank_emit::ping_protocol::session::PingPort;
 use echotank_emit::ping_protocol::{Device, PingEmitter};
 use echotank_ping::rig::PingSlot;
 
-pub struct PingProtocol {
+pub(super) struct PingProtocol {
     name: String,
     spec: PingProtocolSpec,
     emitter: PingEmitter,
@@ -31,7 +31,7 @@ pub struct PingProtocol {
 }
 
 impl PingProtocol {
-    pub fn open(output: &PingProtocolSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &PingProtocolSpec, opening: &Opening) -> Result<Self, OutputError> {
         let Opening {
             spec,
             unit,

@@ -4,7 +4,7 @@ use super::StreamCounts;
 use crate::io::sonar::ServerReport;
 
 /// A line for a server and those of its clients that have gone, and one per client.
-pub fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
+pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
     let totals = report.totals();
     let mut lines = vec![format!(
         "{family} {name}: {} clients now, {} ever, {} refused, {:.1} MB sent, {} commands, {} refused commands, {} framing errors",
@@ -31,7 +31,7 @@ pub fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<Stri
 }
 
 /// What each client of a server was sent.
-pub fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
+pub(crate) fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
     let clients = report.clients.iter();
     let counts = clients.map(|client| StreamCounts {
         family,

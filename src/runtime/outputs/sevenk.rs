@@ -17,7 +17,7 @@ use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_ping::rig::PingSlot;
 
-pub struct SevenK {
+pub(super) struct SevenK {
     name: String,
     emitter: SevenKEmitter,
     server: Arc<SonarServer>,
@@ -33,7 +33,7 @@ pub struct SevenK {
 }
 
 impl SevenK {
-    pub fn open(output: &SevenKSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &SevenKSpec, opening: &Opening) -> Result<Self, OutputError> {
         let Opening {
             spec,
             unit,

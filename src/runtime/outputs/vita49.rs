@@ -13,7 +13,7 @@ use echotank_emit::packets::Packets;
 use echotank_emit::vita49::Vita49Emitter;
 use echotank_ping::rig::PingSlot;
 
-pub struct Vita49 {
+pub(super) struct Vita49 {
     name: String,
     send_to: Vec<std::net::SocketAddr>,
     emitter: Vita49Emitter,
@@ -27,7 +27,7 @@ pub struct Vita49 {
 }
 
 impl Vita49 {
-    pub fn open(output: &Vita49Spec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &Vita49Spec, opening: &Opening) -> Result<Self, OutputError> {
         let unit = opening.unit;
         let route = Route {
             send_to: output.send_to.clone(),

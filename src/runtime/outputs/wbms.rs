@@ -16,7 +16,7 @@ use echotank_ping::rig::PingSlot;
 /// In the order of their ports.
 const SERVERS: [&str; 4] = ["control", "bathymetry", "water column", "side-scan"];
 
-pub struct Wbms {
+pub(super) struct Wbms {
     name: String,
     emitter: WbmsEmitter,
     /// As [`SERVERS`].
@@ -28,7 +28,7 @@ pub struct Wbms {
 }
 
 impl Wbms {
-    pub fn open(output: &WbmsSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &WbmsSpec, opening: &Opening) -> Result<Self, OutputError> {
         let Opening {
             spec,
             unit,

@@ -10,7 +10,7 @@ use echotank_config::spec::XtfSpec;
 use echotank_emit::xtf::XtfEmitter;
 use echotank_ping::rig::PingSlot;
 
-pub struct Xtf {
+pub(super) struct Xtf {
     emitter: XtfEmitter,
     recorder: Option<StreamRecorder>,
     /// Packets of the ping that waits for its deadline.
@@ -19,7 +19,7 @@ pub struct Xtf {
 }
 
 impl Xtf {
-    pub fn open(output: &XtfSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(output: &XtfSpec, opening: &Opening) -> Result<Self, OutputError> {
         let c = opening.spec.medium.sound_speed_m_per_s;
         let emitter = XtfEmitter::new(output, &opening.unit.spec, c);
         // The configuration has the folder.

@@ -87,7 +87,7 @@ const NO_SHADOWS: Shadows = Shadows {
 
 /// What is known of the ground at a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub(crate) enum Verdict {
     Seen,
     Hidden,
     Unsure,
@@ -95,7 +95,7 @@ pub enum Verdict {
 
 /// Coordinates are the scene's own.
 #[derive(Debug, Default)]
-pub struct Horizon {
+pub(super) struct Horizon {
     eye_m: DVec3,
     /// Rays in the full circle, a multiple of 4.
     rays: usize,
@@ -109,7 +109,7 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    pub fn start(&mut self, eye_m: DVec3, longest_m: f64, spacing_m: f64) {
+    pub(super) fn start(&mut self, eye_m: DVec3, longest_m: f64, spacing_m: f64) {
         self.eye_m = eye_m;
         let fine = (longest_m / spacing_m).clamp(SPACINGS.0, SPACINGS.1);
         // A unit of `turn` holds up to 2 radians.
@@ -125,7 +125,7 @@ impl Horizon {
     }
 
     /// Something in this box will be looked at.
-    pub fn mark(&mut self, low_m: DVec2, high_m: DVec2) {
+    pub(super) fn mark(&mut self, low_m: DVec2, high_m: DVec2) {
         self.low_m = self.low_m.min(low_m);
         self.high_m = self.high_m.max(high_m);
         let farthest_m = self.farthest_m(low_m, high_m);
@@ -168,7 +168,7 @@ impl Horizon {
     }
 
     /// Finds how far each sector is clear. To be called after all has been marked.
-    pub fn clear(&mut self, surface: &Surface) {
+    pub(super) fn clear(&mut self, surface: &Surface) {
         let (eye_m, low_m, high_m) = (self.eye_m, self.low_m, self.high_m);
         let at_m = eye_m.truncate();
         surface.turned_away(eye_m, low_m, high_m, |low_m, high_m| {
@@ -181,7 +181,7 @@ impl Horizon {
     }
 
     /// Runs the rays of the sectors that are not clear as far as they are looked at.
-    pub fn scan(&mut self, surface: &Surface, rule: OcclusionSpec) {
+    pub(super) fn scan(&mut self, surface: &Surface, rule: OcclusionSpec) {
         for (index, sector) in self.sectors.iter_mut().enumerate() {
             if sector.clear_m < sector.reach_m {
                 sector.place = self.used.len() as u32;
@@ -223,7 +223,7 @@ impl Horizon {
     }
 
     /// Whether all ground in a box that was marked is seen.
-    pub fn is_clear(&self, low_m: DVec2, high_m: DVec2) -> bool {
+    pub(crate) fn is_clear(&self, low_m: DVec2, high_m: DVec2) -> bool {
         let farthest_m = self.farthest_m(low_m, high_m);
         self.sectors_of(low_m, high_m)
             .all(|sector| farthest_m <= self.sectors[sector].clear_m)
@@ -231,7 +231,7 @@ impl Horizon {
 
     /// What the rays on both sides say of the ground at a place that was marked, and the nearer one of them alone.
     #[inline(always)]
-    pub fn verdict(&self, at_m: DVec2) -> (Verdict, Verdict) {
+    pub(super) fn verdict(&self, at_m: DVec2) -> (Verdict, Verdict) {
         let d = at_m - self.eye_m.truncate();
         let distance_m = d.length();
         let x = turn(d) * (self.rays as f64 / 4.0);
@@ -252,7 +252,7 @@ impl Horizon {
     }
 
     /// A single ray: whether the ground hides a place from the eye.
-    pub fn cast_hides(&self, ground: &Surface, at_m: DVec3) -> bool {
+    pub(crate) fn cast_hides(&self, ground: &Surface, at_m: DVec3) -> bool {
         let way_m = (at_m - self.eye_m).truncate();
         let distance_m = way_m.length();
         let ray = (turn(way_m) * (self.rays as f64 / 4.0)) as usize;

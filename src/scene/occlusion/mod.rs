@@ -35,7 +35,7 @@ use super::tiles::TileBox;
 use echotank_config::spec::OcclusionSpec;
 use echotank_core::flow::Footprint;
 use horizon::{Horizon, Verdict};
-pub use piece::Piece;
+pub(crate) use piece::Piece;
 
 /// Eyes closer together than this are one, metres.
 const SAME_EYE_M: f64 = 1e-3;
@@ -45,16 +45,16 @@ const ON_GROUND_M: f64 = 1e-4;
 
 /// What may hide a point.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Around<'a> {
+pub(crate) struct Around<'a> {
     pub ground: Option<&'a Surface>,
     pub solids: Option<&'a Targets>,
     /// The point is one of the ground's own.
-    pub on_ground: bool,
+    pub(crate) on_ground: bool,
 }
 
 /// The shadows of one ping. Coordinates are the scene's own.
 #[derive(Debug)]
-pub struct Occlusion {
+pub(crate) struct Occlusion {
     rule: OcclusionSpec,
     eyes_m: Vec<DVec3>,
     /// One per eye, over a seabed that can hide something.
@@ -67,7 +67,7 @@ pub struct Occlusion {
 }
 
 impl Occlusion {
-    pub fn new(rule: OcclusionSpec) -> Self {
+    pub(crate) fn new(rule: OcclusionSpec) -> Self {
         Self {
             rule,
             eyes_m: Vec::new(),
@@ -79,7 +79,7 @@ impl Occlusion {
     }
 
     /// A new ping. `spacing_m`: between scatterers at the longest range; none where there is no seabed that could hide anything.
-    pub fn start(
+    pub(crate) fn start(
         &mut self,
         heard: &[Footprint],
         anchor_m: DVec3,
@@ -130,7 +130,7 @@ impl Occlusion {
     }
 
     /// Something in this box will be looked at.
-    pub fn mark(&mut self, low_m: DVec3, high_m: DVec3) {
+    pub(crate) fn mark(&mut self, low_m: DVec3, high_m: DVec3) {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
         }
@@ -140,7 +140,7 @@ impl Occlusion {
     }
 
     /// Looks over the ground before everything that was marked.
-    pub fn scan(&mut self, surface: &Surface) {
+    pub(crate) fn scan(&mut self, surface: &Surface) {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
         }
@@ -152,7 +152,11 @@ impl Occlusion {
     }
 
     /// The ground, where it may hide some of the ground in a box that was marked.
-    pub fn ground_before<'a>(&self, tile: &TileBox, ground: &'a Surface) -> Option<&'a Surface> {
+    pub(crate) fn ground_before<'a>(
+        &self,
+        tile: &TileBox,
+        ground: &'a Surface,
+    ) -> Option<&'a Surface> {
         if self.pairs.is_empty() || !self.hilly {
             return None;
         }
@@ -163,7 +167,7 @@ impl Occlusion {
 
     /// Whether nothing hides a point from transmitter and receiver of a footprint.
     #[inline(always)]
-    pub fn sees(&self, footprint: usize, at_m: DVec3, around: Around) -> bool {
+    pub(crate) fn sees(&self, footprint: usize, at_m: DVec3, around: Around) -> bool {
         let Some(&(transmitter, receiver)) = self.pairs.get(footprint) else {
             return true;
         };
@@ -206,7 +210,11 @@ impl Occlusion {
     }
 
     /// The solids, where any of them may stand between an eye and a tile.
-    pub fn solids_before<'a>(&self, tile: &TileBox, solids: &'a Targets) -> Option<&'a Targets> {
+    pub(crate) fn solids_before<'a>(
+        &self,
+        tile: &TileBox,
+        solids: &'a Targets,
+    ) -> Option<&'a Targets> {
         if self.pairs.is_empty() {
             return None;
         }

@@ -12,7 +12,7 @@ pub struct Piece {
 
 impl Piece {
     /// Where the ground must be known for [`Piece::through`]: as shares of the way from one end to the other.
-    pub const AT: [f64; 3] = [0.1, 0.5, 0.9];
+    pub(crate) const AT: [f64; 3] = [0.1, 0.5, 0.9];
 
     /// `depth`: in the middle, with its first derivative and half the second.
     pub fn new(from_m: f64, to_m: f64, depth: [f64; 3]) -> Self {
@@ -58,7 +58,7 @@ impl Piece {
     }
 
     /// Where inside, beyond `from_m`, the tangent stops rising or falling, if it does.
-    pub fn turns_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
+    pub(crate) fn turns_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
         // depth - eye = slope s there: s^2 = m^2 + (a - eye - b m)/c.
         let [a, b, c] = self.depth;
         let m = self.middle_m;
@@ -68,7 +68,7 @@ impl Piece {
     }
 
     /// From where on, beyond `from_m`, the tangent falls; none where it rises to the end.
-    pub fn falls_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
+    pub(crate) fn falls_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
         if self.rise(eye_down_m, from_m) < 0.0 {
             return Some(from_m);
         }
@@ -76,7 +76,12 @@ impl Piece {
     }
 
     /// Where, beyond `from_m`, the tangent rises through a value that it lies below, or falls from, at `from_m`.
-    pub fn rises_through_m(&self, eye_down_m: f64, from_m: f64, tangent: f64) -> Option<f64> {
+    pub(crate) fn rises_through_m(
+        &self,
+        eye_down_m: f64,
+        from_m: f64,
+        tangent: f64,
+    ) -> Option<f64> {
         // s (value - tangent) = depth + value s - eye, in x = s - m: c x^2 + b x + a, which goes from positive to negative there.
         let [depth_m, slope, c] = self.depth;
         let a = depth_m - eye_down_m + tangent * self.middle_m;

@@ -27,7 +27,7 @@ const MAX_METADATA_BYTES: u64 = 16 << 20;
 /// Producers put the north-eastern corner at the last centre or a cell beyond it.
 const CORNER_TOLERANCE_CELLS: f64 = 1.5;
 
-pub struct Bag;
+pub(super) struct Bag;
 
 impl Reader for Bag {
     fn format(&self) -> SeabedFormat {

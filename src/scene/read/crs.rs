@@ -57,7 +57,7 @@ impl From<CrsSpec> for Crs {
 impl Crs {
     /// Whether the same numbers mean the same place, datums that lie within 2 m of each other taken for one. Metres of unknown origin agree
     /// with each other, and a projection that the operator laid down with any: nothing says otherwise.
-    pub fn agrees(&self, other: &Self) -> bool {
+    pub(crate) fn agrees(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Local, Self::Local) | (Self::Geographic(_), Self::Geographic(_)) => true,
             (
@@ -85,7 +85,7 @@ impl Crs {
     }
 
     /// By its number in the EPSG register. `place` is where the file says so.
-    pub fn from_epsg(code: u32, place: &str) -> Result<Self, Fault> {
+    pub(crate) fn from_epsg(code: u32, place: &str) -> Result<Self, Fault> {
         let name = format!("EPSG:{code}");
         let utm = |zone: u32, north| Self::Utm {
             zone: zone as u8,
@@ -121,7 +121,7 @@ impl Crs {
     }
 
     /// From well-known text (OGC 01-009, OGC 18-010), of which the name, the EPSG number and the unit are read.
-    pub fn from_wkt(text: &str, place: &str) -> Result<Self, Fault> {
+    pub(crate) fn from_wkt(text: &str, place: &str) -> Result<Self, Fault> {
         let text = text.trim().trim_end_matches('\0').trim();
         let keyword: String = text
             .chars()

@@ -15,7 +15,7 @@ const CORNERS: std::ops::RangeInclusive<f64> = -1e9..=1e9;
 /// Where the header names none (ESRI's own default).
 const DEFAULT_NODATA: f64 = -9999.0;
 
-pub struct EsriAscii;
+pub(super) struct EsriAscii;
 
 impl Reader for EsriAscii {
     fn format(&self) -> SeabedFormat {

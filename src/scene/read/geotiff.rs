@@ -36,7 +36,7 @@ const RASTER_PIXEL_IS_POINT: u16 = 2;
 /// The parameters are in the file instead of the register.
 const USER_DEFINED: u16 = 32_767;
 
-pub struct GeoTiff;
+pub(super) struct GeoTiff;
 
 impl Reader for GeoTiff {
     fn format(&self) -> SeabedFormat {
@@ -160,7 +160,7 @@ fn numbers(tiff: &mut Tiff, tag: Tag, place: &str) -> Result<Option<Vec<f64>>, F
     }
 }
 
-struct Georeference {
+pub(super) struct Georeference {
     /// Centre of the file's first pixel.
     first_x: f64,
     first_y: f64,

@@ -13,7 +13,7 @@ const BATCH: u64 = 1 << 16;
 /// ASPRS LAS 1.4 R15, table 17: low and high noise.
 const NOISE: [u8; 2] = [7, 18];
 
-pub struct Las;
+pub(super) struct Las;
 
 impl Reader for Las {
     fn format(&self) -> SeabedFormat {

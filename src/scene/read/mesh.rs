@@ -11,7 +11,7 @@ use super::{Fault, MAX_POINTS, TriangleMesh, ply};
 use crate::SceneError;
 
 /// Triangles at most: as a target's they take some 700 MiB.
-pub const MAX_TRIANGLES: usize = 1 << 22;
+pub(crate) const MAX_TRIANGLES: usize = 1 << 22;
 /// Bytes before the triangles of a binary STL, and of each.
 const STL_HEAD: usize = 84;
 const STL_TRIANGLE: usize = 50;

@@ -38,9 +38,9 @@ use glam::DVec3;
 use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Cells at most: 256 MiB of f32.
-pub const MAX_CELLS: usize = 1 << 26;
+pub(crate) const MAX_CELLS: usize = 1 << 26;
 /// Soundings or vertices at most: their triangulation takes some 250 bytes each.
-pub const MAX_POINTS: usize = 1 << 22;
+pub(crate) const MAX_POINTS: usize = 1 << 22;
 
 /// One format of seabed files.
 pub trait Reader: Sync {
@@ -53,7 +53,7 @@ pub trait Reader: Sync {
 }
 
 /// In the order in which they are asked: those with a signature first, text last.
-pub static READERS: [&dyn Reader; 6] = [
+pub(crate) static READERS: [&dyn Reader; 6] = [
     &geotiff::GeoTiff,
     &bag::Bag,
     &las::Las,
@@ -65,7 +65,7 @@ pub static READERS: [&dyn Reader; 6] = [
 /// What a reader found.
 pub struct Raw {
     pub shape: RawShape,
-    pub facts: Facts,
+    pub(crate) facts: Facts,
 }
 
 pub enum RawShape {
@@ -78,8 +78,8 @@ pub struct RawGrid {
     pub rows: usize,
     pub cols: usize,
     /// Centre of the south-western cell.
-    pub x_west: f64,
-    pub y_south: f64,
+    pub(crate) x_west: f64,
+    pub(crate) y_south: f64,
     /// Positive.
     pub x_step: f64,
     pub y_step: f64,
@@ -100,14 +100,14 @@ pub struct RawPoints {
 
 /// What a file says about itself, besides its numbers.
 #[derive(Default)]
-pub struct Facts {
+pub(crate) struct Facts {
     pub crs: Option<Crs>,
     /// Which way its heights are positive, and why.
     pub values: Option<(HeightSign, &'static str)>,
     /// Anything else worth knowing, a sentence each.
     pub notes: Vec<String>,
     /// Longitude and latitude, degrees, that the file says it covers: west, south, east, north.
-    pub covers_deg: Option<[f64; 4]>,
+    pub(crate) covers_deg: Option<[f64; 4]>,
 }
 
 /// Refuses a grid that is too small to be a surface or too large to be held.

@@ -7,7 +7,7 @@ use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 use super::{Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
-pub struct Ply;
+pub(super) struct Ply;
 
 impl Reader for Ply {
     fn format(&self) -> SeabedFormat {

@@ -32,7 +32,7 @@ pub struct Depth {
 
 impl HeightField {
     /// Depth at the centre of a cell; NaN is a hole.
-    pub fn cell_down_m(&self, row: usize, col: usize) -> f64 {
+    pub(crate) fn cell_down_m(&self, row: usize, col: usize) -> f64 {
         f64::from(self.down_m[row * self.cols + col])
     }
 
@@ -77,7 +77,7 @@ impl HeightField {
 
     /// And d^2 down / d north d east, which is the same over the whole square.
     #[inline]
-    pub fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
+    pub(crate) fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
         let (from_south_m, from_west_m) = (north_m - self.south_m, east_m - self.west_m);
         let inside = (0.0..=self.extent_north_m()).contains(&from_south_m)
             && (0.0..=self.extent_east_m()).contains(&from_west_m);

@@ -170,7 +170,7 @@ impl Survey {
     }
 
     /// A file of anything else over the ground (a backscatter mosaic, dB): its numbers stand where depths would, and nothing is guessed from them.
-    pub fn open_layer(path: &Path, crs: Option<CrsSpec>) -> Result<Self, SceneError> {
+    pub(crate) fn open_layer(path: &Path, crs: Option<CrsSpec>) -> Result<Self, SceneError> {
         let asked = SeabedFileSpec {
             values: Some(HeightSign::Depth),
             crs,
@@ -245,7 +245,7 @@ impl Survey {
         local_m(&self.crs, self.zero, x, y)
     }
 
-    pub fn georeference(&self) -> Georeference {
+    pub(crate) fn georeference(&self) -> Georeference {
         Georeference {
             crs: self.crs.clone(),
             zero: self.zero,

@@ -112,11 +112,11 @@ pub(crate) struct Row<'a> {
 
 impl Row<'_> {
     /// The field's text without blanks about it; none where the optional column is absent.
-    pub fn text(&self, column: usize) -> Option<&str> {
+    pub(crate) fn text(&self, column: usize) -> Option<&str> {
         self.places[column].map(|place| self.fields[place])
     }
     /// The field's number; `absent` where the optional column is.
-    pub fn number(
+    pub(crate) fn number(
         &self,
         column: usize,
         allowed: RangeInclusive<f64>,
@@ -127,7 +127,7 @@ impl Row<'_> {
             Some(text) => number(text, allowed).map_err(|rule| self.misread(column, rule)),
         }
     }
-    pub fn misread(&self, column: usize, rule: impl Into<String>) -> Misread {
+    pub(crate) fn misread(&self, column: usize, rule: impl Into<String>) -> Misread {
         Misread::new(self.line, self.text(column).unwrap_or(""), rule)
             .in_column(self.columns[column].name)
     }

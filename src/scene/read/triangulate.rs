@@ -6,14 +6,14 @@ use glam::{DVec2, DVec3};
 use super::{Fault, HeightField, MAX_CELLS};
 
 /// A surface of triangles over the horizontal: z at each corner, linear between.
-pub struct Tin {
+pub(crate) struct Tin {
     /// Metres north, east and down of the zero.
     pub points_m: Vec<DVec3>,
     pub triangles: Vec<[u32; 3]>,
 }
 
 /// Soundings at the same place become their mean. Gives what is left, in the order of first appearance, and how many were merged away.
-pub fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
+pub(crate) fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     let key = |i: &u32| {
         let p = points[*i as usize];
@@ -52,7 +52,7 @@ pub fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
 
 impl Tin {
     /// Triangulates points without duplicates; leaves out triangles with an edge longer than `max_edge_m`.
-    pub fn new(points_m: Vec<DVec3>, max_edge_m: Option<f64>) -> Result<Self, Fault> {
+    pub(super) fn new(points_m: Vec<DVec3>, max_edge_m: Option<f64>) -> Result<Self, Fault> {
         let flat: Vec<Point> = points_m.iter().map(|p| Point { x: p.x, y: p.y }).collect();
         let corners = triangulate(&flat).triangles;
         let triangles: Vec<[u32; 3]> = corners
@@ -67,7 +67,7 @@ impl Tin {
     }
 
     /// A surface whose triangles are given.
-    pub fn without_long_edges(mut self, max_edge_m: Option<f64>) -> Result<Self, Fault> {
+    pub(crate) fn without_long_edges(mut self, max_edge_m: Option<f64>) -> Result<Self, Fault> {
         if self.triangles.is_empty() {
             let count = self.points_m.len();
             let rule = "soundings span no surface: three that are not in line are needed";
@@ -88,7 +88,7 @@ impl Tin {
     }
 
     /// Down at a place; none outside. At a sounding it is the sounding's own, to the bit. Looks at every triangle.
-    pub fn sample(&self, north_m: f64, east_m: f64) -> Option<f64> {
+    pub(super) fn sample(&self, north_m: f64, east_m: f64) -> Option<f64> {
         let at = DVec2::new(north_m, east_m);
         self.triangles.iter().find_map(|t| {
             let corners = t.map(|i| self.points_m[i as usize]);
@@ -103,7 +103,7 @@ impl Tin {
     }
 
     /// The surface at the centres of cells of `cell_m` (or of the mean distance of the soundings), about the zero.
-    pub fn grid(&self, cell_m: Option<f64>) -> Result<HeightField, Fault> {
+    pub(super) fn grid(&self, cell_m: Option<f64>) -> Result<HeightField, Fault> {
         let start = DVec3::splat(f64::INFINITY);
         let low = self.points_m.iter().fold(start, |m, p| m.min(*p));
         let high = self.points_m.iter().fold(-start, |m, p| m.max(*p));

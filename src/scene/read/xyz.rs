@@ -13,7 +13,7 @@ use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 const COORDINATES: std::ops::RangeInclusive<f64> = -1e9..=1e9;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -MAX_VERTICAL_M..=MAX_VERTICAL_M;
 
-pub struct Xyz;
+pub(super) struct Xyz;
 
 impl Reader for Xyz {
     fn format(&self) -> SeabedFormat {

@@ -2,15 +2,15 @@
 
 use crate::read::HeightField;
 
-pub const NOTHING: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+pub(super) const NOTHING: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
-pub fn united(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+pub(crate) fn united(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     (a.0.min(b.0), a.1.max(b.1))
 }
 
 /// Least and greatest over a block; (inf, -inf) where all is a hole.
 #[derive(Clone, Copy, Debug)]
-pub struct Block {
+pub(super) struct Block {
     pub down_m: (f64, f64),
     pub slope_north: (f64, f64),
     pub slope_east: (f64, f64),
@@ -19,10 +19,10 @@ pub struct Block {
 }
 
 #[derive(Clone, Debug)]
-pub struct Blocks {
+pub(crate) struct Blocks {
     /// Intervals between cell centres on a block's sides.
-    pub intervals_north: usize,
-    pub intervals_east: usize,
+    pub(crate) intervals_north: usize,
+    pub(crate) intervals_east: usize,
     pub rows: usize,
     pub cols: usize,
     /// South-western block first.
@@ -30,7 +30,7 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    pub fn new(grid: &HeightField, block_m: f64) -> Self {
+    pub(super) fn new(grid: &HeightField, block_m: f64) -> Self {
         let intervals = |cell_m: f64| ((block_m / cell_m).ceil() as usize).max(1);
         let (intervals_north, intervals_east) =
             (intervals(grid.cell_north_m), intervals(grid.cell_east_m));
@@ -57,12 +57,12 @@ impl Blocks {
         }
     }
 
-    pub fn at(&self, row: usize, col: usize) -> &Block {
+    pub(super) fn at(&self, row: usize, col: usize) -> &Block {
         &self.blocks[row * self.cols + col]
     }
 
     /// The blocks along one side that an interval (metres from the first centre) touches.
-    pub fn reach(
+    pub(super) fn reach(
         &self,
         ends_m: (f64, f64),
         (intervals, cell_m): (usize, f64),

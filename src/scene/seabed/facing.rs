@@ -102,7 +102,7 @@ impl Side {
 
 impl Surface {
     /// Calls back with rectangles that hold all ground between `low_m` and `high_m` that may be turned away from an eye, and all holes in it.
-    pub fn turned_away(
+    pub(crate) fn turned_away(
         &self,
         eye_m: DVec3,
         low_m: DVec2,

@@ -24,7 +24,7 @@ impl Depth {
         [self.slope_north * cos, self.slope_east * cos, -cos]
     }
     /// Cosine of the angle between the surface and the horizontal.
-    pub fn slope_cos(&self) -> f64 {
+    pub(crate) fn slope_cos(&self) -> f64 {
         1.0 / (1.0 + self.slope_north * self.slope_north + self.slope_east * self.slope_east).sqrt()
     }
 }
@@ -109,7 +109,7 @@ impl Surface {
 
     /// Opens a mosaic to be laid over this surface: decibels take the place of depths. Over a file's surface it lies where its coordinates put
     /// it, to be asked at [`Self::own_place`]; otherwise its centre lies at the scene's zero.
-    pub fn open_mosaic(
+    pub(crate) fn open_mosaic(
         &self,
         mosaic: &MosaicSpec,
         mirror: bool,
@@ -146,7 +146,7 @@ impl Surface {
     }
 
     /// The place of the file that a place of the scene shows: another only in mirror images.
-    pub fn own_place(&self, north_m: f64, east_m: f64) -> (f64, f64) {
+    pub(crate) fn own_place(&self, north_m: f64, east_m: f64) -> (f64, f64) {
         match self {
             Self::Grid(surface) if surface.mirror => {
                 let v = fold(north_m - surface.south_m, surface.grid.extent_north_m()).0;
@@ -158,7 +158,7 @@ impl Surface {
     }
 
     /// A surface of depths whose zero lies at the offset.
-    pub fn from_grid(
+    pub(crate) fn from_grid(
         grid: HeightField,
         mirror: bool,
         offset_north_m: f64,
@@ -195,7 +195,7 @@ impl Surface {
     }
 
     /// Bounds of the depth over a rectangle (may be wider than need be); none where it holds no seabed.
-    pub fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
+    pub(crate) fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
         match self {
             Self::Plane {
                 depth_m,
@@ -217,7 +217,7 @@ impl Surface {
 
 impl Surface {
     /// Whether one part of it could hide another.
-    pub fn is_hilly(&self) -> bool {
+    pub(crate) fn is_hilly(&self) -> bool {
         matches!(self, Self::Grid(_) | Self::Paper(_))
     }
 

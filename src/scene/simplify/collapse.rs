@@ -18,7 +18,7 @@ const SPRING: f64 = 1e-9;
 
 /// Squared distance from a set of planes: x' A x + 2 b'x + c.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Quadric {
+pub(crate) struct Quadric {
     /// A's upper triangle, row by row.
     a: [f64; 6],
     b: DVec3,
@@ -27,7 +27,7 @@ pub struct Quadric {
 
 impl Quadric {
     /// `weight` times the squared distance from the plane through `point` with the unit `normal`.
-    pub fn of_plane(point: DVec3, normal: DVec3, weight: f64) -> Self {
+    pub(crate) fn of_plane(point: DVec3, normal: DVec3, weight: f64) -> Self {
         let (n, d) = (normal, -normal.dot(point));
         Self {
             a: [
@@ -43,7 +43,7 @@ impl Quadric {
             c: d * d * weight,
         }
     }
-    pub fn at(&self, p: DVec3) -> f64 {
+    pub(crate) fn at(&self, p: DVec3) -> f64 {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let ap = DVec3::new(
             xx * p.x + xy * p.y + xz * p.z,
@@ -73,7 +73,7 @@ pub struct Collapsed {
     pub triangles: Vec<[u32; 3]>,
 }
 
-struct Surface<'a> {
+pub struct Surface<'a> {
     places: &'a [DVec3],
     triangles: Vec<[u32; 3]>,
     alive: Vec<bool>,

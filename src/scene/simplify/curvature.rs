@@ -18,7 +18,7 @@ pub struct Curvatures {
     /// 1/m^2; 0 where there are too few neighbours, or they lie on a line.
     pub per_m2: Vec<f64>,
     /// With Eq. 28's denominator.
-    pub as_printed_per_m2: Vec<f64>,
+    pub(crate) as_printed_per_m2: Vec<f64>,
     bins: Bins,
     near: Vec<(f64, u32)>,
 }

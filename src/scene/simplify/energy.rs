@@ -128,7 +128,7 @@ pub struct Energies {
     /// In shadow.
     pub hidden: Vec<bool>,
     /// What this set was measured with.
-    pub yardstick: Yardstick,
+    pub(crate) yardstick: Yardstick,
     pub curvatures: Curvatures,
     horizon: Horizon,
     parts: Vec<[f64; PARTS]>,

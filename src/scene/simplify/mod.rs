@@ -251,7 +251,7 @@ fn per_energy(energies: &Energies, free: usize, keep: usize) -> f64 {
 }
 
 /// A scatterer's own number in 0 .. 1 for ever: a hash of the seed and its place's bits (the finaliser of Steele, Lea and Flood 2014, in sequence).
-pub fn permanent_number(scatterers: &Scatterers, i: usize, seed: u64) -> f64 {
+pub(crate) fn permanent_number(scatterers: &Scatterers, i: usize, seed: u64) -> f64 {
     const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
     let mut state = seed ^ 0x9e37_79b9_7f4a_7c15;
     for place in [

@@ -45,7 +45,7 @@ impl Horizon {
 
     /// Eq. 27 as printed: hidden is what has a smaller angle of incidence (from the vertical, Eq. 9) than something nearer in its sector. On one
     /// vertical slice that is the same rule, by the ray's angle in place of its slope.
-    pub fn hide_by_incidence(
+    pub(crate) fn hide_by_incidence(
         &mut self,
         s: &Scatterers,
         free: usize,

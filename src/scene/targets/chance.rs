@@ -8,7 +8,7 @@ pub(crate) struct Chance(ChaCha8Rng);
 
 impl Chance {
     /// `label` keeps this use of the seed apart from others; `stream` is the thing's own number.
-    pub fn new(seed: u64, label: &[u8; 24], stream: u64) -> Self {
+    pub(crate) fn new(seed: u64, label: &[u8; 24], stream: u64) -> Self {
         let mut key = [0; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
         key[8..].copy_from_slice(label);
@@ -18,13 +18,13 @@ impl Chance {
     }
 
     /// In 0 .. 1, from the upper 53 bits.
-    pub fn uniform(&mut self) -> f64 {
+    pub(crate) fn uniform(&mut self) -> f64 {
         const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
         (self.0.next_u64() >> 11) as f64 * STEP
     }
 
     /// E|z|^2 = 1 and uniform phase (Box and Muller 1958).
-    pub fn circular_gaussian(&mut self) -> Complex64 {
+    pub(crate) fn circular_gaussian(&mut self) -> Complex64 {
         let radius = (-libm::log(1.0 - self.uniform())).sqrt();
         let (sin, cos) = libm::sincos(std::f64::consts::TAU * self.uniform());
         Complex64::new(radius * cos, radius * sin)

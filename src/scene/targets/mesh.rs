@@ -97,11 +97,11 @@ impl Mesh {
         self.area_up_to_m2.last().copied().unwrap_or(0.0)
     }
 
-    pub fn bounds_m(&self) -> (DVec3, DVec3) {
+    pub(crate) fn bounds_m(&self) -> (DVec3, DVec3) {
         (self.nodes[0].low_m, self.nodes[0].high_m)
     }
 
-    pub fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
+    pub(crate) fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
         let mut nearest: Option<f64> = None;
         let inverse = direction.recip();
         let mut at = 0;
@@ -128,7 +128,7 @@ impl Mesh {
         nearest
     }
 
-    pub fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
+    pub(crate) fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
         let wanted_m2 = share * self.area_m2();
         let index = self
             .area_up_to_m2

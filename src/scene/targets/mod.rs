@@ -31,7 +31,7 @@ use solid::Solid;
 /// Rows at most; every ping's truth record carries them all.
 pub const MAX_TARGETS: usize = 10_000;
 /// Scatterers of all targets together: 4 million take some 300 MiB.
-pub const MAX_TARGET_SCATTERERS: usize = 1 << 22;
+pub(crate) const MAX_TARGET_SCATTERERS: usize = 1 << 22;
 /// However small a solid, so that its strength hardly depends on which side the few happen to lie.
 const MIN_SCATTERERS: usize = 64;
 
@@ -182,7 +182,7 @@ impl Targets {
         self.solids[target].as_ref()
     }
     /// Middle and radius of a ball that holds a target.
-    pub fn ball_m(&self, target: usize) -> (DVec3, f64) {
+    pub(crate) fn ball_m(&self, target: usize) -> (DVec3, f64) {
         self.balls_m[target]
     }
     pub fn scatterers(&self) -> &Scatterers {
@@ -197,7 +197,7 @@ impl Targets {
         self.spans[target].clone()
     }
     /// Which target a scatterer belongs to, for labels.
-    pub fn target_of(&self, scatterer: usize) -> usize {
+    pub(crate) fn target_of(&self, scatterer: usize) -> usize {
         self.spans.partition_point(|span| span.end <= scatterer)
     }
 
@@ -241,12 +241,12 @@ impl Targets {
 /// Lambert's mu of a convex surface whose target strength, mean over all directions, is `mean_db`.
 ///
 /// A patch dA sends back mu cos^2 dA where it faces the sonar; over all directions the mean of cos^2 (half of them facing) is 1/6.
-pub fn lambert_of_mean(mean_db: f64, area_m2: f64) -> f64 {
+pub(crate) fn lambert_of_mean(mean_db: f64, area_m2: f64) -> f64 {
     6.0 * libm::pow(10.0, mean_db / 10.0) / area_m2
 }
 
 /// The reverse of [`lambert_of_mean`], dB.
-pub fn mean_strength_db(lambert: f64, area_m2: f64) -> f64 {
+pub(crate) fn mean_strength_db(lambert: f64, area_m2: f64) -> f64 {
     10.0 * libm::log10(lambert * area_m2 / 6.0)
 }
 

@@ -10,7 +10,7 @@ use super::chance::Chance;
 use super::mesh::Mesh;
 
 /// Places closer than this to the start of a ray are not met: a scatterer on a surface does not shade itself by rounding, metres.
-pub const SKIN_M: f64 = 1e-6;
+pub(crate) const SKIN_M: f64 = 1e-6;
 
 /// One shape.
 #[derive(Clone, Debug)]
@@ -42,7 +42,7 @@ pub enum Solid {
 
 /// A place on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfacePoint {
+pub(crate) struct SurfacePoint {
     pub position_m: DVec3,
     /// Unit, outward.
     pub normal: DVec3,
@@ -50,7 +50,7 @@ pub struct SurfacePoint {
 
 impl Solid {
     /// How far along the ray the surface is first met, beyond [`SKIN_M`]; none where it is missed. From inside: where the ray leaves.
-    pub fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
+    pub(crate) fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
         match self {
             Self::Sphere { center_m, radius_m } => {
                 sphere_hit_m(origin_m - center_m, direction, *radius_m)
@@ -89,7 +89,7 @@ impl Solid {
     }
 
     /// Corners of a box, parallel to the axes, that holds the shape.
-    pub fn bounds_m(&self) -> (DVec3, DVec3) {
+    pub(crate) fn bounds_m(&self) -> (DVec3, DVec3) {
         match self {
             Self::Sphere { center_m, radius_m } => (*center_m - *radius_m, *center_m + *radius_m),
             Self::Cylinder { ends_m, radius_m } => {
@@ -147,7 +147,7 @@ impl Solid {
 
     /// The place whose share of the area below it, in some fixed order over the surface, is `share` (0..1): even shares give even places.
     /// `across` (0..1) moves it where the order leaves a freedom.
-    pub fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
+    pub(crate) fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
         use std::f64::consts::TAU;
         match self {
             Self::Sphere { center_m, radius_m } => {

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 /// Samples worked on together: two AVX-512 or four SSE2 registers of f64.
-pub const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
@@ -25,7 +25,7 @@ const fn taylor(first: f64, odd: usize) -> [f64; 11] {
 
 /// (cos, sin) of 2 pi `turns`, to 5e-16 absolute for |turns| < 2^50 taken as exact.
 #[inline(always)]
-pub fn cis(turns: f64) -> (f64, f64) {
+pub(super) fn cis(turns: f64) -> (f64, f64) {
     let half_turns = 2.0 * turns;
     let shifted = half_turns + ROUND;
     let f = half_turns - (shifted - ROUND);
@@ -45,7 +45,7 @@ pub fn cis(turns: f64) -> (f64, f64) {
 
 /// [`cis`] of [`LANES`] numbers: (cosines, sines).
 #[inline(always)]
-pub fn cis_lanes(turns: [f64; LANES]) -> ([f64; LANES], [f64; LANES]) {
+pub(crate) fn cis_lanes(turns: [f64; LANES]) -> ([f64; LANES], [f64; LANES]) {
     let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
     for j in 0..LANES {
         (re[j], im[j]) = cis(turns[j]);

@@ -15,7 +15,7 @@ const MIN_EXPONENT: f64 = -700.0;
 
 /// e^x for x <= 0, to 4e-16 relative; x below -700 counts as -700.
 #[inline(always)]
-pub fn exp_decay(x: f64) -> f64 {
+pub(crate) fn exp_decay(x: f64) -> f64 {
     let x = x.max(MIN_EXPONENT);
     let shifted = x * LOG2_E + ROUND;
     let n = shifted - ROUND;
@@ -57,7 +57,7 @@ const SIN_PI: [f64; 11] = {
 
 /// sin(pi x) / (pi x), to 4e-16 of 1 (and of itself near 0); 1 at 0.
 #[inline(always)]
-pub fn sinc(x: f64) -> f64 {
+pub(super) fn sinc(x: f64) -> f64 {
     let shifted = x + ROUND;
     let f = x - (shifted - ROUND);
     let y = f * f;
@@ -84,7 +84,7 @@ const COS_PI: [f64; 12] = {
 
 /// Cosine and sine of so many turns, to 4e-16 of 1 and what the turns' own rounding makes.
 #[inline(always)]
-pub fn cis(turns: f64) -> (f64, f64) {
+pub(super) fn cis(turns: f64) -> (f64, f64) {
     let x = 2.0 * turns;
     let shifted = x + ROUND;
     let f = x - (shifted - ROUND);

@@ -49,7 +49,7 @@ impl Directivity {
     }
 
     /// 1 towards everything.
-    pub fn is_omnidirectional(&self) -> bool {
+    pub(crate) fn is_omnidirectional(&self) -> bool {
         self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
     }
 
@@ -88,7 +88,7 @@ impl OneWay {
 
     /// The same where `per_m`, 1 / `range_m`, is known: a division less.
     #[inline(always)]
-    pub fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
+    pub(crate) fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
         exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.max_per_m)
     }
 }

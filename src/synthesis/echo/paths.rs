@@ -29,7 +29,7 @@ const SETTLED_S: f64 = 1e-11;
 
 /// Where a ping is transmitted: the origin of everything below.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Transmit {
+pub(crate) struct Transmit {
     /// The platform's reference point at the start of the pulse, world, metres, and the transmitter's arm from it. Kept apart: their sum
     /// would round the arm at the size of the world.
     reference_m: DVec3,
@@ -48,7 +48,7 @@ pub struct Motion {
 
 impl Transmit {
     /// From the first segment of the plan or, where the path model follows the trajectory, from that.
-    pub fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
+    pub(crate) fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];
         let mounting = &tx.mounting;
         let (arm_m, world_from_body, motion) = match plan.model.path {
@@ -73,7 +73,7 @@ impl Transmit {
 
     /// A world position relative to where this ping is transmitted.
     #[inline(always)]
-    pub fn relative_m(&self, world_m: DVec3) -> DVec3 {
+    pub(crate) fn relative_m(&self, world_m: DVec3) -> DVec3 {
         (world_m - self.reference_m) - self.arm_m
     }
 }
@@ -123,7 +123,7 @@ fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
 
 /// One element on one segment of the polyline.
 #[derive(Clone, Copy, Debug)]
-pub struct Leg {
+pub(crate) struct Leg {
     pub start_s: f64,
     /// Infinite on the last.
     pub end_s: f64,
@@ -148,14 +148,14 @@ impl Leg {
     }
 
     /// The path's velocity in array axes.
-    pub fn velocity_in_array_m_per_s(&self) -> DVec3 {
+    pub(crate) fn velocity_in_array_m_per_s(&self) -> DVec3 {
         self.array_from_world * self.velocity_m_per_s
     }
 }
 
 /// The way of one element through one ping. Its buffer is kept between uses.
 #[derive(Debug, Default)]
-pub struct ElementTrack {
+pub(crate) struct ElementTrack {
     legs: Vec<Leg>,
     /// Where the polyline was meant to end; echoes from here on are counted.
     end_s: f64,
@@ -170,7 +170,7 @@ pub struct ElementTrack {
 
 impl ElementTrack {
     /// With room for a polyline of so many segments.
-    pub fn with_room_for(segments: usize) -> Self {
+    pub(crate) fn with_room_for(segments: usize) -> Self {
         Self {
             legs: Vec::with_capacity(segments),
             ..Self::default()
@@ -178,7 +178,7 @@ impl ElementTrack {
     }
 
     /// Sets out the legs of `element` under the plan's path and Doppler models.
-    pub fn lay(
+    pub(crate) fn lay(
         &mut self,
         plan: &PingPlan,
         transmit: &Transmit,
@@ -189,7 +189,7 @@ impl ElementTrack {
     }
 
     /// As [`Self::lay`], for a point `along_m` from the array's centre.
-    pub fn lay_at(
+    pub(crate) fn lay_at(
         &mut self,
         plan: &PingPlan,
         transmit: &Transmit,
@@ -298,7 +298,7 @@ impl ElementTrack {
         }
     }
 
-    pub fn end_s(&self) -> f64 {
+    pub(crate) fn end_s(&self) -> f64 {
         self.end_s
     }
 
@@ -309,19 +309,19 @@ impl ElementTrack {
     }
 
     /// The leg on which an echo arrives at `time_s`, and its number.
-    pub fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
+    pub(crate) fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
         let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
         let at = at.saturating_sub(1);
         (at, &self.legs[at])
     }
 
     /// The leg of that number.
-    pub fn leg(&self, number: usize) -> &Leg {
+    pub(crate) fn leg(&self, number: usize) -> &Leg {
         &self.legs[number]
     }
 
     /// The farthest this element gets from the transmit position up to `time_s`, metres.
-    pub fn reach_m(&self, time_s: f64) -> f64 {
+    pub(crate) fn reach_m(&self, time_s: f64) -> f64 {
         let mut reach_m: f64 = 0.0;
         for leg in self.legs.iter().filter(|leg| leg.start_s <= time_s) {
             reach_m = reach_m
@@ -332,7 +332,7 @@ impl ElementTrack {
     }
 
     /// Tells `visit` the velocities that Doppler can see on this way: some, and how far others lie beside them, m/s.
-    pub fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
+    pub(crate) fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
         let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
         for leg in &self.legs {
             let end_s = leg.end_s.min(last_s).max(leg.start_s);
@@ -356,7 +356,12 @@ impl ElementTrack {
     }
 
     /// The element's motion when each of up to [`CHUNK`] echoes arrives, as Doppler sees it: velocity and acceleration, axis by axis.
-    pub fn motions_at(&self, plan: &PingPlan, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
+    pub(crate) fn motions_at(
+        &self,
+        plan: &PingPlan,
+        times_s: &[f64],
+        moving: &mut [[f64; CHUNK]; 6],
+    ) {
         let n = times_s.len().min(CHUNK);
         let (min_s, greatest_s) = ends(&times_s[..n]);
         let (first, leg) = self.leg_at(min_s);
@@ -384,14 +389,14 @@ impl ElementTrack {
     }
 
     /// Velocity of the element on the trajectory itself, whatever the path model, and the turn that takes it out of array axes.
-    pub fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
+    pub(crate) fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
         let pose = plan.trajectory.pose_at(time_s);
         let velocity = pose.point_velocity_m_per_s(self.element_m);
         (velocity, pose.world_from_body * self.body_from_array)
     }
 
     /// The element's motion when an echo arrives, as Doppler sees it.
-    pub fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
+    pub(crate) fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {
             let pose = plan.trajectory.pose_at(time_s);
             return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
@@ -430,13 +435,13 @@ fn ends(values: &[f64]) -> (f64, f64) {
 
 /// Up to [`CHUNK`] scatterers relative to the transmit position, metres; `range_m` is their distance from it.
 #[derive(Clone, Copy)]
-pub struct Batch<'a> {
+pub(crate) struct Batch<'a> {
     pub x_m: &'a [f64],
     pub y_m: &'a [f64],
     pub z_m: &'a [f64],
     pub range_m: &'a [f64],
     pub min_range_m: f64,
-    pub greatest_range_m: f64,
+    pub(crate) greatest_range_m: f64,
 }
 
 impl<'a> Batch<'a> {
@@ -465,11 +470,11 @@ pub struct Rays {
     pub y_m: [f64; CHUNK],
     pub z_m: [f64; CHUNK],
     /// The same in array axes.
-    pub array_x_m: [f64; CHUNK],
-    pub array_y_m: [f64; CHUNK],
-    pub array_z_m: [f64; CHUNK],
+    pub(crate) array_x_m: [f64; CHUNK],
+    pub(crate) array_y_m: [f64; CHUNK],
+    pub(crate) array_z_m: [f64; CHUNK],
     /// Receiver's velocity times that vector, m^2/s: the closing speed times the range.
-    pub closing_m2_per_s: [f64; CHUNK],
+    pub(crate) closing_m2_per_s: [f64; CHUNK],
 }
 
 impl Default for Rays {
@@ -500,7 +505,7 @@ impl Rays {
 
 /// What went other than plainly while a batch was solved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Oddities {
+pub(crate) struct Oddities {
     pub no_root: u64,
     pub two_roots: u64,
 }
@@ -684,7 +689,7 @@ fn solve_widest<const ALONE: bool>(
 
 /// AVX-512 F, DQ and VL.
 #[cfg(target_arch = "x86_64")]
-pub fn has_avx512() -> bool {
+pub(crate) fn has_avx512() -> bool {
     is_x86_feature_detected!("avx512f")
         && is_x86_feature_detected!("avx512dq")
         && is_x86_feature_detected!("avx512vl")
@@ -696,7 +701,7 @@ pub const PART: usize = 32;
 const FEW_LEGS: usize = 2;
 
 /// Delays and receive rays of a batch: per scatterer the first leg k with t_k <= u < t_{k+1}.
-pub fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
+pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
     let n = batch.range_m.len();
     let mut odd = Oddities::default();
     if let [leg] = &track.legs[..]
@@ -742,7 +747,7 @@ const MAX_STEPS: usize = 12;
 /// Takes the delays that [`solve`] found on an element's chords to the trajectory itself, and the rays with them: c u = r_T + |S - r(u)|.
 ///
 /// The left side less the right grows by 0.9 c at least, so that the residual itself brackets the root: no step may be longer than it says.
-pub fn refine(
+pub(crate) fn refine(
     plan: &PingPlan,
     transmit: &Transmit,
     track: &ElementTrack,

@@ -17,7 +17,7 @@ use super::paths::Motion;
 
 /// One leg as it is when the leading edge passes: the ray from the sonar to the scatterer, and how the sonar's end of it moves.
 #[derive(Clone, Copy, Debug)]
-pub struct Leg {
+pub(crate) struct Leg {
     pub ray_m: DVec3,
     pub motion: Motion,
 }
@@ -44,7 +44,7 @@ impl Leg {
 
 /// Emission time to the second order: s after `delay_s` sounds what left at (1 + doppler) s + curvature s^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretched {
+pub(crate) struct Stretched {
     pub delay_s: f64,
     pub doppler: f64,
     pub curvature_per_s: f64,
@@ -56,7 +56,7 @@ const NEAREST_LEG: f64 = 5.0;
 /// The expansion about mid-pulse, in terms of its own leading edge. `delay_s` and `doppler` are those of the leading edge, `half_s` is T/2.
 /// A scatterer that the sonar all but touches keeps the stretch of its leading edge. Without a branch, so that batches fill vectors.
 #[inline(always)]
-pub fn about_mid_pulse(
+pub(crate) fn about_mid_pulse(
     c: f64,
     half_s: f64,
     transmit: Leg,
@@ -102,7 +102,12 @@ pub fn about_mid_pulse(
 
 /// Eq. 21 of Meng et al. 2023 as printed, with Eq. 20's f_S read as f_{m,T}: frequencies f c/(c - a) out and f (c + b)/(c - a) back times the
 /// delays of either leg, which is a pulse that is not stretched at this delay. `closing` are a and b, m/s.
-pub fn paper_eq21_delay_s(c: f64, first_leg_s: f64, delay_s: f64, closing: (f64, f64)) -> f64 {
+pub(crate) fn paper_eq21_delay_s(
+    c: f64,
+    first_leg_s: f64,
+    delay_s: f64,
+    closing: (f64, f64),
+) -> f64 {
     let (a, b) = closing;
     delay_s + (first_leg_s * a + (delay_s - first_leg_s) * (a + b)) / (c - a)
 }

@@ -397,7 +397,7 @@ pub fn arrivals(
 pub struct Slab {
     pub window: Window,
     /// Echoes that begin from the first instant until before the second are counted here; others with other slabs.
-    pub own_s: (f64, f64),
+    pub(crate) own_s: (f64, f64),
 }
 
 /// [`arrivals`] of what overlaps one slab. All slabs together count every pair of scatterer and element once.

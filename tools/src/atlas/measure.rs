@@ -16,7 +16,7 @@ use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_mod
 use super::spot::Spot;
 
 /// Sums, in the order of the pictures' panels.
-pub const SUMS: [Synthesis; 6] = [
+pub(crate) const SUMS: [Synthesis; 6] = [
     Synthesis::Direct,
     Synthesis::Gridded1d,
     Synthesis::Gridded2d,
@@ -25,7 +25,7 @@ pub const SUMS: [Synthesis; 6] = [
     Synthesis::Linear,
 ];
 /// Rows of a panel: Doppler by Doppler, those first that every sum takes.
-pub const DOPPLERS: [DopplerModel; 4] = [
+pub(crate) const DOPPLERS: [DopplerModel; 4] = [
     DopplerModel::None,
     DopplerModel::PaperEq21,
     DopplerModel::Stretch,
@@ -34,7 +34,7 @@ pub const DOPPLERS: [DopplerModel; 4] = [
 
 /// What a method made of a spot.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Outcome {
+pub(crate) enum Outcome {
     /// This sum knows no such Doppler.
     NotTaken,
     /// In words.
@@ -58,7 +58,7 @@ pub enum Outcome {
 
 impl Outcome {
     /// Wrong by more than `tolerance`, promised to be right, and nothing said.
-    pub fn is_silently_wrong(&self, tolerance: f64) -> bool {
+    pub(crate) fn is_silently_wrong(&self, tolerance: f64) -> bool {
         match *self {
             Self::Answer {
                 error,
@@ -71,7 +71,7 @@ impl Outcome {
         }
     }
 
-    pub fn is_within(&self, tolerance: f64) -> bool {
+    pub(crate) fn is_within(&self, tolerance: f64) -> bool {
         match *self {
             Self::Answer { error, .. } => error <= tolerance,
             Self::Silence => true,
@@ -82,32 +82,32 @@ impl Outcome {
 
 /// What the plan chose and what came of it.
 #[derive(Clone, Debug)]
-pub struct Planned {
-    pub path: PathModel,
-    pub doppler: DopplerModel,
-    pub synthesis: Synthesis,
-    pub text: String,
+pub(crate) struct Planned {
+    pub(crate) path: PathModel,
+    pub(crate) doppler: DopplerModel,
+    pub(crate) synthesis: Synthesis,
+    pub(crate) text: String,
     /// It says itself that nothing keeps the tolerance.
-    pub out_of_reach: bool,
-    pub outcome: Outcome,
+    pub(crate) out_of_reach: bool,
+    pub(crate) outcome: Outcome,
 }
 
 /// One column of a map.
-pub struct Column {
+pub(crate) struct Column {
     /// By sum, Doppler and path, in the order of [`SUMS`], [`DOPPLERS`] and [`PathModel::ALL`].
-    pub cells: Vec<Outcome>,
+    pub(crate) cells: Vec<Outcome>,
     /// None where no ping is made, or where nothing at all can be planned.
-    pub plan: Option<Planned>,
-    pub tolerance: f64,
+    pub(crate) plan: Option<Planned>,
+    pub(crate) tolerance: f64,
 }
 
 impl Column {
-    pub fn cell(&self, sum: usize, doppler: usize, path: usize) -> &Outcome {
+    pub(crate) fn cell(&self, sum: usize, doppler: usize, path: usize) -> &Outcome {
         &self.cells[(sum * DOPPLERS.len() + doppler) * PathModel::ALL.len() + path]
     }
 
     /// Every cell with its name.
-    pub fn named(&self) -> impl Iterator<Item = (String, &Outcome)> {
+    pub(crate) fn named(&self) -> impl Iterator<Item = (String, &Outcome)> {
         let mut names = Vec::new();
         for sum in SUMS {
             for doppler in DOPPLERS {
@@ -126,7 +126,7 @@ impl Column {
 }
 
 /// Pipelines, kept from spot to spot as long as the sonar stays the same.
-pub struct Bench {
+pub(crate) struct Bench {
     /// Plans choose the sum too; making out what engines would do takes most of a column's time.
     whole_plans: bool,
     made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
@@ -134,7 +134,7 @@ pub struct Bench {
 }
 
 impl Bench {
-    pub fn new(whole_plans: bool) -> Self {
+    pub(crate) fn new(whole_plans: bool) -> Self {
         Self {
             whole_plans,
             made: HashMap::new(),
@@ -143,7 +143,7 @@ impl Bench {
     }
 
     /// To be called inside one and the same pool.
-    pub fn column(&mut self, spot: &Spot) -> Column {
+    pub(crate) fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
         if let Some(why) = &spot.refused {
             return Column {

@@ -2,6 +2,6 @@
 //!
 //! Read [`spot`] (one sonar, one motion, one scene), [`regimes`] (what is swept), [`measure`] (what every method makes of it, and the plan).
 
-pub mod measure;
-pub mod regimes;
-pub mod spot;
+pub(crate) mod measure;
+pub(crate) mod regimes;
+pub(crate) mod spot;

@@ -58,7 +58,7 @@ const OTHERS: [[&str; 4]; 6] = [
     ],
 ];
 
-pub fn page() -> String {
+pub(crate) fn page() -> String {
     let mut text = HEAD.to_owned();
     for regime in &ALL {
         let _ = write!(

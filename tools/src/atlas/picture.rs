@@ -6,7 +6,7 @@ use super::chart_draw::{Anchor, GREY, INK, Svg, escaped};
 
 /// One square of a map.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Mark {
+pub(crate) enum Mark {
     /// The method is none for this row.
     Blank,
     Refused,
@@ -21,7 +21,7 @@ pub enum Mark {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
+pub(crate) enum Sign {
     None,
     /// Wrong, and nothing said so.
     Silent,
@@ -29,27 +29,27 @@ pub enum Sign {
     Counted,
 }
 
-pub struct Panel {
-    pub title: String,
+pub(crate) struct Panel {
+    pub(crate) title: String,
     /// By row, then column.
-    pub marks: Vec<Vec<Mark>>,
+    pub(crate) marks: Vec<Vec<Mark>>,
     /// (column, row) that a plan chose.
-    pub rings: Vec<(usize, usize)>,
+    pub(crate) rings: Vec<(usize, usize)>,
 }
 
-pub struct Map {
-    pub title: String,
-    pub about: String,
-    pub axis: String,
-    pub columns: Vec<String>,
+pub(crate) struct Map {
+    pub(crate) title: String,
+    pub(crate) about: String,
+    pub(crate) axis: String,
+    pub(crate) columns: Vec<String>,
     /// Names of the rows, and after which of them there is a gap.
-    pub rows: Vec<String>,
-    pub gaps: Vec<usize>,
+    pub(crate) rows: Vec<String>,
+    pub(crate) gaps: Vec<usize>,
     /// A row that stands out.
-    pub framed: Vec<(usize, usize, String)>,
-    pub panels: Vec<Panel>,
+    pub(crate) framed: Vec<(usize, usize, String)>,
+    pub(crate) panels: Vec<Panel>,
     /// What the plan made of each column, and its choices in words.
-    pub plan: Option<(Vec<Mark>, Vec<String>)>,
+    pub(crate) plan: Option<(Vec<Mark>, Vec<String>)>,
 }
 
 const CELL: f64 = 15.0;
@@ -154,7 +154,7 @@ impl Map {
         TOP + row as f64 * CELL + gaps as f64 * GAP
     }
 
-    pub fn svg(&self) -> String {
+    pub(crate) fn svg(&self) -> String {
         let columns = self.columns.len() as f64;
         let panels = self.panels.len() as f64;
         let cell = ((PANELS_WIDTH - panels * PANEL_GAP) / (panels * columns)).min(WIDEST * 2.0);

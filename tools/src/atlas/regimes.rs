@@ -9,31 +9,31 @@ use super::spot::{Base, DOWN_M, Said, Spot, place, scatter};
 const CRUISE_M_PER_S: f64 = 2.572;
 
 /// One map.
-pub struct Regime {
+pub(crate) struct Regime {
     /// Of its picture.
-    pub name: &'static str,
-    pub title: &'static str,
+    pub(crate) name: &'static str,
+    pub(crate) title: &'static str,
     /// What the columns are, with the unit.
-    pub axis: &'static str,
-    pub values: &'static [f64],
+    pub(crate) axis: &'static str,
+    pub(crate) values: &'static [f64],
     /// Either side of the place where methods break: for the tests.
-    pub few: &'static [f64],
-    pub spot: fn(&Base, f64) -> Spot,
+    pub(crate) few: &'static [f64],
+    pub(crate) spot: fn(&Base, f64) -> Spot,
     /// One sentence under the picture.
-    pub says: &'static str,
+    pub(crate) says: &'static str,
     /// What the paper's own formula does there.
-    pub paper: &'static str,
-    pub ours: &'static str,
+    pub(crate) paper: &'static str,
+    pub(crate) ours: &'static str,
 }
 
 impl Regime {
     /// What is wrong here no method can know: it believes what it is told of the motion.
-    pub fn is_blind(&self) -> bool {
+    pub(crate) fn is_blind(&self) -> bool {
         self.name.starts_with("navigation")
     }
 
     /// A column's label.
-    pub fn label(&self, value: f64) -> String {
+    pub(crate) fn label(&self, value: f64) -> String {
         if self.name == "navigation-faults" {
             return FAULTS[value as usize].to_owned();
         }
@@ -61,7 +61,7 @@ const FAULTS: [&str; 9] = [
     "an hour ahead",
 ];
 
-pub const ALL: [Regime; 20] = [
+pub(crate) const ALL: [Regime; 20] = [
     Regime {
         name: "speed",
         title: "Speed of the platform, from rest to a tenth of the speed of sound",

@@ -16,15 +16,15 @@ const LEVEL_DB: f64 = 0.5;
 const PLACE_M: f64 = 1e-3;
 
 /// Name, map and sentence.
-pub fn maps() -> Vec<(&'static str, Map, &'static str)> {
+pub(crate) fn maps() -> Vec<(&'static str, Map, &'static str)> {
     vec![
         ("curvature", curvature(), CURVATURE_SAYS),
         ("places", places(), PLACES_SAYS),
     ]
 }
 
-pub const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the energies as printed hold no number (0/0), ours a floor; `acoustic` loses the level of what it leaves out by design, `acoustic-unbiased` and area inherited keep it.";
-pub const PLACES_SAYS: &str = "A kilometre from anywhere, over the antimeridian and over both poles, latitude and longitude come back to the micrometre.";
+pub(crate) const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the energies as printed hold no number (0/0), ours a floor; `acoustic` loses the level of what it leaves out by design, `acoustic-unbiased` and area inherited keep it.";
+pub(crate) const PLACES_SAYS: &str = "A kilometre from anywhere, over the antimeridian and over both poles, latitude and longitude come back to the micrometre.";
 
 fn ratio(value: f64, tolerance: f64) -> Mark {
     match value.is_finite() {

@@ -12,11 +12,11 @@ use num_complex::Complex64;
 
 use crate::track::{ALONG_TRACK, COLUMNS};
 
-pub const C: f64 = 1500.0;
+pub(crate) const C: f64 = 1500.0;
 /// Of the pulse, and of navigation.
 const T0: UtcNs = UtcNs(1_793_611_200 * NS_PER_S);
 /// The ping goes out so long after navigation began.
-pub const NAV_BEFORE_S: f64 = 8.0;
+pub(crate) const NAV_BEFORE_S: f64 = 8.0;
 /// ... and navigation goes on for so long after it.
 const NAV_AFTER_S: f64 = 8.0;
 /// Knots of a motion known as it is, seconds.
@@ -24,27 +24,27 @@ const KNOT_S: f64 = 0.01;
 
 /// What a regime starts from: the paper's pulse and a short line of elements.
 #[derive(Clone)]
-pub struct Base {
-    pub rig: RigSpec,
+pub(crate) struct Base {
+    pub(crate) rig: RigSpec,
 }
 
 /// How much of everything.
 #[derive(Clone, Copy)]
-pub struct Size {
-    pub elements: usize,
-    pub duration_ms: f64,
-    pub bandwidth_khz: f64,
+pub(crate) struct Size {
+    pub(crate) elements: usize,
+    pub(crate) duration_ms: f64,
+    pub(crate) bandwidth_khz: f64,
 }
 
 impl Size {
     /// The paper's: 400 kHz, 30 kHz, 5 ms.
-    pub const PAPER: Self = Self {
+    pub(crate) const PAPER: Self = Self {
         elements: 8,
         duration_ms: 5.0,
         bandwidth_khz: 30.0,
     };
     /// For tests of seconds.
-    pub const SMALL: Self = Self {
+    pub(crate) const SMALL: Self = Self {
         elements: 2,
         duration_ms: 0.5,
         bandwidth_khz: 20.0,
@@ -52,7 +52,7 @@ impl Size {
 }
 
 impl Base {
-    pub fn new(size: Size) -> Self {
+    pub(crate) fn new(size: Size) -> Self {
         let Size {
             elements,
             duration_ms,
@@ -130,12 +130,12 @@ tolerance = 1e-3
         Self { rig }
     }
 
-    pub fn wavelength_m(&self) -> f64 {
+    pub(crate) fn wavelength_m(&self) -> f64 {
         C / self.rig.sonars[0].pulse.center_frequency_hz
     }
 
     /// At rest at the origin, 5 m down, before five points between 30 m and 40 m on the starboard side.
-    pub fn spot(&self) -> Spot {
+    pub(crate) fn spot(&self) -> Spot {
         let mut points = Vec::new();
         for k in 0..5 {
             let azimuth_deg = 60.0 + 15.0 * f64::from(k);
@@ -154,7 +154,7 @@ tolerance = 1e-3
     }
 
     /// The same under way.
-    pub fn under_way(&self, speed_m_per_s: f64) -> Spot {
+    pub(crate) fn under_way(&self, speed_m_per_s: f64) -> Spot {
         let mut spot = self.spot();
         spot.motion.velocity_m_per_s = DVec3::X * speed_m_per_s;
         spot
@@ -162,16 +162,16 @@ tolerance = 1e-3
 }
 
 /// A place so far away, so far from the track, so deep below the platform.
-pub fn place(range_m: f64, azimuth_deg: f64, below_m: f64) -> DVec3 {
+pub(crate) fn place(range_m: f64, azimuth_deg: f64, below_m: f64) -> DVec3 {
     let ground_m = (range_m * range_m - below_m * below_m).max(0.0).sqrt();
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
     DVec3::new(ground_m * cos, ground_m * sin, DOWN_M + below_m)
 }
 
-pub const DOWN_M: f64 = 5.0;
+pub(crate) const DOWN_M: f64 = 5.0;
 
 /// Of equal strength, phases all different.
-pub fn scatter(places: &[DVec3]) -> Scatterers {
+pub(crate) fn scatter(places: &[DVec3]) -> Scatterers {
     let mut scatterers = Scatterers::default();
     for (k, &at_m) in places.iter().enumerate() {
         let strength = Complex64::from_polar(at_m.length(), 2.4 * k as f64);
@@ -182,15 +182,15 @@ pub fn scatter(places: &[DVec3]) -> Scatterers {
 
 /// A platform's way, as it is: uniform, with a swell, turning evenly.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Motion {
-    pub velocity_m_per_s: DVec3,
-    pub heave_m: f64,
+pub(crate) struct Motion {
+    pub(crate) velocity_m_per_s: DVec3,
+    pub(crate) heave_m: f64,
     /// Of a swell.
-    pub roll_deg: f64,
+    pub(crate) roll_deg: f64,
     /// Held.
-    pub pitch_deg: f64,
-    pub heading_deg: f64,
-    pub yaw_deg_per_s: f64,
+    pub(crate) pitch_deg: f64,
+    pub(crate) heading_deg: f64,
+    pub(crate) yaw_deg_per_s: f64,
 }
 
 /// Of the swell, seconds; the pulse leaves somewhere in it.
@@ -203,7 +203,7 @@ impl Motion {
     }
 
     /// Reference point, and roll, pitch and heading in radians.
-    pub fn at(&self, time_s: f64) -> (DVec3, [f64; 3]) {
+    pub(crate) fn at(&self, time_s: f64) -> (DVec3, [f64; 3]) {
         let wave = |period_s: f64, phase: f64| {
             (std::f64::consts::TAU * time_s / period_s + phase).sin() - phase.sin()
         };
@@ -219,7 +219,7 @@ impl Motion {
     }
 
     /// The motion itself, in knots close together.
-    pub fn trajectory(&self, until_s: f64) -> Trajectory {
+    pub(crate) fn trajectory(&self, until_s: f64) -> Trajectory {
         let turned = |t: f64| {
             let (_, [roll, pitch, heading]) = self.at(t);
             rotation_from_angles(roll, pitch, heading)
@@ -250,29 +250,29 @@ impl Motion {
 }
 
 /// Everything that a ping is made from.
-pub struct Spot {
-    pub spec: SonarSpec,
+pub(crate) struct Spot {
+    pub(crate) spec: SonarSpec,
     rig: RigSpec,
-    pub motion: Motion,
+    pub(crate) motion: Motion,
     /// What navigation makes of the motion; none: the motion itself is known.
-    pub heard: Option<Trajectory>,
-    pub scatterers: Scatterers,
-    pub first_sample_s: f64,
+    pub(crate) heard: Option<Trajectory>,
+    pub(crate) scatterers: Scatterers,
+    pub(crate) first_sample_s: f64,
     /// Where in the world all this is, to the methods; the truth stays at the origin.
-    pub offset_m: DVec3,
+    pub(crate) offset_m: DVec3,
     /// There will be no ping at all, and why.
-    pub refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
 /// One sentence of navigation: seconds from the pulse on which it holds and at which it comes, and what it says.
-pub struct Said {
-    pub valid_s: f64,
-    pub quantity: NavQuantity,
+pub(crate) struct Said {
+    pub(crate) valid_s: f64,
+    pub(crate) quantity: NavQuantity,
 }
 
 impl Spot {
     /// What a sensor tells of the motion every `interval_s`, which `spoil` may change, through the program's own navigation.
-    pub fn through_navigation(
+    pub(crate) fn through_navigation(
         mut self,
         interval_s: f64,
         spoil: impl Fn(usize, f64, &mut Vec<Said>),
@@ -324,11 +324,11 @@ impl Spot {
         self
     }
 
-    pub fn rate_hz(&self) -> f64 {
+    pub(crate) fn rate_hz(&self) -> f64 {
         self.spec.receiver.sample_rate_hz
     }
 
-    pub fn rig(&self) -> &RigSpec {
+    pub(crate) fn rig(&self) -> &RigSpec {
         &self.rig
     }
 
@@ -352,12 +352,12 @@ impl Spot {
     }
 
     /// The ping as it truly is, and its scatterers.
-    pub fn truth(&self) -> (PingPlan, Scatterers) {
+    pub(crate) fn truth(&self) -> (PingPlan, Scatterers) {
         (self.plan(), self.scatterers.clone())
     }
 
     /// The ping as the methods get it.
-    pub fn asked(&self) -> (PingPlan, Scatterers) {
+    pub(crate) fn asked(&self) -> (PingPlan, Scatterers) {
         let mut plan = self.plan();
         if let Some(heard) = &self.heard {
             plan.trajectory = heard.clone();

@@ -287,7 +287,7 @@ const FORMERS: [Former; 5] = [
 const TERMS: f64 = (ELEMENTS * BEAMS * SAMPLES) as f64;
 
 /// Every former alone, then the focused fan while another core synthesises the echoes.
-pub fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
+pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let frame = elements();
     let probes = probes(&compressed(&frame));
@@ -488,7 +488,7 @@ fn peer_beam(i: usize) -> usize {
 }
 
 /// For peers: matched-filtered rows, the elements' places, the points of some beams, and what their samples ought to be.
-pub fn dump(directory: &Path) -> Result<(), String> {
+pub(crate) fn dump(directory: &Path) -> Result<(), String> {
     std::fs::create_dir_all(directory).map_err(|e| format!("{}: {e}", directory.display()))?;
     let rows = compressed(&elements());
     let flat = |v: &[Complex64]| v.iter().flat_map(|c| [c.re, c.im]).collect::<Vec<_>>();
@@ -524,7 +524,7 @@ pub fn dump(directory: &Path) -> Result<(), String> {
 
 /// Answers one line per line of standard input: a former's name with `WALL CORE ERROR` (milliseconds) of one ping of all beams, one thread; the error over
 /// the beams that peers form.
-pub fn serve() -> Result<(), String> {
+pub(crate) fn serve() -> Result<(), String> {
     let frame = elements();
     let rows = compressed(&frame);
     let mut probes = Vec::new();

@@ -250,7 +250,7 @@ fn doppler_span(chunks: &[Vec<ArrivalChunk>]) -> DopplerSpan {
 }
 
 /// Prints and keeps one line per scene and method.
-pub fn run(quick: bool, report: &mut Report) {
+pub(crate) fn run(quick: bool, report: &mut Report) {
     println!(
         "sums alone: {ELEMENTS} elements, 400 kHz, 30 kHz, 5 ms, 36..150 m, one thread; without the walk over the scatterers and the receiver"
     );

@@ -115,7 +115,7 @@ fn want(rays: &[Rays], beams: &[usize]) -> Vec<Vec<Complex64>> {
 }
 
 /// Prints and keeps one line per tolerance and number of threads.
-pub fn run(threads: &[usize], report: &mut Report) -> Result<(), String> {
+pub(crate) fn run(threads: &[usize], report: &mut Report) -> Result<(), String> {
     println!(
         "forward-looking: {BEAMS} beams x {RAYS} rays, {RANGE_M} m, {BINS} frequencies, from ranges and reflectivities to every beam's time samples, \
          beam mixing included, ray casting not; median and best of {RUNS}"

@@ -7,7 +7,7 @@ fn first_line(path: &str, key: &str) -> Option<String> {
 }
 
 /// Processor, cores, vector instructions and the load of the last minute.
-pub fn describe() -> String {
+pub(crate) fn describe() -> String {
     let processor = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
     let simd_level = echotank_synthesis::array::gridded::SimdLevel::best();
@@ -19,7 +19,7 @@ pub fn describe() -> String {
 }
 
 /// Runnable tasks averaged over the last minute; above 1 or so a measurement of one thread on two cores suffers.
-pub fn load() -> String {
+pub(crate) fn load() -> String {
     std::fs::read_to_string("/proc/loadavg")
         .ok()
         .and_then(|text| text.split_whitespace().next().map(str::to_string))

@@ -19,7 +19,7 @@ use super::report::Report;
 /// Rounds of which the best and the median are printed.
 const ROUNDS: usize = 7;
 
-pub fn run(
+pub(crate) fn run(
     log: &Path,
     python: Option<&Path>,
     quick: bool,

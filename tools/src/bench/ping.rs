@@ -21,7 +21,7 @@ use super::report::Report;
 const WARM_UP: usize = 5;
 
 /// Prints and keeps one line per number of threads.
-pub fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> {
+pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let mut spec = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
     for sonar in &mut spec.sonars {

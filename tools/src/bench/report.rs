@@ -5,14 +5,14 @@ use std::path::Path;
 use super::machine;
 
 /// One benchmark's outcome.
-pub struct Report {
+pub(crate) struct Report {
     machine: String,
     rows: Vec<serde_json::Value>,
 }
 
 impl Report {
     /// Prints the machine and its load.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let machine = machine::describe();
         println!("{machine}");
         Self {
@@ -22,14 +22,14 @@ impl Report {
     }
 
     /// A line as it is printed, and as it is kept; the load is added to that.
-    pub fn row(&mut self, line: &str, mut kept: serde_json::Value) {
+    pub(crate) fn row(&mut self, line: &str, mut kept: serde_json::Value) {
         println!("{line}");
         kept["load"] = machine::load().into();
         self.rows.push(kept);
     }
 
     /// Writes the rows, if a file was asked for.
-    pub fn keep(self, json: Option<&Path>) -> Result<(), String> {
+    pub(crate) fn keep(self, json: Option<&Path>) -> Result<(), String> {
         let Some(path) = json else {
             return Ok(());
         };

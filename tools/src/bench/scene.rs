@@ -11,45 +11,45 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::rig;
 
-pub use super::rig::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
-pub const BANDWIDTH_HZ: f64 = 30e3;
-pub const DURATION_S: f64 = 5e-3;
-pub const SAMPLE_RATE_HZ: f64 = 40e3;
+pub(crate) use super::rig::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
+pub(crate) const BANDWIDTH_HZ: f64 = 30e3;
+pub(crate) const DURATION_S: f64 = 5e-3;
+pub(crate) const SAMPLE_RATE_HZ: f64 = 40e3;
 /// The transform's period and bins: bandwidth times period.
-pub const PERIOD_S: f64 = 0.2048;
-pub const BINS: usize = 6144;
-pub const WINDOW_S: f64 = 0.21;
+pub(crate) const PERIOD_S: f64 = 0.2048;
+pub(crate) const BINS: usize = 6144;
+pub(crate) const WINDOW_S: f64 = 0.21;
 /// Leading edges of the first and the last echo, about.
-pub const ECHOES_S: [f64; 2] = [0.0485, 0.1985];
+pub(crate) const ECHOES_S: [f64; 2] = [0.0485, 0.1985];
 
 #[derive(Clone, Copy)]
-pub struct Shape {
-    pub scatterers: usize,
-    pub speed_m_per_s: f64,
+pub(crate) struct Shape {
+    pub(crate) scatterers: usize,
+    pub(crate) speed_m_per_s: f64,
     /// Azimuth about broadside, either side.
-    pub sector_deg: f64,
+    pub(crate) sector_deg: f64,
     /// Fraction of the pulse under its flanks.
-    pub taper: f64,
+    pub(crate) taper: f64,
 }
 
-pub struct Scene {
-    pub plan: PingPlan,
-    pub transmit: TransmitArray,
-    pub scatterers: Scatterers,
+pub(crate) struct Scene {
+    pub(crate) plan: PingPlan,
+    pub(crate) transmit: TransmitArray,
+    pub(crate) scatterers: Scatterers,
 }
 
 /// Draws in 0..1.
-pub struct Chance(ChaCha8Rng);
+pub(crate) struct Chance(ChaCha8Rng);
 
 impl Chance {
-    pub fn seeded(seed: u64) -> Self {
+    pub(crate) fn seeded(seed: u64) -> Self {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
-    pub fn uniform(&mut self) -> f64 {
+    pub(crate) fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
     /// Box and Muller (1958).
-    pub fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
@@ -57,7 +57,7 @@ impl Chance {
 
 impl Scene {
     /// Scatterers in no order at all.
-    pub fn new(shape: Shape) -> Self {
+    pub(crate) fn new(shape: Shape) -> Self {
         let mut chance = Chance::seeded(1);
         let mut scatterers = Scatterers::default();
         let (near, far) = (20f64.powi(2), 146f64.powi(2));
@@ -80,7 +80,7 @@ impl Scene {
     }
 
     /// A line of omnidirectional elements half a wavelength apart, along the track.
-    pub fn array(&self, elements: usize) -> ArrayGeometry {
+    pub(crate) fn array(&self, elements: usize) -> ArrayGeometry {
         ArrayGeometry {
             sensitivity_db: -180.0,
             ..rig::line(DVec3::ZERO, elements)
@@ -88,14 +88,14 @@ impl Scene {
     }
 
     /// Arrivals at each element, as the walk makes them.
-    pub fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
+    pub(crate) fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
         (0..elements)
             .map(|element| self.chunks_at(elements, element))
             .collect()
     }
 
     /// The same at one of `elements`.
-    pub fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
+    pub(crate) fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
         let mut transmit_leg = TransmitLeg::new();
         let window = Window {
             first_s: 0.0,

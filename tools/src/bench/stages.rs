@@ -14,16 +14,21 @@ const PULSE_POINTS: f64 = 8.0;
 
 /// A ping by stages: of the run that took least.
 #[derive(Default)]
-pub struct Profile {
-    pub insonify: Duration,
-    pub stages: Stages,
+pub(crate) struct Profile {
+    pub(crate) insonify: Duration,
+    pub(crate) stages: Stages,
     /// Walls of all that the engine did.
-    pub synthesise: Duration,
-    pub reports: Vec<TaskReport>,
+    pub(crate) synthesise: Duration,
+    pub(crate) reports: Vec<TaskReport>,
 }
 
 impl Profile {
-    pub fn keep(&mut self, insonify: Duration, synthesise: Duration, reports: Vec<TaskReport>) {
+    pub(crate) fn keep(
+        &mut self,
+        insonify: Duration,
+        synthesise: Duration,
+        reports: Vec<TaskReport>,
+    ) {
         let mut stages = Stages::default();
         for report in &reports {
             stages.add(&report.stages);
@@ -38,7 +43,7 @@ impl Profile {
         }
     }
 
-    pub fn print(&self, threads: usize) {
+    pub(crate) fn print(&self, threads: usize) {
         let roof = Roof::measure();
         println!(
             "  one core: {:.0} GFLOP/s in f32, {:.0} GB/s from memory, {:.0} GB/s in 1 MB; {threads} threads",

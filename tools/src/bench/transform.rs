@@ -90,7 +90,7 @@ fn write(path: &Path, values: impl IntoIterator<Item = f64>) -> Result<(), Strin
 }
 
 /// Writes `delay_s.f64`, `amplitude.c128` and `direct.c128` into `directory`, little-endian and raw.
-pub fn dump(
+pub(crate) fn dump(
     directory: &Path,
     scatterers: usize,
     elements: usize,
@@ -191,7 +191,7 @@ impl<T: Real + Into<f64>> Runner for Prepared<T> {
 
 /// Answers one line per line of standard input: `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` with `MILLISECONDS ERROR`, one transform each.
 /// Dialect: portable, avx2, avx512 or best.
-pub fn serve(directory: &Path) -> Result<(), String> {
+pub(crate) fn serve(directory: &Path) -> Result<(), String> {
     let delay_s = std::rc::Rc::new(read(&directory.join("delay_s.f64"))?);
     let amplitude = complex(&read(&directory.join("amplitude.c128"))?);
     let want = complex(&read(&directory.join("direct.c128"))?);
@@ -247,7 +247,7 @@ fn prepare(
     }
 }
 
-pub fn simd_level_named(name: &str) -> Result<SimdLevel, String> {
+pub(crate) fn simd_level_named(name: &str) -> Result<SimdLevel, String> {
     let kind = match name {
         "best" => return Ok(SimdLevel::best()),
         "portable" => Kind::Portable,

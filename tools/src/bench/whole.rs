@@ -38,7 +38,7 @@ const SAMPLES: usize = 8;
 const MANY: usize = 1_500_000;
 /// How long is waited.
 #[derive(Clone, Copy)]
-pub struct Effort {
+pub(crate) struct Effort {
     /// A method whose ping takes longer is left out, core seconds.
     patience_s: f64,
     /// Runs end when they have taken this long together, seconds.
@@ -46,13 +46,13 @@ pub struct Effort {
     max_scatterers: usize,
 }
 
-pub const FULL: Effort = Effort {
+pub(crate) const FULL: Effort = Effort {
     patience_s: 12.0,
     runs_s: 3.0,
     max_scatterers: usize::MAX,
 };
 
-pub const QUICK: Effort = Effort {
+pub(crate) const QUICK: Effort = Effort {
     patience_s: 1.0,
     runs_s: 0.2,
     max_scatterers: 50_000,
@@ -69,13 +69,13 @@ const TILE_M: f64 = 3.0;
 
 /// What is measured.
 #[derive(Clone, Copy)]
-pub struct Ping {
-    pub name: &'static str,
-    pub elements: usize,
-    pub scatterers: usize,
-    pub sector_deg: f64,
-    pub velocity_m_per_s: DVec3,
-    pub tolerance: f64,
+pub(crate) struct Ping {
+    pub(crate) name: &'static str,
+    pub(crate) elements: usize,
+    pub(crate) scatterers: usize,
+    pub(crate) sector_deg: f64,
+    pub(crate) velocity_m_per_s: DVec3,
+    pub(crate) tolerance: f64,
 }
 
 const STILL: DVec3 = DVec3::ZERO;
@@ -125,7 +125,7 @@ const fn ping(
 
 /// Every number of elements and of scatterers under way; then what sector, speed and tolerance change; then what is to be reached in real
 /// time.
-pub const PINGS: [Ping; 30] = [
+pub(crate) const PINGS: [Ping; 30] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
     ping("paper", 5, 42_936, 15.0, FAST, 1e-3),
@@ -599,19 +599,19 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
 }
 
 /// What to run: SIMD levels by name, numbers of threads, a part of a ping's label.
-pub struct Selection<'a> {
-    pub only: &'a str,
+pub(crate) struct Selection<'a> {
+    pub(crate) only: &'a str,
     /// None: all.
-    pub method: Option<&'a str>,
-    pub simd_levels: &'a [String],
-    pub threads: &'a [usize],
-    pub effort: Effort,
+    pub(crate) method: Option<&'a str>,
+    pub(crate) simd_levels: &'a [String],
+    pub(crate) threads: &'a [usize],
+    pub(crate) effort: Effort,
     /// Where the time of `gridded-2d` goes.
-    pub stages: bool,
+    pub(crate) stages: bool,
 }
 
 /// Prints and keeps one line per ping, method, SIMD level and number of threads.
-pub fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
+pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     println!(
         "whole pings: 400 kHz, 30 kHz, 5 ms, 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
         RATE_HZ * 1e-3

@@ -115,7 +115,7 @@ fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
 }
 
 /// Prints and keeps a line per family, and one for the load if it is asked for.
-pub fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), String> {
+pub(crate) fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let while_s = if quick { 0.3 } else { 2.0 };
     let (plan, output) = (plan(1, SAMPLES), frames());

@@ -35,37 +35,37 @@ const DURATION_S: f64 = 5e-3;
 const CARRIER_HZ: f64 = 400e3;
 
 /// Compared: the models of [`METHODS`] that somebody who looks at pictures might take.
-pub fn methods() -> &'static [Method] {
+pub(crate) fn methods() -> &'static [Method] {
     &METHODS[1..4]
 }
 
 /// Speeds and ranges of the whole table.
-pub fn cases() -> Vec<(f64, f64)> {
+pub(crate) fn cases() -> Vec<(f64, f64)> {
     let speeds = [0.1, 0.5, 1.0, 2.572, 4.0, 5.144, 10.0];
     let rows = |range_m| speeds.map(|speed_m_per_s| (speed_m_per_s, range_m));
     [36.0, 75.0, 150.0].into_iter().flat_map(rows).collect()
 }
 
 /// Along the track, of equal apertures (two-way, half power), metres.
-pub fn along_cell_m(range_m: f64) -> f64 {
+pub(crate) fn along_cell_m(range_m: f64) -> f64 {
     0.64 * C / CARRIER_HZ * range_m / APERTURE_M
 }
 
 /// In range, metres.
-pub const RANGE_CELL_M: f64 = 0.5 * C / BANDWIDTH_HZ;
+pub(crate) const RANGE_CELL_M: f64 = 0.5 * C / BANDWIDTH_HZ;
 
 /// Displacements, metres, what the criterion says and what was measured: along the track, in range at the beam's edge and ahead; and the
 /// error of an element's own samples at the edge.
-pub struct Image {
-    pub along_m: (f64, f64),
-    pub edge_m: (f64, f64),
-    pub ahead_m: (f64, f64),
-    pub element_error: f64,
+pub(crate) struct Image {
+    pub(crate) along_m: (f64, f64),
+    pub(crate) edge_m: (f64, f64),
+    pub(crate) ahead_m: (f64, f64),
+    pub(crate) element_error: f64,
 }
 
 impl Image {
     /// As a side-scan's picture, by the criterion and by what was measured.
-    pub fn passes(&self, range_m: f64) -> (bool, bool) {
+    pub(crate) fn passes(&self, range_m: f64) -> (bool, bool) {
         let pass = |along: f64, bias: f64| {
             along.abs() < 0.25 * along_cell_m(range_m) && bias.abs() < 0.1 * RANGE_CELL_M
         };
@@ -233,7 +233,7 @@ fn range_bias_m(method: &Method, case: Case) -> (f64, f64) {
 }
 
 /// All that the table says of some speed and range, method by method.
-pub fn measure(speed_m_per_s: f64, range_m: f64) -> Vec<Image> {
+pub(crate) fn measure(speed_m_per_s: f64, range_m: f64) -> Vec<Image> {
     let at = |angle_deg| Case {
         speed_m_per_s,
         range_m,
@@ -260,7 +260,7 @@ pub fn measure(speed_m_per_s: f64, range_m: f64) -> Vec<Image> {
         .collect()
 }
 
-pub fn heading() -> String {
+pub(crate) fn heading() -> String {
     let mut text = format!("{:>5} {:>6} {:>6}", "m", "m/s", "cell m");
     for method in methods() {
         text += &format!(" | {:^59}", method.name);
@@ -275,7 +275,7 @@ pub fn heading() -> String {
 }
 
 /// One line: for each method displacements as predicted and as measured, whether the picture passes by either, and the samples' error.
-pub fn row((speed_m_per_s, range_m): (f64, f64)) -> String {
+pub(crate) fn row((speed_m_per_s, range_m): (f64, f64)) -> String {
     let mut line = format!(
         "{range_m:>5} {speed_m_per_s:>6} {:>6.3}",
         along_cell_m(range_m)

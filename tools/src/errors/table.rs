@@ -8,23 +8,23 @@ use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonif
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-pub const C: f64 = 1500.0;
+pub(crate) const C: f64 = 1500.0;
 /// Samples of the comparison, Hz: over twice the band, so that a chirp and its shifted self are both whole.
 const RATE_HZ: f64 = 80e3;
 /// An element-level error up to this is a pass.
-pub const TOLERANCE: f64 = 1e-3;
+pub(crate) const TOLERANCE: f64 = 1e-3;
 
 /// Errors below are not told apart.
 const ROUNDING: f64 = 1e-9;
 
-pub struct Method {
-    pub name: &'static str,
-    pub path: PathModel,
-    pub doppler: DopplerModel,
+pub(crate) struct Method {
+    pub(crate) name: &'static str,
+    pub(crate) path: PathModel,
+    pub(crate) doppler: DopplerModel,
 }
 
 /// What is compared, with the reference as truth.
-pub const METHODS: [Method; 5] = [
+pub(crate) const METHODS: [Method; 5] = [
     Method {
         name: "paper-eq21",
         path: PathModel::Polyline,
@@ -53,15 +53,15 @@ pub const METHODS: [Method; 5] = [
 ];
 
 #[derive(Clone, Copy)]
-pub struct Case {
-    pub speed_m_per_s: f64,
-    pub range_m: f64,
+pub(crate) struct Case {
+    pub(crate) speed_m_per_s: f64,
+    pub(crate) range_m: f64,
     /// From the track: 0 straight ahead.
-    pub angle_deg: f64,
+    pub(crate) angle_deg: f64,
 }
 
 /// Speeds, ranges and angles of the whole table.
-pub fn cases() -> Vec<Case> {
+pub(crate) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for range_m in [36.0, 250.0] {
         for speed_m_per_s in [0.1, 1.0, 2.572, 5.144, 10.0] {
@@ -77,7 +77,7 @@ pub fn cases() -> Vec<Case> {
     cases
 }
 
-pub fn heading() -> String {
+pub(crate) fn heading() -> String {
     let mut lines = format!("{:>5} {:>6} {:>5}", "m", "m/s", "deg");
     for method in &METHODS {
         lines += &format!(" | {:^23}", method.name);
@@ -91,7 +91,7 @@ pub fn heading() -> String {
 
 /// One line: for each method the range at which it puts the echo less the true one, the relative error of its samples, and whether that
 /// passes.
-pub fn row(case: Case) -> String {
+pub(crate) fn row(case: Case) -> String {
     let mut line = format!(
         "{:>5} {:>6} {:>5}",
         case.range_m, case.speed_m_per_s, case.angle_deg
@@ -117,7 +117,7 @@ pub fn row(case: Case) -> String {
 }
 
 /// Range error of the leading edge, metres one way, and relative l2 error of the samples over the echo and 3 ms either side.
-pub fn measure(method: &Method, case: Case) -> (f64, f64) {
+pub(crate) fn measure(method: &Method, case: Case) -> (f64, f64) {
     let (sin, cos) = case.angle_deg.to_radians().sin_cos();
     let at_m = DVec3::new(case.range_m * cos, case.range_m * sin, 0.0);
     let mut scatterers = Scatterers::default();
@@ -143,7 +143,7 @@ pub fn measure(method: &Method, case: Case) -> (f64, f64) {
     (0.5 * C * (got_s - exact_s), (difference / size).sqrt())
 }
 
-pub fn sonar() -> (TransmitArray, ArrayGeometry) {
+pub(crate) fn sonar() -> (TransmitArray, ArrayGeometry) {
     let mounting = Mounting {
         position_m: DVec3::ZERO,
         body_from_array: DQuat::IDENTITY,
@@ -191,7 +191,7 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
 }
 
 /// 400 kHz, 30 kHz, 5 ms (the paper's pulse, its ends tapered by a twentieth each), straight ahead along x.
-pub fn plan(case: Case) -> PingPlan {
+pub(crate) fn plan(case: Case) -> PingPlan {
     let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
     PingPlan {
         sonar: 0,

@@ -19,7 +19,7 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-pub const LEVELS: [usize; 4] = [5125, 3000, 1000, 176];
+pub(crate) const LEVELS: [usize; 4] = [5125, 3000, 1000, 176];
 
 const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
@@ -47,7 +47,7 @@ const SHADOW_DB: f64 = -30.0;
 const PASS_SLACK_M: f64 = 12.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Simplifier {
+pub(crate) enum Simplifier {
     /// Quadric error; the removed leave nothing.
     Conventional,
     /// Quadric error; the kept inherit the area of the removed.
@@ -61,7 +61,7 @@ pub enum Simplifier {
 }
 
 impl Simplifier {
-    pub const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 6] = [
         Self::Conventional,
         Self::ConventionalWithArea,
         Self::Paper,
@@ -69,7 +69,7 @@ impl Simplifier {
         Self::AcousticEcho,
         Self::Unbiased,
     ];
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Conventional => "conventional",
             Self::ConventionalWithArea => "conventional, areas",
@@ -93,14 +93,14 @@ impl Simplifier {
 
 /// When the choice is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Once {
+pub(crate) enum Once {
     EachPing,
     Pass,
 }
 
 impl Once {
-    pub const ALL: [Self; 2] = [Self::EachPing, Self::Pass];
-    pub fn name(self) -> &'static str {
+    pub(crate) const ALL: [Self; 2] = [Self::EachPing, Self::Pass];
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::EachPing => "each ping",
             Self::Pass => "once",
@@ -110,21 +110,21 @@ impl Once {
 
 /// One row of the table.
 #[derive(Clone, Copy, Debug)]
-pub struct Figures {
-    pub points: usize,
-    pub once: Once,
-    pub simplifier: Simplifier,
+pub(crate) struct Figures {
+    pub(crate) points: usize,
+    pub(crate) once: Once,
+    pub(crate) simplifier: Simplifier,
     /// On average.
-    pub kept: f64,
-    pub level_db: f64,
+    pub(crate) kept: f64,
+    pub(crate) level_db: f64,
     /// Standard deviation of one seed's level.
-    pub level_scatter_db: f64,
-    pub image_db: f64,
-    pub l2: f64,
+    pub(crate) level_scatter_db: f64,
+    pub(crate) image_db: f64,
+    pub(crate) l2: f64,
 }
 
 impl Figures {
-    pub fn json(&self) -> serde_json::Value {
+    pub(crate) fn json(&self) -> serde_json::Value {
         serde_json::json!({
             "points": self.points,
             "chosen": self.once.name(),
@@ -140,14 +140,14 @@ impl Figures {
 
 /// Element samples and image of one pass.
 #[derive(Clone, Default)]
-pub struct Pass {
-    pub iq: Vec<Vec<Complex64>>,
+pub(crate) struct Pass {
+    pub(crate) iq: Vec<Vec<Complex64>>,
     /// Energy of the line with its gain, by ping and sample of the image.
-    pub energy: Vec<Vec<f64>>,
+    pub(crate) energy: Vec<Vec<f64>>,
 }
 
 /// The geometry that all seeds share.
-pub struct Ladder {
+pub(crate) struct Ladder {
     pings: usize,
     /// What each ping cannot see.
     hidden: Vec<Vec<bool>>,
@@ -159,7 +159,7 @@ pub struct Ladder {
 const PLACES: u64 = 1;
 
 impl Ladder {
-    pub fn new(pings: usize) -> Self {
+    pub(crate) fn new(pings: usize) -> Self {
         let cloud = cloud(0);
         let s = &cloud.scatterers;
         let hidden = (0..pings)
@@ -186,7 +186,7 @@ impl Ladder {
     }
 
     /// Every row of the table, averaged over `seeds` scenes.
-    pub fn measure(&self, seeds: u64) -> Vec<Figures> {
+    pub(crate) fn measure(&self, seeds: u64) -> Vec<Figures> {
         let each: Vec<Vec<Sums>> = (0..seeds)
             .into_par_iter()
             .map(|seed| self.one_seed(seed))
@@ -223,7 +223,7 @@ impl Ladder {
     }
 
     /// The original's pass, for pictures.
-    pub fn original(&self) -> Pass {
+    pub(crate) fn original(&self) -> Pass {
         let all = cloud(0).scatterers;
         self.pass(&mut Imager::new(), |ping, out| {
             self.visible(&all, ping, out)
@@ -231,7 +231,7 @@ impl Ladder {
     }
 
     /// A simplifier's passes at every level, with the mean number kept.
-    pub fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
+    pub(crate) fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
         let all = cloud(0).scatterers;
         self.simplified(&all, 0, once, simplifier, &mut Imager::new())
     }
@@ -312,7 +312,7 @@ impl Ladder {
     }
 
     /// Milliseconds to choose and to compute one ping (medians over the pings, this thread), and the level, dB. None: the original.
-    pub fn time(&self, which: Option<(Simplifier, usize)>) -> (f64, f64, f64) {
+    pub(crate) fn time(&self, which: Option<(Simplifier, usize)>) -> (f64, f64, f64) {
         let all = cloud(0).scatterers;
         let mut imager = Imager::new();
         let mut chooser = Chooser::new(self);
@@ -366,7 +366,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-pub fn rows() -> Vec<(usize, Once, Simplifier)> {
+pub(crate) fn rows() -> Vec<(usize, Once, Simplifier)> {
     let mut rows = Vec::new();
     for points in LEVELS {
         for once in Once::ALL {

@@ -19,7 +19,7 @@ struct Panel {
 }
 
 /// Original on top; below it a row for each level, a column for each of conventional, acoustic and acoustic-unbiased.
-pub fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
+pub(crate) fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
     let original = ladder.original();
     // White is where 1 % of the original's pixels are brighter; the same for all panels.
     let mut sorted: Vec<f64> = pixels(&original).into_iter().flatten().collect();

@@ -19,7 +19,7 @@ const TRACK_M: (f64, f64) = (0.0, 36.0);
 /// Ranges of the points whose images are measured.
 const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
 
-pub fn figure_11(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
     let mut grids = Vec::new();
     let mut rows = Vec::new();
     for name in ["fig11_conventional.toml", "fig11_focused.toml"] {

@@ -106,7 +106,7 @@ impl Rig {
     }
 }
 
-pub fn figure_6(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_6(out: &Path) -> Result<Value, String> {
     let spec = pings::load("fig6.toml")?;
     let rig = Rig::of(&spec)?;
     let stop = rig.panel(|s| Some(s.stop_db));
@@ -161,7 +161,7 @@ pub fn figure_6(out: &Path) -> Result<Value, String> {
     }))
 }
 
-pub fn figure_7(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_7(out: &Path) -> Result<Value, String> {
     let spec = pings::load("fig6.toml")?;
     let rig = Rig::of(&spec)?;
     let within = |s: &Seen| s.moving_db > -12.0;

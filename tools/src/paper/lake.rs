@@ -15,7 +15,7 @@ const RANGE_M: f64 = 85.0;
 /// Rows of one ping.
 const ROWS: usize = 2;
 
-pub fn figure_17(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
     let spec = pings::load("fig17.toml")?;
     let (heard, targets) = pings::run(&spec)?;
     let axis = RangeAxis::new(
@@ -33,7 +33,7 @@ pub fn figure_17(out: &Path) -> Result<Value, String> {
     }))
 }
 
-pub fn figure_18(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
     let (straight, _) = pings::run(&pings::load("fig17.toml")?)?;
     let spec = pings::load("fig18.toml")?;
     let (heard, targets) = pings::run(&spec)?;

@@ -7,36 +7,36 @@ use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour::rgb;
 
 /// Row-major levels; NaN is nothing.
-pub struct Grid {
-    pub width: usize,
-    pub height: usize,
-    pub level: Vec<f32>,
+pub(crate) struct Grid {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) level: Vec<f32>,
 }
 
 impl Grid {
-    pub fn new(width: usize, height: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize) -> Self {
         Self {
             width,
             height,
             level: vec![f32::NAN; width * height],
         }
     }
-    pub fn set(&mut self, x: usize, y: usize, level: f32) {
+    pub(crate) fn set(&mut self, x: usize, y: usize, level: f32) {
         self.level[y * self.width + x] = level;
     }
 }
 
 /// How a panel is coloured: levels of the darkest and brightest.
 #[derive(Clone, Copy)]
-pub struct Look {
-    pub map: ColourMap,
-    pub low: f32,
-    pub high: f32,
+pub(crate) struct Look {
+    pub(crate) map: ColourMap,
+    pub(crate) low: f32,
+    pub(crate) high: f32,
 }
 
 impl Look {
     /// These shares of the levels lie below darkest and brightest.
-    pub fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
+    pub(crate) fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
         let mut levels: Vec<f32> = grids
             .iter()
             .flat_map(|g| g.level.iter().copied())
@@ -65,7 +65,7 @@ const NOTHING: [u8; 3] = [30, 34, 60];
 const SHADES: usize = 32;
 
 /// Panels side by side, at most seven.
-pub fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
+pub(crate) fn write(file: &Path, panels: &[(&Grid, Look)]) -> Result<(), String> {
     let height = panels.iter().map(|p| p.0.height).max().unwrap_or(1);
     let width = panels.iter().map(|p| p.0.width).sum::<usize>() + GAP * (panels.len() - 1);
     let mut palette = [PAPER, NOTHING].concat();

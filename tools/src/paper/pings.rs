@@ -12,7 +12,7 @@ use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::io::nav::NavInputs;
 
 /// The checked configuration of a figure.
-pub fn load(name: &str) -> Result<RigSpec, String> {
+pub(crate) fn load(name: &str) -> Result<RigSpec, String> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs/paper")
         .join(name);
@@ -20,13 +20,13 @@ pub fn load(name: &str) -> Result<RigSpec, String> {
 }
 
 /// What of a ping the figures need.
-pub struct Heard {
-    pub plan: PingPlan,
-    pub output: PingOutput,
+pub(crate) struct Heard {
+    pub(crate) plan: PingPlan,
+    pub(crate) output: PingOutput,
 }
 
 /// Every ping until the navigation ends, and the scene's targets.
-pub fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
+pub(crate) fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
     pool(0)
         .map_err(|e| e.to_string())?
         .install(|| run_here(spec))
@@ -75,7 +75,7 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
 }
 
 /// One point of unit strength.
-pub fn point(at_m: glam::DVec3) -> Scatterers {
+pub(crate) fn point(at_m: glam::DVec3) -> Scatterers {
     let mut points = Scatterers::default();
     points.push(
         at_m,

@@ -19,7 +19,7 @@ const TRACK_M: (f64, f64) = (0.0, 36.0);
 /// Ranges looked at for the echo between pings.
 const STEPS: usize = 92;
 
-pub fn figure_10(out: &Path) -> Result<Value, String> {
+pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
     let mut grids = Vec::new();
     let mut numbers = Vec::new();
     for (name, knots) in [("fig10_3kn.toml", 3.0), ("fig10_10kn.toml", 10.0)] {

@@ -9,10 +9,10 @@ use echotank_config::spec::RigSpec;
 use crate::track::{ALONG_TRACK, COLUMNS};
 
 /// Evenly distributed numbers: splitmix64 (Steele, Lea and Flood 2014).
-pub struct Chance(u64);
+pub(crate) struct Chance(u64);
 
 impl Chance {
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d)
     }
     fn next(&mut self) -> u64 {
@@ -23,26 +23,26 @@ impl Chance {
         z ^ (z >> 31)
     }
     /// From 0 to 1.
-    pub fn even(&mut self) -> f64 {
+    pub(crate) fn even(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
-    pub fn between(&mut self, from: f64, to: f64) -> f64 {
+    pub(crate) fn between(&mut self, from: f64, to: f64) -> f64 {
         from + (to - from) * self.even()
     }
     /// Even in the logarithm.
-    pub fn decades(&mut self, from: f64, to: f64) -> f64 {
+    pub(crate) fn decades(&mut self, from: f64, to: f64) -> f64 {
         (self.between(from.ln(), to.ln())).exp()
     }
-    pub fn one_in(&mut self, n: u64) -> bool {
+    pub(crate) fn one_in(&mut self, n: u64) -> bool {
         self.next().is_multiple_of(n)
     }
-    pub fn of(&mut self, n: usize) -> usize {
+    pub(crate) fn of(&mut self, n: usize) -> usize {
         (self.next() % n as u64) as usize
     }
 }
 
 /// Writes the rig of `seed` into `folder`, reads it, and describes it. `small`: for a test of seconds.
-pub fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
+pub(crate) fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
     let mut chance = Chance::new(seed);
     let (text, about) = write(&mut chance, folder, small);
     let spec =

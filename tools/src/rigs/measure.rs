@@ -27,38 +27,38 @@ const OTHERS: usize = 12;
 
 /// What one ping did under one choice.
 #[derive(Clone, Serialize, Deserialize)]
-pub struct Did {
-    pub text: String,
+pub(crate) struct Did {
+    pub(crate) text: String,
     /// What each family promises.
-    pub parts: [f64; 5],
-    pub predicted_error: f64,
-    pub predicted_ms: f64,
+    pub(crate) parts: [f64; 5],
+    pub(crate) predicted_error: f64,
+    pub(crate) predicted_ms: f64,
     /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as error checks have it. The plan's
     /// worst windows are computed again by the reference's equation. Where the reference solution is too coarse, an error check's own, over 128 random samples.
-    pub error: f64,
-    pub by_error_check: bool,
-    pub ms: f64,
+    pub(crate) error: f64,
+    pub(crate) by_error_check: bool,
+    pub(crate) ms: f64,
     /// Within the goal, as predicted.
-    pub promised: bool,
+    pub(crate) promised: bool,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
-pub struct Measured {
-    pub sonar: String,
-    pub tolerance: f64,
-    pub scatterers: usize,
-    pub elements: usize,
+pub(crate) struct Measured {
+    pub(crate) sonar: String,
+    pub(crate) tolerance: f64,
+    pub(crate) scatterers: usize,
+    pub(crate) elements: usize,
     /// What the reference solution itself is off by at random samples, by the reference's equation.
-    pub reference: Option<f64>,
-    pub plan: Did,
-    pub others: Vec<Did>,
+    pub(crate) reference: Option<f64>,
+    pub(crate) plan: Did,
+    pub(crate) others: Vec<Did>,
     /// The plan says itself that it is not within.
-    pub out_of_reach: bool,
+    pub(crate) out_of_reach: bool,
 }
 
 impl Measured {
     /// All of it, a line for the plan and one for each other choice.
-    pub fn said(&self) -> String {
+    pub(crate) fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
                 "{:.1e} measured{}, {:.1e} promised ({}), {:.2} ms, {:.2} predicted{}: {}",
@@ -91,7 +91,7 @@ impl Measured {
 }
 
 #[derive(Debug, thiserror::Error)]
-pub enum MeasureError {
+pub(crate) enum MeasureError {
     #[error(transparent)]
     First(#[from] FirstError),
     #[error("{0}")]
@@ -99,7 +99,11 @@ pub enum MeasureError {
 }
 
 /// The first ping of every sonar that hears something. To be called inside the pool. `time`: other choices too.
-pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>, MeasureError> {
+pub(crate) fn measure(
+    rig: &RigSpec,
+    costs: &Costs,
+    time: bool,
+) -> Result<Vec<Measured>, MeasureError> {
     let mut all = Vec::new();
     // What culling leaves out is part of the truth.
     let mut whole = rig.clone();
@@ -138,12 +142,12 @@ pub fn measure(rig: &RigSpec, costs: &Costs, time: bool) -> Result<Vec<Measured>
     Ok(all)
 }
 
-pub struct Ping<'a> {
-    pub spec: &'a SonarSpec,
-    pub medium: &'a MediumSpec,
-    pub plan: &'a PingPlan,
+pub(crate) struct Ping<'a> {
+    pub(crate) spec: &'a SonarSpec,
+    pub(crate) medium: &'a MediumSpec,
+    pub(crate) plan: &'a PingPlan,
     /// Not culled.
-    pub everything: &'a Scatterers,
+    pub(crate) everything: &'a Scatterers,
 }
 
 /// What one sonar's ping hears, down to each floor that a choice has: a pipeline gathers no more.

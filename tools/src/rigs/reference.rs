@@ -43,7 +43,7 @@ struct Off {
     against: f64,
 }
 
-pub struct ReferenceSolution<'a> {
+pub(crate) struct ReferenceSolution<'a> {
     ping: &'a Ping<'a>,
     plan: PingPlan,
     decimator: Option<Decimator>,
@@ -53,7 +53,7 @@ pub struct ReferenceSolution<'a> {
 }
 
 impl<'a> ReferenceSolution<'a> {
-    pub fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
+    pub(crate) fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
         let spec = ping.spec;
         let rate_hz = spec.receiver.sample_rate_hz;
         let c = ping.medium.sound_speed_m_per_s;
@@ -119,7 +119,7 @@ impl<'a> ReferenceSolution<'a> {
         records
     }
 
-    pub fn is_silent(&self) -> bool {
+    pub(crate) fn is_silent(&self) -> bool {
         let mut samples = self.records.iter().flatten().flatten();
         samples.all(|x| x.norm_sqr() == 0.0)
     }
@@ -229,12 +229,12 @@ impl<'a> ReferenceSolution<'a> {
     }
 
     /// The error of the worst window of any element, by this reference solution.
-    pub fn worst(&self, got: &PingOutput) -> f64 {
+    pub(crate) fn worst(&self, got: &PingOutput) -> f64 {
         self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
     }
 
     /// ... and by the reference's equation, of those windows that are the worst by this reference solution and of samples by chance.
-    pub fn worst_by_reference(&self, got: &PingOutput) -> f64 {
+    pub(crate) fn worst_by_reference(&self, got: &PingOutput) -> f64 {
         let mut worst = self.error_check(got);
         for off in self.offs(got).iter().take(WORST) {
             let end = (off.first + self.window).min(self.plan.sample_count);
@@ -287,12 +287,12 @@ impl<'a> ReferenceSolution<'a> {
     }
 
     /// What this reference solution itself is off by.
-    pub fn own_error(&self) -> f64 {
+    pub(crate) fn own_error(&self) -> f64 {
         self.by_chance(|pick| self.records[pick.array][pick.element][pick.sample])
     }
 
     /// What a ping is off by at the same samples.
-    pub fn error_check(&self, got: &PingOutput) -> f64 {
+    pub(crate) fn error_check(&self, got: &PingOutput) -> f64 {
         self.by_chance(|pick| got.elements[pick.array].element(pick.element)[pick.sample])
     }
 }

@@ -18,7 +18,7 @@ use glam::DVec3;
 
 /// A bottom and a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Case {
+pub(crate) enum Case {
     Flat,
     /// Falls to starboard by 10 degrees.
     Slope,
@@ -29,9 +29,9 @@ pub enum Case {
 }
 
 impl Case {
-    pub const ALL: [Self; 4] = [Self::Flat, Self::Slope, Self::Survey, Self::Swell];
+    pub(crate) const ALL: [Self; 4] = [Self::Flat, Self::Slope, Self::Survey, Self::Swell];
 
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Flat => "flat, 50 m",
             Self::Slope => "slope, 10 degrees across",
@@ -43,41 +43,46 @@ impl Case {
 
 /// One sounding in the world, beside the seabed under it.
 #[derive(Clone, Copy, Debug)]
-pub struct Found {
-    pub angle_rad: f64,
-    pub north_m: f64,
-    pub east_m: f64,
-    pub down_m: f64,
-    pub true_down_m: f64,
-    pub detection: Detection,
+pub(crate) struct Found {
+    pub(crate) angle_rad: f64,
+    pub(crate) north_m: f64,
+    pub(crate) east_m: f64,
+    pub(crate) down_m: f64,
+    pub(crate) true_down_m: f64,
+    pub(crate) detection: Detection,
 }
 
 /// Everything one case found.
-pub struct Soundings {
-    pub case: Case,
-    pub pings: usize,
+pub(crate) struct Soundings {
+    pub(crate) case: Case,
+    pub(crate) pings: usize,
     /// From port to starboard.
-    pub angles_rad: Vec<f64>,
-    pub found: Vec<Found>,
+    pub(crate) angles_rad: Vec<f64>,
+    pub(crate) found: Vec<Found>,
 }
 
 /// Beams of one stretch of angle off the vertical, both sides.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
-    pub from_deg: f64,
-    pub to_deg: f64,
-    pub found: usize,
+pub(crate) struct Row {
+    pub(crate) from_deg: f64,
+    pub(crate) to_deg: f64,
+    pub(crate) found: usize,
     /// Of the beams that were there.
-    pub share: f64,
-    pub by_phase: f64,
-    pub mean_m: f64,
+    pub(crate) share: f64,
+    pub(crate) by_phase: f64,
+    pub(crate) mean_m: f64,
     /// 95 % of the errors are smaller.
-    pub p95_m: f64,
-    pub depth_m: f64,
+    pub(crate) p95_m: f64,
+    pub(crate) depth_m: f64,
 }
 
 /// What is changed in `hil-configs/multibeam.toml` for a case. `folder` takes the track.
-pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<RigSpec, String> {
+pub(crate) fn spec(
+    case: Case,
+    folder: &Path,
+    elements: usize,
+    beams: usize,
+) -> Result<RigSpec, String> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut spec = echotank_config::load(&root.join("hil-configs/multibeam.toml"))
         .map_err(|e| e.to_string())?;
@@ -132,7 +137,7 @@ pub fn spec(case: Case, folder: &Path, elements: usize, beams: usize) -> Result<
 }
 
 /// Soundings of so many pings, each `every_s` apart.
-pub fn measure(
+pub(crate) fn measure(
     case: Case,
     spec: &RigSpec,
     pings: usize,
@@ -218,7 +223,7 @@ fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
 
 impl Soundings {
     /// By angle off the boresight, in steps of `step_deg`.
-    pub fn rows(&self, step_deg: f64) -> Vec<Row> {
+    pub(crate) fn rows(&self, step_deg: f64) -> Vec<Row> {
         let max_deg = (self.angles_rad.iter()).fold(0.0_f64, |a, b| a.max(b.abs().to_degrees()));
         let steps = (max_deg / step_deg).ceil() as usize;
         (0..steps)
@@ -252,7 +257,7 @@ impl Soundings {
             .collect()
     }
 
-    pub fn table(&self, step_deg: f64) -> String {
+    pub(crate) fn table(&self, step_deg: f64) -> String {
         let mut out = format!(
             "{}, {} pings\n off the vertical  soundings  of the beams  by phase  mean error  95 % below\n",
             self.case.name(),
@@ -277,7 +282,7 @@ impl Soundings {
     }
 
     /// Relief in cells of `cell_m`: pairs of mean sounding and mean truth, for cells of at least `least` soundings.
-    pub fn relief(&self, cell_m: f64, least: usize) -> Vec<(f64, f64)> {
+    pub(crate) fn relief(&self, cell_m: f64, least: usize) -> Vec<(f64, f64)> {
         let mut cells = std::collections::BTreeMap::<(i64, i64), (f64, f64, usize)>::new();
         for f in &self.found {
             let key = (
@@ -295,7 +300,7 @@ impl Soundings {
 }
 
 /// Correlation of the two, and the standard deviation of the second and of their difference.
-pub fn agreement(pairs: &[(f64, f64)]) -> (f64, f64, f64) {
+pub(crate) fn agreement(pairs: &[(f64, f64)]) -> (f64, f64, f64) {
     let n = pairs.len() as f64;
     let mean = |of: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / n;
     let (a, b) = (mean(&|p| p.0), mean(&|p| p.1));

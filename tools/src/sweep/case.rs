@@ -11,37 +11,37 @@ use num_complex::Complex64;
 
 use super::draw::Chance;
 
-pub const C: f64 = 1500.0;
+pub(crate) const C: f64 = 1500.0;
 
 /// Everything that a method needs to know.
-pub struct Case {
-    pub scene: String,
-    pub motion: String,
+pub(crate) struct Case {
+    pub(crate) scene: String,
+    pub(crate) motion: String,
     /// Path and Doppler model are for the methods to set.
-    pub plan: PingPlan,
-    pub tx: TransmitArray,
-    pub rx: ArrayGeometry,
-    pub scatterers: Scatterers,
-    pub rate_hz: f64,
-    pub filter: ReceiverFilter,
+    pub(crate) plan: PingPlan,
+    pub(crate) tx: TransmitArray,
+    pub(crate) rx: ArrayGeometry,
+    pub(crate) scatterers: Scatterers,
+    pub(crate) rate_hz: f64,
+    pub(crate) filter: ReceiverFilter,
     /// Largest Doppler shift that the receiver filter lets pass.
-    pub doppler_hz: f64,
+    pub(crate) doppler_hz: f64,
     /// Elements that are compared.
-    pub looked_at: Vec<usize>,
-    pub conditions: Conditions,
+    pub(crate) looked_at: Vec<usize>,
+    pub(crate) conditions: Conditions,
 }
 
 /// A platform's way: what sets the contract's cells apart.
 #[derive(Clone, Copy)]
-pub struct Motion {
-    pub name: &'static str,
+pub(crate) struct Motion {
+    pub(crate) name: &'static str,
     /// Forward, to starboard, down.
-    pub velocity_m_per_s: DVec3,
+    pub(crate) velocity_m_per_s: DVec3,
     /// A swell: heave's amplitude in metres, roll's and pitch's in radians; yaw turns evenly, radians per second.
-    pub heave_m: f64,
-    pub roll_rad: f64,
-    pub pitch_rad: f64,
-    pub yaw_rad_per_s: f64,
+    pub(crate) heave_m: f64,
+    pub(crate) roll_rad: f64,
+    pub(crate) pitch_rad: f64,
+    pub(crate) yaw_rad_per_s: f64,
 }
 
 const CALM: Motion = Motion {
@@ -53,7 +53,7 @@ const CALM: Motion = Motion {
     yaw_rad_per_s: 0.0,
 };
 
-pub const MOTIONS: [Motion; 5] = [
+pub(crate) const MOTIONS: [Motion; 5] = [
     CALM,
     Motion {
         name: "5 m/s",
@@ -310,7 +310,7 @@ fn conditions(
 
 impl Case {
     /// Error that path and Doppler model make together, as their error models have it.
-    pub fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
+    pub(crate) fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
         let error_models = error_models::window_error_models(path, doppler, &self.conditions);
         error_models
             .iter()
@@ -319,7 +319,7 @@ impl Case {
     }
 
     /// What an engine for the whole line must be made for: angles and speeds as they occur.
-    pub fn bounds(&self) -> Bounds {
+    pub(crate) fn bounds(&self) -> Bounds {
         const INSTANTS: usize = 50;
         let axis_body = self.rx.mounting.body_from_array * DVec3::X;
         let mut bounds = Bounds {
@@ -357,7 +357,7 @@ impl Case {
         bounds
     }
 
-    pub fn with_models(&self, path: PathModel, doppler: DopplerModel) -> PingPlan {
+    pub(crate) fn with_models(&self, path: PathModel, doppler: DopplerModel) -> PingPlan {
         let mut plan = self.plan.clone();
         plan.model.path = path;
         plan.model.doppler = doppler;
@@ -385,8 +385,8 @@ fn paper_pulse(kind: PulseKind, taper: f64) -> Pulse {
 
 /// Scenes of the contract's table.
 #[derive(Clone, Copy)]
-pub struct Scene {
-    pub name: &'static str,
+pub(crate) struct Scene {
+    pub(crate) name: &'static str,
     kind: PulseKind,
     taper: f64,
     sector_deg: f64,
@@ -394,7 +394,7 @@ pub struct Scene {
     far_m: f64,
 }
 
-pub const SCENES: [Scene; 5] = [
+pub(crate) const SCENES: [Scene; 5] = [
     Scene {
         name: "paper +-15",
         kind: PulseKind::LfmUp,
@@ -439,7 +439,7 @@ pub const SCENES: [Scene; 5] = [
 
 impl Scene {
     /// Every window holds a few of `scatterers`.
-    pub fn case(&self, motion: &Motion, scatterers: usize) -> Case {
+    pub(crate) fn case(&self, motion: &Motion, scatterers: usize) -> Case {
         let swath = Swath {
             near_m: 36.0,
             far_m: self.far_m,
@@ -475,7 +475,7 @@ impl Scene {
 }
 
 /// Anything at all, from a seed: pulse, filter, arrays, ranges, motion.
-pub fn random(seed: u64) -> Case {
+pub(crate) fn random(seed: u64) -> Case {
     let mut chance = Chance::new(1_000_003 + seed);
     let kind = chance.one_of(&[PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw]);
     let bandwidth_hz = if kind == PulseKind::Cw {
@@ -580,7 +580,7 @@ pub fn random(seed: u64) -> Case {
 }
 
 /// One line about a random scene, for whoever must find out why.
-pub fn describe(case: &Case) -> String {
+pub(crate) fn describe(case: &Case) -> String {
     let p = &case.plan.pulse;
     let c = &case.conditions;
     format!(

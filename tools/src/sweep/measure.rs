@@ -21,23 +21,23 @@ const DENSEST: f64 = 512.0;
 const MIN_OVERSAMPLE: f64 = 64.0;
 
 /// What the engines are told of the range of levels, and where the noise is put that the contract may count a weak window against.
-pub const LEVEL_RANGE_DB: f64 = 55.0;
+pub(crate) const LEVEL_RANGE_DB: f64 = 55.0;
 
 /// A window is a pulse long, or this many samples.
 const MIN_WINDOW: usize = 32;
 
-pub struct Truth {
+pub(crate) struct Truth {
     /// The receiver filter, as dense as the truth.
-    pub filter: Option<Decimator>,
+    pub(crate) filter: Option<Decimator>,
     /// Of the elements looked at.
-    pub records: Vec<Vec<Complex64>>,
+    pub(crate) records: Vec<Vec<Complex64>>,
     /// Of the sums without a tolerance of their own, as they were asked for: none depends on what is asked.
     error_models: Mutex<Vec<(Synthesis, ErrorModel)>>,
 }
 
 impl Truth {
     /// The error model of `synthesis` in every window in noise.
-    pub fn error_model(&self, synthesis: Synthesis, case: &Case) -> ErrorModel {
+    pub(crate) fn error_model(&self, synthesis: Synthesis, case: &Case) -> ErrorModel {
         let mut error_models = self.error_models.lock().expect("nobody panics with it");
         if let Some((_, error_model)) = error_models.iter().find(|(of, _)| *of == synthesis) {
             return error_model.clone();
@@ -56,7 +56,7 @@ impl Truth {
 }
 
 /// The receiver filter of a case with `density` points over the occupied band.
-pub fn filter(case: &Case, density: f64) -> Option<Decimator> {
+pub(crate) fn filter(case: &Case, density: f64) -> Option<Decimator> {
     if case.filter == ReceiverFilter::None {
         return None;
     }
@@ -72,7 +72,7 @@ pub fn filter(case: &Case, density: f64) -> Option<Decimator> {
     Some(filter.expect("the case's sample rate holds its pulse"))
 }
 
-pub fn truth(case: &Case) -> Truth {
+pub(crate) fn truth(case: &Case) -> Truth {
     truth_of(case, TRUTH_DENSITY)
 }
 
@@ -89,7 +89,7 @@ fn truth_of(case: &Case, density: f64) -> Truth {
 }
 
 /// One of which the next sparser, half as dense, is off by `most` in noise at most; and by what that is off.
-pub fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
+pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
     let mut density = TRUTH_DENSITY;
     let mut truth = truth(case);
     let mut doubt = doubt(case, &truth);
@@ -104,7 +104,7 @@ pub fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
 
 /// The reference and its filter half as dense, against the truth: what by each measure is not known. Without a filter nothing is summed
 /// densely.
-pub fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
+pub(crate) fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
     match truth.filter {
         None => WorstWindow::default(),
         Some(_) => error(case, truth, &truth_of(case, 0.5 * TRUTH_DENSITY).records),
@@ -144,16 +144,16 @@ const FLOOR_OF_MEDIAN: f64 = 1e-6;
 
 /// Worst of |got - want| by window and element, three ways.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WorstWindow {
+pub(crate) struct WorstWindow {
     /// The contract's where there is no noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite
     /// where no element hears anything and something was made. Where a window holds the end of a flank or of the filter's tail alone, this
     /// asks for that end to within its tolerance of itself: the reference half as dense does not keep that either.
-    pub without_noise: f64,
+    pub(crate) without_noise: f64,
     /// The contract's: over |want| in the same window, or over the noise in it, 55 dB below the strongest.
-    pub in_noise: f64,
+    pub(crate) in_noise: f64,
     /// Looser, and no promise: over the loudest window that shares samples with it; where even that is below the noise of `in_noise`, over
     /// the strongest. It tells what is wrong with an echo from what is left beside echoes.
-    pub beside: f64,
+    pub(crate) beside: f64,
 }
 
 /// What is no number is worse than any.
@@ -179,7 +179,11 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Over all windows of `length` samples of all elements' records; `got` and `want` by element.
-pub fn worst_window(got: &[Vec<Complex64>], want: &[Vec<Complex64>], length: usize) -> WorstWindow {
+pub(crate) fn worst_window(
+    got: &[Vec<Complex64>],
+    want: &[Vec<Complex64>],
+    length: usize,
+) -> WorstWindow {
     let length = length.max(MIN_WINDOW).min(want[0].len());
     let size: Vec<Vec<f64>> = want
         .iter()
@@ -209,7 +213,7 @@ pub fn worst_window(got: &[Vec<Complex64>], want: &[Vec<Complex64>], length: usi
 }
 
 /// Over all elements looked at.
-pub fn error(case: &Case, truth: &Truth, records: &[Vec<Complex64>]) -> WorstWindow {
+pub(crate) fn error(case: &Case, truth: &Truth, records: &[Vec<Complex64>]) -> WorstWindow {
     let length = (case.plan.pulse.duration_s * case.rate_hz).ceil() as usize;
     worst_window(records, &truth.records, length)
 }

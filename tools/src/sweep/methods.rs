@@ -22,7 +22,7 @@ use super::measure::{LEVEL_RANGE_DB, Truth};
 const MIN_LINE: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
+pub(crate) enum Method {
     Direct,
     Spectral,
     Nearest,
@@ -33,25 +33,25 @@ pub enum Method {
 
 /// Models and sum with which a method answers.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Chosen {
-    pub path: PathModel,
-    pub doppler: DopplerModel,
+pub(crate) struct Chosen {
+    pub(crate) path: PathModel,
+    pub(crate) doppler: DopplerModel,
     /// Of the sum alone; infinite where it has none to keep.
-    pub tolerance: f64,
+    pub(crate) tolerance: f64,
     /// What the error models add up to.
-    pub predicted: f64,
-    pub why: String,
+    pub(crate) predicted: f64,
+    pub(crate) why: String,
 }
 
 /// An engine made for a case, where the method has one to make.
-pub enum Ready {
+pub(crate) enum Ready {
     Sum,
     Elements(Gridded),
     Line(Box<Gridded2d>),
 }
 
 impl Chosen {
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         format!(
             "{}, {}; {}",
             self.path.name(),
@@ -63,13 +63,13 @@ impl Chosen {
 
 /// What kept a method from a tolerance, and its own words.
 #[derive(Clone, Debug)]
-pub struct Refused {
-    pub by: Reason,
-    pub message: String,
+pub(crate) struct Refused {
+    pub(crate) by: Reason,
+    pub(crate) message: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reason {
+pub(crate) enum Reason {
     /// No path and Doppler model that it takes is close enough.
     Model,
     /// The sum is not.
@@ -77,7 +77,7 @@ pub enum Reason {
 }
 
 impl Method {
-    pub const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 6] = [
         Self::Direct,
         Self::Spectral,
         Self::Nearest,
@@ -87,14 +87,14 @@ impl Method {
     ];
 
     /// Those that are of use for so many elements.
-    pub fn of(case: &Case) -> impl Iterator<Item = Self> {
+    pub(crate) fn of(case: &Case) -> impl Iterator<Item = Self> {
         let line = case.rx.elements >= MIN_LINE;
         Self::ALL
             .into_iter()
             .filter(move |&m| line || m != Self::Gridded2d)
     }
 
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Direct => "direct",
             Self::Spectral => "spectral",
@@ -126,7 +126,7 @@ impl Method {
     }
 
     /// The cheapest models with which the sum that is left over keeps `tolerance`.
-    pub fn within(
+    pub(crate) fn within(
         self,
         tolerance: f64,
         case: &Case,
@@ -170,7 +170,7 @@ impl Method {
 
     /// The best models that it takes, whatever comes of it; a sum that can be made to any tolerance to a thousandth. None where the sum
     /// refuses even that.
-    pub fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
+    pub(crate) fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
         let path = PathModel::Continuous;
         let doppler = self.dopplers().last().copied()?;
         let tolerance = if self.adapts() { 1e-3 } else { f64::INFINITY };
@@ -223,7 +223,7 @@ impl Method {
     }
 
     /// Samples of the elements looked at.
-    pub fn records(self, case: &Case, chosen: &Chosen, ready: Ready) -> Vec<Vec<Complex64>> {
+    pub(crate) fn records(self, case: &Case, chosen: &Chosen, ready: Ready) -> Vec<Vec<Complex64>> {
         let plan = case.with_models(chosen.path, chosen.doppler);
         match (self, ready) {
             (_, Ready::Elements(gridded)) => gridded.records(case, &plan),
@@ -313,7 +313,7 @@ fn direct(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
     direct_with(case, plan, own_filter(case, Synthesis::Direct).as_ref())
 }
 
-pub fn direct_with(
+pub(crate) fn direct_with(
     case: &Case,
     plan: &PingPlan,
     filter: Option<&Decimator>,
@@ -382,7 +382,7 @@ impl ArrivalSink for Kept {
     }
 }
 
-pub struct Gridded {
+pub(crate) struct Gridded {
     engine: Gridded1d,
     heard: Vec<Vec<ArrivalChunk>>,
     span: DopplerSpan,

@@ -2,8 +2,8 @@
 //!
 //! Read [`case`] (scenes and motions), [`methods`] (how a tolerance becomes models and a sum, or a refusal), [`measure`] (truth and norm).
 
-pub mod case;
-pub mod draw;
-pub mod measure;
-pub mod methods;
-pub mod table;
+pub(crate) mod case;
+pub(crate) mod draw;
+pub(crate) mod measure;
+pub(crate) mod methods;
+pub(crate) mod table;

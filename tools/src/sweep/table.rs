@@ -5,30 +5,30 @@ use super::measure::{self, Truth, WorstWindow};
 use super::methods::{Chosen, Method, Ready, Reason, Refused};
 
 /// Tolerances asked for.
-pub const TOLERANCES: [f64; 8] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
+pub(crate) const TOLERANCES: [f64; 8] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
 
 /// One method asked for one tolerance.
-pub struct Cell {
-    pub tolerance: f64,
-    pub outcome: Result<Measured, Refused>,
+pub(crate) struct Cell {
+    pub(crate) tolerance: f64,
+    pub(crate) outcome: Result<Measured, Refused>,
 }
 
 #[derive(Clone, Debug)]
-pub struct Measured {
-    pub error: WorstWindow,
-    pub predicted: f64,
-    pub chosen: Chosen,
+pub(crate) struct Measured {
+    pub(crate) error: WorstWindow,
+    pub(crate) predicted: f64,
+    pub(crate) chosen: Chosen,
 }
 
 impl Cell {
     /// Refused, or as good as asked by this measure of it.
-    pub fn holds(&self, error: Measure) -> bool {
+    pub(crate) fn holds(&self, error: Measure) -> bool {
         let good = |m: &Measured| error(&m.error) <= self.tolerance;
         self.outcome.as_ref().map_or(true, good)
     }
 
     /// Its error by this measure, marked where it is above, or by what it was refused.
-    pub fn text(&self, error: Measure) -> String {
+    pub(crate) fn text(&self, error: Measure) -> String {
         match &self.outcome {
             Ok(m) if self.holds(error) => figure(error(&m.error)),
             Ok(m) => format!("!{}", figure(error(&m.error))),
@@ -41,30 +41,30 @@ impl Cell {
     }
 }
 
-pub fn figure(error: f64) -> String {
+pub(crate) fn figure(error: f64) -> String {
     format!("{error:.1e}")
 }
 
 /// One of an error's three figures.
-pub type Measure = fn(&WorstWindow) -> f64;
+pub(crate) type Measure = fn(&WorstWindow) -> f64;
 
 /// What is printed of an error, line by line.
-pub const MEASURES: [(&str, Measure); 3] = [
+pub(crate) const MEASURES: [(&str, Measure); 3] = [
     ("", |e| e.in_noise),
     ("  beside", |e| e.beside),
     ("  no noise", |e| e.without_noise),
 ];
 
 /// One method on one case, tolerance by tolerance.
-pub struct Row {
-    pub method: Method,
-    pub cells: Vec<Cell>,
+pub(crate) struct Row {
+    pub(crate) method: Method,
+    pub(crate) cells: Vec<Cell>,
     /// Its error where nothing is asked of it.
-    pub as_it_is: Option<WorstWindow>,
+    pub(crate) as_it_is: Option<WorstWindow>,
 }
 
 impl Row {
-    pub fn of(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> Self {
+    pub(crate) fn of(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> Self {
         let mut known: Vec<(Chosen, WorstWindow)> = Vec::new();
         // A sum without a tolerance of its own is the same for all.
         let mut error_of = |(chosen, ready): (Chosen, Ready)| {
@@ -96,12 +96,12 @@ impl Row {
     }
 
     /// Above their tolerance in noise.
-    pub fn broken(&self) -> impl Iterator<Item = &Cell> {
+    pub(crate) fn broken(&self) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(|cell| !cell.holds(|e| e.in_noise))
     }
 
     /// A line for each of [`MEASURES`].
-    pub fn text(&self, case: &Case) -> String {
+    pub(crate) fn text(&self, case: &Case) -> String {
         let mut text = String::new();
         for (k, (name, error)) in MEASURES.into_iter().enumerate() {
             let (scene, motion, method) = match k {
@@ -134,7 +134,7 @@ impl Row {
 }
 
 /// What is not known of the truth itself.
-pub fn doubt(case: &Case, truth: &Truth) -> String {
+pub(crate) fn doubt(case: &Case, truth: &Truth) -> String {
     let WorstWindow {
         without_noise,
         in_noise,
@@ -146,7 +146,7 @@ pub fn doubt(case: &Case, truth: &Truth) -> String {
     )
 }
 
-pub fn heading() -> String {
+pub(crate) fn heading() -> String {
     let mut line = format!(
         "{:<18} {:<22} {:<10} {:>8}",
         "scene", "motion", "method", "as it is"

@@ -14,11 +14,11 @@ use tokio::sync::broadcast;
 use super::frame::Kind;
 
 /// Lines kept of each sonar, for scroll back and for a page that comes later: two and a half minutes at 4 pings a second, some 2 MB.
-pub const HISTORY_LINES: usize = 600;
+pub(crate) const HISTORY_LINES: usize = 600;
 /// Frames that may wait for the slowest page: a few seconds of a sonar with a fan.
 const QUEUE_FRAMES: usize = 64;
 /// Different rows of samples that all pages together get of one ping.
-pub const MAX_SCOPES: usize = 8;
+pub(crate) const MAX_SCOPES: usize = 8;
 
 /// One row of samples that a page looks at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
@@ -73,7 +73,7 @@ impl Want {
 pub struct Wanted {
     pub fan: bool,
     pub elements: bool,
-    pub scopes: Vec<Scope>,
+    pub(crate) scopes: Vec<Scope>,
 }
 
 /// Bytes for pages, made once for all of them.
@@ -109,8 +109,8 @@ struct Counts {
 /// What became of the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FeedCounts {
-    pub pages: usize,
-    pub pages_ever: u64,
+    pub(crate) pages: usize,
+    pub(crate) pages_ever: u64,
     pub frames: u64,
     /// To any page.
     pub sent: u64,
@@ -132,7 +132,7 @@ impl Feed {
     }
 
     /// Whether anybody looks.
-    pub fn is_watched(&self) -> bool {
+    pub(crate) fn is_watched(&self) -> bool {
         self.pages.load(Ordering::Acquire) > 0
     }
 

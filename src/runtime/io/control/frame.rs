@@ -20,7 +20,7 @@ pub const VERSION: u8 = 1;
 pub const HEAD_BYTES: usize = 16;
 
 /// Of a level's u8, dB: 127 dB from the loudest of a frame down.
-pub const STEP_DB: f32 = 0.5;
+pub(crate) const STEP_DB: f32 = 0.5;
 /// Levels that a u8 tells apart besides nothing.
 const STEPS: f32 = 254.0;
 
@@ -76,7 +76,7 @@ fn decibels(power: f32) -> f32 {
 
 /// The loudest of each of `out.len()` equal parts of a row: sample k of N is in part k n / N. Rows no longer than `out` keep their samples,
 /// and the rest of `out` is not used; how many parts there are.
-pub fn max_hold(row: impl ExactSizeIterator<Item = f32>, out: &mut [f32]) -> usize {
+pub(crate) fn max_hold(row: impl ExactSizeIterator<Item = f32>, out: &mut [f32]) -> usize {
     let samples = row.len();
     let parts = samples.min(out.len());
     out[..parts].fill(0.0);

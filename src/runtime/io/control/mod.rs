@@ -212,7 +212,7 @@ pub enum OpenError {
 }
 
 /// Stops when dropped.
-pub struct ControlServer {
+pub(crate) struct ControlServer {
     local_addr: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
@@ -220,7 +220,7 @@ pub struct ControlServer {
 
 impl ControlServer {
     /// `token`: asked for where there is one. `or_any_port`: where the port is somebody else's, any other will do.
-    pub fn start(
+    pub(crate) fn start(
         address: SocketAddr,
         or_any_port: bool,
         token: Option<String>,
@@ -256,7 +256,7 @@ impl ControlServer {
         })
     }
 
-    pub fn local_addr(&self) -> SocketAddr {
+    pub(crate) fn local_addr(&self) -> SocketAddr {
         self.local_addr
     }
 }

@@ -41,7 +41,7 @@ type Port = State<Arc<dyn ControlPort>>;
 #[derive(Clone)]
 pub(super) struct Shared {
     pub port: Arc<dyn ControlPort>,
-    pub pages: Arc<Pages>,
+    pub(crate) pages: Arc<Pages>,
     /// True when the server stops.
     pub stopped: watch::Receiver<bool>,
 }

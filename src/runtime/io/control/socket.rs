@@ -39,7 +39,7 @@ use super::{Command, ControlPort};
 use echotank_core::flow::Asker;
 
 /// Pages that may be open at once.
-pub const MAX_PAGES: usize = 64;
+pub(crate) const MAX_PAGES: usize = 64;
 /// Longest message from a page, bytes.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024;
 /// For a page to take one message; then it is closed.

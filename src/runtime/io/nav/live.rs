@@ -92,7 +92,7 @@ pub(super) struct Live {
 
 impl Live {
     /// `foreign`: rig time is not found here but given by `set_timeline`.
-    pub fn open(
+    pub(super) fn open(
         spec: &NavSpec,
         clock: Arc<dyn Clock>,
         foreign: bool,
@@ -199,20 +199,20 @@ impl Live {
         Ok(())
     }
 
-    pub fn timeline(&self) -> Option<Timeline> {
+    pub(super) fn timeline(&self) -> Option<Timeline> {
         self.timeline
     }
 
-    pub fn set_timeline(&mut self, timeline: Timeline) {
+    pub(super) fn set_timeline(&mut self, timeline: Timeline) {
         self.timeline.get_or_insert(timeline);
     }
 
-    pub fn listening(&self) -> Vec<(String, SocketAddr)> {
+    pub(super) fn listening(&self) -> Vec<(String, SocketAddr)> {
         let bound = |s: &LiveSource| Some((s.name.clone(), s.address?));
         self.sources.iter().filter_map(bound).collect()
     }
 
-    pub fn count(&self, counters: &mut [SourceCounters]) {
+    pub(super) fn count(&self, counters: &mut [SourceCounters]) {
         for source in &self.sources {
             let Stats {
                 received,
@@ -231,7 +231,7 @@ impl Live {
     }
 
     /// Decodes what has come; keeps it while rig time is unknown.
-    pub fn pull(&mut self, feed: &mut Feed) {
+    pub(super) fn pull(&mut self, feed: &mut Feed) {
         if self.timeline.is_none() {
             self.keep();
         }

@@ -118,7 +118,7 @@ pub struct NavInputs {
 }
 
 /// The way into a history, on which samples may go wrong.
-struct Feed<'a> {
+pub struct Feed<'a> {
     history: &'a mut NavHistory,
     spoiler: Option<&'a mut (dyn Spoil + 'static)>,
 }
@@ -189,7 +189,7 @@ impl NavInputs {
     }
 
     /// Arrival of the last recorded sample, of the first loop where they are repeated.
-    pub fn recorded_end(&self) -> Option<UtcNs> {
+    pub(crate) fn recorded_end(&self) -> Option<UtcNs> {
         self.recorded.as_ref().map(Recorded::end)
     }
 
@@ -239,7 +239,7 @@ impl NavInputs {
     }
 
     /// Every recorded sample has come, at least once.
-    pub fn is_all_known(&self) -> bool {
+    pub(crate) fn is_all_known(&self) -> bool {
         self.recorded
             .as_ref()
             .is_none_or(|r| r.next_arrival().is_none_or(|next| next > r.end()))

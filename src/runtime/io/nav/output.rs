@@ -186,7 +186,7 @@ impl NavOutputs {
     }
 
     /// When the motion should be published again.
-    pub fn next_publish(&self) -> MonoNs {
+    pub(crate) fn next_publish(&self) -> MonoNs {
         match self.is_empty() {
             true => MonoNs(i64::MAX),
             false => self.next,

@@ -33,7 +33,7 @@ struct Repeat {
 
 impl Recorded {
     /// `None`: no recorded source is configured.
-    pub fn open(
+    pub(super) fn open(
         spec: &NavSpec,
         counters: &mut [SourceCounters],
     ) -> Result<Option<Self>, NavOpenError> {
@@ -60,15 +60,15 @@ impl Recorded {
         }))
     }
 
-    pub fn start(&self) -> UtcNs {
+    pub(super) fn start(&self) -> UtcNs {
         self.samples[0].arrival_utc
     }
 
-    pub fn end(&self) -> UtcNs {
+    pub(super) fn end(&self) -> UtcNs {
         self.samples[self.samples.len() - 1].arrival_utc
     }
 
-    pub fn next_arrival(&self) -> Option<UtcNs> {
+    pub(crate) fn next_arrival(&self) -> Option<UtcNs> {
         if let Some(sample) = self.samples.get(self.next) {
             return Some(sample.arrival_utc.plus_ns(self.shift_ns));
         }
@@ -77,7 +77,7 @@ impl Recorded {
     }
 
     /// Hands the next sample to the history, if there is one.
-    pub fn take(&mut self, feed: &mut Feed) {
+    pub(super) fn take(&mut self, feed: &mut Feed) {
         if self.next == self.samples.len()
             && let Some(repeat) = self.repeat
         {

@@ -12,7 +12,11 @@ const MOST: usize = 64;
 const PATIENCE_MS: libc::c_int = 200;
 
 /// Sends in order until all are gone or one fails, and says how many went. A full buffer is waited for, whether the socket blocks or not.
-pub fn send_batch(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> (usize, io::Result<()>) {
+pub(crate) fn send_batch(
+    socket: &impl AsFd,
+    to: &SockAddr,
+    packets: &[&[u8]],
+) -> (usize, io::Result<()>) {
     send_with(socket, to, packets, send_some)
 }
 

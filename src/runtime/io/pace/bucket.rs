@@ -6,13 +6,13 @@
 use echotank_core::time::{MonoNs, NS_PER_S};
 
 /// What may leave at once: an eighth of a stock socket's buffer, which counts the kernel's own part of each datagram too.
-pub const DEPTH_BYTES: usize = 32 * 1024;
+pub(crate) const DEPTH_BYTES: usize = 32 * 1024;
 /// Datagrams are put together to groups that last so long, so that the clock is looked at a thousand times a second and not for each.
 const GROUP_NS: f64 = 1e6;
 
 /// Of one stream.
 #[derive(Clone, Debug)]
-pub struct Bucket {
+pub(crate) struct Bucket {
     bytes_per_s: f64,
     /// Bytes that might leave at `at`; below zero after a long datagram.
     level: f64,
@@ -21,7 +21,7 @@ pub struct Bucket {
 
 impl Bucket {
     /// A full one. An infinite rate never waits.
-    pub fn new(bytes_per_s: f64, now: MonoNs) -> Self {
+    pub(crate) fn new(bytes_per_s: f64, now: MonoNs) -> Self {
         Self {
             bytes_per_s,
             level: DEPTH_BYTES as f64,
@@ -30,7 +30,7 @@ impl Bucket {
     }
 
     /// From now on.
-    pub fn set_rate(&mut self, bytes_per_s: f64, now: MonoNs) {
+    pub(crate) fn set_rate(&mut self, bytes_per_s: f64, now: MonoNs) {
         self.fill(now);
         self.bytes_per_s = bytes_per_s;
     }
@@ -47,7 +47,7 @@ impl Bucket {
     }
 
     /// How many of the next datagrams, of these lengths, leave together, and their bytes.
-    pub fn group(&self, lengths: impl Iterator<Item = usize>) -> (usize, usize) {
+    pub(crate) fn group(&self, lengths: impl Iterator<Item = usize>) -> (usize, usize) {
         let full = (self.bytes_per_s * GROUP_NS / NS_PER_S as f64).clamp(1.0, DEPTH_BYTES as f64);
         let (mut count, mut bytes) = (0, 0);
         for length in lengths {
@@ -61,7 +61,7 @@ impl Bucket {
     }
 
     /// When a group of so many bytes may leave: now, or later.
-    pub fn due(&mut self, bytes: usize, now: MonoNs) -> MonoNs {
+    pub(crate) fn due(&mut self, bytes: usize, now: MonoNs) -> MonoNs {
         self.fill(now);
         let short = bytes.min(DEPTH_BYTES) as f64 - self.level;
         match short > 0.0 && self.bytes_per_s.is_finite() {
@@ -71,7 +71,7 @@ impl Bucket {
     }
 
     /// A group has left.
-    pub fn take(&mut self, bytes: usize, now: MonoNs) {
+    pub(crate) fn take(&mut self, bytes: usize, now: MonoNs) {
         self.fill(now);
         self.level -= bytes as f64;
     }

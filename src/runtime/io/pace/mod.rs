@@ -5,7 +5,7 @@
 //! much more than a few groups ahead of whoever reads.
 
 pub mod batch;
-pub mod bucket;
+pub(crate) mod bucket;
 pub mod stream;
 
 use std::sync::Arc;
@@ -13,26 +13,26 @@ use std::sync::Arc;
 use crate::io::priority;
 
 /// Is told how late a group left, nanoseconds after it was due.
-pub type Lateness = Arc<dyn Fn(i64) + Send + Sync>;
+pub(crate) type Lateness = Arc<dyn Fn(i64) + Send + Sync>;
 
 /// Of the threads that send.
 #[derive(Clone, Default)]
-pub struct Sending {
+pub(crate) struct Sending {
     /// SCHED_FIFO; 0: ordinary.
     pub priority: u8,
-    pub lateness: Option<Lateness>,
+    pub(crate) lateness: Option<Lateness>,
 }
 
 impl Sending {
     /// To be called first by the thread that sends.
-    pub fn begin(&self) {
+    pub(crate) fn begin(&self) {
         if self.priority > 0 {
             // What is not allowed was said when the daemon started.
             let _ = priority::first_in_first_out(self.priority);
         }
     }
 
-    pub fn note(&self, late_ns: i64) {
+    pub(crate) fn note(&self, late_ns: i64) {
         if let Some(lateness) = &self.lateness {
             lateness(late_ns);
         }

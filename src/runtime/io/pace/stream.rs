@@ -5,7 +5,7 @@ use std::os::fd::{AsFd, AsRawFd};
 
 /// No faster than this from now on; infinite: as fast as it goes. What is 4 GB/s and more is that.
 #[cfg(target_os = "linux")]
-pub fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
+pub(crate) fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
     // A float beyond its range becomes its largest value, which means unlimited.
     let rate = (bytes_per_s.ceil() as u32).max(1);
     // SAFETY: the option's value is a live u32 and its length is given; the descriptor is open while it is borrowed.
@@ -25,7 +25,7 @@ pub fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
 }
 
 #[cfg(not(target_os = "linux"))]
-pub fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
+pub(crate) fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
     let _ = (socket.as_fd().as_raw_fd(), bytes_per_s);
     Err(io::ErrorKind::Unsupported.into())
 }

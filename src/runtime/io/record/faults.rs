@@ -21,7 +21,7 @@ use serde::Serialize;
 use super::RecordError;
 
 /// Grows line by line; readable up to the last whole line whenever it is cut off.
-pub struct FaultLog {
+pub(crate) struct FaultLog {
     path: PathBuf,
     file: File,
     length_bytes: u64,
@@ -30,7 +30,7 @@ pub struct FaultLog {
 
 impl FaultLog {
     /// Replaces what has this name.
-    pub fn create(path: &Path) -> Result<Self, RecordError> {
+    pub(crate) fn create(path: &Path) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
         // Keeps `recover` away.
         let _ = file.try_lock();
@@ -43,7 +43,7 @@ impl FaultLog {
     }
 
     /// Appends a line for each.
-    pub fn write<T: Serialize>(&mut self, injections: &[T]) -> Result<(), RecordError> {
+    pub(crate) fn write<T: Serialize>(&mut self, injections: &[T]) -> Result<(), RecordError> {
         self.lines.clear();
         for injection in injections {
             // Plain data: it can always be written.

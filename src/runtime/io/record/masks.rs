@@ -17,7 +17,7 @@ use super::npz::{Archive, write_items};
 use super::{PartialFile, RecordError};
 use echotank_core::flow::{GroundSeen, LineTruth, Side};
 
-pub struct MaskRecorder {
+pub(crate) struct MaskRecorder {
     path: PathBuf,
     target: PartialFile,
     shadow: PartialFile,
@@ -33,12 +33,12 @@ pub struct MaskRecorder {
 
 impl MaskRecorder {
     /// Will make `dir/masks.npz`; the folder must exist.
-    pub fn of_lines(dir: &Path) -> Result<Self, RecordError> {
+    pub(crate) fn of_lines(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "masks.npz", Some(Vec::new()))
     }
 
     /// Will make `dir/fan_masks.npz`; the folder must exist.
-    pub fn of_beams(dir: &Path) -> Result<Self, RecordError> {
+    pub(crate) fn of_beams(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "fan_masks.npz", None)
     }
 
@@ -58,7 +58,11 @@ impl MaskRecorder {
         })
     }
 
-    pub fn push(&mut self, ping_number: u32, truths: &[LineTruth]) -> Result<(), RecordError> {
+    pub(crate) fn push(
+        &mut self,
+        ping_number: u32,
+        truths: &[LineTruth],
+    ) -> Result<(), RecordError> {
         if self.pings == 0 {
             if let Some(sides) = &mut self.sides {
                 sides.extend(truths.iter().map(|t| t.side));
@@ -103,7 +107,7 @@ impl MaskRecorder {
     }
 
     /// Puts the file together; none without pings.
-    pub fn finish(self) -> Result<Option<PathBuf>, RecordError> {
+    pub(crate) fn finish(self) -> Result<Option<PathBuf>, RecordError> {
         if self.pings == 0 {
             return Ok(None);
         }

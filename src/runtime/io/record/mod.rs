@@ -43,7 +43,7 @@ use std::path::{Path, PathBuf};
 use echotank_protocols::sevenk::file::FileError;
 
 /// Makes a folder and those above it, where absent.
-pub fn make_folder(path: &Path) -> Result<(), RecordError> {
+pub(crate) fn make_folder(path: &Path) -> Result<(), RecordError> {
     std::fs::create_dir_all(path).map_err(RecordError::io(path, "create"))
 }
 

@@ -45,7 +45,7 @@ const BLOCK: usize = 8192;
 const LARGE_BYTES: u64 = 0xFFFF_0000;
 
 /// Collects the pings of one sonar into `pings.npz`.
-pub struct NpzRecorder {
+pub(crate) struct NpzRecorder {
     path: PathBuf,
     sonar: SonarSpec,
     double: bool,
@@ -89,7 +89,7 @@ struct PerPing {
 
 impl NpzRecorder {
     /// Will make `dir/pings.npz`; the folder must exist. `double`: samples as complex128. Several sonars need a folder each.
-    pub fn create(dir: &Path, sonar: &SonarSpec, double: bool) -> Result<Self, RecordError> {
+    pub(crate) fn create(dir: &Path, sonar: &SonarSpec, double: bool) -> Result<Self, RecordError> {
         let path = dir.join("pings.npz");
         let grow = |name: &str| PartialFile::create(&dir.join(format!("pings.npz.{name}")));
         Ok(Self {
@@ -122,7 +122,7 @@ impl NpzRecorder {
     }
 
     /// Adds a ping. After [`RecordError::ShapeChanged`] the recorder goes on without it; after any other error it has stopped.
-    pub fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
+    pub(crate) fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),
@@ -257,7 +257,7 @@ impl NpzRecorder {
     }
 
     /// Puts the file together and returns its name; none without pings.
-    pub fn finish(self) -> Result<Option<PathBuf>, RecordError> {
+    pub(crate) fn finish(self) -> Result<Option<PathBuf>, RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped { path: self.path });
         }

@@ -42,7 +42,7 @@ fn write_png(
     target.keep(path)
 }
 
-pub fn write_picture(path: &Path, picture: &Picture) -> Result<(), RecordError> {
+pub(crate) fn write_picture(path: &Path, picture: &Picture) -> Result<(), RecordError> {
     let size = (picture.width, picture.height);
     write_png(path, size, (ColorType::Rgb, BitDepth::Eight), &picture.rgb)
 }
@@ -75,7 +75,7 @@ pub fn write_mosaic(
 
 /// `STEM_target.png` (16 bits, 0 none), `STEM_shadow.png` (8 bits, 255 shadow), `STEM_depth.png` (16 bits, 0 none) and `STEM_masks.json` that
 /// explains them, pixel for pixel with `STEM.png`. `names` of the targets from 1 on.
-pub fn write_masks<M: Iterator<Item = Mask> + Clone>(
+pub(crate) fn write_masks<M: Iterator<Item = Mask> + Clone>(
     folder: &Path,
     stem: &str,
     (width, height): (usize, usize),

@@ -9,7 +9,7 @@ use super::{PartialFile, RecordError};
 use echotank_imaging::image::waterfall::Waterfall;
 
 /// Writes the picture under its name, whole. False, and no file, when there is no ping in it.
-pub fn write_waterfall(path: &Path, waterfall: &Waterfall) -> Result<bool, RecordError> {
+pub(crate) fn write_waterfall(path: &Path, waterfall: &Waterfall) -> Result<bool, RecordError> {
     if waterfall.pings() == 0 {
         return Ok(false);
     }

@@ -167,7 +167,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
 }
 
 /// Mends what was cut off among a folder's records, and says so of each; what cannot be mended is said as well. No folder: nothing.
-pub fn recover_folder(folder: &Path) -> Vec<String> {
+pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return Vec::new();
     };

@@ -14,7 +14,7 @@ use super::RecordError;
 
 /// Writes one `.s7k` file. Dropping it closes the file as well as it can.
 #[derive(Debug)]
-pub struct S7kRecorder {
+pub(crate) struct S7kRecorder {
     path: PathBuf,
     file: File,
     /// None once closed, or stopped by an error of the file system.
@@ -23,7 +23,7 @@ pub struct S7kRecorder {
 
 impl S7kRecorder {
     /// Replaces what has this name. `stamp` is the header's and the catalogue's own time and device.
-    pub fn create(
+    pub(crate) fn create(
         path: &Path,
         header: FileHeader7200,
         stamp: RecordStamp,
@@ -44,7 +44,7 @@ impl S7kRecorder {
 
     /// Appends one whole record (data record frame to checksum). A record that the file cannot take is [`RecordError::Refused`] and left out;
     /// after an error of the file system the file is cut back to its last whole record and takes no more.
-    pub fn write(&mut self, record: &[u8]) -> Result<(), RecordError> {
+    pub(crate) fn write(&mut self, record: &[u8]) -> Result<(), RecordError> {
         let Some(builder) = &mut self.builder else {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),
@@ -66,12 +66,12 @@ impl S7kRecorder {
     }
 
     /// Bytes so far; 0 once closed or stopped.
-    pub fn length_bytes(&self) -> u64 {
+    pub(crate) fn length_bytes(&self) -> u64 {
         self.builder.as_ref().map_or(0, FileBuilder::position_bytes)
     }
 
     /// Writes the catalogue and points the header at it. An error says that the file was left as one that was cut off.
-    pub fn close(mut self) -> Result<(), RecordError> {
+    pub(crate) fn close(mut self) -> Result<(), RecordError> {
         if self.builder.is_none() {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),

@@ -24,12 +24,12 @@ const MAX_PINGS_UNSAID: usize = 1024;
 pub(super) struct Paths {
     pub data: PathBuf,
     pub meta: PathBuf,
-    pub journal: PathBuf,
+    pub(crate) journal: PathBuf,
 }
 
 impl Paths {
     /// `stem` is the name of all without their ends.
-    pub fn of(stem: &Path) -> Self {
+    pub(super) fn of(stem: &Path) -> Self {
         let named = |extension| {
             let mut path = stem.as_os_str().to_owned();
             path.push(extension);
@@ -43,7 +43,7 @@ impl Paths {
     }
 
     /// Under a name of its own first, so that the words are whole at any moment.
-    pub fn write_words(&self, text: &str) -> Result<(), RecordError> {
+    pub(crate) fn write_words(&self, text: &str) -> Result<(), RecordError> {
         let mut partial = self.meta.as_os_str().to_owned();
         partial.push(".partial");
         let partial = PathBuf::from(partial);
@@ -67,7 +67,7 @@ pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotatio
 }
 
 /// Writes one recording. Dropping it closes it as well as it can.
-pub struct SigmfRecorder {
+pub(crate) struct SigmfRecorder {
     paths: Paths,
     data: File,
     journal: File,
@@ -86,7 +86,11 @@ pub struct SigmfRecorder {
 
 impl SigmfRecorder {
     /// `stem` is the name of both files without `.sigmf-data` and `.sigmf-meta`; what has these names is replaced.
-    pub fn create(stem: &Path, arrays: &[usize], sonar: &SonarSpec) -> Result<Self, RecordError> {
+    pub(crate) fn create(
+        stem: &Path,
+        arrays: &[usize],
+        sonar: &SonarSpec,
+    ) -> Result<Self, RecordError> {
         let paths = Paths::of(stem);
         let create = |path| File::create(path).map_err(RecordError::io(path, "create"));
         let (data, journal) = (create(&paths.data)?, create(&paths.journal)?);
@@ -129,12 +133,16 @@ impl SigmfRecorder {
         Ok(recorder)
     }
 
-    pub fn paths(&self) -> [&Path; 2] {
+    pub(crate) fn paths(&self) -> [&Path; 2] {
         [&self.paths.data, &self.paths.meta]
     }
 
     /// Appends a ping; returns how many values did not fit.
-    pub fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<u64, RecordError> {
+    pub(crate) fn push(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+    ) -> Result<u64, RecordError> {
         if self.closed {
             return Err(RecordError::Stopped {
                 path: self.paths.data.clone(),
@@ -183,7 +191,7 @@ impl SigmfRecorder {
             .map_err(RecordError::io(&self.paths.journal, "write"))
     }
 
-    pub fn close(mut self) -> Result<(), RecordError> {
+    pub(crate) fn close(mut self) -> Result<(), RecordError> {
         self.end()
     }
 

@@ -10,7 +10,7 @@ use super::RecordError;
 
 /// Writes one such file.
 #[derive(Debug)]
-pub struct StreamRecorder {
+pub(crate) struct StreamRecorder {
     path: PathBuf,
     file: File,
     length_bytes: u64,
@@ -20,7 +20,7 @@ pub struct StreamRecorder {
 
 impl StreamRecorder {
     /// Replaces what has this name. `head`: what the file begins with.
-    pub fn create(path: &Path, head: &[u8]) -> Result<Self, RecordError> {
+    pub(crate) fn create(path: &Path, head: &[u8]) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
         // Keeps `recover` away.
         let _ = file.try_lock();
@@ -35,7 +35,7 @@ impl StreamRecorder {
     }
 
     /// Appends whole records. After an error of the file system the file is cut back to its last whole record and takes no more.
-    pub fn write(&mut self, records: &[u8]) -> Result<(), RecordError> {
+    pub(crate) fn write(&mut self, records: &[u8]) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),
@@ -51,12 +51,12 @@ impl StreamRecorder {
         Ok(())
     }
 
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// Appends what the file ends with, and sees it to the disk.
-    pub fn close(mut self, tail: &[u8]) -> Result<(), RecordError> {
+    pub(crate) fn close(mut self, tail: &[u8]) -> Result<(), RecordError> {
         self.write(tail)?;
         self.file
             .sync_data()

@@ -12,7 +12,7 @@ use echotank_config::spec::PingDevice;
 use echotank_core::time::UtcNs;
 
 /// Writes one file; what is cut off is readable up to its last whole frame.
-pub struct SvlogRecorder {
+pub(crate) struct SvlogRecorder {
     path: PathBuf,
     file: File,
     bytes: u64,
@@ -21,7 +21,7 @@ pub struct SvlogRecorder {
 
 impl SvlogRecorder {
     /// Replaces what has this name. `url` is where the device listens, `utc` when it began.
-    pub fn create(
+    pub(crate) fn create(
         path: &Path,
         device: PingDevice,
         url: &str,
@@ -67,7 +67,7 @@ impl SvlogRecorder {
     }
 
     /// Appends one whole frame.
-    pub fn write(&mut self, frame: &[u8]) -> Result<(), RecordError> {
+    pub(crate) fn write(&mut self, frame: &[u8]) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),
@@ -83,7 +83,7 @@ impl SvlogRecorder {
         Ok(())
     }
 
-    pub fn close(self) -> Result<(), RecordError> {
+    pub(crate) fn close(self) -> Result<(), RecordError> {
         self.file
             .sync_data()
             .map_err(RecordError::io(&self.path, "close"))

@@ -15,7 +15,7 @@ use echotank_imaging::image::colour::rgb;
 const FLOOR_DB: f64 = 40.0;
 
 /// A patch of the world, rows north to south, columns west to east.
-pub struct Patch {
+pub(crate) struct Patch {
     pub columns: usize,
     pub rows: usize,
     /// Of its north-west corner.
@@ -25,7 +25,7 @@ pub struct Patch {
     pub cell_m: f64,
     pub pings: u64,
     /// Between the first ping and the last.
-    pub track_m: f64,
+    pub(crate) track_m: f64,
     /// Row by row.
     pub image: Vec<Complex64>,
 }
@@ -127,7 +127,7 @@ impl Patch {
     }
 
     /// Writes the three files into `folder` and names them.
-    pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, RecordError> {
+    pub(crate) fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, RecordError> {
         let [png, npy, json] = ["sas.png", "sas.npy", "sas.json"].map(|name| folder.join(name));
         let mut file = PartialFile::create(&png)?;
         self.encode(&mut file.file).map_err(|e| {

@@ -170,7 +170,7 @@ pub fn output(ping_number: u32) -> PingOutput {
 }
 
 /// Of the records that tests write into `.s7k` files.
-pub fn s7k_stamp() -> RecordStamp {
+pub(crate) fn s7k_stamp() -> RecordStamp {
     RecordStamp {
         time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),
         device_id: 104,
@@ -178,14 +178,14 @@ pub fn s7k_stamp() -> RecordStamp {
     }
 }
 
-pub fn s7k_header() -> FileHeader7200 {
+pub(crate) fn s7k_header() -> FileHeader7200 {
     FileHeader7200 {
         recording_name: "test".into(),
         ..FileHeader7200::default()
     }
 }
 
-pub fn s7k_record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
+pub(crate) fn s7k_record(record_type_id: u32, data: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let open = OpenRecord::begin(&mut bytes, record_type_id, &s7k_stamp());
     bytes.extend_from_slice(data);

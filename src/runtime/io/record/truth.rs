@@ -188,7 +188,7 @@ struct TargetTruth<'a> {
 
 /// Writes `truth.jsonl`, one line at a time.
 #[derive(Debug)]
-pub struct TruthRecorder {
+pub(crate) struct TruthRecorder {
     path: PathBuf,
     file: File,
     line: Vec<u8>,
@@ -196,7 +196,7 @@ pub struct TruthRecorder {
 
 impl TruthRecorder {
     /// Makes `dir/truth.jsonl`; the folder must exist. All sonars of a rig share one file.
-    pub fn create(dir: &Path) -> Result<Self, RecordError> {
+    pub(crate) fn create(dir: &Path) -> Result<Self, RecordError> {
         Self::at(dir.join("truth.jsonl"))
     }
 
@@ -212,7 +212,7 @@ impl TruthRecorder {
     }
 
     /// Adds a ping of `sonar`. The line is on its way to the disk, whole, when this returns.
-    pub fn push(
+    pub(crate) fn push(
         &mut self,
         sonar: &SonarSpec,
         plan: &PingPlan,
@@ -237,7 +237,7 @@ impl TruthRecorder {
             .map_err(RecordError::io(&self.path, "write"))
     }
 
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 }
@@ -318,7 +318,12 @@ fn target_truth<'a>(
 }
 
 /// When the leading edge of an echo from `target_m` (world) reaches the centre of a receive array, from the start of the pulse.
-pub fn echo_delay_s(sonar: &SonarSpec, plan: &PingPlan, array: usize, target_m: DVec3) -> f64 {
+pub(crate) fn echo_delay_s(
+    sonar: &SonarSpec,
+    plan: &PingPlan,
+    array: usize,
+    target_m: DVec3,
+) -> f64 {
     let array = &sonar.receive[array];
     let transmit = &sonar.transmit[array.transmit].mounting;
     let transmit_m = plan.trajectory.pose_at(0.0).point_m(transmit.position_m);

@@ -17,7 +17,7 @@ use echotank_emit::elements::{counts, elements_of};
 use echotank_emit::passband::Passband;
 
 /// Writes one file.
-pub struct WavRecorder {
+pub(crate) struct WavRecorder {
     path: PathBuf,
     file: File,
     format: WavFormat,
@@ -35,7 +35,11 @@ pub struct WavRecorder {
 
 impl WavRecorder {
     /// Replaces what has this name.
-    pub fn create(path: &Path, output: &WavSpec, sonar: &SonarSpec) -> Result<Self, RecordError> {
+    pub(crate) fn create(
+        path: &Path,
+        output: &WavSpec,
+        sonar: &SonarSpec,
+    ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
         // Keeps `recover` away.
         let _ = file.try_lock();
@@ -77,12 +81,16 @@ impl WavRecorder {
         Ok(recorder)
     }
 
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// Lays a ping where it happened; returns how many values did not fit.
-    pub fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<u64, RecordError> {
+    pub(crate) fn push(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+    ) -> Result<u64, RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
                 path: self.path.clone(),
@@ -157,7 +165,7 @@ impl WavRecorder {
         self.file.write_all(&header)
     }
 
-    pub fn close(self) -> Result<(), RecordError> {
+    pub(crate) fn close(self) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped { path: self.path });
         }

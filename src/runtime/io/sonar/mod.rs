@@ -174,7 +174,7 @@ pub struct ServerReport {
     /// Turned away because there were `max_clients`.
     pub refused: u64,
     /// Connections that failed while being accepted.
-    pub accept_errors: u64,
+    pub(crate) accept_errors: u64,
 }
 
 impl ServerReport {
@@ -255,18 +255,18 @@ impl SonarServer {
     }
 
     /// Sends records of these classes to an address that has not asked, from now on: a seat among the clients, if one is free.
-    pub fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
+    pub(crate) fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
         self.shared.dial(peer, transport, wants);
     }
 
     /// How its datagrams are sent; to be called before there are any.
-    pub fn set_sending(&self, sending: Sending) {
+    pub(crate) fn set_sending(&self, sending: Sending) {
         // Too late where the thread has started: then it stays as it is.
         let _ = self.shared.sending.set(sending);
     }
 
     /// Its thread runs under SCHED_FIFO from now on, where the system allows it; 0: as it is. For samples that stream: what clients ask for runs so too.
-    pub fn hurry(&self, priority: u8) {
+    pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
             // What is not allowed was said when the daemon started.
             let _ = first_in_first_out_of(thread, priority);
@@ -298,7 +298,7 @@ impl SonarServer {
     }
 
     /// All that is delivered passes `line` from now on.
-    pub fn set_line(&self, line: Box<dyn Line>) {
+    pub(crate) fn set_line(&self, line: Box<dyn Line>) {
         *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 

@@ -27,7 +27,7 @@ pub(super) struct Burst {
     pub wire: Vec<u8>,
     pub packets: Vec<Range<usize>>,
     /// None: the client's first.
-    pub bucket: Option<Bucket>,
+    pub(crate) bucket: Option<Bucket>,
     /// Infinite: at once.
     pub bytes_per_s: f64,
     /// What ended it before its last packet.
@@ -35,7 +35,7 @@ pub(super) struct Burst {
 }
 
 impl Burst {
-    pub fn empty(socket: Arc<UdpSocket>, to: SocketAddr) -> Self {
+    pub(super) fn empty(socket: Arc<UdpSocket>, to: SocketAddr) -> Self {
         Self {
             socket,
             to: to.into(),
@@ -59,7 +59,7 @@ struct Job {
 }
 
 impl PacedSender {
-    pub fn start(name: String, sending: Sending) -> io::Result<Self> {
+    pub(super) fn start(name: String, sending: Sending) -> io::Result<Self> {
         let (jobs, received) = unbounded();
         std::thread::Builder::new().name(name).spawn(move || {
             sending.begin();
@@ -69,7 +69,7 @@ impl PacedSender {
     }
 
     /// None where the thread is gone.
-    pub async fn send(&self, burst: Burst) -> Option<Burst> {
+    pub(super) async fn send(&self, burst: Burst) -> Option<Burst> {
         let (done, sent) = oneshot::channel();
         self.jobs.send(Job { burst, done }).ok()?;
         sent.await.ok()

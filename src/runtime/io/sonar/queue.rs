@@ -66,7 +66,7 @@ pub(super) struct Taken {
 }
 
 impl Client {
-    pub fn new(peer: SocketAddr, transport: Transport, dialled: bool) -> Self {
+    pub(super) fn new(peer: SocketAddr, transport: Transport, dialled: bool) -> Self {
         Self {
             peer,
             transport,
@@ -96,17 +96,17 @@ impl Client {
 
     // ------------------------------------------------------------ wants
 
-    pub fn wants(&self) -> Wants {
+    pub(super) fn wants(&self) -> Wants {
         self.subscribed()
             .union(Wants(self.requested.load(Ordering::Acquire)))
     }
 
-    pub fn subscribed(&self) -> Wants {
+    pub(super) fn subscribed(&self) -> Wants {
         Wants(self.subscribed.load(Ordering::Acquire))
     }
 
     /// Sets the subscriptions, adds single requests, and takes records off the queue that are no longer wanted.
-    pub fn want(&self, subscribed: Wants, requested: Wants) {
+    pub(super) fn want(&self, subscribed: Wants, requested: Wants) {
         let before = Wants(self.subscribed.swap(subscribed.0, Ordering::AcqRel));
         self.requested.fetch_or(requested.0, Ordering::AcqRel);
         let ended = before.without(subscribed);
@@ -127,7 +127,7 @@ impl Client {
     // ------------------------------------------------------------ queue in
 
     /// Queues those of `offers` that the client wants and that fit. `over_s`: what then waits leaves evenly over so many seconds; 0: at once.
-    pub fn offer(&self, offers: &[Offer], limit: QueueLimit, over_s: Option<f64>) {
+    pub(crate) fn offer(&self, offers: &[Offer], limit: QueueLimit, over_s: Option<f64>) {
         let wants = self.wants();
         if wants.is_empty() {
             return;
@@ -167,7 +167,7 @@ impl Client {
     }
 
     /// Queues an answer ahead of the records.
-    pub fn reply(&self, datagram: Arc<Datagram>) {
+    pub(super) fn reply(&self, datagram: Arc<Datagram>) {
         let mut queue = self.lock();
         if self.transport == Transport::Udp && queue.reply_bytes > REPLY_BYTES {
             self.records_dropped.fetch_add(1, Ordering::Relaxed);
@@ -180,7 +180,7 @@ impl Client {
     }
 
     /// Answers do not wait.
-    pub fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
+    pub(super) fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
         match taken.is_reply {
             true => f64::INFINITY,
             false => f64::from_bits(self.pace_bytes_per_s.load(Ordering::Relaxed)),
@@ -188,7 +188,7 @@ impl Client {
     }
 
     /// Returns once the answers that wait are few enough for more commands.
-    pub async fn room_for_replies(&self) {
+    pub(crate) async fn room_for_replies(&self) {
         while self.lock().reply_bytes > REPLY_BYTES {
             self.room.notified().await;
         }
@@ -196,7 +196,7 @@ impl Client {
 
     // ------------------------------------------------------------ queue out
 
-    pub fn take(&self) -> Option<Taken> {
+    pub(super) fn take(&self) -> Option<Taken> {
         let mut queue = self.lock();
         if let Some(datagram) = queue.replies.pop_front() {
             return Some(Taken {
@@ -212,12 +212,12 @@ impl Client {
     }
 
     /// Waits until there may be something to take, or the client is leaving.
-    pub async fn woken(&self) {
+    pub(crate) async fn woken(&self) {
         self.wake.notified().await;
     }
 
     /// `wire_bytes`: as sent, or why it was lost.
-    pub fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
+    pub(super) fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
         match wire_bytes {
             Some(bytes) => {
                 self.bytes_sent.fetch_add(bytes as u64, Ordering::Relaxed);
@@ -245,7 +245,7 @@ impl Client {
     // ------------------------------------------------------------ leaving
 
     /// The client has closed: what waits for it is written, nothing more comes.
-    pub fn leave(&self) {
+    pub(super) fn leave(&self) {
         self.subscribed.store(0, Ordering::Release);
         self.requested.store(0, Ordering::Release);
         self.leaving.store(true, Ordering::Release);
@@ -253,29 +253,29 @@ impl Client {
     }
 
     /// Its connection is cut off.
-    pub fn reset(&self) {
+    pub(super) fn reset(&self) {
         self.reset.store(true, Ordering::Release);
         self.dropped.store(true, Ordering::Release);
         self.leave();
     }
 
-    pub fn is_reset(&self) -> bool {
+    pub(crate) fn is_reset(&self) -> bool {
         self.reset.load(Ordering::Acquire)
     }
 
-    pub fn is_leaving(&self) -> bool {
+    pub(crate) fn is_leaving(&self) -> bool {
         self.leaving.load(Ordering::Acquire)
     }
 
     /// Resolves when nothing more is to be written, not even the rest of what was begun.
-    pub async fn gone(&self) {
+    pub(super) async fn gone(&self) {
         while !self.dropped.load(Ordering::Acquire) {
             self.woken().await;
         }
     }
 
     /// The last word on a client: its counts, with what is still queued as unsent.
-    pub fn close(&self) -> ClientCounts {
+    pub(super) fn close(&self) -> ClientCounts {
         let mut queue = self.lock();
         let unsent = queue.replies.len() + queue.records.len();
         *queue = Queue::default();
@@ -288,7 +288,7 @@ impl Client {
 
     // ------------------------------------------------------------ counts
 
-    pub fn note(&self, session: SessionCounts) {
+    pub(super) fn note(&self, session: SessionCounts) {
         self.commands.store(session.commands, Ordering::Relaxed);
         self.nacks.store(session.nacks, Ordering::Relaxed);
         self.framing_errors
@@ -307,7 +307,7 @@ impl Client {
         }
     }
 
-    pub fn report(&self) -> ClientReport {
+    pub(super) fn report(&self) -> ClientReport {
         let queue = self.lock();
         let queued_bytes = queue.reply_bytes + queue.record_bytes;
         drop(queue);

@@ -32,12 +32,12 @@ const MAX_CLIENTS: u64 = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trigger {
     /// Since it came, by the machine's clock, nanoseconds.
-    pub age_ns: i64,
+    pub(crate) age_ns: i64,
     pub number: Option<u32>,
 }
 
 /// Takes triggers; called by a door's thread, and returns at once.
-pub type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
+pub(crate) type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
 
 #[derive(Debug, Default)]
 pub struct TriggerListenerCounts {
@@ -56,7 +56,7 @@ pub struct ListenerError {
 }
 
 /// A door that is open. Closes when dropped.
-pub struct TriggerListener {
+pub(crate) struct TriggerListener {
     address: Option<(&'static str, SocketAddr)>,
     counts: Arc<TriggerListenerCounts>,
     stop: Arc<AtomicBool>,
@@ -73,7 +73,7 @@ struct Keeper {
 
 impl TriggerListener {
     /// None where triggers do not come by a door.
-    pub fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
+    pub(crate) fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
         let keeper = Keeper {
             sink,
             counts: Arc::default(),
@@ -126,19 +126,19 @@ impl TriggerListener {
 
     /// Whoever waits at it does so under SCHED_FIFO from now on, where the system allows it, clients that come later too; 0: as they are. What comes is
     /// handed on at once, whatever else counts.
-    pub fn hurry(&self, priority: u8) {
+    pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
             // What is not allowed was said when the daemon started.
             let _ = first_in_first_out_of(thread, priority);
         }
     }
 
-    pub fn counts(&self) -> &Arc<TriggerListenerCounts> {
+    pub(crate) fn counts(&self) -> &Arc<TriggerListenerCounts> {
         &self.counts
     }
 
     /// Transport and address it listens at; none for a serial line.
-    pub fn address(&self) -> Option<(&'static str, SocketAddr)> {
+    pub(crate) fn address(&self) -> Option<(&'static str, SocketAddr)> {
         self.address
     }
 }

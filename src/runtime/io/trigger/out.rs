@@ -31,7 +31,7 @@ pub struct OutCounts {
 }
 
 /// A line that can be raised.
-pub trait Raise: Send {
+pub(crate) trait Raise: Send {
     fn raise(&mut self, high: bool) -> io::Result<()>;
 }
 

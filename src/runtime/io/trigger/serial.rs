@@ -12,19 +12,19 @@ use echotank_config::spec::ModemLine;
 pub const LOOK: Duration = Duration::from_micros(500);
 
 /// A line that is high or low.
-pub trait Level: Send {
+pub(crate) trait Level: Send {
     fn is_high(&mut self) -> io::Result<bool>;
 }
 
 /// A serial port's.
-pub struct PortLine {
+pub(crate) struct PortLine {
     port: Box<dyn serialport::SerialPort>,
     line: ModemLine,
 }
 
 impl PortLine {
     /// The baud rate plays no part: nothing is read or written.
-    pub fn open(port: &str, line: ModemLine) -> io::Result<Self> {
+    pub(crate) fn open(port: &str, line: ModemLine) -> io::Result<Self> {
         let port = serialport::new(port, 9600).open()?;
         Ok(Self { port, line })
     }

@@ -30,7 +30,7 @@ const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 const END_CELLS: usize = 12;
 
 /// An echo at either end of the span of Dopplers.
-pub struct Alone {
+pub(super) struct Alone {
     /// Of every bin, lowest first and then the negative ones, as transforms have them.
     frequency_hz: Vec<f64>,
     /// The receiver filter's.
@@ -44,7 +44,7 @@ pub struct Alone {
 }
 
 impl Alone {
-    pub fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
+    pub(super) fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
         let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
         let window_s = pulse.duration_s.max(MIN_WINDOW / rate_hz);
@@ -91,12 +91,12 @@ impl Alone {
     }
 
     /// Error in the worst window of what `band` leaves out.
-    pub fn left_out(&self, band: &Band) -> f64 {
+    pub(super) fn left_out(&self, band: &Band) -> f64 {
         self.worst(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
     }
 
     /// Error in the worst window that `kernel` makes of what `band` keeps, on a grid of so many values a second, at the places that suit it least.
-    pub fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
+    pub(super) fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
         let middle = 0.5 * (kernel.width - 1) as f64;
         let at = |x: f64| {
             let weight = |i: usize| {
@@ -121,7 +121,7 @@ impl Alone {
 
     /// Error in the worst window that a fit over the Dopplers of `grid` makes of what `band` keeps: worst towards the ends, so of a long grid
     /// both ends are looked at, by themselves.
-    pub fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+    pub(super) fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
         if grid.cells <= 2 * END_CELLS {
             return self.on_grid(grid, received, band);
         }

@@ -9,7 +9,7 @@ use super::prepare::Sharing;
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
     // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
     unsafe {
         let n = points.cell.len();
@@ -46,7 +46,7 @@ pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
         let n = points.cell.len();
@@ -75,7 +75,7 @@ pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
+pub(crate) unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {
@@ -153,7 +153,7 @@ unsafe fn shift_32<const V: usize>(window: &mut [__m256; V], out: *mut f64) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
+pub(crate) unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
     // SAFETY: cells = rows - 1, the last row being the drain; `out` has a value for every cell and width - 1 more:
     // cell + i < cells + width - 1. `doubled` has 12 entries of 32 weights. Two complex values per register; taps come in groups of two,
     // the odd last one alone.
@@ -195,7 +195,7 @@ pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [C
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::share` checks them.
 #[target_feature(enable = "avx2,fma")]
-pub unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &mut [Shared<f32>]) {
+pub(crate) unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &mut [Shared<f32>]) {
     // SAFETY: all slices have a number for every value, every entry is in the table, and each of an entry's fields has eight numbers, as each half
     // of a value.
     unsafe {

@@ -19,7 +19,7 @@ const TWICE: [i32; 16] = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7];
 ///
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
+pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
     // SAFETY: the caller vouches for features and shapes: all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are
     // 64 bytes long and so aligned. Beyond the last point nothing is read: the masks leave it out.
     unsafe {
@@ -95,7 +95,7 @@ pub unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
 
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
+pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
     unsafe {
         let n = points.cell.len();
@@ -133,7 +133,7 @@ pub unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
+pub(crate) unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {
@@ -214,7 +214,7 @@ unsafe fn shift_32<const V: usize>(window: &mut [__m512; V], out: *mut f64) {
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-pub unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
+pub(crate) unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
     // SAFETY: the caller vouches for features and shapes.
     unsafe {
         match weights.width {

@@ -22,11 +22,11 @@ const LAST_SHARE: f64 = 0.7;
 
 /// The band that is kept of the received pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Band {
+pub(super) struct Band {
     /// Kept whole up to here to either side.
-    pub whole_hz: f64,
+    pub(crate) whole_hz: f64,
     /// Beyond that it is let fade over this; 0: cut.
-    pub fade_hz: f64,
+    pub(crate) fade_hz: f64,
     /// Of the tolerance's norm: error that leaving out the rest makes in the worst window.
     pub outside: f64,
 }
@@ -39,7 +39,7 @@ const FADE_BETA: f64 = 9.0;
 
 impl Band {
     /// Share of frequency `f_hz` that is kept.
-    pub fn gain(&self, f_hz: f64) -> f64 {
+    pub(super) fn gain(&self, f_hz: f64) -> f64 {
         let beyond_hz = f_hz.abs() - self.whole_hz;
         if beyond_hz <= 0.0 {
             return 1.0;
@@ -84,12 +84,12 @@ fn reach(spec: &Spec) -> (usize, f64) {
 }
 
 /// How far to either side of the carrier the band of pulses is looked at, sample rates.
-pub fn widest(spec: &Spec) -> f64 {
+pub(super) fn widest(spec: &Spec) -> f64 {
     reach(spec).1
 }
 
 /// The narrowest band that leaves out no more than its share in any window, at the ends of the span of Dopplers.
-pub fn band(spec: &Spec, alone: &Alone) -> Result<Band, GriddedError> {
+pub(super) fn band(spec: &Spec, alone: &Alone) -> Result<Band, GriddedError> {
     let (most, _) = reach(spec);
     let steps = (most as f64 / STEP) as usize;
     let mut least: Option<Band> = None;

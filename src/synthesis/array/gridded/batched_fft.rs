@@ -21,16 +21,16 @@ use super::simd_level::{Kind, SimdLevel};
 use std::arch::x86_64::*;
 
 /// Lanes are a multiple of it.
-pub const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 /// Neighbouring rows transformed together, at most: 32 KB of 16 columns in f32.
 const SHORT: usize = 256;
 
 /// Lanes that are transformed together, at most: in f32 a vector full, and tables of twenty thousand rows in the second cache.
-pub const MAX_TOGETHER: usize = 16;
+pub(crate) const MAX_TOGETHER: usize = 16;
 
 /// Columns to lanes.
-pub fn lanes_for(columns: usize) -> usize {
+pub(crate) fn lanes_for(columns: usize) -> usize {
     columns.next_multiple_of(LANES)
 }
 
@@ -65,8 +65,8 @@ pub struct Job<'a, T> {
     pub places: &'a [Place],
     /// `[place][2 * template_lanes]`; the table's are those from `first_template` on.
     pub templates: &'a [T],
-    pub template_lanes: usize,
-    pub first_template: usize,
+    pub(crate) template_lanes: usize,
+    pub(crate) first_template: usize,
     pub spectrum: &'a mut [Complex<T>],
     pub scratch: &'a mut [T],
 }
@@ -135,7 +135,7 @@ impl<T: Real> BatchedFft<T> {
     }
 
     /// Numbers of scratch that a [`Job`] needs.
-    pub fn scratch_len(&self) -> usize {
+    pub(crate) fn scratch_len(&self) -> usize {
         2 * 16 * self.long.size
     }
 
@@ -604,7 +604,7 @@ macro_rules! batched_fft {
 
             // SAFETY (of all): the processor must have the features; shapes as for the functions they are made of.
             #[target_feature(enable = "avx2,fma")]
-            pub unsafe fn spread_avx2(
+            pub(crate) unsafe fn spread_avx2(
                 points: Points<$number>,
                 across: Across<$number>,
                 weights: &FlushWeights<$number>,
@@ -614,7 +614,7 @@ macro_rules! batched_fft {
             }
 
             #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-            pub unsafe fn spread_avx512(
+            pub(crate) unsafe fn spread_avx512(
                 points: Points<$number>,
                 across: Across<$number>,
                 weights: &FlushWeights<$number>,
@@ -624,7 +624,7 @@ macro_rules! batched_fft {
             }
 
             #[target_feature(enable = "avx2,fma")]
-            pub unsafe fn transform_avx2(
+            pub(crate) unsafe fn transform_avx2(
                 batched_fft: &BatchedFft<$number>,
                 job: &mut Job<$number>,
             ) {
@@ -634,7 +634,7 @@ macro_rules! batched_fft {
             }
 
             #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-            pub unsafe fn transform_avx512(
+            pub(crate) unsafe fn transform_avx512(
                 batched_fft: &BatchedFft<$number>,
                 job: &mut Job<$number>,
             ) {
@@ -650,7 +650,7 @@ macro_rules! batched_fft {
         }
 
         /// See [`Real::spread`].
-        pub fn $spread(
+        pub(crate) fn $spread(
             simd_level: SimdLevel,
             points: Points<$number>,
             across: Across<$number>,
@@ -669,7 +669,7 @@ macro_rules! batched_fft {
         }
 
         /// See [`Real::transform`].
-        pub fn $transform(
+        pub(crate) fn $transform(
             simd_level: SimdLevel,
             batched_fft: &BatchedFft<$number>,
             mut job: Job<$number>,

@@ -12,19 +12,19 @@ use super::transform::grid_size;
 const ROOM: f64 = 0.6;
 
 /// By how much echoes that sound together may weaken one another in a window, and with it what errors are measured by: 1 or more.
-pub fn weakening(spec: &Spec) -> f64 {
+pub(crate) fn weakening(spec: &Spec) -> f64 {
     (ROOM / spec.pulse.weakest_window(spec.sample_rate_hz)).max(1.0)
 }
 
 /// What the band leaves out may take this share of the tolerance in the worst window.
-pub const SHARE: f64 = 0.25;
+pub(super) const SHARE: f64 = 0.25;
 
 /// Root mean square error of the kernel over delay, as a share of the tolerance; single echoes do three times as ill at a band's ends, where a sweep ends.
 const KERNEL_SHARE: f64 = 0.1;
 
 /// The kernel over delay: the smallest grid on which `widest` reaches the shares. `alone`: what a kernel on a grid of so many values leaves of an echo
 /// alone in its worst window, by the same tolerance.
-pub fn delay_kernel<M: Real>(
+pub(crate) fn delay_kernel<M: Real>(
     spec: &Spec,
     bins: usize,
     widest: usize,
@@ -55,13 +55,13 @@ pub fn delay_kernel<M: Real>(
 }
 
 // Nanoseconds of one core, rough: measured on two processors, within a factor of two.
-pub const NS_PER_ARRIVAL: f64 = 6.0;
+pub(crate) const NS_PER_ARRIVAL: f64 = 6.0;
 /// Of an arrival that goes to several columns, more.
-pub const NS_PER_SPREAD: f64 = 14.0;
+pub(crate) const NS_PER_SPREAD: f64 = 14.0;
 /// One column.
-pub const NS_PER_GRID_VALUE: f64 = 3.0;
+pub(crate) const NS_PER_GRID_VALUE: f64 = 3.0;
 /// Several, each of the lanes that they take.
-pub const NS_PER_LANE_VALUE: f64 = 2.0;
+pub(crate) const NS_PER_LANE_VALUE: f64 = 2.0;
 
 /// Error that the grid of Dopplers may leave at any instant of the echo that it serves worst, as a share of the tolerance.
 const WORST_SHARE: f64 = 0.5;
@@ -91,10 +91,10 @@ const TRIES: usize = 6;
 const TERM_SHARE: f64 = 0.1;
 
 /// Of the tolerance: what the terms of that series that are left out may amount to at the ends of a pulse.
-pub const SERIES_SHARE: f64 = 0.1;
+pub(crate) const SERIES_SHARE: f64 = 0.1;
 
 /// Terms that the phase `bend_rad` at the ends of a pulse needs; none where [`MAX_ORDER`] are too few.
-pub fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
+pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
     let mut rest = bend_rad;
     for terms in 0..=MAX_ORDER {
         if rest <= SERIES_SHARE * tolerance {
@@ -109,7 +109,7 @@ pub fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
 const BENT_SHARE: f64 = 0.2;
 
 /// Whether weights may carry a curvature that turns the ends of a pulse by `bend_rad`, and at most p per second.
-pub fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
+pub(crate) fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
     let pulse = spec.pulse;
     let wide = 0.5 * (spec.sample_rate_hz + pulse.bandwidth_hz) / pulse.center_frequency_hz;
     // Weights know no frequency: what is not made good for the ends of pulses (`doppler`) is of second order in the relative band.
@@ -141,7 +141,7 @@ static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
 });
 
 /// What grids of Dopplers are tried with.
-pub struct Trials<'a> {
+pub(crate) struct Trials<'a> {
     pub spec: &'a Spec<'a>,
     pub span: DopplerSpan,
     /// Values of a column, roughly.
@@ -151,7 +151,7 @@ pub struct Trials<'a> {
 impl Trials<'_> {
     /// The grid for echoes without curvature, or with as much as turns the ends of pulses by `bend_rad`; and its error. `alone`: what a grid
     /// leaves of an echo without curvature, alone in its worst window.
-    pub fn doppler(
+    pub(super) fn doppler(
         &self,
         bend_rad: f64,
         alone: impl Fn(&DopplerGrid) -> f64,
@@ -176,7 +176,7 @@ impl Trials<'_> {
     }
 
     /// The grid for a term of the series in the curvature that amounts to `size` at the ends of pulses.
-    pub fn term(&self, size: f64) -> Option<(DopplerGrid, f64)> {
+    pub(super) fn term(&self, size: f64) -> Option<(DopplerGrid, f64)> {
         let (grid, error) =
             self.cheapest(&self.trial(0.0), TERM_SHARE * self.spec.tolerance / size)?;
         Some((grid, error * size))
@@ -226,7 +226,7 @@ impl Trials<'_> {
 }
 
 /// Half the swept band over the carrier, with the sweep's sign.
-pub fn sweep(spec: &Spec) -> f64 {
+pub(super) fn sweep(spec: &Spec) -> f64 {
     let pulse = spec.pulse;
     0.5 * pulse.sweep_hz_per_s() * pulse.duration_s / pulse.center_frequency_hz
 }

@@ -29,7 +29,7 @@ use super::transform::grid_size;
 /// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
 const MAX_CURVATURE_TIMES_PULSE: f64 = 0.05;
 
-pub struct Design {
+pub(crate) struct Design {
     pulse: Pulse,
     filter: Option<Decimator>,
     spectrum: PulseSpectrum,
@@ -41,27 +41,27 @@ pub struct Design {
     pub bins: usize,
     pub grid: usize,
     /// From the start of the record to the first sample.
-    pub lead_s: f64,
+    pub(crate) lead_s: f64,
     pub frame: Frame,
     /// Of the series in the curvature; the first is the echo without.
     pub terms: Vec<DesignedTerm>,
     /// Nothing differs in Doppler.
-    pub has_one_column: bool,
+    pub(crate) has_one_column: bool,
     /// By which Dopplers of middles may lie outside those of leading edges.
     pub beside: f64,
     sweep: f64,
     pub error: f64,
 }
 
-pub struct DesignedTerm {
+pub(crate) struct DesignedTerm {
     pub grid: DopplerGrid,
     /// Chunks whose greatest |p| over the plan's is below this do without.
-    pub min_bend: f64,
+    pub(crate) min_bend: f64,
 }
 
 impl Design {
     /// `weakening`: see [`weakening()`](super::choose::weakening). M: moments.
-    pub fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
+    pub(super) fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
         let spec = &Spec {
             tolerance: asked.tolerance / weakening,
             ..*asked
@@ -234,7 +234,7 @@ impl Design {
     }
 
     /// Grid steps per second.
-    pub fn grid_hz(&self) -> f64 {
+    pub(crate) fn grid_hz(&self) -> f64 {
         self.grid as f64 / self.period_s
     }
 
@@ -243,7 +243,7 @@ impl Design {
     }
 
     /// What each column of each term sounds like: `[bin * columns + column]`, lowest frequency first.
-    pub fn templates(&self) -> impl Iterator<Item = Vec<Complex64>> + '_ {
+    pub(super) fn templates(&self) -> impl Iterator<Item = Vec<Complex64>> + '_ {
         let heard = |f_hz: f64| self.filter.as_ref().map_or(1.0, |filter| filter.gain(f_hz));
         let gain: Vec<f64> = self
             .frequencies()
@@ -263,7 +263,7 @@ impl Design {
     }
 
     /// Of every bin: what undoes the kernel and the flush's beginning at its first value, and moves the record's beginning to 0.
-    pub fn undo(&self) -> Vec<Complex64> {
+    pub(crate) fn undo(&self) -> Vec<Complex64> {
         let undo = |f_hz: f64| {
             let nu = f_hz * self.period_s / self.grid as f64;
             let turns = f_hz * self.lead_s - nu * self.kernel.first() as f64;
@@ -274,7 +274,7 @@ impl Design {
     }
 
     /// What a curvature makes of the weights on `grid`, and the phase at the pulse's ends that is meant; none where columns of their own carry it.
-    pub fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
+    pub(crate) fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
         let (carrier_hz, half_s) = (self.frame.carrier_hz, self.frame.half_pulse_s);
         self.frame.bent.then(|| {
             let bent = grid.bent(grid.theta(carrier_hz, self.pulse.duration_s), self.sweep);
@@ -286,7 +286,7 @@ impl Design {
     }
 
     /// Costs of an element. `words`: of a number of the grids, in those of f32.
-    pub fn cost_estimate(
+    pub(super) fn cost_estimate(
         &self,
         words: f64,
         arrivals: usize,

@@ -43,7 +43,7 @@ const SAMPLES_PER_CELL: usize = 6;
 const SAMPLES_PER_CYCLE: f64 = 4.0;
 
 /// Powers of the weights' polynomials, at most.
-pub const POWERS: usize = 12;
+pub(crate) const POWERS: usize = 12;
 
 /// d = eta - 1, least and greatest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,11 +60,11 @@ pub struct Received<'a> {
     pub duration_s: f64,
     pub order: usize,
     /// p, per second.
-    pub greatest_p: f64,
+    pub(crate) greatest_p: f64,
 }
 
 /// Terms of the series in p, at most.
-pub const MAX_ORDER: usize = 5;
+pub(crate) const MAX_ORDER: usize = 5;
 
 impl Received<'_> {
     /// Without the receiver's gain.
@@ -100,9 +100,9 @@ impl Received<'_> {
 }
 
 /// `[k][i]`: of power x^k for tap i.
-pub type Polynomials = [[f64; MAX_TAPS]; POWERS];
+pub(crate) type Polynomials = [[f64; MAX_TAPS]; POWERS];
 
-pub fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
+pub(crate) fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
     polynomials
         .iter()
         .rev()
@@ -126,10 +126,10 @@ fn times(factor: f64, polynomials: Polynomials) -> Polynomials {
 }
 
 /// See [`DopplerGrid::bent`].
-pub struct Bent {
+pub(crate) struct Bent {
     pub imaginary: Polynomials,
     pub real: Polynomials,
-    pub real_2: Polynomials,
+    pub(crate) real_2: Polynomials,
 }
 
 /// The grid of Dopplers and the weights on it.
@@ -138,7 +138,7 @@ pub struct DopplerGrid {
     pub taps: usize,
     pub columns: usize,
     /// d to cells: `d * per_doppler + offset`.
-    pub per_doppler: f64,
+    pub(crate) per_doppler: f64,
     pub offset: f64,
     pub cells: usize,
     span: DopplerSpan,
@@ -208,13 +208,13 @@ impl DopplerGrid {
     }
 
     /// Columns that echoes go to whose Dopplers take up this share of the span.
-    pub fn columns_of(&self, share: f64) -> usize {
+    pub(crate) fn columns_of(&self, share: f64) -> usize {
         let cells = (share * self.cells as f64).ceil() as usize + 1;
         cells.min(self.cells) + self.taps - 1
     }
 
     /// Lanes that echoes take whose Dopplers take up this share of the span, on the average of where it lies.
-    pub fn typical_lanes(&self, share: f64) -> f64 {
+    pub(crate) fn typical_lanes(&self, share: f64) -> f64 {
         let touched = share * self.cells as f64;
         let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
         let least = touched as usize + 1;
@@ -266,7 +266,7 @@ impl DopplerGrid {
     /// Weights for echoes that are bent by exp(j b (2w/T)^2): those of S_d plus
     /// b `real` + b^2 `real_2` + j b `imaginary`, in powers of x. `theta`: by what a pulse's end turns over half a cell; `sweep`: half the
     /// swept band over the carrier, with its sign.
-    pub fn bent(&self, theta: f64, sweep: f64) -> Bent {
+    pub(crate) fn bent(&self, theta: f64, sweep: f64) -> Bent {
         Bent {
             imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
             real: times(sweep * theta.powi(-3), derivative(&self.weights, 3)),
@@ -314,11 +314,11 @@ fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
 
 /// What a grid is tried on: waves over the span of Dopplers that turn as fast as instants of the pulse do, from its middle to its end.
 #[derive(Clone, Copy, Debug)]
-pub struct Trial {
+pub(crate) struct Trial {
     /// Turns of the pulse's end, from its middle, over the whole span.
     pub turns: f64,
     /// Greatest phase of the curvature at the pulse's ends, if the weights are to carry it, and half the swept band over the carrier.
-    pub bend_rad: f64,
+    pub(crate) bend_rad: f64,
     pub sweep: f64,
 }
 
@@ -330,7 +330,7 @@ const MAX_TRIAL_CELLS: usize = 20;
 
 impl Trial {
     /// Greatest error at any instant of the echo that `grid` serves worst, over what sounds at that instant.
-    pub fn worst(&self, grid: &DopplerGrid) -> f64 {
+    pub(crate) fn worst(&self, grid: &DopplerGrid) -> f64 {
         if grid.cells > MAX_TRIAL_CELLS {
             let fewer = Self {
                 turns: self.turns * MAX_TRIAL_CELLS as f64 / grid.cells as f64,

@@ -32,13 +32,13 @@ fn step_hz(duration_s: f64, fastest: f64) -> f64 {
 }
 
 /// By how much the spectrum received must be known beyond the bins.
-pub fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
+pub(crate) fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
     (0.5 * TAPS as f64 + 1.0) * step_hz(duration_s, fastest)
 }
 
 /// What every column sounds like: `[bin * columns + column]`, where bin 0 lies at `first_hz`, the next `bin_hz` above it, and `gain` is H at
 /// each of them.
-pub fn evenly(
+pub(super) fn evenly(
     grid: &DopplerGrid,
     received: Received,
     (first_hz, bin_hz): (f64, f64),

@@ -17,8 +17,8 @@ use std::f64::consts::PI;
 
 use super::least_squares::Matrix;
 
-pub const MIN_WIDTH: usize = 2;
-pub const MAX_WIDTH: usize = 16;
+pub(crate) const MIN_WIDTH: usize = 2;
+pub(crate) const MAX_WIDTH: usize = 16;
 
 /// A design; cheap to make next to anything that uses it (milliseconds).
 #[derive(Clone, Debug)]
@@ -150,13 +150,13 @@ impl Kernel {
     }
 
     /// D at `nu` cycles per grid step; 1 at 0.
-    pub fn window_gain(&self, nu: f64) -> f64 {
+    pub(crate) fn window_gain(&self, nu: f64) -> f64 {
         sinh_ratio(self.beta * self.beta - (PI * self.width as f64 * nu).powi(2))
             / sinh_ratio(self.beta * self.beta)
     }
 
     /// By how much rounding on the grid grows in the spectrum: root mean square of 1/D over the band.
-    pub fn amplification(&self) -> f64 {
+    pub(crate) fn amplification(&self) -> f64 {
         const NODES: usize = 32;
         let sum: f64 = (0..NODES)
             .map(|n| (n as f64 + 0.5) / NODES as f64 * 0.5 / self.oversampling)

@@ -3,7 +3,7 @@
 use num_complex::Complex;
 
 /// Every function is unsafe for one reason: where `Self` is a vector, the processor must have it.
-pub trait Lanes: Copy {
+pub(crate) trait Lanes: Copy {
     type Number: Copy;
     const COUNT: usize;
 
@@ -25,7 +25,7 @@ pub trait Lanes: Copy {
 
 /// Complex numbers, real and imaginary parts apart.
 #[derive(Clone, Copy)]
-pub struct Pair<V> {
+pub(super) struct Pair<V> {
     pub re: V,
     pub im: V,
 }
@@ -33,7 +33,7 @@ pub struct Pair<V> {
 impl<V: Lanes> Pair<V> {
     /// SAFETY: as [`Lanes::load`], twice.
     #[inline(always)]
-    pub unsafe fn load(re: *const V::Number, im: *const V::Number) -> Self {
+    pub(super) unsafe fn load(re: *const V::Number, im: *const V::Number) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -45,7 +45,7 @@ impl<V: Lanes> Pair<V> {
 
     /// SAFETY: as [`Lanes::store`], twice.
     #[inline(always)]
-    pub unsafe fn store(self, re: *mut V::Number, im: *mut V::Number) {
+    pub(super) unsafe fn store(self, re: *mut V::Number, im: *mut V::Number) {
         // SAFETY: the caller vouches for it.
         unsafe {
             self.re.store(re);
@@ -55,7 +55,7 @@ impl<V: Lanes> Pair<V> {
 
     /// SAFETY (to the end of this block): the processor must have `V`.
     #[inline(always)]
-    pub unsafe fn add(self, other: Self) -> Self {
+    pub(super) unsafe fn add(self, other: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -66,7 +66,7 @@ impl<V: Lanes> Pair<V> {
     }
 
     #[inline(always)]
-    pub unsafe fn sub(self, other: Self) -> Self {
+    pub(crate) unsafe fn sub(self, other: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -78,7 +78,7 @@ impl<V: Lanes> Pair<V> {
 
     /// self + j other
     #[inline(always)]
-    pub unsafe fn add_turned(self, other: Self) -> Self {
+    pub(crate) unsafe fn add_turned(self, other: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -90,7 +90,7 @@ impl<V: Lanes> Pair<V> {
 
     /// self - j other
     #[inline(always)]
-    pub unsafe fn sub_turned(self, other: Self) -> Self {
+    pub(crate) unsafe fn sub_turned(self, other: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -101,7 +101,7 @@ impl<V: Lanes> Pair<V> {
     }
 
     #[inline(always)]
-    pub unsafe fn scale(self, factor: V) -> Self {
+    pub(super) unsafe fn scale(self, factor: V) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -113,7 +113,7 @@ impl<V: Lanes> Pair<V> {
 
     /// self times the real `factor`, plus `more`.
     #[inline(always)]
-    pub unsafe fn scale_add(self, factor: V, more: Self) -> Self {
+    pub(crate) unsafe fn scale_add(self, factor: V, more: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -124,7 +124,7 @@ impl<V: Lanes> Pair<V> {
     }
 
     #[inline(always)]
-    pub unsafe fn times(self, other: Self) -> Self {
+    pub(super) unsafe fn times(self, other: Self) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {
@@ -135,7 +135,7 @@ impl<V: Lanes> Pair<V> {
     }
 
     #[inline(always)]
-    pub unsafe fn splat(number: Complex<V::Number>) -> Self {
+    pub(super) unsafe fn splat(number: Complex<V::Number>) -> Self {
         // SAFETY: the caller vouches for it.
         unsafe {
             Self {

@@ -5,14 +5,18 @@
 
 /// A dense matrix, row-major.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Matrix {
+pub(crate) struct Matrix {
     pub rows: usize,
     pub columns: usize,
     values: Vec<f64>,
 }
 
 impl Matrix {
-    pub fn from_fn(rows: usize, columns: usize, value: impl Fn(usize, usize) -> f64) -> Self {
+    pub(super) fn from_fn(
+        rows: usize,
+        columns: usize,
+        value: impl Fn(usize, usize) -> f64,
+    ) -> Self {
         let values = (0..rows * columns)
             .map(|i| value(i / columns, i % columns))
             .collect();
@@ -23,16 +27,16 @@ impl Matrix {
         }
     }
 
-    pub fn at(&self, row: usize, column: usize) -> f64 {
+    pub(super) fn at(&self, row: usize, column: usize) -> f64 {
         self.values[row * self.columns + column]
     }
 
-    pub fn row(&self, row: usize) -> &[f64] {
+    pub(super) fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.columns..(row + 1) * self.columns]
     }
 
     /// The matrix P for which P b minimises |A x - b|. A must have full column rank.
-    pub fn pseudo_inverse(&self) -> Self {
+    pub(crate) fn pseudo_inverse(&self) -> Self {
         let (rows, columns) = (self.rows, self.columns);
         assert!(
             rows >= columns,

@@ -21,15 +21,15 @@ use super::simd_level::{Kind, SimdLevel};
 pub const BLOCK: usize = 256;
 
 /// Neighbouring columns that a point goes to in the second dimension, at most.
-pub const MAX_TAPS: usize = 8;
+pub(crate) const MAX_TAPS: usize = 8;
 
 /// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three), interleaved re, im.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row<R, const N: usize>(pub [R; N]);
 
-pub type Row32 = Row<f32, 16>;
-pub type Row64 = Row<f64, 24>;
+pub(crate) type Row32 = Row<f32, 16>;
+pub(crate) type Row64 = Row<f64, 24>;
 
 /// Up to [`BLOCK`] points, structure of arrays; all slices have the same length.
 #[derive(Clone, Copy, Debug)]
@@ -151,7 +151,7 @@ impl<T: Real> Default for Located<T> {
 }
 
 /// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
-pub const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
 #[derive(Clone, Copy, Debug)]

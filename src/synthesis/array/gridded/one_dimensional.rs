@@ -35,7 +35,7 @@ use super::prepare::{Columns, Frame, Prepared};
 use super::simd_level::{Kind, SimdLevel};
 
 /// Below this tolerance moments are f64: f32 rounds amplitudes, places and sums to 1e-7 or so of an echo.
-pub const MIN_F32_MOMENTS: f64 = 1e-6;
+pub(crate) const MIN_F32_MOMENTS: f64 = 1e-6;
 
 /// f32 transforms leave this much of the strongest echo everywhere.
 const F32_TRANSFORM: f64 = 1e-7;

@@ -21,22 +21,22 @@ const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
 /// What does not change between the chunks of an element.
 #[derive(Clone, Copy)]
-pub struct Frame {
+pub(super) struct Frame {
     pub carrier_hz: f64,
-    pub half_pulse_s: f64,
+    pub(crate) half_pulse_s: f64,
     /// Stretch is left out: eta is 1.
     pub still: bool,
     /// Greatest |q| and |p|; 0 where curvature is left out.
-    pub greatest_q: f64,
-    pub greatest_p: f64,
+    pub(crate) greatest_q: f64,
+    pub(crate) greatest_p: f64,
     /// Weights carry the curvature.
-    pub bent: bool,
+    pub(crate) bent: bool,
     /// Of the pulse; 0 without.
     pub sweep_hz_per_s: f64,
 }
 
 /// Where echoes go among the columns of a grid of Dopplers.
-pub struct Columns<T> {
+pub(super) struct Columns<T> {
     pub grid: DopplerGrid,
     /// Whether weights carry a curvature.
     bent: bool,
@@ -57,7 +57,7 @@ pub struct Entry<T> {
     /// To be multiplied with the curvature: imaginary part and its derivative, real part; with its square: real part.
     pub imaginary: [[T; MAX_TAPS]; 2],
     pub real: [T; MAX_TAPS],
-    pub real_2: [T; MAX_TAPS],
+    pub(crate) real_2: [T; MAX_TAPS],
 }
 
 /// What the values of a chunk's points are made of: `beyond` the middle of an entry lies each point's place.
@@ -70,7 +70,7 @@ pub struct Sharing<'a, T> {
 }
 
 /// A chunk's points; `delay_s` is that of the middle.
-pub struct Prepared<T> {
+pub(super) struct Prepared<T> {
     pub delay_s: [f64; BLOCK],
     pub amplitude: [Complex<T>; BLOCK],
     /// Of the middle.
@@ -78,14 +78,14 @@ pub struct Prepared<T> {
     /// p over the greatest; where weights carry it, p eta^4 over the greatest p.
     pub bend: [T; BLOCK],
     /// Greatest |bend|.
-    pub most_bent: f64,
+    pub(crate) most_bent: f64,
     pub column: [u32; BLOCK],
     /// Weight times amplitude.
     pub value: [Shared<T>; BLOCK],
 }
 
 impl<T: Real> Prepared<T> {
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             delay_s: [0.0; BLOCK],
             amplitude: [Complex::new(T::zero(), T::zero()); BLOCK],
@@ -101,7 +101,7 @@ impl<T: Real> Prepared<T> {
 impl Frame {
     /// Fills the first `chunk.len` points but for their columns. Returns how many had a Doppler outside `span`, that of middles, or more
     /// curvature than there is room for; they sound like the nearest within.
-    pub fn prepare<T: Real>(
+    pub(super) fn prepare<T: Real>(
         &self,
         simd_level: SimdLevel,
         chunk: &ArrivalChunk,
@@ -275,7 +275,7 @@ struct Middles<'a> {
 
 impl<T: Real> Columns<T> {
     /// With `bent` weights carry a curvature that turns the ends of pulses by the greatest angle given with it.
-    pub fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
+    pub(super) fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
         let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
         let (b, max_rad) = match &bent {
             Some((bent, max_rad)) => (Some(bent), *max_rad),
@@ -309,7 +309,7 @@ impl<T: Real> Columns<T> {
     }
 
     /// First columns, counted from the first of `columns`, and values on them of the first `n` points.
-    pub fn place(
+    pub(super) fn place(
         &self,
         simd_level: SimdLevel,
         n: usize,
@@ -411,7 +411,7 @@ impl<T: Real> Columns<T> {
 }
 
 /// The portable twin of the vector loops.
-pub fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [Shared<T>]) {
+pub(crate) fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [Shared<T>]) {
     let Sharing {
         table,
         entry,

@@ -54,7 +54,7 @@ impl PulseSpectrum {
     }
 
     /// With the spectra of a (2w/T)^n for n up to `highest_power`.
-    pub fn with_powers(pulse: &Pulse, highest_hz: f64, highest_power: usize) -> Self {
+    pub(crate) fn with_powers(pulse: &Pulse, highest_hz: f64, highest_power: usize) -> Self {
         let kernel = &READING.kernel;
         let period_s = OVERSAMPLING * pulse.duration_s;
         let entries = 2 * ((highest_hz * period_s).ceil() as usize + WIDTH + 2);
@@ -107,7 +107,7 @@ impl PulseSpectrum {
 
     /// The spectra of a (2w/T)^n for n = 0, 1, ...; as many as there are tables and places in `out`.
     #[inline(always)]
-    pub fn powers_at(&self, g_hz: f64, out: &mut [Complex64]) {
+    pub(crate) fn powers_at(&self, g_hz: f64, out: &mut [Complex64]) {
         let (first, weight) = self.place(g_hz);
         for (out, table) in out.iter_mut().zip(&self.tables) {
             *out = read(&table[first..first + WIDTH], &weight);

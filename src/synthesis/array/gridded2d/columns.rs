@@ -25,7 +25,7 @@ const WHOLE: usize = 16;
 
 /// One coefficient of the templates.
 #[derive(Clone, Copy)]
-pub struct Entry {
+pub(super) struct Entry {
     /// Which sound it is of.
     pub sound: usize,
     /// Along the stretch.
@@ -34,7 +34,7 @@ pub struct Entry {
 
 impl<T: Sample> Task<'_, T> {
     /// Bins that the filter leaves.
-    pub fn heard(&self) -> usize {
+    pub(super) fn heard(&self) -> usize {
         self.engine.blocks.len() * BLOCK
     }
 
@@ -45,7 +45,7 @@ impl<T: Sample> Task<'_, T> {
 
     /// Each column to frequency, and what makes powers along the stretch of it.
     #[inline(always)]
-    pub fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
+    pub(crate) fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
         let mut since = Instant::now();
         self.dilation_series(work);
         self.shapes(work);
@@ -344,7 +344,7 @@ impl<T: Sample> Task<'_, T> {
 
     /// The templates at the few slopes in one block: over it everything smooth is a line.
     #[inline(always)]
-    pub fn chords<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
+    pub(super) fn chords<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
         let middle = self.middle_band(block);
         let half = BLOCK as f64 / self.engine.bins() as f64;
         let whole = work.entries.len().next_multiple_of(WHOLE);
@@ -407,7 +407,7 @@ impl<T: Sample> Task<'_, T> {
     }
 
     /// Middle of one of the blocks that are heard, Hz from the centre.
-    pub fn middle_hz(&self, block: usize) -> f64 {
+    pub(crate) fn middle_hz(&self, block: usize) -> f64 {
         let bins = self.engine.bins();
         let first = (self.engine.blocks.start + block) * BLOCK;
         let middle = first as f64 + 0.5 * (BLOCK - 1) as f64 - (bins / 2) as f64;
@@ -416,7 +416,7 @@ impl<T: Sample> Task<'_, T> {
 
     /// One block of one column: channels, pulse and shape into powers along the stretch, the `near`-th of those at hand.
     #[inline(always)]
-    pub fn block<const FUSED: bool>(
+    pub(super) fn block<const FUSED: bool>(
         &self,
         work: &mut Work<T>,
         column: usize,
@@ -475,7 +475,7 @@ impl<T: Sample> Task<'_, T> {
     }
 
     /// Phase of what is left of the dilation at the pulse's ends, radians.
-    pub fn rest_rad(&self, band: f64) -> f64 {
+    pub(crate) fn rest_rad(&self, band: f64) -> f64 {
         PI * self.absolute_hz(band) * self.smooth.dilation_rest * self.engine.ping.duration_s
     }
 }

@@ -23,7 +23,7 @@ const NEAR: usize = 8;
 type Part<T> = [[T; PART]; 2];
 
 /// Of a pair of elements and a block: what both have in common, real and imaginary parts, and what with opposite signs.
-pub type PairSums<T> = [[T; BLOCK]; 4];
+pub(crate) type PairSums<T> = [[T; BLOCK]; 4];
 
 /// Some columns of one block, for the processor's own kernel of [`Sample::elements_wide`].
 pub struct Columns<'a, T> {
@@ -43,7 +43,7 @@ pub struct Columns<'a, T> {
 
 impl<T: Sample> Task<'_, T> {
     /// From the filled grid to the samples of all elements.
-    pub fn run(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
+    pub(super) fn run(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         #[cfg(target_arch = "x86_64")]
         match self.engine.simd_level.kind() {
             // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
@@ -212,7 +212,7 @@ impl<T: Sample> Task<'_, T> {
 
 /// Adds columns to all pairs' sums.
 #[inline(always)]
-pub fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
+pub(crate) fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
     let pairs = columns.sums.len();
     for part in (0..BLOCK).step_by(PART) {
         let mut pair = 0;

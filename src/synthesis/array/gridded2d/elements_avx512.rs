@@ -11,13 +11,13 @@ const PAIRS: usize = 2;
 const PARTS: usize = BLOCK / 16;
 
 /// Whether there is a kernel for so many powers.
-pub const fn takes(powers: usize) -> bool {
+pub(super) const fn takes(powers: usize) -> bool {
     matches!(powers, 4..=14)
 }
 
 /// Adds some columns to all pairs' sums.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-pub fn add(columns: Columns<f32>) {
+pub(super) fn add(columns: Columns<f32>) {
     let (count, powers) = (columns.count, columns.powers);
     assert!(
         columns.re.len() >= count * powers * BLOCK && columns.im.len() >= count * powers * BLOCK

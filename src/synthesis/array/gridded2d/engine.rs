@@ -114,7 +114,7 @@ pub struct TaskReport {
 
 /// One stretch of the line.
 #[derive(Clone, Debug)]
-pub struct Stretch {
+pub(super) struct Stretch {
     pub first: usize,
     pub middle_m: f64,
     /// Of each element from the middle.
@@ -151,16 +151,16 @@ pub struct LineEngine<T: Sample> {
 
 /// What a ping sets.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Ping {
+pub(super) struct Ping {
     pub sound_speed_m_per_s: f64,
     pub carrier_hz: f64,
     pub duration_s: f64,
-    pub nepers_per_m: f64,
+    pub(crate) nepers_per_m: f64,
     pub first_sample_s: f64,
     pub slabs: usize,
     /// Leading edges of the first slab begin here, and of each next one so much later.
-    pub first_edge_s: f64,
-    pub slab_s: f64,
+    pub(crate) first_edge_s: f64,
+    pub(crate) slab_s: f64,
 }
 
 /// Buffers of one thread.
@@ -431,13 +431,13 @@ impl<T: Sample> LineEngine<T> {
     }
 
     /// Elements a task computes, and how many values it writes for each.
-    pub fn task_elements(&self, task: usize) -> std::ops::Range<usize> {
+    pub(crate) fn task_elements(&self, task: usize) -> std::ops::Range<usize> {
         let stretch = self.stretch(task);
         stretch.first..stretch.first + stretch.along_m.len()
     }
 
     /// Values of the largest task's output.
-    pub fn output_len(&self) -> usize {
+    pub(crate) fn output_len(&self) -> usize {
         self.bins()
             * self
                 .stretches

@@ -3,24 +3,24 @@
 use super::sample::Sample;
 
 /// Bins worked on together: over so few the rotor from a column to an element hardly turns beyond its middle's.
-pub const BLOCK: usize = 32;
+pub(super) const BLOCK: usize = 32;
 
 /// Complex numbers in two pieces.
 #[derive(Default)]
-pub struct Split<T> {
+pub(crate) struct Split<T> {
     pub re: Vec<T>,
     pub im: Vec<T>,
 }
 
 impl<T: Sample> Split<T> {
     /// Of that length, contents unspecified.
-    pub fn resize(&mut self, len: usize) {
+    pub(super) fn resize(&mut self, len: usize) {
         self.re.resize(len, T::ZERO);
         self.im.resize(len, T::ZERO);
     }
 
     /// Zeros of that length.
-    pub fn clear_to(&mut self, len: usize) {
+    pub(crate) fn clear_to(&mut self, len: usize) {
         self.re.clear();
         self.re.resize(len, T::ZERO);
         self.im.clear();
@@ -30,19 +30,19 @@ impl<T: Sample> Split<T> {
 
 /// A block of complex numbers, split.
 #[derive(Clone, Copy)]
-pub struct Lanes<T> {
+pub(crate) struct Lanes<T> {
     pub re: [T; BLOCK],
     pub im: [T; BLOCK],
 }
 
 impl<T: Sample> Lanes<T> {
-    pub const ZERO: Self = Self {
+    pub(super) const ZERO: Self = Self {
         re: [T::ZERO; BLOCK],
         im: [T::ZERO; BLOCK],
     };
 
     #[inline(always)]
-    pub fn load(from: &Split<T>, at: usize) -> Self {
+    pub(super) fn load(from: &Split<T>, at: usize) -> Self {
         let mut lanes = Self::ZERO;
         lanes.re.copy_from_slice(&from.re[at..][..BLOCK]);
         lanes.im.copy_from_slice(&from.im[at..][..BLOCK]);
@@ -51,7 +51,7 @@ impl<T: Sample> Lanes<T> {
 
     /// at + x slope, a complex line over real `x`.
     #[inline(always)]
-    pub fn line<const FUSED: bool>(at: [T; 2], slope: [T; 2], x: &[T; BLOCK]) -> Self {
+    pub(super) fn line<const FUSED: bool>(at: [T; 2], slope: [T; 2], x: &[T; BLOCK]) -> Self {
         let mut lanes = Self::ZERO;
         for (j, &x) in x.iter().enumerate() {
             lanes.re[j] = slope[0].times_plus::<FUSED>(x, at[0]);
@@ -61,7 +61,7 @@ impl<T: Sample> Lanes<T> {
     }
 
     #[inline(always)]
-    pub fn add(&mut self, a: &Self) {
+    pub(super) fn add(&mut self, a: &Self) {
         for j in 0..BLOCK {
             self.re[j] = self.re[j] + a.re[j];
             self.im[j] = self.im[j] + a.im[j];
@@ -69,7 +69,7 @@ impl<T: Sample> Lanes<T> {
     }
 
     #[inline(always)]
-    pub fn add_product<const FUSED: bool>(&mut self, a: &Self, b: &Self) {
+    pub(crate) fn add_product<const FUSED: bool>(&mut self, a: &Self, b: &Self) {
         for j in 0..BLOCK {
             let re = a.re[j].times_plus::<FUSED>(b.re[j], self.re[j]);
             let im = a.re[j].times_plus::<FUSED>(b.im[j], self.im[j]);
@@ -79,7 +79,7 @@ impl<T: Sample> Lanes<T> {
     }
 
     #[inline(always)]
-    pub fn times<const FUSED: bool>(&self, b: &Self) -> Self {
+    pub(super) fn times<const FUSED: bool>(&self, b: &Self) -> Self {
         let mut product = Self::ZERO;
         product.add_product::<FUSED>(self, b);
         product
@@ -87,7 +87,7 @@ impl<T: Sample> Lanes<T> {
 
     /// Times j theta scale.
     #[inline(always)]
-    pub fn turn(&mut self, theta: &[T; BLOCK], scale: T) {
+    pub(super) fn turn(&mut self, theta: &[T; BLOCK], scale: T) {
         for (j, &theta) in theta.iter().enumerate() {
             let angle = theta * scale;
             (self.re[j], self.im[j]) = (T::ZERO - self.im[j] * angle, self.re[j] * angle);
@@ -97,17 +97,17 @@ impl<T: Sample> Lanes<T> {
 
 /// A sum of products of blocks, its four real products apart: no addition waits for the one before it.
 #[derive(Clone, Copy)]
-pub struct Apart<T> {
+pub(crate) struct Apart<T> {
     parts: [[T; BLOCK]; 4],
 }
 
 impl<T: Sample> Apart<T> {
-    pub const ZERO: Self = Self {
+    pub(super) const ZERO: Self = Self {
         parts: [[T::ZERO; BLOCK]; 4],
     };
 
     #[inline(always)]
-    pub fn add_product<const FUSED: bool>(&mut self, a: &Lanes<T>, b: &Lanes<T>) {
+    pub(crate) fn add_product<const FUSED: bool>(&mut self, a: &Lanes<T>, b: &Lanes<T>) {
         let [re_re, im_im, re_im, im_re] = &mut self.parts;
         for j in 0..BLOCK {
             re_re[j] = a.re[j].times_plus::<FUSED>(b.re[j], re_re[j]);
@@ -118,7 +118,7 @@ impl<T: Sample> Apart<T> {
     }
 
     #[inline(always)]
-    pub fn sum(&self) -> Lanes<T> {
+    pub(super) fn sum(&self) -> Lanes<T> {
         let [re_re, im_im, re_im, im_re] = &self.parts;
         let mut sum = Lanes::ZERO;
         for j in 0..BLOCK {

@@ -10,13 +10,13 @@ use crate::array::gridded::simd_level::{Kind as Processor, SimdLevel};
 /// Echoes that are looked at; more are thinned out evenly.
 const MAX_LOOKED: usize = 4096;
 /// Every so many echoes, one half way to the next: what corners of boxes do not show.
-pub const MIDWAY: usize = 4;
+pub(crate) const MIDWAY: usize = 4;
 /// Tenths of a direction beyond this are rounding: no basis grows on them.
 const LEAST: f64 = 1e-14;
 
 /// Which sums of products the channels carry.
 #[derive(Default)]
-pub struct Merge {
+pub(crate) struct Merge {
     pub count: usize,
     products: usize,
     /// Orthonormal, `[channel][product]`.
@@ -35,7 +35,7 @@ pub struct Merge {
 
 impl Merge {
     /// Forgets everything; `weight` of each product.
-    pub fn start(&mut self, weight: impl Iterator<Item = f64>, echoes: usize) {
+    pub(super) fn start(&mut self, weight: impl Iterator<Item = f64>, echoes: usize) {
         self.weight.clear();
         self.weight.extend(weight);
         self.products = self.weight.len();
@@ -46,24 +46,24 @@ impl Merge {
     }
 
     /// How many of so many echoes are looked at, every which, and how many with those between.
-    pub fn sample(echoes: usize) -> (usize, usize) {
+    pub(super) fn sample(echoes: usize) -> (usize, usize) {
         let every = echoes.div_ceil(MAX_LOOKED).max(1);
         (every, echoes.div_ceil(every))
     }
 
     /// Looked at besides, between an echo and the next.
-    pub fn midway(kept: usize) -> usize {
+    pub(crate) fn midway(kept: usize) -> usize {
         kept.saturating_sub(1) / MIDWAY
     }
 
     /// Room for the products of all echoes that are looked at, `[product][echo]`, unspecified.
-    pub fn products_mut(&mut self) -> &mut [f64] {
+    pub(crate) fn products_mut(&mut self) -> &mut [f64] {
         self.left.resize(self.products * self.looked, 0.0);
         &mut self.left
     }
 
     /// A channel of its own for every product of `among`, which an echo has up to `peak` times.
-    pub fn keep_apart(&mut self, among: impl Iterator<Item = usize>, peak: f64) {
+    pub(crate) fn keep_apart(&mut self, among: impl Iterator<Item = usize>, peak: f64) {
         for product in among {
             let row = self.basis.len();
             self.basis.resize(row + self.products, 0.0);
@@ -74,7 +74,7 @@ impl Merge {
     }
 
     /// Adds channels until no echo's products of `among` (the others are to be 0) are left by more than `tolerance`. Returns the most that is.
-    pub fn choose(&mut self, tolerance: f64, simd_level: SimdLevel) -> f64 {
+    pub(super) fn choose(&mut self, tolerance: f64, simd_level: SimdLevel) -> f64 {
         #[cfg(target_arch = "x86_64")]
         match simd_level.kind() {
             // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
@@ -171,12 +171,12 @@ impl Merge {
     }
 
     /// How much of a product goes into a channel.
-    pub fn share_of_channel(&self, product: usize, channel: usize) -> f64 {
+    pub(crate) fn share_of_channel(&self, product: usize, channel: usize) -> f64 {
         self.basis[channel * self.products + product] * self.weight[product]
     }
 
     /// How much of a product's template a channel's has.
-    pub fn of_template(&self, product: usize, channel: usize) -> f64 {
+    pub(crate) fn of_template(&self, product: usize, channel: usize) -> f64 {
         self.basis[channel * self.products + product] / self.weight[product]
     }
 }

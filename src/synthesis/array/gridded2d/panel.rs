@@ -7,18 +7,18 @@ use std::f64::consts::TAU;
 use super::sample::Sample;
 
 /// Columns of one panel.
-pub const PANEL: usize = 16;
+pub(crate) const PANEL: usize = 16;
 
 /// One row of a panel.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-pub struct Row<T> {
+pub(super) struct Row<T> {
     pub re: [T; PANEL],
     pub im: [T; PANEL],
 }
 
 impl<T: Sample> Row<T> {
-    pub const ZERO: Self = Self {
+    pub(super) const ZERO: Self = Self {
         re: [T::ZERO; PANEL],
         im: [T::ZERO; PANEL],
     };
@@ -88,7 +88,7 @@ impl<T: Sample> Row<T> {
 
 /// Rows to columns of a square, by halves, quarters, ...: a few shuffles of whole vectors.
 #[inline(always)]
-pub fn transposed<T: Sample>(mut square: [[T; PANEL]; PANEL]) -> [[T; PANEL]; PANEL] {
+pub(crate) fn transposed<T: Sample>(mut square: [[T; PANEL]; PANEL]) -> [[T; PANEL]; PANEL] {
     swap_corners::<T, 8>(&mut square);
     swap_corners::<T, 4>(&mut square);
     swap_corners::<T, 2>(&mut square);
@@ -114,7 +114,7 @@ fn swap_corners<T: Sample, const D: usize>(square: &mut [[T; PANEL]; PANEL]) {
 }
 
 /// exp(-j 2pi k q / size), summed over q.
-pub struct PanelFft<T> {
+pub(crate) struct PanelFft<T> {
     size: usize,
     radices: Vec<usize>,
     /// The buffers have a row more after so many: what a pass reads and writes side by side lies whole powers of two apart, and would share
@@ -126,7 +126,7 @@ pub struct PanelFft<T> {
 
 impl<T: Sample> PanelFft<T> {
     /// `size` has no prime factors but 2, 3 and 5.
-    pub fn new(size: usize) -> Self {
+    pub(super) fn new(size: usize) -> Self {
         let mut radices = Vec::new();
         let mut rest = size;
         for radix in [8, 4, 2, 3, 5] {
@@ -152,19 +152,19 @@ impl<T: Sample> PanelFft<T> {
     }
 
     /// Rows of a buffer.
-    pub fn room(&self) -> usize {
+    pub(super) fn room(&self) -> usize {
         self.place(self.size) + 1
     }
 
     /// Where a row lies in a buffer.
     #[inline(always)]
-    pub fn place(&self, row: usize) -> usize {
+    pub(super) fn place(&self, row: usize) -> usize {
         row + row / self.period
     }
 
     /// Transforms the `size` rows of `from` with the help of two buffers. Returns the one that the result is in, row r at [`Self::place`].
     #[inline(always)]
-    pub fn run<'a, const FUSED: bool>(
+    pub(super) fn run<'a, const FUSED: bool>(
         &self,
         from: &'a [Row<T>],
         [a, b]: [&'a mut [Row<T>]; 2],

@@ -65,7 +65,7 @@ const COLUMNS_NS: f64 = 2.2e5;
 const COLUMN_SHARE: f64 = 0.7;
 /// Below this nothing is promised: the receiver filter's stop band is 82 dB down and its image is left out, and motion across the array
 /// leaves what the columns beside an echo do not know.
-pub const MIN_TOLERANCE: f64 = 2e-5;
+pub(crate) const MIN_TOLERANCE: f64 = 2e-5;
 
 /// What the scene and the platform may be.
 #[derive(Clone, Copy, Debug, PartialEq)]

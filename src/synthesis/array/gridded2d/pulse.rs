@@ -18,12 +18,12 @@ const PANEL: usize = 16;
 const CYCLES_PER_PANEL: f64 = 2.0;
 
 /// Chebyshev's points of the first kind, -1..1.
-pub fn chebyshev_nodes(count: usize) -> impl Iterator<Item = f64> {
+pub(crate) fn chebyshev_nodes(count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| -libm::cos(PI * (i as f64 + 0.5) / count as f64))
 }
 
 /// Terms in the tables, and so the most instants at which anything is looked at.
-pub const MAX_INSTANTS: usize = 24;
+pub(crate) const MAX_INSTANTS: usize = 24;
 
 /// T_n(x) for -1 <= x <= 1.
 pub fn chebyshev(n: usize, x: f64) -> f64 {
@@ -35,7 +35,7 @@ pub fn chebyshev(n: usize, x: f64) -> f64 {
 /// The tables' step is the bins' over a whole number, `phases`, so the bins of a block lie (but for the Doppler stretch of the bins
 /// themselves, a thousandth) at one and the same fraction x of a step; there S_n is a polynomial in x, and the tables hold its
 /// coefficients: of Lagrange's interpolation through [`Reading::POINTS`] neighbours.
-pub struct PulseSpectra<T> {
+pub(crate) struct PulseSpectra<T> {
     pulse: Pulse,
     bin_hz: f64,
     phases: usize,
@@ -67,7 +67,7 @@ impl Reading for f64 {
 
 impl<T: Sample> PulseSpectra<T> {
     /// For frequencies from -`reach_hz` to `reach_hz` about the centre, read at bins `bin_hz` apart.
-    pub fn new(pulse: &Pulse, reach_hz: f64, bin_hz: f64) -> Self {
+    pub(crate) fn new(pulse: &Pulse, reach_hz: f64, bin_hz: f64) -> Self {
         let half_s = 0.5 * pulse.duration_s;
         let phases = (T::DENSITY * pulse.duration_s * bin_hz).ceil().max(1.0) as usize;
         let step_hz = bin_hz / phases as f64;
@@ -129,7 +129,7 @@ impl<T: Sample> PulseSpectra<T> {
     }
 
     /// Whether these are of that pulse, as far out.
-    pub fn is_of(&self, pulse: &Pulse, reach_hz: f64) -> bool {
+    pub(crate) fn is_of(&self, pulse: &Pulse, reach_hz: f64) -> bool {
         self.pulse == *pulse
             && -self.first_hz >= reach_hz + self.bin_hz * (MAX_LANES + T::POINTS) as f64
     }
@@ -137,7 +137,7 @@ impl<T: Sample> PulseSpectra<T> {
     /// Where `LANES` bins are read whose middle (between its lanes' centres) is to lie at `middle_hz` and that are `stretch` bins apart.
     /// None beyond the tables.
     #[inline(always)]
-    pub fn place<const LANES: usize>(
+    pub(crate) fn place<const LANES: usize>(
         &self,
         middle_hz: f64,
         stretch: f64,
@@ -165,7 +165,7 @@ impl<T: Sample> PulseSpectra<T> {
 
     /// S_n there.
     #[inline(always)]
-    pub fn read<const LANES: usize, const FUSED: bool>(
+    pub(crate) fn read<const LANES: usize, const FUSED: bool>(
         &self,
         n: usize,
         place: &Place<T, LANES>,

@@ -9,10 +9,10 @@ use super::sample::Sample;
 const EXTRA: usize = 4;
 
 /// Terms that are ever looked at.
-pub const MAX_SIZES: usize = 32;
+pub(crate) const MAX_SIZES: usize = 32;
 
 /// |coefficients| of the first `count` terms.
-pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MAX_SIZES] {
+pub(super) fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MAX_SIZES] {
     let mut sums = [Complex64::ZERO; MAX_SIZES];
     for x in chebyshev_nodes(count) {
         let value = f(x) / count as f64;
@@ -28,7 +28,7 @@ pub fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MAX_SIZES] {
 
 /// T_0(x) ... of so many terms.
 #[inline(always)]
-pub fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
+pub(crate) fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
     let mut values = [T::one(); MOST];
     let twice = x + x;
     let (mut before, mut now) = (T::one(), x);
@@ -40,7 +40,11 @@ pub fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; 
 }
 
 /// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.
-pub fn terms_needed(f: impl Fn(f64) -> Complex64, most: usize, tolerance: f64) -> (usize, f64) {
+pub(crate) fn terms_needed(
+    f: impl Fn(f64) -> Complex64,
+    most: usize,
+    tolerance: f64,
+) -> (usize, f64) {
     let count = most + EXTRA;
     let sizes = sizes(f, count);
     let mut rest = 0.0;
@@ -58,7 +62,7 @@ pub fn terms_needed(f: impl Fn(f64) -> Complex64, most: usize, tolerance: f64) -
 }
 
 /// The matrix from values at Chebyshev's points to coefficients on powers, `[power * count + point]`.
-pub fn powers_from_nodes(count: usize) -> Vec<f64> {
+pub(crate) fn powers_from_nodes(count: usize) -> Vec<f64> {
     let mut powers = vec![vec![1.0], vec![0.0, 1.0]];
     for k in 2..count {
         let mut next = vec![0.0; k + 1];
@@ -83,7 +87,7 @@ pub fn powers_from_nodes(count: usize) -> Vec<f64> {
 }
 
 /// The matrix from values at Chebyshev's points to coefficients of T_n, `[n * count + point]`.
-pub fn series_from_nodes(count: usize) -> Vec<f64> {
+pub(crate) fn series_from_nodes(count: usize) -> Vec<f64> {
     let mut matrix = vec![0.0; count * count];
     for (point, x) in chebyshev_nodes(count).enumerate() {
         for n in 0..count {

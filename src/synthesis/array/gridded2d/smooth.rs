@@ -3,12 +3,12 @@
 
 /// Echoes of one task about mid-pulse, structure of arrays.
 #[derive(Clone, Debug, Default)]
-pub struct Echoes {
+pub(super) struct Echoes {
     pub slope: Vec<f64>,
     /// du/dw: what the delay gains per second of emission.
     pub dilation: Vec<f64>,
     /// c d2u/dy2 over 1 - slope^2: 1/R but for terms of v/c.
-    pub per_range_per_m: Vec<f64>,
+    pub(crate) per_range_per_m: Vec<f64>,
     pub twist_per_s: Vec<f64>,
     pub swing_m_per_s2: Vec<f64>,
     /// Of those that are no mere places.
@@ -17,11 +17,11 @@ pub struct Echoes {
 
 /// What an echo's strength is like along the stretch.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct HeardEcho {
+pub(crate) struct HeardEcho {
     /// From the slab's first sample.
     pub middle_s: f64,
     pub slope: f64,
-    pub per_range_per_m: f64,
+    pub(crate) per_range_per_m: f64,
     pub energy: f64,
     /// Beyond what range and absorption make of it.
     pub fade_per_m: f64,
@@ -29,7 +29,7 @@ pub struct HeardEcho {
 }
 
 impl Echoes {
-    pub fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         for column in [
             &mut self.slope,
             &mut self.dilation,
@@ -42,24 +42,24 @@ impl Echoes {
         self.heard.clear();
     }
 
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.slope.len()
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.slope.is_empty()
     }
 }
 
 /// Middle and half width of a span.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Span {
+pub(crate) struct Span {
     pub middle: f64,
     pub half: f64,
 }
 
 impl Span {
-    pub fn of(values: impl Iterator<Item = f64>) -> Self {
+    pub(super) fn of(values: impl Iterator<Item = f64>) -> Self {
         let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
             (a.min(v), b.max(v))
         });
@@ -74,7 +74,7 @@ impl Span {
 
     /// -1..1 within the span; 0 where it has no width.
     #[inline]
-    pub fn unit(&self, value: f64) -> f64 {
+    pub(super) fn unit(&self, value: f64) -> f64 {
         if self.half > 0.0 {
             ((value - self.middle) / self.half).clamp(-1.0, 1.0)
         } else {
@@ -82,7 +82,7 @@ impl Span {
         }
     }
 
-    pub fn at(&self, unit: f64) -> f64 {
+    pub(super) fn at(&self, unit: f64) -> f64 {
         self.middle + self.half * unit
     }
 }
@@ -93,7 +93,7 @@ impl Span {
 /// Columns beside the echoes' slopes take the curve's values there: a polynomial that were free to follow the echoes' scatter would run
 /// away between them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Curve {
+pub(super) struct Curve {
     along: f64,
     constant: f64,
     linear: f64,
@@ -101,7 +101,7 @@ pub struct Curve {
 
 impl Curve {
     #[inline(always)]
-    pub fn at(&self, slope: f64) -> f64 {
+    pub(super) fn at(&self, slope: f64) -> f64 {
         self.along * (1.0 - slope * slope) + self.constant + self.linear * slope
     }
 
@@ -164,41 +164,47 @@ fn least_squares<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)>) ->
 
 /// What the templates are made from.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Smooth {
+pub(crate) struct Smooth {
     pub slope: Span,
     /// The dilation every echo of a slope shares: `dilation0 + dilation1 * slope`, a line because a line only lengthens the aperture.
     /// (Taking out a function of range too was tried: the tensor of its terms with those of the rest came out larger.)
-    pub dilation0: f64,
-    pub dilation1: f64,
+    pub(crate) dilation0: f64,
+    pub(crate) dilation1: f64,
     /// And of the square of what the slope is from its middle: beyond the plane wave, so that the templates take it.
-    pub dilation2: f64,
+    pub(crate) dilation2: f64,
     /// Of what is left of it.
-    pub dilation_rest: f64,
-    pub per_range_per_m: Span,
+    pub(crate) dilation_rest: f64,
+    pub(crate) per_range_per_m: Span,
     /// Twist and swing times range, m/s and (m/s)^2: for motion along the line v (1 - s^2) and 2 v^2 (1 - s^2).
     pub twist: Curve,
     pub swing: Curve,
     /// Greatest of what the curves leave of twist and swing themselves, 1/s and m/s^2.
-    pub twist_rest: f64,
-    pub swing_rest: f64,
+    pub(crate) twist_rest: f64,
+    pub(crate) swing_rest: f64,
     /// Fade times range: a line over the slope, for what is even about broadside and what is not.
-    pub fade: Curve,
+    pub(crate) fade: Curve,
     /// Greatest share of a window's energy that fade and curl make at the ends of the stretch, square root of it.
-    pub faded: [f64; FADES],
+    pub(crate) faded: [f64; FADES],
 }
 
 /// Of narrower spans of slopes the dilation is a line: a square would run away beside them.
 const MIN_BOW: f64 = 0.05;
 
 /// Orders of the change of strength along a stretch.
-pub const FADES: usize = 2;
+pub(crate) const FADES: usize = 2;
 /// Windows, half a pulse each, over which energies are taken together; later ones join the last.
 const WINDOWS: usize = 256;
 
 impl Smooth {
     /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch; `min_bow`: half of the span of slopes from which on there
     /// may be a bow; `steepest`: that it may become, per slope.
-    pub fn of(echoes: &Echoes, window_s: f64, half_m: f64, min_bow: f64, steepest: f64) -> Self {
+    pub(super) fn of(
+        echoes: &Echoes,
+        window_s: f64,
+        half_m: f64,
+        min_bow: f64,
+        steepest: f64,
+    ) -> Self {
         let slope = Span::of(echoes.slope.iter().copied());
         let points = (0..echoes.len()).map(|i| (slope.unit(echoes.slope[i]), echoes.dilation[i]));
         let [a, b, bow] = least_squares(points.clone().map(|(x, d)| ([1.0, x, x * x], d)));
@@ -278,12 +284,12 @@ impl Smooth {
 
     /// The part of the fade that the templates know.
     #[inline(always)]
-    pub fn shared_fade(&self, slope: f64, per_range_per_m: f64) -> f64 {
+    pub(crate) fn shared_fade(&self, slope: f64, per_range_per_m: f64) -> f64 {
         per_range_per_m * self.fade.at(slope)
     }
 
     /// The same with wider spans: by a share of them, and a little for rounding.
-    pub fn widened(&self, share: f64) -> Self {
+    pub(crate) fn widened(&self, share: f64) -> Self {
         let mut wider = *self;
         wider.slope.half = (1.0 + share) * self.slope.half + 1e-9;
         wider.per_range_per_m.half = (1.0 + share) * self.per_range_per_m.half + 1e-9;
@@ -294,20 +300,20 @@ impl Smooth {
 
     /// What the fits leave of an echo's dilation.
     #[inline]
-    pub fn rest(&self, echoes: &Echoes, i: usize) -> f64 {
+    pub(super) fn rest(&self, echoes: &Echoes, i: usize) -> f64 {
         echoes.dilation[i] - self.dilation(echoes.slope[i]) - self.bow(echoes.slope[i])
     }
 
     /// What templates add to [`Self::dilation`] at a slope.
     #[inline(always)]
-    pub fn bow(&self, slope: f64) -> f64 {
+    pub(super) fn bow(&self, slope: f64) -> f64 {
         let beside = slope - self.slope.middle;
         self.dilation2 * beside * beside
     }
 
     /// The dilation shared at a slope.
     #[inline(always)]
-    pub fn dilation(&self, slope: f64) -> f64 {
+    pub(super) fn dilation(&self, slope: f64) -> f64 {
         self.dilation0 + self.dilation1 * slope
     }
 }

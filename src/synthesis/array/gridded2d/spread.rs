@@ -32,7 +32,7 @@ const MAX_LINE: usize = MAX_WIDTH * MAX_CHANNELS + 2 * PANEL;
 
 /// From leading edges to mid-pulse, for one task.
 #[derive(Clone, Copy)]
-pub struct Centring {
+pub(crate) struct Centring {
     half_s: f64,
     /// 1/c where the change of the stretch is followed, else 0.
     bent: f64,
@@ -58,7 +58,7 @@ struct Centred {
 }
 
 impl Centring {
-    pub fn new(ping: &Ping, motion: PulseMotion, first_s: f64) -> Self {
+    pub(super) fn new(ping: &Ping, motion: PulseMotion, first_s: f64) -> Self {
         Self {
             half_s: 0.5 * ping.duration_s,
             bent: match motion {
@@ -107,9 +107,9 @@ impl Centring {
 }
 
 /// Remembers what echoes are like.
-pub struct Survey<'a> {
+pub(super) struct Survey<'a> {
     pub echoes: &'a mut Echoes,
-    pub centring: Centring,
+    pub(crate) centring: Centring,
     pub chunks: usize,
 }
 
@@ -143,7 +143,7 @@ impl LineSink for Survey<'_> {
 }
 
 /// A chunk between its two loops, structure of arrays.
-pub struct Prepared<T> {
+pub(super) struct Prepared<T> {
     pub(super) re: [T; CHUNK],
     pub(super) im: [T; CHUNK],
     /// What is left of dilation, bend and twist, each over its span.
@@ -163,7 +163,7 @@ pub struct Prepared<T> {
 
 /// How products become channels, and where those of an echo's columns lie in the vectors of a panel.
 #[derive(Default)]
-pub struct Mixing<T> {
+pub(crate) struct Mixing<T> {
     /// `[product][channel]`, whole vectors.
     pub(super) into: Vec<[T; PANEL]>,
     /// Vectors of one product.
@@ -384,7 +384,7 @@ fn cell(place: f64) -> (f64, f64) {
 }
 
 /// Spreads echoes onto the grid of a task.
-pub struct Spread<'a, T: Sample> {
+pub(super) struct Spread<'a, T: Sample> {
     task: &'a Task<'a, T>,
     scales: Scales,
     centring: Centring,
@@ -399,7 +399,7 @@ pub struct Spread<'a, T: Sample> {
 }
 
 impl<'a, T: Sample> Spread<'a, T> {
-    pub fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
+    pub(super) fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
         let start = Instant::now();
         if !work.cleared {
             work.grid.fill(Row::ZERO);

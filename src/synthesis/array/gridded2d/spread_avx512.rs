@@ -83,7 +83,7 @@ fn add_line(sum: &mut Row<f32>, line: __m512, [re, im]: [__m512; 2]) {
 
 /// Echoes onto the grid; returns how many would lie outside, and are left out.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-pub fn add(wide: Wide<f32>) -> usize {
+pub(super) fn add(wide: Wide<f32>) -> usize {
     match wide.time_width {
         3 => add_all::<3>(wide),
         4 => add_all::<4>(wide),

@@ -16,16 +16,16 @@ use super::series::{chebyshev_terms as chebyshev, sizes, terms_needed};
 use super::smooth::{Echoes, FADES, Smooth, Span};
 
 /// Most terms of each series; what does not converge with them is reported as error.
-pub const MAX_ALONG: usize = 16;
+pub(crate) const MAX_ALONG: usize = 16;
 const MAX_BAND: usize = 10;
-pub const MAX_DILATION: usize = MAX_INSTANTS;
-pub const MAX_BEND: usize = 8;
-pub const MAX_TURN: usize = 12;
-pub const MAX_TWIST: usize = 4;
+pub(crate) const MAX_DILATION: usize = MAX_INSTANTS;
+pub(crate) const MAX_BEND: usize = 8;
+pub(crate) const MAX_TURN: usize = 12;
+pub(crate) const MAX_TWIST: usize = 4;
 const MAX_NODES: usize = 16;
 const MAX_KEPT: usize = KINDS * MAX_BEND * MAX_TWIST;
 /// Most products of the series, and so most channels of the grid.
-pub const MAX_CHANNELS: usize = 96;
+pub(super) const MAX_CHANNELS: usize = 96;
 /// Of what each series may leave out, what the products' sums may leave of an echo.
 const MERGED: f64 = 1.0;
 /// A product's template is at least this much.
@@ -41,15 +41,15 @@ const STEP_NU: f64 = 1e-3;
 
 /// What an echo has of its own beyond its slope: inverse range, and what is left of the twist over the most that is.
 #[derive(Clone, Copy)]
-pub struct Ray {
-    pub per_range_per_m: f64,
+pub(crate) struct Ray {
+    pub(crate) per_range_per_m: f64,
     pub twist: f64,
     pub kind: Kind,
 }
 
 /// What a channel carries of its echoes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Kind {
+pub(super) enum Kind {
     /// Themselves.
     #[default]
     Whole,
@@ -60,11 +60,11 @@ pub enum Kind {
 }
 
 /// Kinds that there are.
-pub const KINDS: usize = 2 + FADES;
+pub(super) const KINDS: usize = 2 + FADES;
 
 /// Channels of one kind times one term of the bend times one of the twist.
 #[derive(Clone, Copy, Default)]
-pub struct Kept {
+pub(super) struct Kept {
     /// Of [`Task::kinds`], by its number.
     pub kind: usize,
     pub bend: usize,
@@ -74,7 +74,7 @@ pub struct Kept {
 }
 
 /// The numbers of one task.
-pub struct Task<'a, T: Sample> {
+pub(crate) struct Task<'a, T: Sample> {
     pub engine: &'a LineEngine<T>,
     pub pulse: &'a PulseSpectra<T>,
     pub stretch: &'a Stretch,
@@ -96,7 +96,7 @@ pub struct Task<'a, T: Sample> {
 
 impl<'a, T: Sample> Task<'a, T> {
     /// `smooth` of the surveyed `echoes`; `merge` is set to what this task's channels carry.
-    pub fn new(
+    pub(super) fn new(
         engine: &'a LineEngine<T>,
         stretch: &'a Stretch,
         smooth: Smooth,
@@ -134,12 +134,12 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     /// Kinds that have channels.
-    pub fn kinds(&self) -> &[Kind] {
+    pub(super) fn kinds(&self) -> &[Kind] {
         &self.kinds[..self.orders.kinds]
     }
 
     /// Whether any of them is of a change of strength.
-    pub fn fades(&self) -> bool {
+    pub(super) fn fades(&self) -> bool {
         self.kinds()
             .iter()
             .any(|kind| matches!(kind, Kind::Fade(_)))
@@ -155,7 +155,7 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     /// Phase at the pulse's ends per swing.
-    pub fn rad_per_swing(&self) -> f64 {
+    pub(crate) fn rad_per_swing(&self) -> f64 {
         let per_m = TAU * self.engine.top_hz() / self.engine.ping.sound_speed_m_per_s;
         let half_s = 0.5 * self.engine.ping.duration_s;
         match self.engine.fineness.motion {
@@ -164,12 +164,12 @@ impl<'a, T: Sample> Task<'a, T> {
         }
     }
 
-    pub fn half_m(&self) -> f64 {
+    pub(super) fn half_m(&self) -> f64 {
         // A single element has no length to scale by.
         self.stretch.half_m.max(1e-6)
     }
 
-    pub fn absolute_hz(&self, band: f64) -> f64 {
+    pub(crate) fn absolute_hz(&self, band: f64) -> f64 {
         self.engine.ping.carrier_hz + 0.5 * self.engine.rate_hz * band
     }
 
@@ -214,7 +214,7 @@ impl<'a, T: Sample> Task<'a, T> {
     /// A column stands for echoes beside it too. With Y the place along the aperture in cycles per unit of slope and D the kernel's
     /// spectrum, exp(j 2pi Y s) has the weights exp(j 2pi Y s_k) / D(Y); differentiating by Y gives those of s exp(j 2pi Y s), so a factor
     /// g(s) needs g/D + g' (1/D)'/(j 2pi) + g''/2 (1/D)''/(j 2pi)^2 + ...
-    pub fn shape(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
+    pub(super) fn shape(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
         let per_column = self.absolute_hz(band) / c * self.step;
@@ -499,25 +499,25 @@ impl<'a, T: Sample> Task<'a, T> {
         (channels, left_out)
     }
 
-    pub fn kept(&self) -> &[Kept] {
+    pub(super) fn kept(&self) -> &[Kept] {
         &self.kept[..self.kept_len]
     }
 
     /// How far the rotor of slope `s` to the stretch's end turns from the middle of a block to its lane, radians.
-    pub fn turn_rad(&self, lane: usize, s: f64) -> f64 {
+    pub(crate) fn turn_rad(&self, lane: usize, s: f64) -> f64 {
         let step_hz = self.engine.rate_hz / self.engine.bins() as f64;
         let from_middle = lane as f64 - 0.5 * (BLOCK - 1) as f64;
         TAU * from_middle * step_hz * s * self.stretch.half_m / self.engine.ping.sound_speed_m_per_s
     }
 
     /// Of any column that counts.
-    pub fn greatest_slope(&self) -> f64 {
+    pub(super) fn greatest_slope(&self) -> f64 {
         let [least, most] = [-1.0, 1.0].map(|x| self.smooth.slope.at(x));
         least.abs().max(most.abs()) + self.step
     }
 
     /// What the channels are sums of: each kept product times each of its terms of the dilation.
-    pub fn products(&self) -> impl Iterator<Item = (Kept, usize)> + '_ {
+    pub(super) fn products(&self) -> impl Iterator<Item = (Kept, usize)> + '_ {
         let terms = |kept: &Kept| {
             let kept = *kept;
             (0..kept.dilation).map(move |r| (kept, r))
@@ -526,21 +526,21 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     /// Of the grid.
-    pub fn channels(&self) -> usize {
+    pub(super) fn channels(&self) -> usize {
         self.merged
     }
 
-    pub fn slope(&self, column: usize) -> f64 {
+    pub(super) fn slope(&self, column: usize) -> f64 {
         (self.first + column as isize) as f64 * self.step
     }
 
     /// Of the grid.
-    pub fn panels(&self) -> usize {
+    pub(super) fn panels(&self) -> usize {
         (self.columns * self.channels()).div_ceil(PANEL)
     }
 
     /// All slopes of columns.
-    pub fn slopes(&self) -> Span {
+    pub(super) fn slopes(&self) -> Span {
         Span::of([self.slope(0), self.slope(self.columns - 1)].into_iter())
     }
 }

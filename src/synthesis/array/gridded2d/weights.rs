@@ -8,7 +8,7 @@ use super::sample::Sample;
 use super::series::powers_from_nodes;
 
 /// 1/D of a kernel as a polynomial in the square of the frequency.
-pub struct InverseGain {
+pub(crate) struct InverseGain {
     /// Of 2 (nu/greatest)^2 - 1.
     powers: [f64; INVERSE_TERMS],
     scale: f64,
@@ -18,7 +18,7 @@ pub struct InverseGain {
 const INVERSE_TERMS: usize = 16;
 
 impl InverseGain {
-    pub fn new(kernel: &Kernel) -> Self {
+    pub(super) fn new(kernel: &Kernel) -> Self {
         // A little beyond the band, for differences at its end.
         let greatest = 0.5 / kernel.oversampling + 0.01;
         let matrix = powers_from_nodes(INVERSE_TERMS);
@@ -36,13 +36,16 @@ impl InverseGain {
     }
 
     #[inline(always)]
-    pub fn at(&self, nu: f64) -> f64 {
+    pub(super) fn at(&self, nu: f64) -> f64 {
         let x = nu * nu * self.scale - 1.0;
         self.powers.iter().rev().fold(0.0, |sum, c| sum * x + c)
     }
 
     #[inline(always)]
-    pub fn block<T: Sample, const FUSED: bool>(&self, nu: impl Fn(usize) -> f64) -> [T; BLOCK] {
+    pub(super) fn block<T: Sample, const FUSED: bool>(
+        &self,
+        nu: impl Fn(usize) -> f64,
+    ) -> [T; BLOCK] {
         let mut x = [T::ZERO; BLOCK];
         for (lane, x) in x.iter_mut().enumerate() {
             *x = T::narrow(nu(lane) * nu(lane) * self.scale - 1.0);
@@ -59,9 +62,9 @@ impl InverseGain {
 }
 
 /// Weights of all taps for one power of x.
-pub type Taps<T> = [T; MAX_WIDTH];
+pub(super) type Taps<T> = [T; MAX_WIDTH];
 
-pub fn tap_tables<T: Sample>(kernel: &Kernel) -> Vec<Taps<T>> {
+pub(crate) fn tap_tables<T: Sample>(kernel: &Kernel) -> Vec<Taps<T>> {
     (0..kernel.moments)
         .map(|k| {
             let mut taps = [T::ZERO; MAX_WIDTH];
@@ -75,7 +78,7 @@ pub fn tap_tables<T: Sample>(kernel: &Kernel) -> Vec<Taps<T>> {
 
 /// Weights of all taps at `x`, -1..1 across the cell.
 #[inline(always)]
-pub fn taps<T: Sample, const FUSED: bool>(tables: &[Taps<T>], x: T) -> Taps<T> {
+pub(super) fn taps<T: Sample, const FUSED: bool>(tables: &[Taps<T>], x: T) -> Taps<T> {
     let mut sum = [T::ZERO; MAX_WIDTH];
     for k in (0..tables.len()).rev() {
         let table = tables[k];

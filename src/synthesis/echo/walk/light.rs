@@ -122,7 +122,7 @@ pub(super) struct Light<'a> {
 
 impl Light<'_> {
     /// Fills `transmit_leg` and leaves it as long as what was kept.
-    pub fn shine(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
+    pub(crate) fn shine(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
         let mut room = Room::of(transmit_leg, self.scatterers.len());
         let (kept, counts) = self.part(0, &mut room);
         transmit_leg.x_m.truncate(kept);

@@ -445,7 +445,7 @@ fn lay(
 
 /// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 0: corners of small boxes, and every point of others. And
 /// the echoes of every so many batches.
-pub fn line_survey(
+pub(crate) fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,

@@ -8,10 +8,10 @@ use serialport::{DataBits, Parity, SerialPortBuilder, StopBits};
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 use echotank_config::spec::{ParitySpec, SerialLine};
 
-pub type Port = Box<dyn serialport::SerialPort>;
+pub(crate) type Port = Box<dyn serialport::SerialPort>;
 
 /// Any rate, also those that no table has.
-pub fn open(port: &str, baud: u32, line: SerialLine) -> serialport::Result<Port> {
+pub(crate) fn open(port: &str, baud: u32, line: SerialLine) -> serialport::Result<Port> {
     settings(port, baud, line).open()
 }
 

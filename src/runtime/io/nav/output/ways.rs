@@ -10,13 +10,13 @@ use super::super::live::{Port, open_serial};
 use echotank_config::spec::{NavTargetSpec, PulseSpec, SerialLine};
 
 /// What stands for a pulse where there is no line for it: BEL.
-pub const PULSE_BYTE: u8 = 0x07;
+pub(crate) const PULSE_BYTE: u8 = 0x07;
 /// A vanished serial port is looked for this often.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Clients of one output; more are turned away.
 const MAX_CLIENTS: usize = 64;
 
-pub trait Way: Send {
+pub(super) trait Way: Send {
     /// The whole second begins (`high`), or its pulse ends.
     fn pulse(&mut self, high: bool) -> io::Result<()>;
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
@@ -26,7 +26,7 @@ pub trait Way: Send {
     }
 }
 
-pub fn name(target: &NavTargetSpec) -> String {
+pub(super) fn name(target: &NavTargetSpec) -> String {
     match target {
         NavTargetSpec::Udp { to } => format!("UDP {to}"),
         NavTargetSpec::TcpListen { listen } => format!("TCP {listen}"),
@@ -36,7 +36,7 @@ pub fn name(target: &NavTargetSpec) -> String {
     }
 }
 
-pub fn transport(target: &NavTargetSpec) -> &'static str {
+pub(super) fn transport(target: &NavTargetSpec) -> &'static str {
     match target {
         NavTargetSpec::Udp { .. } => "udp",
         NavTargetSpec::TcpListen { .. } => "tcp",
@@ -45,7 +45,7 @@ pub fn transport(target: &NavTargetSpec) -> &'static str {
 }
 
 /// The way, and the address it listens at or sends to.
-pub fn open(
+pub(super) fn open(
     target: &NavTargetSpec,
     pulse: PulseSpec,
 ) -> io::Result<(Box<dyn Way>, Option<SocketAddr>)> {

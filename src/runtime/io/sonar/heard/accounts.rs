@@ -98,7 +98,7 @@ impl Accounts {
     }
 
     /// The same, from the ping that was heard last to the next one.
-    pub fn found_until_next(&mut self, kind: &str) {
+    pub(crate) fn found_until_next(&mut self, kind: &str) {
         self.found(kind, self.last_ping, None);
         self.open.push(self.findings.len() - 1);
     }

@@ -110,7 +110,7 @@ pub struct Sighting<'a> {
     /// Of its first sample, of VITA 49.
     pub utc_ns: Option<i64>,
     /// A checksum or a length says that it is not what was sent.
-    pub is_damaged: bool,
+    pub(crate) is_damaged: bool,
     /// Which record it is in any run of the same rig, however much was heard before.
     pub key: u64,
     /// What it says, but for such numbers.
@@ -351,7 +351,7 @@ fn of_elements(bytes: &[u8]) -> Option<Sighting<'_>> {
 
 /// A packet's place: of a stream, at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PacketPlace {
+pub(crate) struct PacketPlace {
     pub stream: u32,
     pub context: bool,
     pub utc_ns: i64,
@@ -359,7 +359,7 @@ pub struct PacketPlace {
 }
 
 /// Where a VITA 49 packet belongs, whole or cut: its first 28 bytes are enough. None where its time is not UTC.
-pub fn place_of(bytes: &[u8]) -> Option<PacketPlace> {
+pub(crate) fn place_of(bytes: &[u8]) -> Option<PacketPlace> {
     let word = |n: usize| {
         let four = bytes.get(4 * n..)?.first_chunk::<4>()?;
         Some(u32::from_be_bytes(*four))

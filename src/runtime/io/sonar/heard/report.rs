@@ -54,7 +54,7 @@ pub struct Finding {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ping_number: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub to_ping: Option<u32>,
+    pub(crate) to_ping: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
     /// Of an element stream.
