@@ -9,7 +9,8 @@ use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank_core::time::UtcNs;
 use echotank_nav::Coverage;
-use echotank_ping::pipeline::{PipelineError, SonarPipeline, engine_error_models};
+use echotank_ping::element_synthesis::engine_error_models;
+use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::{self as ping, PingOrder, Schedule};
 use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::io::nav::NavInputs;
@@ -640,8 +641,15 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
         while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
             assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
         }
-        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-            .expect("covered");
+        echotank_ping::make_ping(
+            &mut rig,
+            0,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .expect("covered");
         each(&slot.plan, &slot.output);
     }
 }

@@ -53,8 +53,15 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
                 assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
             }
             let before = counting::in_all_threads();
-            rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-                .expect("covered");
+            echotank_ping::make_ping(
+                &mut rig,
+                0,
+                &order,
+                NavMode::Settle,
+                order.transmit_utc,
+                &mut slot,
+            )
+            .expect("covered");
             if ping >= count - watched {
                 counted.push(counting::in_all_threads() - before);
             }

@@ -60,8 +60,15 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
             while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
                 assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
             }
-            rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-                .expect("covered");
+            echotank_ping::make_ping(
+                &mut rig,
+                0,
+                &order,
+                NavMode::Settle,
+                order.transmit_utc,
+                &mut slot,
+            )
+            .expect("covered");
             let plan = &slot.plan;
             let footprints = rig.sonars[0].pipeline.footprints(plan).to_vec();
             assert_eq!(footprints.len(), sonar.receive.len());
@@ -308,7 +315,7 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
             while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
                 assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
             }
-            rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
+            echotank_ping::make_ping(&mut rig, 0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
                 .expect("covered");
             let anchor_m = rig.targets()[0].position_m - own;
             unshaded.place(anchor_m.x, anchor_m.y);

@@ -10,7 +10,8 @@ use super::{Failure, load};
 use echotank_config as config;
 use echotank_config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
 use echotank_core::flow::{ErrorModel, Synthesis};
-use echotank_ping::pipeline::{PipelineError, engine_error_models};
+use echotank_ping::element_synthesis::engine_error_models;
+use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::echo::culling::left_out_share;
 
 #[derive(Args, Clone, Debug)]

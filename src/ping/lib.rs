@@ -4,6 +4,7 @@
 
 pub mod beats;
 pub mod conditions;
+pub mod element_synthesis;
 pub mod engines;
 pub mod error_check;
 pub mod fan_truth;
@@ -11,6 +12,7 @@ pub mod faults;
 pub mod footprints;
 pub(crate) mod line_engines;
 pub mod line_truth;
+pub mod make_ping;
 pub mod method_selection;
 pub mod methods;
 pub mod more_pulses;
@@ -23,6 +25,7 @@ pub mod view;
 pub mod work;
 pub mod world;
 
+pub use make_ping::{finish_ping, make_degraded_ping, make_ping};
 pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count, window_s};
 pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns};
 pub use trigger::{Early, Refusal, Triggered};

@@ -16,49 +16,28 @@
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-use crate::engines::Engines;
-use crate::pipeline::{PipelineError, engines, line_former};
+use crate::element_synthesis::{ElementScratch, ElementSynthesis};
+use crate::pipeline::{PipelineError, line_former};
 use crate::plan;
 use echotank_config::spec::{MediumSpec, MorePulseSpec, SonarSpec};
 use echotank_core::flow::{
-    EchoCounts, Edges, ElementFrame, Line, PingPlan, PulseLines, Scatterers, SonarSettings,
-    Synthesis,
+    EchoCounts, ElementFrame, Line, PingPlan, PulseLines, Scatterers, SonarSettings,
 };
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::sidescan::LineFormer;
-use echotank_synthesis::array::direct::Direct;
-use echotank_synthesis::array::filter::{Decimator, grid_ahead};
-use echotank_synthesis::array::gridded::DopplerSpan;
-use echotank_synthesis::echo::reference::reference_with;
-use echotank_synthesis::echo::span::doppler_span;
-use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank_synthesis::slabs::Listener;
+use echotank_synthesis::array::filter::Decimator;
+use echotank_synthesis::echo::walk::Workspace;
 
 /// One pulse with everything it needs.
 pub(crate) struct MorePulse {
-    /// The sonar as this pulse sees it: its pulse, and who listens to whom.
-    spec: SonarSpec,
     delay_s: f64,
     plan: PingPlan,
-    transmit_leg: Vec<TransmitLeg>,
-    engines: Option<Engines>,
-    engine_ready: bool,
-    /// One per receive array.
-    spans: Vec<DopplerSpan>,
+    synthesis: ElementSynthesis,
     /// What turns its samples into the sonar's, one per sample of this ping.
     turn: Vec<Complex64>,
     lines: Vec<LineFormer>,
     /// The elements of one array, turned back.
     frame: ElementFrame,
-}
-
-/// What one element's sum is written with.
-pub(crate) struct Desk<'a> {
-    pub walk: &'a mut Workspace,
-    pub dense: &'a mut Vec<Complex64>,
-    /// The pulse's own samples.
-    pub own: &'a mut Vec<Complex64>,
-    pub decimator: Option<&'a Decimator>,
 }
 
 impl MorePulse {
@@ -77,25 +56,10 @@ impl MorePulse {
                 array.transmit = transmit;
             }
         }
-        let engines = match spec.model.synthesis {
-            Synthesis::Gridded1d => Some(engines(&spec, medium, filter)?),
-            _ => None,
-        };
-        let still = DopplerSpan {
-            least: 0.0,
-            greatest: 0.0,
-        };
         Ok(Self {
             delay_s: more.delay_s,
             plan: plan::blank(0, &spec, medium, 0.0),
-            transmit_leg: spec
-                .transmit
-                .iter()
-                .map(|_| TransmitLeg::default())
-                .collect(),
-            engines,
-            engine_ready: false,
-            spans: vec![still; spec.receive.len()],
+            synthesis: ElementSynthesis::of_further_pulse(&spec, medium, filter)?,
             turn: Vec::with_capacity(limits.samples),
             lines: spec
                 .beams
@@ -104,7 +68,6 @@ impl MorePulse {
                 .map(|line| line_former(&spec, medium, line, limits))
                 .collect(),
             frame: ElementFrame::default(),
-            spec,
         })
     }
 
@@ -119,45 +82,20 @@ impl MorePulse {
         }
     }
 
-    /// As [`Engines::expect`].
+    /// As [`ElementSynthesis::expect`].
     pub(crate) fn expect(&mut self, settings: &SonarSettings) {
-        if let Some(engines) = &mut self.engines {
-            engines.expect(settings);
-        }
+        self.synthesis.expect(settings);
     }
 
-    /// The transmit leg, and all else that its elements have in common.
-    pub(crate) fn light(
+    /// The transmit leg of every scatterer, and the tables that all elements share.
+    pub(crate) fn insonify(
         &mut self,
         ping: &PingPlan,
         scatterers: &Scatterers,
-        decimator: Option<&Decimator>,
         walk: &mut Workspace,
     ) -> EchoCounts {
         self.follow(ping);
-        let mut counts = EchoCounts::default();
-        if self.plan.model.synthesis == Synthesis::Reference {
-            return counts;
-        }
-        let (plan, rate_hz) = (&self.plan, self.spec.receiver.sample_rate_hz);
-        let (first_s, rate_hz, len) = grid(plan, rate_hz, decimator);
-        let window = Window::of_samples(first_s, rate_hz, len);
-        for (transmit, transmit_leg) in self.spec.transmit.iter().zip(&mut self.transmit_leg) {
-            counts += insonify(plan, transmit, window, scatterers, transmit_leg);
-        }
-        if let Some(engines) = &mut self.engines {
-            self.engine_ready = engines.ready(plan);
-            let widest = engines.span();
-            for (span, array) in self.spans.iter_mut().zip(&self.spec.receive) {
-                let (least, greatest) =
-                    doppler_span(plan, array, &self.transmit_leg[array.transmit], walk);
-                *span = DopplerSpan {
-                    least: least.clamp(widest.least, widest.greatest),
-                    greatest: greatest.clamp(widest.least, widest.greatest),
-                };
-            }
-        }
-        counts
+        self.synthesis.insonify(&self.plan, scatterers, walk)
     }
 
     /// The ping on this pulse's clock, which starts `delay_s` later.
@@ -169,7 +107,7 @@ impl MorePulse {
         plan.ping_period_s = ping.ping_period_s;
         plan.settings = ping.settings;
         plan.ping_rate_hz = ping.ping_rate_hz;
-        plan.pulse = plan::pulse(&self.spec, &ping.settings);
+        plan.pulse = plan::pulse(&self.synthesis.spec, &ping.settings);
         plan.sound_speed_m_per_s = ping.sound_speed_m_per_s;
         plan.absorption_db_per_m = ping.absorption_db_per_m;
         plan.sample_count = ping.sample_count;
@@ -187,7 +125,7 @@ impl MorePulse {
         for knot in &mut own.attitude {
             knot.time_s -= delay_s;
         }
-        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let rate_hz = self.synthesis.spec.receiver.sample_rate_hz;
         let (window_s, segment_s) = (plan.window_s(rate_hz), plan.model.segment_s);
         plan::polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
         let apart_hz = plan.pulse.center_frequency_hz - ping.pulse.center_frequency_hz;
@@ -205,72 +143,18 @@ impl MorePulse {
         scatterers: &Scatterers,
         index: usize,
         element: usize,
-        desk: Desk<'_>,
+        scratch: &mut ElementScratch,
         iq: &mut [Complex64],
     ) -> EchoCounts {
-        let Desk {
-            walk,
-            dense,
-            own,
-            decimator,
-        } = desk;
-        let (plan, array) = (&self.plan, &self.spec.receive[index]);
-        let transmit_leg = &self.transmit_leg[array.transmit];
-        own.resize(plan.sample_count, Complex64::ZERO);
-        let engine = self.engines.as_ref().filter(|_| self.engine_ready);
-        let counts = match (plan.model.synthesis, engine) {
-            (Synthesis::Gridded1d, Some(engines)) => {
-                let made = engines.current();
-                let listener = Listener {
-                    plan,
-                    array,
-                    element,
-                    transmit_leg,
-                    span: self.spans[index],
-                };
-                let mut counts = EchoCounts::default();
-                for (slab, out) in own.chunks_mut(made.slab_samples()).enumerate() {
-                    counts += made.make_slab(listener, slab, walk, out);
-                }
-                counts
-            }
-            (synthesis, _) => {
-                let rate_hz = self.spec.receiver.sample_rate_hz;
-                let (first_s, rate_hz, len) = grid(plan, rate_hz, decimator);
-                let (edges, out) = match decimator {
-                    Some(_) => {
-                        dense.resize(len, Complex64::ZERO);
-                        (Edges::Weighted, &mut dense[..len])
-                    }
-                    None => (Edges::Sampled, &mut own[..]),
-                };
-                let counts = match synthesis {
-                    Synthesis::Reference => reference_with(
-                        edges,
-                        plan,
-                        &self.spec.transmit[array.transmit],
-                        array,
-                        element,
-                        scatterers,
-                        rate_hz,
-                        first_s,
-                        out,
-                    ),
-                    _ => {
-                        out.fill(Complex64::ZERO);
-                        let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                        arrivals(plan, array, element, transmit_leg, walk, &mut sink)
-                    }
-                };
-                if let Some(decimator) = decimator {
-                    decimator.apply(dense, own);
-                }
-                counts
-            }
-        };
-        for ((x, y), turn) in iq.iter_mut().zip(own).zip(&self.turn) {
+        let mut own = std::mem::take(&mut scratch.own);
+        own.resize(self.plan.sample_count, Complex64::ZERO);
+        let counts = self
+            .synthesis
+            .element(&self.plan, scatterers, index, element, scratch, &mut own);
+        for ((x, y), turn) in iq.iter_mut().zip(&own).zip(&self.turn) {
             *x += *y * turn;
         }
+        scratch.own = own;
         counts
     }
 
@@ -292,11 +176,6 @@ impl MorePulse {
     }
 }
 
-/// As the pipeline's own: first instant, rate and number of samples, ahead of the receiver filter.
-fn grid(plan: &PingPlan, rate_hz: f64, decimator: Option<&Decimator>) -> (f64, f64, usize) {
-    grid_ahead(decimator, plan.first_sample_s, rate_hz, plan.sample_count)
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;
@@ -306,7 +185,9 @@ mod tests {
     use super::*;
     use crate::pipeline::SonarPipeline;
     use echotank_config as config;
-    use echotank_core::flow::{PingOutput, Pulse, PulseKind, ReceiverFilter, ScatterLaw};
+    use echotank_core::flow::{
+        PingOutput, Pulse, PulseKind, ReceiverFilter, ScatterLaw, Synthesis,
+    };
     use echotank_core::frames::Trajectory;
     use echotank_core::time::UtcNs;
 

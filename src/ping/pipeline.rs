@@ -1,49 +1,37 @@
-//! One ping through the house: the function to read first is [`SonarPipeline::compute_ping`].
+//! Everything that turns the plans of one sonar into samples, beams and lines: [`SonarPipeline`], in four steps.
 //!
 //! In: a [`PingPlan`] and the scatterers around it. Out: [`PingOutput`]. Infallible, no allocation after the first ping at the largest
 //! settings, no log: it counts. Work is split by element and by beam, and no floating-point sum crosses threads, so the samples are the
 //! same bits for any number of threads.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use num_complex::Complex64;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::engines::{Engines, engine_filter};
+use crate::element_synthesis::{
+    ElementScratch, ElementSynthesis, doppler_hz, of_this_thread, receiver_filter, shortest_pulse,
+};
 use crate::error_check::ErrorChecker;
 use crate::footprints::{footprints, max_audible_range_m};
-use crate::line_engines::LineEngines;
-use crate::more_pulses::{Desk, MorePulse};
+use crate::more_pulses::MorePulse;
 use crate::plan;
 use echotank_config::spec::{LineSpec, MediumSpec, SonarSpec};
 use echotank_core::flow::{
-    BeamFrame, EchoCounts, Edges, ElementFrame, ErrorModel, Footprint, Line, ModelChoice,
-    OverloadState, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers, SceneCounts,
-    SonarSettings, Synthesis,
+    BeamFrame, EchoCounts, ElementFrame, Footprint, Line, ModelChoice, OverloadState, PingOutput,
+    PingPlan, Scatterers, SceneCounts, SonarSettings,
 };
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::halves::HalvesFormer;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
-use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::faults::{ActiveFault, spoil};
-use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
-use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError};
+use echotank_synthesis::array::filter::FilterError;
+use echotank_synthesis::array::gridded::GriddedError;
 use echotank_synthesis::array::gridded2d::Refusal;
-use echotank_synthesis::array::linear::Linear;
-use echotank_synthesis::array::nearest::Nearest;
 use echotank_synthesis::array::receiver::receive;
-use echotank_synthesis::array::replica::Replica;
-use echotank_synthesis::array::spectral::{Bins, Spectral, Spectrum};
-use echotank_synthesis::echo::reference::reference_with;
-use echotank_synthesis::echo::span::doppler_span;
-use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank_synthesis::slabs::{Listener, Made};
-
-/// Fastest platform the receiver filter leaves room for, m/s.
-pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
 
 /// No bottom is looked for nearer than this beyond the pulse, metres.
 const NEAREST_BOTTOM_M: f64 = 1.0;
@@ -59,19 +47,7 @@ pub enum PipelineError {
     LineEngine(#[from] Refusal),
 }
 
-/// What one thread needs while it computes one element.
-#[derive(Default)]
-struct Scratch {
-    walk: Workspace,
-    /// The element's signal ahead of the receiver filter's sampling.
-    dense: Vec<Complex64>,
-    /// The element's spectrum, for `spectral`.
-    bins: Bins,
-    /// One of several pulses.
-    own: Vec<Complex64>,
-}
-
-/// What one element met, kept apart until all are done: sums of integers only.
+/// Counts of one element, added up when all are done: integers only.
 #[derive(Clone, Copy, Default)]
 struct ElementResult {
     counts: EchoCounts,
@@ -81,29 +57,15 @@ struct ElementResult {
 /// Everything that turns plans of one sonar into samples, beams and lines, with every buffer it needs.
 pub struct SonarPipeline {
     spec: SonarSpec,
-    /// One per transmit array.
-    transmit_leg: Vec<TransmitLeg>,
-    /// One per thread of the pool: no lock ever waits.
-    scratch: Vec<Mutex<Scratch>>,
+    /// The echoes of the sonar's own pulse.
+    synthesis: ElementSynthesis,
+    /// One per thread of the pool.
+    scratch: Vec<Mutex<ElementScratch>>,
     /// One per element of the largest array.
     results: Vec<ElementResult>,
     footprints: Vec<Footprint>,
-    /// The receiver filter; none samples the sum at its points.
-    decimator: Option<Decimator>,
-    /// The pulse's spectrum, for `spectral`.
-    spectrum: Option<Spectrum>,
-    /// For `gridded-1d`.
-    engines: Option<Engines>,
-    /// For `gridded-2d`.
-    line_engines: Option<LineEngines>,
-    /// This ping's engine is at hand.
-    engine_ready: bool,
-    /// A tile without an echo is under way. It is soon made: another thread would have to be woken, and waited for.
+    /// A tile without an echo is under way. One thread makes it: to wake another would take longer.
     is_quiet: bool,
-    /// One per receive array, for `gridded-1d`: the Dopplers of this ping.
-    spans: Vec<DopplerSpan>,
-    /// The sampled pulse, for `nearest` and `linear`.
-    replica: Replica,
     /// Where error checks are asked for.
     error_checker: Option<ErrorChecker>,
     lines: Vec<LineFormer>,
@@ -131,46 +93,12 @@ impl SonarPipeline {
             samples: plan::max_samples(spec, medium.sound_speed_m_per_s),
             pulse_s: spec.limits.pulse_duration_s.1,
         };
-        let decimator = match spec.receiver.filter {
-            ReceiverFilter::None => None,
-            ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
-        };
-        let engines = match spec.model.synthesis {
-            Synthesis::Gridded1d => Some(engines(spec, medium, decimator.as_ref())?),
-            _ => None,
-        };
+        let decimator = receiver_filter(spec, medium)?;
+        let decimator = decimator.as_ref();
+        let record_s = limits.samples as f64 / limits.sample_rate_hz + limits.pulse_s;
+        let synthesis = ElementSynthesis::new(spec, medium, decimator, record_s)?;
         let segments = plan::max_segments(spec, medium.sound_speed_m_per_s);
-        let line_engines = match spec.model.synthesis {
-            Synthesis::Gridded2d => Some(line_engines(spec, medium, decimator.as_ref())?),
-            _ => None,
-        };
-        let dense = match (&decimator, spec.model.synthesis) {
-            (Some(d), Synthesis::Reference | Synthesis::Direct) => d.dense_len(limits.samples),
-            _ => 0,
-        };
-        let scratch = || Scratch {
-            walk: Workspace::with_room_for(segments),
-            dense: Vec::with_capacity(dense),
-            bins: Bins::default(),
-            own: Vec::new(),
-        };
-        let spectrum = match spec.model.synthesis {
-            Synthesis::Spectral => {
-                let rate_hz = spec.receiver.sample_rate_hz;
-                let tails_s = decimator
-                    .as_ref()
-                    .map_or(0.0, |d| -2.0 * d.dense_first_s(0.0));
-                let record_s = limits.samples as f64 / rate_hz + limits.pulse_s + tails_s;
-                let step_hz = spec.synthesis.frequency_step_hz;
-                Some(Spectrum::new(
-                    rate_hz,
-                    record_s,
-                    step_hz,
-                    decimator.as_ref(),
-                ))
-            }
-            _ => None,
-        };
+        let dense = synthesis.dense_len(limits.samples);
         let elements = spec
             .receive
             .iter()
@@ -186,32 +114,16 @@ impl SonarPipeline {
         let more_pulses = spec
             .more_pulses
             .iter()
-            .map(|more| MorePulse::new(spec, more, medium, limits, decimator.as_ref()))
+            .map(|more| MorePulse::new(spec, more, medium, limits, decimator))
             .collect::<Result<_, _>>()?;
         Ok(Self {
-            transmit_leg: spec
-                .transmit
-                .iter()
-                .map(|_| TransmitLeg::default())
-                .collect(),
+            synthesis,
             scratch: (0..rayon::current_num_threads())
-                .map(|_| Mutex::new(scratch()))
+                .map(|_| Mutex::new(ElementScratch::with_room_for(segments, dense)))
                 .collect(),
             results: vec![ElementResult::default(); elements],
             footprints: Vec::with_capacity(spec.receive.len()),
-            decimator,
-            spectrum,
-            spans: vec![
-                DopplerSpan {
-                    least: 0.0,
-                    greatest: 0.0
-                };
-                spec.receive.len()
-            ],
-            engine_ready: false,
             is_quiet: false,
-            engines,
-            line_engines,
             error_checker: match spec.synthesis.error_check {
                 true => {
                     let doppler_hz = doppler_hz(spec, medium);
@@ -219,7 +131,6 @@ impl SonarPipeline {
                 }
                 false => None,
             },
-            replica: Replica::default(),
             lines: spec
                 .beams
                 .lines
@@ -271,9 +182,7 @@ impl SonarPipeline {
 
     /// Pings with these settings are about to come: what they need is made beside the ping path. Returns at once.
     pub fn expect(&mut self, settings: &SonarSettings) {
-        if let Some(engines) = &mut self.engines {
-            engines.expect(settings);
-        }
+        self.synthesis.expect(settings);
         for more in &mut self.more_pulses {
             more.expect(settings);
         }
@@ -309,29 +218,58 @@ impl SonarPipeline {
         scatterers: &Scatterers,
         output: &mut PingOutput,
     ) {
-        output.counts = EchoCounts::default();
-        self.light(plan, scatterers, &mut output.counts);
+        self.insonify(plan, scatterers, output);
+        self.synthesise(plan, scatterers, output);
+        self.receive(plan, output);
+        self.form(plan, output);
+    }
+
+    /// The transmit leg of every scatterer, for every pulse.
+    pub(crate) fn insonify(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        output: &mut PingOutput,
+    ) {
+        let walk = &mut of_this_thread(&self.scratch).walk;
+        output.counts = self.synthesis.insonify(plan, scatterers, walk);
         for more in &mut self.more_pulses {
-            let mut scratch = self.scratch[0]
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            let decimator = self.decimator.as_ref();
-            output.counts += more.light(plan, scatterers, decimator, &mut scratch.walk);
+            output.counts += more.insonify(plan, scatterers, walk);
         }
+    }
+
+    /// The sum of the echoes at every element, ahead of the receiver, and the error check of it where one is asked for.
+    pub(crate) fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        output: &mut PingOutput,
+    ) {
         if let Some(error_checker) = &mut self.error_checker {
             error_checker.choose(plan, &self.spec, scatterers.len());
         }
         for (index, frame) in output.elements.iter_mut().enumerate() {
-            self.synthesise(plan, scatterers, index, frame, &mut output.counts);
+            self.synthesise_array(plan, scatterers, index, frame, &mut output.counts);
         }
         if let Some(error_checker) = &mut self.error_checker {
             output.error_check = error_checker.check_error(plan, &self.spec, scatterers);
+        }
+    }
+
+    /// The receiver of every element: filter tails, noise, gain and converter, then the elements' faults.
+    pub(crate) fn receive(&mut self, plan: &PingPlan, output: &mut PingOutput) {
+        for (index, frame) in output.elements.iter_mut().enumerate() {
+            self.receive_array(plan, index, frame);
         }
         for fault in &self.faults {
             for frame in &mut output.elements {
                 spoil(fault, plan, &self.spec.receiver, frame, &mut self.spoiling);
             }
         }
+    }
+
+    /// Side-scan lines, beams and soundings from the element samples.
+    pub(crate) fn form(&mut self, plan: &PingPlan, output: &mut PingOutput) {
         for (former, line) in self.lines.iter_mut().zip(&mut output.lines) {
             let array = former.array();
             former.form(plan, &output.elements[array], line);
@@ -357,7 +295,7 @@ impl SonarPipeline {
     pub(crate) fn max_audible_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
         let samples = std::mem::replace(&mut plan.sample_count, end);
         // As far as the receiver filter looks ahead.
-        let (first_s, rate_hz, len) = self.grid(plan);
+        let (first_s, rate_hz, len) = self.synthesis.grid(plan);
         plan.sample_count = samples;
         max_audible_range_m(&self.spec, plan, first_s + len as f64 / rate_hz)
     }
@@ -375,73 +313,23 @@ impl SonarPipeline {
         // Counted with the whole ping.
         let mut counts = EchoCounts::default();
         if is_first {
-            // All that the ping hears, so that what is cut short goes through the same batches.
-            self.light(plan, scatterers, &mut counts);
+            // Everything within the range of the whole ping, so that the tile's echoes go through the same batches.
+            let walk = &mut of_this_thread(&self.scratch).walk;
+            self.synthesis.insonify(plan, scatterers, walk);
         }
         let samples = std::mem::replace(&mut plan.sample_count, end);
-        let (first_s, rate_hz, len) = self.grid(plan);
-        for transmit_leg in &mut self.transmit_leg {
-            transmit_leg.hear(Window::of_samples(first_s, rate_hz, len));
-        }
+        self.synthesis.limit_to_window(plan);
         self.is_quiet = scatterers.is_empty();
         for (index, frame) in elements.iter_mut().enumerate() {
-            self.synthesise(plan, scatterers, index, frame, &mut counts);
+            self.synthesise_array(plan, scatterers, index, frame, &mut counts);
+            self.receive_array(plan, index, frame);
         }
         self.is_quiet = false;
         plan.sample_count = samples;
     }
 
-    /// The transmit leg, once per transmit array. The reference walks the scatterers itself.
-    fn light(&mut self, plan: &PingPlan, scatterers: &Scatterers, counts: &mut EchoCounts) {
-        if plan.model.synthesis == Synthesis::Reference {
-            return;
-        }
-        let rate_hz = self.spec.receiver.sample_rate_hz;
-        match plan.model.synthesis {
-            Synthesis::Reference
-            | Synthesis::Direct
-            | Synthesis::Gridded1d
-            | Synthesis::Gridded2d => {}
-            Synthesis::Spectral => {
-                if let Some(spectrum) = &mut self.spectrum {
-                    spectrum.prepare(plan);
-                }
-            }
-            Synthesis::Nearest | Synthesis::Linear => {
-                self.replica.prepare(plan, rate_hz, self.decimator.as_ref());
-            }
-        }
-        let (first_s, rate_hz, len) = self.grid(plan);
-        let window = Window::of_samples(first_s, rate_hz, len);
-        for (transmit, transmit_leg) in self.spec.transmit.iter().zip(&mut self.transmit_leg) {
-            *counts += insonify(plan, transmit, window, scatterers, transmit_leg);
-        }
-        if let Some(engines) = &mut self.engines {
-            self.engine_ready = engines.ready(plan);
-            let widest = engines.span();
-            let mut scratch = self.scratch[0]
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            for (span, array) in self.spans.iter_mut().zip(&self.spec.receive) {
-                let transmit_leg = &self.transmit_leg[array.transmit];
-                let (least, greatest) = doppler_span(plan, array, transmit_leg, &mut scratch.walk);
-                *span = DopplerSpan {
-                    least: least.clamp(widest.least, widest.greatest),
-                    greatest: greatest.clamp(widest.least, widest.greatest),
-                };
-            }
-        }
-    }
-
-    /// Where the sum is evaluated: first instant, rate and number of samples, ahead of the receiver filter.
-    fn grid(&self, plan: &PingPlan) -> (f64, f64, usize) {
-        let rate_hz = self.spec.receiver.sample_rate_hz;
-        let (first_s, count) = (plan.first_sample_s, plan.sample_count);
-        grid_ahead(self.decimator.as_ref(), first_s, rate_hz, count)
-    }
-
-    /// Element samples of one receive array, through the receiver chain.
-    fn synthesise(
+    /// The sum of the echoes at the elements of one receive array.
+    fn synthesise_array(
         &mut self,
         plan: &PingPlan,
         scatterers: &Scatterers,
@@ -456,18 +344,15 @@ impl SonarPipeline {
         frame
             .iq
             .resize(elements * plan.sample_count, Complex64::ZERO);
-        if let Some(engines) = &mut self.line_engines {
-            let transmit_leg = &self.transmit_leg[self.spec.receive[index].transmit];
-            *counts += engines.synthesise(plan, &self.spec, index, transmit_leg, &mut frame.iq);
-        }
-        if plan.model.synthesis == Synthesis::Gridded1d
-            && let Some(made) = self.engine()
-        {
-            *counts += self.make_slabs(made, plan, index, &mut frame.iq);
+        let together = if self.is_quiet { elements.max(1) } else { 1 };
+        let is_whole =
+            self.synthesis
+                .array(plan, index, together, &self.scratch, counts, &mut frame.iq);
+        if is_whole && self.error_checker.is_none() && self.more_pulses.is_empty() {
+            return;
         }
         let mut results = std::mem::take(&mut self.results);
         let this = &*self;
-        let together = if self.is_quiet { elements } else { 1 };
         frame
             .iq
             .par_chunks_mut(plan.sample_count)
@@ -475,219 +360,62 @@ impl SonarPipeline {
             .zip(&mut results[..elements])
             .enumerate()
             .for_each(|(element, (iq, result))| {
-                *result = this.element(plan, scatterers, index, element, iq)
+                result.counts = this.element(plan, scatterers, index, element, is_whole, iq);
             });
         for result in &results[..elements] {
             *counts += result.counts;
         }
-        frame.saturated = results[..elements]
-            .iter()
-            .map(|result| result.saturated)
-            .sum();
         self.results = results;
     }
 
-    /// This ping's engine, for `gridded-1d`.
-    fn engine(&self) -> Option<&Made> {
-        let engines = self.engines.as_ref()?;
-        self.engine_ready.then(|| engines.current())
-    }
-
-    /// All elements of one array by `gridded-1d`, slab by slab.
-    fn make_slabs(
-        &self,
-        made: &Made,
-        plan: &PingPlan,
-        index: usize,
-        iq: &mut [Complex64],
-    ) -> EchoCounts {
-        let together = if self.is_quiet { usize::MAX } else { 1 };
-        let array = &self.spec.receive[index];
-        let sum = |mut all: EchoCounts, more: EchoCounts| {
-            all += more;
-            all
-        };
-        let elements = iq.par_chunks_mut(plan.sample_count);
-        let of_each = elements
-            .with_min_len(together)
-            .enumerate()
-            .map(|(element, iq)| {
-                let listener = Listener {
-                    plan,
-                    array,
-                    element,
-                    transmit_leg: &self.transmit_leg[array.transmit],
-                    span: self.spans[index],
-                };
-                let slabs = iq.par_chunks_mut(made.slab_samples());
-                let of_each = slabs.with_min_len(together).enumerate().map(|(slab, out)| {
-                    let thread = rayon::current_thread_index().unwrap_or(0);
-                    let mut scratch = self.scratch[thread]
-                        .lock()
-                        .unwrap_or_else(PoisonError::into_inner);
-                    made.make_slab(listener, slab, &mut scratch.walk, out)
-                });
-                of_each.reduce(EchoCounts::default, sum)
-            });
-        of_each.reduce(EchoCounts::default, sum)
-    }
-
-    /// A sum over echoes through the receiver filter, if there is one: `sum` gets what happens at edges, rate, first instant and samples.
-    fn filtered(
-        &self,
-        plan: &PingPlan,
-        dense: &mut Vec<Complex64>,
-        iq: &mut [Complex64],
-        sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]) -> EchoCounts,
-    ) -> EchoCounts {
-        let (first_s, rate_hz, len) = self.grid(plan);
-        let Some(decimator) = &self.decimator else {
-            return sum(Edges::Sampled, rate_hz, first_s, iq);
-        };
-        dense.resize(len, Complex64::ZERO);
-        let counts = sum(Edges::Weighted, rate_hz, first_s, dense);
-        decimator.apply(dense, iq);
-        counts
-    }
-
-    /// One element: its echoes, the receiver filter, the receiver.
+    /// One element: its echoes of every pulse. `is_made`: those of the sonar's own are in `iq`.
     fn element(
         &self,
         plan: &PingPlan,
         scatterers: &Scatterers,
         index: usize,
         element: usize,
+        is_made: bool,
         iq: &mut [Complex64],
-    ) -> ElementResult {
-        let array = &self.spec.receive[index];
-        let thread = rayon::current_thread_index().unwrap_or(0);
-        // A panic in another ping leaves the scratch as good as any: every use overwrites it.
-        let mut scratch = self.scratch[thread]
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let Scratch {
-            walk,
-            dense,
-            bins,
-            own,
-        } = &mut *scratch;
-        let transmit_leg = &self.transmit_leg[array.transmit];
-        let (first_s, rate_hz) = (plan.first_sample_s, self.spec.receiver.sample_rate_hz);
-        let mut counts = match (plan.model.synthesis, self.engine()) {
-            (Synthesis::Reference, _) => {
-                let transmit = &self.spec.transmit[array.transmit];
-                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-                    reference_with(
-                        edges, plan, transmit, array, element, scatterers, rate_hz, first_s, out,
-                    )
-                })
-            }
-            // The whole array has been made already.
-            (Synthesis::Gridded2d, _) | (Synthesis::Gridded1d, Some(_)) => EchoCounts::default(),
-            (Synthesis::Direct | Synthesis::Gridded1d, _) => {
-                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-                    out.fill(Complex64::ZERO);
-                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                    arrivals(plan, array, element, transmit_leg, walk, &mut sink)
-                })
-            }
-            (Synthesis::Spectral, _) => {
-                let spectrum = self.spectrum.as_ref().expect("made with the pipeline");
-                let mut sink = Spectral::new(plan, spectrum, first_s, bins);
-                let counts = arrivals(plan, array, element, transmit_leg, walk, &mut sink);
-                sink.finish(iq);
-                counts
-            }
-            (Synthesis::Nearest, _) => {
-                iq.fill(Complex64::ZERO);
-                let mut sink = Nearest::new(plan, &self.replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
-            }
-            (Synthesis::Linear, _) => {
-                iq.fill(Complex64::ZERO);
-                let mut sink = Linear::new(plan, &self.replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
-            }
+    ) -> EchoCounts {
+        let scratch = &mut *of_this_thread(&self.scratch);
+        let mut counts = match is_made {
+            true => EchoCounts::default(),
+            false => self
+                .synthesis
+                .element(plan, scatterers, index, element, scratch, iq),
         };
         if let Some(error_checker) = &self.error_checker {
+            let rate_hz = self.spec.receiver.sample_rate_hz;
             error_checker.take(plan, rate_hz, index, element, iq);
         }
         for more in &self.more_pulses {
-            let desk = Desk {
-                walk: &mut *walk,
-                dense: &mut *dense,
-                own: &mut *own,
-                decimator: self.decimator.as_ref(),
-            };
-            counts += more.add(scatterers, index, element, desk, iq);
+            counts += more.add(scatterers, index, element, scratch, iq);
         }
-        ElementResult {
-            counts,
-            saturated: receive(plan, &self.spec.receiver, array, index, element, iq),
-        }
+        counts
     }
-}
 
-pub(super) fn engines(
-    spec: &SonarSpec,
-    medium: &MediumSpec,
-    filter: Option<&Decimator>,
-) -> Result<Engines, PipelineError> {
-    let c = medium.sound_speed_m_per_s;
-    Engines::new(spec, c, FASTEST_PLATFORM_M_PER_S, filter).map_err(|why| PipelineError::Engine {
-        tolerance: spec.synthesis.tolerance,
-        why,
-    })
-}
-
-fn line_engines(
-    spec: &SonarSpec,
-    medium: &MediumSpec,
-    filter: Option<&Decimator>,
-) -> Result<LineEngines, PipelineError> {
-    let c = medium.sound_speed_m_per_s;
-    let segments = plan::max_segments(spec, c);
-    let fastest = FASTEST_PLATFORM_M_PER_S;
-    Ok(LineEngines::new(spec, c, fastest, filter, segments)?)
-}
-
-/// What the engines that a sonar asks for promise, one for all its elements or one for each receive array; none where it asks for none.
-/// Costs are milliseconds of one core per element, 0 where they are not known.
-pub fn engine_error_models(
-    spec: &SonarSpec,
-    medium: &MediumSpec,
-) -> Result<Vec<ErrorModel>, PipelineError> {
-    if !spec.model.synthesis.keeps_tolerance() {
-        return Ok(Vec::new());
+    /// The receiver of the elements of one receive array.
+    fn receive_array(&mut self, plan: &PingPlan, index: usize, frame: &mut ElementFrame) {
+        let array = &self.spec.receive[index];
+        let receiver = &self.spec.receiver;
+        let together = if self.is_quiet {
+            array.elements.max(1)
+        } else {
+            1
+        };
+        let results = &mut self.results[..array.elements];
+        frame
+            .iq
+            .par_chunks_mut(plan.sample_count)
+            .with_min_len(together)
+            .zip(&mut *results)
+            .enumerate()
+            .for_each(|(element, (iq, result))| {
+                result.saturated = receive(plan, receiver, array, index, element, iq);
+            });
+        frame.saturated = results.iter().map(|result| result.saturated).sum();
     }
-    let filter = match spec.receiver.filter {
-        ReceiverFilter::None => None,
-        ReceiverFilter::Fir => Some(receiver_filter(spec, medium)?),
-    };
-    if spec.model.synthesis == Synthesis::Gridded2d {
-        let engines = line_engines(spec, medium, filter.as_ref())?;
-        return Ok(engines.error_models().cloned().collect());
-    }
-    let engines = engines(spec, medium, filter.as_ref())?;
-    Ok(vec![engines.error_model().clone()])
-}
-
-/// The receiver filter for every pulse within the limits: its pass band is that of the shortest.
-pub(super) fn receiver_filter(
-    spec: &SonarSpec,
-    medium: &MediumSpec,
-) -> Result<Decimator, FilterError> {
-    let shortest = shortest_pulse(spec);
-    let rate_hz = spec.receiver.sample_rate_hz;
-    if spec.model.synthesis.keeps_tolerance() {
-        return engine_filter(&shortest, rate_hz, doppler_hz(spec, medium));
-    }
-    Decimator::new(
-        &shortest,
-        rate_hz,
-        doppler_hz(spec, medium),
-        filter::oversample(&shortest, rate_hz, spec.model.synthesis),
-    )
 }
 
 fn bottom(spec: &SonarSpec, medium: &MediumSpec, limits: RowLimits) -> Option<Bottom> {
@@ -724,15 +452,4 @@ pub(super) fn line_former(
     let transmit = &spec.transmit[array.transmit];
     let c = medium.sound_speed_m_per_s;
     LineFormer::focused(line, array, transmit, limits, &spec.pulse, &spec.beams, c)
-}
-
-fn shortest_pulse(spec: &SonarSpec) -> Pulse {
-    Pulse {
-        duration_s: spec.limits.pulse_duration_s.0,
-        ..spec.pulse
-    }
-}
-
-fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
-    2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
 }

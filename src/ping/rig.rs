@@ -5,18 +5,16 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::PingOrder;
-use crate::faults::{Faults, PingMark};
+use crate::faults::Faults;
+use crate::make_ping;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::live::Planner;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
-use crate::view;
 use crate::world::{Placed, World};
-use echotank_config::spec::{
-    AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec, StampSpec,
-};
+use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec};
 use echotank_core::flow::{
-    OverloadState, PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
+    PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
 };
 use echotank_core::time::UtcNs;
 use echotank_nav::{NavGap, NavHistory};
@@ -47,7 +45,7 @@ pub struct SonarUnit {
     pub spec: SonarSpec,
     pub pipeline: SonarPipeline,
     /// Leaves out what a ping can do without.
-    simplify: Option<(Stage, View)>,
+    pub(crate) simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
     /// The rig's.
@@ -72,7 +70,7 @@ impl SonarUnit {
     }
 
     /// Puts the pipeline of a level in place, or back; the tolerance, where it is a looser one.
-    fn swap(&mut self, level: usize) -> Option<f64> {
+    pub(crate) fn swap(&mut self, level: usize) -> Option<f64> {
         let looser = self.looser.get_mut(level.checked_sub(1)?)?;
         std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
         std::mem::swap(&mut self.planner, &mut looser.planner);
@@ -99,7 +97,7 @@ pub struct Rig {
     placed: bool,
     /// For threads beside the pings.
     pub world: Placed,
-    scatterers: Scatterers,
+    pub(crate) scatterers: Scatterers,
     pub(crate) simplify_counts: StageCounts,
 }
 
@@ -223,7 +221,7 @@ impl Rig {
     }
 
     /// The scene lies where it belongs from the first fix on.
-    fn place_scene(&mut self) {
+    pub(crate) fn place_scene(&mut self) {
         if self.placed {
             return;
         }
@@ -250,20 +248,6 @@ impl Rig {
             // The scene refuses to open without a place, and a first fix makes the plane.
             _ => (0.0, 0.0),
         }
-    }
-
-    /// Makes the ping `order` of sonar `sonar` in `slot`, or says what the navigation lacks. `host_utc` is the host's time at the pulse.
-    pub fn make(
-        &mut self,
-        sonar: usize,
-        order: &PingOrder,
-        mode: NavMode,
-        host_utc: UtcNs,
-        slot: &mut PingSlot,
-    ) -> Result<(), NavGap> {
-        self.prepare(sonar, order, mode, host_utc, slot)?;
-        self.finish(sonar, slot);
-        Ok(())
     }
 
     /// The first samples of a ping that is prepared, up to `end`, in `tile`; false where the ping can only be made as a whole.
@@ -320,37 +304,6 @@ impl Rig {
         true
     }
 
-    /// Makes a ping that is prepared.
-    pub fn finish(&mut self, sonar: usize, slot: &mut PingSlot) {
-        let unit = &mut self.sonars[sonar];
-        let PingSlot { plan, output } = slot;
-        unit.pipeline.compute_ping(plan, &self.scatterers, output);
-        if let Some(planner) = &mut unit.planner {
-            output.methods = planner.mark();
-            planner.after(plan, &self.scatterers, output.error_check.as_ref());
-        }
-    }
-
-    /// As [`Self::make`], with the tolerance of a level: 0 is the configured one.
-    pub fn make_on(
-        &mut self,
-        level: usize,
-        sonar: usize,
-        order: &PingOrder,
-        mode: NavMode,
-        host_utc: UtcNs,
-        slot: &mut PingSlot,
-    ) -> Result<(), NavGap> {
-        let tolerance = self.sonars[sonar].swap(level);
-        let made = self.make(sonar, order, mode, host_utc, slot);
-        self.sonars[sonar].swap(level);
-        slot.output.overload_state = OverloadState {
-            tolerance,
-            put_off_s: 0.0,
-        };
-        made
-    }
-
     /// The plan of methods for the first pings, on `order`, where it is left to the plan and the navigation is there. Before any ping is made.
     pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
         if self.sonars[sonar].planner.is_none() {
@@ -383,55 +336,9 @@ impl Rig {
         host_utc: UtcNs,
         slot: &mut PingSlot,
     ) -> Result<(), NavGap> {
-        self.plan(sonar, order, mode, host_utc, slot)?;
-        self.gather(sonar, slot);
+        make_ping::motion(self, sonar, order, mode, host_utc, slot)?;
+        make_ping::gather(self, sonar, slot);
         Ok(())
-    }
-
-    /// The plan of a ping without its scatterers.
-    pub fn plan(
-        &mut self,
-        sonar: usize,
-        order: &PingOrder,
-        mode: NavMode,
-        host_utc: UtcNs,
-        slot: &mut PingSlot,
-    ) -> Result<(), NavGap> {
-        self.place_scene();
-        let window_s = self.window_s(sonar, order);
-        let nav = self.history.motion(
-            order.transmit_utc,
-            window_s,
-            mode,
-            &mut slot.plan.trajectory,
-        )?;
-        let stamp_utc = match self.spec.nav.stamp {
-            StampSpec::Log => order.transmit_utc,
-            StampSpec::Host => host_utc,
-        };
-        let mark = PingMark::of(sonar, order);
-        let stamp_utc = stamp_utc.plus_s(self.faults.stamp_error_s(mark));
-        let unit = &mut self.sonars[sonar];
-        if let Some(planner) = &mut unit.planner {
-            planner.before(order.ping_number, &mut unit.pipeline);
-            slot.plan.model = unit.pipeline.model();
-        }
-        self.faults.elements(mark, unit.pipeline.faults_mut());
-        plan::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
-        Ok(())
-    }
-
-    /// The scatterers of a ping that is planned.
-    pub fn gather(&mut self, sonar: usize, slot: &mut PingSlot) {
-        let unit = &mut self.sonars[sonar];
-        let footprints = unit.pipeline.footprints(&slot.plan);
-        slot.output.scene = self.scene.gather(footprints, &mut self.scatterers);
-        if let Some((stage, view)) = &mut unit.simplify {
-            view::view(&unit.spec, &slot.plan, view);
-            // The seabed's come first; points and targets stay.
-            let seabed = slot.output.scene.scatterers as usize;
-            self.simplify_counts = stage.thin(&mut self.scatterers, seabed, view);
-        }
     }
 }
 

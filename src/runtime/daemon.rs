@@ -1105,19 +1105,32 @@ impl Pacer {
         let mut streamed = Streamed::default();
         let made = match due.filter(|_| self.rig.spec.run.stream_tiles) {
             Some(due) => {
-                let planned = self.rig.plan(sonar, order, mode, host_utc, &mut slot);
+                let planned = echotank_ping::make_ping::motion(
+                    &mut self.rig,
+                    sonar,
+                    order,
+                    mode,
+                    host_utc,
+                    &mut slot,
+                );
                 planned.map(|()| {
                     self.send_tiles(sonar, &mut slot, due, true, &mut streamed);
-                    self.rig.gather(sonar, &mut slot);
+                    echotank_ping::make_ping::gather(&mut self.rig, sonar, &mut slot);
                     self.send_tiles(sonar, &mut slot, due, false, &mut streamed);
                     self.first_ready = streamed.first_ready;
-                    self.rig.finish(sonar, &mut slot);
+                    echotank_ping::finish_ping(&mut self.rig, sonar, &mut slot);
                     slot.output.overload_state = OverloadState::NONE;
                 })
             }
-            None => self
-                .rig
-                .make_on(level, sonar, order, mode, host_utc, &mut slot),
+            None => echotank_ping::make_degraded_ping(
+                &mut self.rig,
+                level,
+                sonar,
+                order,
+                mode,
+                host_utc,
+                &mut slot,
+            ),
         };
         if let Some(paced) = paced {
             self.clock.sleep_until(paced.least);

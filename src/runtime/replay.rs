@@ -202,11 +202,14 @@ impl Replay {
     ) -> Result<(), ReplayError> {
         let counters = &self.counters[sonar];
         let mode = self.recorded.rig.spec.nav.mode;
-        match self
-            .recorded
-            .rig
-            .make(sonar, order, mode, order.transmit_utc, slot)
-        {
+        match echotank_ping::make_ping(
+            &mut self.recorded.rig,
+            sonar,
+            order,
+            mode,
+            order.transmit_utc,
+            slot,
+        ) {
             Ok(()) => {
                 let saturated = slot
                     .output

@@ -87,7 +87,7 @@ mod tests {
             };
             assert!(crate::rig::read_on(&mut rig, &mut inputs, 0, &order));
             let (mut slot, mut tile) = (rig.slot(0), rig.slot(0));
-            rig.plan(0, &order, spec.nav.mode, first, &mut slot)
+            echotank_ping::make_ping::motion(&mut rig, 0, &order, spec.nav.mode, first, &mut slot)
                 .expect("planned");
             let (samples, rate_hz) = (slot.plan.sample_count, sonar.receiver.sample_rate_hz);
             let mut made = Vec::new();
@@ -99,7 +99,7 @@ mod tests {
                 quiet = blocks;
                 made.push((end, tile.output.elements.clone()));
             }
-            rig.gather(0, &mut slot);
+            echotank_ping::make_ping::gather(&mut rig, 0, &mut slot);
             let mut last = quiet;
             for (blocks, end) in tile_ends(quiet, samples, rate_hz, BLOCK_S) {
                 let is_first = last == quiet;
@@ -107,7 +107,7 @@ mod tests {
                 last = blocks;
                 made.push((end, tile.output.elements.clone()));
             }
-            rig.finish(0, &mut slot);
+            echotank_ping::finish_ping(&mut rig, 0, &mut slot);
             for (end, frames) in &made {
                 for (tile, whole) in frames.iter().zip(&slot.output.elements) {
                     let of_tile = tile.iq.chunks_exact(*end);

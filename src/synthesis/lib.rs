@@ -4,5 +4,6 @@
 //! scatterers and the engines that sum the arrivals are compiled together for each pair.
 
 pub mod array;
+pub mod comparison;
 pub mod echo;
 pub mod slabs;

@@ -7,9 +7,13 @@ use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot};
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::occupied_hz;
-use echotank_synthesis::array::{
-    Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum, oversample,
-};
+use echotank_synthesis::array::{Decimator, Direct, oversample};
+use echotank_synthesis::comparison::linear::Linear;
+use echotank_synthesis::comparison::nearest::Nearest;
+use echotank_synthesis::comparison::replica::Replica;
+use echotank_synthesis::comparison::spectral::Bins;
+use echotank_synthesis::comparison::spectral::Spectral;
+use echotank_synthesis::comparison::spectral::Spectrum;
 use echotank_synthesis::echo::reference::reference_with;
 use echotank_synthesis::echo::{Window, reference};
 

@@ -369,9 +369,7 @@ fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
         while let Some((sonar, order)) = recorded.next_order(45) {
             assert!(recorded.settle(sonar, &order), "the track is long enough");
             let mode = spec.nav.mode;
-            recorded
-                .rig
-                .make(sonar, &order, mode, UtcNs(0), &mut slot)
+            echotank_ping::make_ping(&mut recorded.rig, sonar, &order, mode, UtcNs(0), &mut slot)
                 .expect("no gap");
             let plan = slot.output.methods.expect("a plan").plan;
             let bits = slot.output.elements[0].iq.iter().fold(0u64, |sum, x| {
@@ -420,7 +418,14 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
         while let Some((sonar, order)) = recorded.next_order(16) {
             assert!(recorded.settle(sonar, &order), "the track is long enough");
             let mode = spec.nav.mode;
-            let made = recorded.rig.make(sonar, &order, mode, UtcNs(0), &mut slot);
+            let made = echotank_ping::make_ping(
+                &mut recorded.rig,
+                sonar,
+                &order,
+                mode,
+                UtcNs(0),
+                &mut slot,
+            );
             made.expect("no gap");
             marks.push(slot.output.methods.expect("a plan"));
             if order.ping_number == 3 {

@@ -628,9 +628,14 @@ fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<
         let (mut seen, mut error) = (Vec::new(), None);
         while let Some((sonar, order)) = recorded.next_order(4) {
             assert!(recorded.settle(sonar, &order), "the track is long enough");
-            let made = recorded
-                .rig
-                .make(sonar, &order, spec.nav.mode, UtcNs(0), &mut slot);
+            let made = echotank_ping::make_ping(
+                &mut recorded.rig,
+                sonar,
+                &order,
+                spec.nav.mode,
+                UtcNs(0),
+                &mut slot,
+            );
             made.expect("no gap");
             let mark = slot.output.methods.expect("a plan");
             let amplitudes = slot.output.lines.iter().flat_map(|line| &line.amplitude);

@@ -158,16 +158,15 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
         let (sonar, order) = recorded.next_order(1).expect("a ping");
         assert!(recorded.settle(sonar, &order));
         let mut slot = recorded.rig.slot(sonar);
-        recorded
-            .rig
-            .make(
-                sonar,
-                &order,
-                NavMode::Settle,
-                order.transmit_utc,
-                &mut slot,
-            )
-            .unwrap_or_else(|gap| panic!("{gap:?}"));
+        echotank_ping::make_ping(
+            &mut recorded.rig,
+            sonar,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .unwrap_or_else(|gap| panic!("{gap:?}"));
         (slot.plan, slot.output)
     });
     (spec, plan, output)

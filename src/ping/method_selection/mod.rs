@@ -15,6 +15,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
+use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
 use crate::engines::{HARDEST_M_PER_S2, sketch};
 use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
@@ -23,7 +24,6 @@ use crate::method_selection::heard::Shares;
 use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::walked::{Walked, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
-use crate::pipeline::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
 use crate::work::{Figure, Work};
 use echotank_config::spec::{MadeOutput, MediumSpec, SonarSpec};
 use echotank_core::flow::{
@@ -31,7 +31,7 @@ use echotank_core::flow::{
     Synthesis,
 };
 use echotank_synthesis::array::error_models::synthesis_error_model;
-use echotank_synthesis::array::filter::{Decimator, oversample};
+use echotank_synthesis::array::filter::oversample;
 use echotank_synthesis::array::gridded::CostEstimate;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::slabs;
@@ -491,12 +491,7 @@ impl<'a> Maker<'a> {
         spec.synthesis.engine_tolerance = engine_tolerance;
         spec.synthesis.nearest_m = self.nearest_m;
         let c = self.scene.medium.sound_speed_m_per_s;
-        let filter: Option<Decimator> = match spec.receiver.filter {
-            ReceiverFilter::None => None,
-            ReceiverFilter::Fir => {
-                Some(receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?)
-            }
-        };
+        let filter = receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?;
         let fastest = FASTEST_PLATFORM_M_PER_S;
         if synthesis == Synthesis::Gridded1d {
             let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
@@ -619,11 +614,8 @@ impl<'a> Maker<'a> {
     fn taps(&self, synthesis: Synthesis) -> f64 {
         let mut spec = self.scene.spec.clone();
         spec.model.synthesis = synthesis;
-        match spec.receiver.filter {
-            ReceiverFilter::None => 0.0,
-            ReceiverFilter::Fir => receiver_filter(&spec, self.scene.medium)
-                .map_or(0.0, |filter| filter.dense_len(1) as f64),
-        }
+        let filter = receiver_filter(&spec, self.scene.medium).ok().flatten();
+        filter.map_or(0.0, |filter| filter.dense_len(1) as f64)
     }
 
     fn plain(

@@ -441,7 +441,7 @@ fn add_stretch(
 }
 
 /// Adds `amplitude` exp(j 2pi (p0 + p1 n)) to the n-th of `out`; phases in turns.
-pub(super) fn add_tone(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
+pub(crate) fn add_tone(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.

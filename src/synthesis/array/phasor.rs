@@ -25,7 +25,7 @@ const fn taylor(first: f64, odd: usize) -> [f64; 11] {
 
 /// (cos, sin) of 2 pi `turns`, to 5e-16 absolute for |turns| < 2^50 taken as exact.
 #[inline(always)]
-pub(super) fn cis(turns: f64) -> (f64, f64) {
+pub(crate) fn cis(turns: f64) -> (f64, f64) {
     let half_turns = 2.0 * turns;
     let shifted = half_turns + ROUND;
     let f = half_turns - (shifted - ROUND);

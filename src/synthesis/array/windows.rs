@@ -13,9 +13,13 @@ use echotank_core::flow::{
     Synthesis,
 };
 
+use super::Direct;
 use super::error_models::synthesis_error_model;
 use super::filter::{Decimator, FilterError, oversample};
-use super::{Bins, Direct, Linear, Nearest, Replica, Spectral, Spectrum};
+use crate::comparison::linear::Linear;
+use crate::comparison::nearest::Nearest;
+use crate::comparison::replica::Replica;
+use crate::comparison::spectral::{Bins, Spectral, Spectrum};
 
 /// Places of an echo between two samples: on one, half way, and some that repeat on no grid of dense samples.
 const PLACES: [f64; 6] = [0.0, 0.5, 0.118, 0.236, 0.618, 0.854];

@@ -94,8 +94,15 @@ fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> 
             }
         }
         let start = Instant::now();
-        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-            .map_err(|e| format!("{e:?}"))?;
+        echotank_ping::make_ping(
+            &mut rig,
+            0,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .map_err(|e| format!("{e:?}"))?;
         if ping >= WARM_UP {
             done.ms.push(start.elapsed().as_secs_f64() * 1e3);
         }

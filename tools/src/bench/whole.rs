@@ -11,7 +11,10 @@ use std::time::Instant;
 use echotank_core::flow::*;
 use echotank_synthesis::array::gridded::{DopplerSpan, SimdLevel, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Bounds, Gridded2d};
-use echotank_synthesis::array::{Bins, Decimator, Direct, Spectral, Spectrum};
+use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::comparison::spectral::Bins;
+use echotank_synthesis::comparison::spectral::Spectral;
+use echotank_synthesis::comparison::spectral::Spectrum;
 use echotank_synthesis::echo::probe::{self, echoes_at, heard, heard_ranges_m};
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,

@@ -56,8 +56,15 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
                 break 'pings;
             }
         }
-        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-            .map_err(|e| format!("{e:?}"))?;
+        echotank_ping::make_ping(
+            &mut rig,
+            0,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .map_err(|e| format!("{e:?}"))?;
         heard.push(Heard {
             plan: slot.plan.clone(),
             // Elements are large, and no figure shows them.

@@ -6,7 +6,8 @@ use num_complex::Complex64;
 use echotank_core::flow::{
     DopplerModel, Edges, PathModel, PingOutput, PingPlan, Pulse, ReceiverFilter, Synthesis,
 };
-use echotank_ping::pipeline::{FASTEST_PLATFORM_M_PER_S, PipelineError};
+use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
+use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::array::filter::{self, Decimator};
 use echotank_synthesis::array::{Direct, receive};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};

@@ -178,8 +178,15 @@ fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
                 return Err("the navigation ends".into());
             }
         }
-        rig.make(0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-            .map_err(|e| format!("{e:?}"))?;
+        echotank_ping::make_ping(
+            &mut rig,
+            0,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .map_err(|e| format!("{e:?}"))?;
         out.angles_rad.clone_from(&slot.output.beams[0].angle_rad);
         for sounding in &slot.output.soundings {
             let at_m = place(spec, &slot.plan, sounding);

@@ -6,9 +6,13 @@ use echotank_core::flow::*;
 use echotank_synthesis::array::filter::oversample;
 use echotank_synthesis::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Gridded2d};
-use echotank_synthesis::array::{
-    Bins, Decimator, Direct, Linear, Nearest, Replica, Spectral, Spectrum,
-};
+use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::comparison::linear::Linear;
+use echotank_synthesis::comparison::nearest::Nearest;
+use echotank_synthesis::comparison::replica::Replica;
+use echotank_synthesis::comparison::spectral::Bins;
+use echotank_synthesis::comparison::spectral::Spectral;
+use echotank_synthesis::comparison::spectral::Spectrum;
 use echotank_synthesis::echo::error_models::window_error_models;
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify,

@@ -18,8 +18,8 @@ use echotank_core::flow::{
     ArrivalChunk, ArrivalSink, EDGE_POINTS, PingPlan, Pulse, edge_corrections,
 };
 
-use super::direct::add_tone;
-use super::filter::{Decimator, occupied_hz};
+use crate::array::direct::add_tone;
+use crate::array::filter::{Decimator, occupied_hz};
 
 /// Points per period of the widest band at which S is integrated; weighted at the pulse's ends it is good to 1e-8 of its peak.
 const SPECTRUM_DENSITY: f64 = 64.0;

@@ -4,9 +4,9 @@ use num_complex::Complex64;
 
 use echotank_core::flow::{ArrivalChunk, ArrivalSink, Edges, PingPlan, Pulse};
 
-use super::direct::Direct;
-use super::filter::Decimator;
-use super::phasor::cis;
+use crate::array::direct::Direct;
+use crate::array::filter::Decimator;
+use crate::array::phasor::cis;
 
 /// An echo of unit strength that begins at time zero, without carrier, at the sample rate and behind the receiver filter.
 #[derive(Clone, Debug, Default)]

@@ -1,0 +1,457 @@
+//! Element samples of one pulse: the transmit leg of every scatterer, then the sum of the echoes at every element, by one engine.
+//!
+//! The sonar's own pulse and every further pulse of a ping have one [`ElementSynthesis`] each.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use echotank_config::spec::{MediumSpec, SonarSpec};
+use echotank_core::flow::{
+    EchoCounts, Edges, ErrorModel, PingPlan, Pulse, ReceiverFilter, Scatterers, SonarSettings,
+    Synthesis,
+};
+use echotank_synthesis::array::direct::Direct;
+use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
+use echotank_synthesis::array::gridded::DopplerSpan;
+use echotank_synthesis::comparison::Comparison;
+use echotank_synthesis::comparison::spectral::Bins;
+use echotank_synthesis::echo::reference::reference_with;
+use echotank_synthesis::echo::span::doppler_span;
+use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use echotank_synthesis::slabs::{Listener, Made};
+use num_complex::Complex64;
+use rayon::prelude::*;
+
+use crate::engines::{Engines, engine_filter};
+use crate::line_engines::LineEngines;
+use crate::pipeline::PipelineError;
+use crate::plan;
+
+/// The receiver filter leaves room for the Doppler of a platform as fast as this, m/s.
+pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;
+
+/// The buffers of one thread while it computes one element.
+#[derive(Default)]
+pub(crate) struct ElementScratch {
+    pub(crate) walk: Workspace,
+    /// The element's signal ahead of the receiver filter's decimation.
+    dense: Vec<Complex64>,
+    /// The element's spectrum, for the sum over frequencies.
+    bins: Bins,
+    /// The samples of a further pulse.
+    pub(crate) own: Vec<Complex64>,
+}
+
+impl ElementScratch {
+    /// `segments`: of the longest polyline. `dense`: samples ahead of the filter of the longest record.
+    pub(crate) fn with_room_for(segments: usize, dense: usize) -> Self {
+        Self {
+            walk: Workspace::with_room_for(segments),
+            dense: Vec::with_capacity(dense),
+            bins: Bins::default(),
+            own: Vec::new(),
+        }
+    }
+}
+
+/// Locks the scratch of the current thread. One per thread of the pool: no lock ever waits.
+pub(crate) fn of_this_thread(scratch: &[Mutex<ElementScratch>]) -> MutexGuard<'_, ElementScratch> {
+    let thread = rayon::current_thread_index().unwrap_or(0);
+    // A panic in another ping leaves the scratch as good as any: every use overwrites it.
+    scratch[thread]
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+}
+
+/// How the echoes are summed.
+enum Engine {
+    /// Every sample's travel time solved on the continuous motion, f64.
+    Reference,
+    /// Linearised echoes, sample by sample.
+    Direct,
+    /// `gridded-1d`: each element on a grid, slab by slab, within a tolerance.
+    GriddedElements {
+        engines: Engines,
+        /// Dopplers of this ping, one span per receive array.
+        spans: Vec<DopplerSpan>,
+        /// The engine of this ping could be made; if not, the direct sum takes its place.
+        ready: bool,
+    },
+    /// `gridded-2d`: all elements of a line array at once, within a tolerance.
+    GriddedLines(LineEngines),
+    /// A method that is kept to be compared with.
+    Comparison(Comparison),
+}
+
+/// Everything that sums the echoes of one pulse at the elements of one sonar.
+pub(crate) struct ElementSynthesis {
+    /// The sonar with this pulse, and the transmit array that sends it.
+    pub(crate) spec: SonarSpec,
+    engine: Engine,
+    /// One per transmit array.
+    transmit_legs: Vec<TransmitLeg>,
+    /// The receiver filter; without one the sum is sampled at the sample instants.
+    decimator: Option<Decimator>,
+}
+
+impl ElementSynthesis {
+    /// Sizes every buffer for the largest ping within the sonar's limits. To be made inside the pool that will run it. `record_s`: longest record
+    /// with the pulse, seconds.
+    pub(crate) fn new(
+        spec: &SonarSpec,
+        medium: &MediumSpec,
+        decimator: Option<&Decimator>,
+        record_s: f64,
+    ) -> Result<Self, PipelineError> {
+        let engine = match spec.model.synthesis {
+            Synthesis::Reference => Engine::Reference,
+            Synthesis::Direct => Engine::Direct,
+            Synthesis::Gridded1d => Engine::elements(spec, medium, decimator)?,
+            Synthesis::Gridded2d => Engine::GriddedLines(line_engines(spec, medium, decimator)?),
+            Synthesis::Spectral | Synthesis::Nearest | Synthesis::Linear => {
+                Engine::comparison(spec, decimator, record_s)
+            }
+        };
+        Ok(Self::with_engine(spec, decimator, engine))
+    }
+
+    /// The same for a pulse that is in the water together with the sonar's own: by the engine for single elements where the sonar uses that,
+    /// by the reference where it uses that, by the direct sum elsewhere.
+    pub(crate) fn of_further_pulse(
+        spec: &SonarSpec,
+        medium: &MediumSpec,
+        decimator: Option<&Decimator>,
+    ) -> Result<Self, PipelineError> {
+        let engine = match spec.model.synthesis {
+            Synthesis::Reference => Engine::Reference,
+            Synthesis::Gridded1d => Engine::elements(spec, medium, decimator)?,
+            _ => Engine::Direct,
+        };
+        Ok(Self::with_engine(spec, decimator, engine))
+    }
+
+    fn with_engine(spec: &SonarSpec, decimator: Option<&Decimator>, engine: Engine) -> Self {
+        let legs = spec.transmit.iter().map(|_| TransmitLeg::default());
+        Self {
+            engine,
+            transmit_legs: legs.collect(),
+            decimator: decimator.cloned(),
+            spec: spec.clone(),
+        }
+    }
+
+    /// Room that the direct sums need ahead of the receiver filter for a record of `samples`, samples.
+    pub(crate) fn dense_len(&self, samples: usize) -> usize {
+        match (&self.decimator, &self.engine) {
+            (Some(d), Engine::Reference | Engine::Direct) => d.dense_len(samples),
+            _ => 0,
+        }
+    }
+
+    /// Begins to make the engine for settings that are about to be used. Returns at once.
+    pub(crate) fn expect(&mut self, settings: &SonarSettings) {
+        if let Engine::GriddedElements { engines, .. } = &mut self.engine {
+            engines.expect(settings);
+        }
+    }
+
+    /// The transmit leg of every scatterer, once per transmit array, and the tables that all elements share. The reference walks the
+    /// scatterers itself.
+    pub(crate) fn insonify(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        walk: &mut Workspace,
+    ) -> EchoCounts {
+        let mut counts = EchoCounts::default();
+        match &mut self.engine {
+            Engine::Reference => return counts,
+            Engine::Comparison(method) => {
+                let rate_hz = self.spec.receiver.sample_rate_hz;
+                method.prepare(plan, rate_hz, self.decimator.as_ref());
+            }
+            Engine::Direct | Engine::GriddedElements { .. } | Engine::GriddedLines(_) => {}
+        }
+        let window = self.window(plan);
+        for (transmit, leg) in self.spec.transmit.iter().zip(&mut self.transmit_legs) {
+            counts += insonify(plan, transmit, window, scatterers, leg);
+        }
+        if let Engine::GriddedElements {
+            engines,
+            spans,
+            ready,
+        } = &mut self.engine
+        {
+            *ready = engines.ready(plan);
+            let widest = engines.span();
+            for (span, array) in spans.iter_mut().zip(&self.spec.receive) {
+                let leg = &self.transmit_legs[array.transmit];
+                let (least, greatest) = doppler_span(plan, array, leg, walk);
+                *span = DopplerSpan {
+                    least: least.clamp(widest.least, widest.greatest),
+                    greatest: greatest.clamp(widest.least, widest.greatest),
+                };
+            }
+        }
+        counts
+    }
+
+    /// Keeps only what arrives within the plan's window: for a ping cut short.
+    pub(crate) fn limit_to_window(&mut self, plan: &PingPlan) {
+        let window = self.window(plan);
+        for leg in &mut self.transmit_legs {
+            leg.hear(window);
+        }
+    }
+
+    fn window(&self, plan: &PingPlan) -> Window {
+        let (first_s, rate_hz, len) = self.grid(plan);
+        Window::of_samples(first_s, rate_hz, len)
+    }
+
+    /// Where the sum is evaluated, ahead of the receiver filter: first instant, seconds; rate, hertz; samples.
+    pub(crate) fn grid(&self, plan: &PingPlan) -> (f64, f64, usize) {
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let (first_s, count) = (plan.first_sample_s, plan.sample_count);
+        grid_ahead(self.decimator.as_ref(), first_s, rate_hz, count)
+    }
+
+    /// Overwrites `iq` with the samples of all elements of receive array `index`, element-major, where the engine makes a whole array at a time;
+    /// false where it makes single elements, see [`Self::element`]. `together`: elements that one thread makes, at least.
+    pub(crate) fn array(
+        &mut self,
+        plan: &PingPlan,
+        index: usize,
+        together: usize,
+        scratch: &[Mutex<ElementScratch>],
+        counts: &mut EchoCounts,
+        iq: &mut [Complex64],
+    ) -> bool {
+        let array = &self.spec.receive[index];
+        let leg = &self.transmit_legs[array.transmit];
+        match &mut self.engine {
+            Engine::GriddedLines(engines) => {
+                *counts += engines.synthesise(plan, &self.spec, index, leg, iq);
+                true
+            }
+            Engine::GriddedElements {
+                engines,
+                spans,
+                ready: true,
+            } => {
+                let (made, span) = (engines.current(), spans[index]);
+                let sum = |mut all: EchoCounts, more: EchoCounts| {
+                    all += more;
+                    all
+                };
+                let elements = iq.par_chunks_mut(plan.sample_count);
+                let of_each = elements
+                    .with_min_len(together)
+                    .enumerate()
+                    .map(|(element, iq)| {
+                        let listener = Listener {
+                            plan,
+                            array,
+                            element,
+                            transmit_leg: leg,
+                            span,
+                        };
+                        let slabs = iq.par_chunks_mut(made.slab_samples());
+                        let of_each = slabs.with_min_len(together).enumerate();
+                        let of_each = of_each.map(|(slab, out)| {
+                            let walk = &mut of_this_thread(scratch).walk;
+                            made.make_slab(listener, slab, walk, out)
+                        });
+                        of_each.reduce(EchoCounts::default, sum)
+                    });
+                *counts += of_each.reduce(EchoCounts::default, sum);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Overwrites `iq` with the samples of one element, behind the receiver filter.
+    pub(crate) fn element(
+        &self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        index: usize,
+        element: usize,
+        scratch: &mut ElementScratch,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let array = &self.spec.receive[index];
+        let leg = &self.transmit_legs[array.transmit];
+        let ElementScratch {
+            walk, dense, bins, ..
+        } = scratch;
+        match &self.engine {
+            Engine::Reference => {
+                let transmit = &self.spec.transmit[array.transmit];
+                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+                    reference_with(
+                        edges, plan, transmit, array, element, scatterers, rate_hz, first_s, out,
+                    )
+                })
+            }
+            Engine::GriddedElements {
+                engines,
+                spans,
+                ready: true,
+            } => {
+                let listener = Listener {
+                    plan,
+                    array,
+                    element,
+                    transmit_leg: leg,
+                    span: spans[index],
+                };
+                slab_by_slab(engines.current(), listener, walk, iq)
+            }
+            Engine::Comparison(method) => {
+                let rate_hz = self.spec.receiver.sample_rate_hz;
+                method.element(plan, rate_hz, array, element, leg, walk, bins, iq)
+            }
+            Engine::Direct | Engine::GriddedElements { .. } | Engine::GriddedLines(_) => self
+                .filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+                    out.fill(Complex64::ZERO);
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                    arrivals(plan, array, element, leg, walk, &mut sink)
+                }),
+        }
+    }
+
+    /// A sum over echoes through the receiver filter, if there is one: `sum` gets the treatment of edges, rate, first instant and samples.
+    fn filtered(
+        &self,
+        plan: &PingPlan,
+        dense: &mut Vec<Complex64>,
+        iq: &mut [Complex64],
+        sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]) -> EchoCounts,
+    ) -> EchoCounts {
+        let (first_s, rate_hz, len) = self.grid(plan);
+        let Some(decimator) = &self.decimator else {
+            return sum(Edges::Sampled, rate_hz, first_s, iq);
+        };
+        dense.resize(len, Complex64::ZERO);
+        let counts = sum(Edges::Weighted, rate_hz, first_s, dense);
+        decimator.apply(dense, iq);
+        counts
+    }
+}
+
+/// One element by one thread.
+fn slab_by_slab(
+    made: &Made,
+    listener: Listener<'_>,
+    walk: &mut Workspace,
+    iq: &mut [Complex64],
+) -> EchoCounts {
+    let mut counts = EchoCounts::default();
+    for (slab, out) in iq.chunks_mut(made.slab_samples()).enumerate() {
+        counts += made.make_slab(listener, slab, walk, out);
+    }
+    counts
+}
+
+impl Engine {
+    fn elements(
+        spec: &SonarSpec,
+        medium: &MediumSpec,
+        decimator: Option<&Decimator>,
+    ) -> Result<Self, PipelineError> {
+        let still = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        Ok(Self::GriddedElements {
+            engines: engines(spec, medium, decimator)?,
+            spans: vec![still; spec.receive.len()],
+            ready: false,
+        })
+    }
+
+    fn comparison(spec: &SonarSpec, decimator: Option<&Decimator>, record_s: f64) -> Self {
+        let tails_s = decimator.map_or(0.0, |d| -2.0 * d.dense_first_s(0.0));
+        let method = Comparison::new(
+            spec.model.synthesis,
+            spec.receiver.sample_rate_hz,
+            record_s + tails_s,
+            spec.synthesis.frequency_step_hz,
+            decimator,
+        );
+        method.map_or(Self::Direct, Self::Comparison)
+    }
+}
+
+fn engines(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    filter: Option<&Decimator>,
+) -> Result<Engines, PipelineError> {
+    let c = medium.sound_speed_m_per_s;
+    Engines::new(spec, c, FASTEST_PLATFORM_M_PER_S, filter).map_err(|why| PipelineError::Engine {
+        tolerance: spec.synthesis.tolerance,
+        why,
+    })
+}
+
+fn line_engines(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    filter: Option<&Decimator>,
+) -> Result<LineEngines, PipelineError> {
+    let c = medium.sound_speed_m_per_s;
+    let segments = plan::max_segments(spec, c);
+    let fastest = FASTEST_PLATFORM_M_PER_S;
+    Ok(LineEngines::new(spec, c, fastest, filter, segments)?)
+}
+
+/// Error models of the engines that a sonar asks for: one for all its elements, or one for each receive array; empty for methods without a
+/// tolerance. Costs are milliseconds of one core per element, 0 where they are not known.
+pub fn engine_error_models(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Vec<ErrorModel>, PipelineError> {
+    if !spec.model.synthesis.keeps_tolerance() {
+        return Ok(Vec::new());
+    }
+    let filter = receiver_filter(spec, medium)?;
+    if spec.model.synthesis == Synthesis::Gridded2d {
+        let engines = line_engines(spec, medium, filter.as_ref())?;
+        return Ok(engines.error_models().cloned().collect());
+    }
+    let engines = engines(spec, medium, filter.as_ref())?;
+    Ok(vec![engines.error_model().clone()])
+}
+
+/// The receiver filter for every pulse within the limits, none where none is configured: its pass band is that of the shortest pulse.
+pub(crate) fn receiver_filter(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Option<Decimator>, FilterError> {
+    if spec.receiver.filter == ReceiverFilter::None {
+        return Ok(None);
+    }
+    let shortest = shortest_pulse(spec);
+    let rate_hz = spec.receiver.sample_rate_hz;
+    let doppler_hz = doppler_hz(spec, medium);
+    if spec.model.synthesis.keeps_tolerance() {
+        return engine_filter(&shortest, rate_hz, doppler_hz).map(Some);
+    }
+    let oversample = filter::oversample(&shortest, rate_hz, spec.model.synthesis);
+    Decimator::new(&shortest, rate_hz, doppler_hz, oversample).map(Some)
+}
+
+/// The shortest pulse within the limits.
+pub(crate) fn shortest_pulse(spec: &SonarSpec) -> Pulse {
+    Pulse {
+        duration_s: spec.limits.pulse_duration_s.0,
+        ..spec.pulse
+    }
+}
+
+/// Doppler shift of the fastest platform, hertz.
+pub(crate) fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
+    2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
+}

@@ -1,0 +1,135 @@
+//! One ping in six steps: [`make_ping`] is the function to read first.
+//!
+//! In: an order of a ping, the navigation and the scene. Out: a [`PingSlot`] with the plan of the ping and everything it made. Nothing here fails
+//! but for missing navigation, nothing logs, and nothing allocates after the first ping at the largest settings: it counts. Work is split by
+//! element and by beam, and no floating-point sum crosses threads, so the samples are the same bits for any number of threads.
+
+use echotank_config::spec::{NavMode, StampSpec};
+use echotank_core::flow::OverloadState;
+use echotank_core::time::UtcNs;
+use echotank_nav::NavGap;
+
+use crate::faults::PingMark;
+use crate::plan;
+use crate::rig::{PingSlot, Rig};
+use crate::schedule::PingOrder;
+use crate::view;
+
+/// Makes the ping `order` of sonar `sonar` in `slot`, or says what the navigation lacks. `host_utc` is the host's time at the pulse.
+pub fn make_ping(
+    rig: &mut Rig,
+    sonar: usize,
+    order: &PingOrder,
+    mode: NavMode,
+    host_utc: UtcNs,
+    slot: &mut PingSlot,
+) -> Result<(), NavGap> {
+    motion(rig, sonar, order, mode, host_utc, slot)?;
+    gather(rig, sonar, slot);
+    insonify(rig, sonar, slot);
+    synthesise(rig, sonar, slot);
+    receive(rig, sonar, slot);
+    form(rig, sonar, slot);
+    Ok(())
+}
+
+/// As [`make_ping`], with the tolerance of a degradation level: 0 is the configured one.
+pub fn make_degraded_ping(
+    rig: &mut Rig,
+    level: usize,
+    sonar: usize,
+    order: &PingOrder,
+    mode: NavMode,
+    host_utc: UtcNs,
+    slot: &mut PingSlot,
+) -> Result<(), NavGap> {
+    let tolerance = rig.sonars[sonar].swap(level);
+    let made = make_ping(rig, sonar, order, mode, host_utc, slot);
+    rig.sonars[sonar].swap(level);
+    slot.output.overload_state = OverloadState {
+        tolerance,
+        put_off_s: 0.0,
+    };
+    made
+}
+
+/// Makes the rest of a ping that has its motion and its scatterers.
+pub fn finish_ping(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    insonify(rig, sonar, slot);
+    synthesise(rig, sonar, slot);
+    receive(rig, sonar, slot);
+    form(rig, sonar, slot);
+}
+
+/// The plan of the ping: how the platform moves while it listens, and with which methods and faults it is made.
+pub fn motion(
+    rig: &mut Rig,
+    sonar: usize,
+    order: &PingOrder,
+    mode: NavMode,
+    host_utc: UtcNs,
+    slot: &mut PingSlot,
+) -> Result<(), NavGap> {
+    rig.place_scene();
+    let window_s = rig.window_s(sonar, order);
+    let trajectory = &mut slot.plan.trajectory;
+    let nav = rig
+        .history
+        .motion(order.transmit_utc, window_s, mode, trajectory)?;
+    let stamp_utc = match rig.spec.nav.stamp {
+        StampSpec::Log => order.transmit_utc,
+        StampSpec::Host => host_utc,
+    };
+    let mark = PingMark::of(sonar, order);
+    let stamp_utc = stamp_utc.plus_s(rig.faults.stamp_error_s(mark));
+    let unit = &mut rig.sonars[sonar];
+    if let Some(planner) = &mut unit.planner {
+        planner.before(order.ping_number, &mut unit.pipeline);
+        slot.plan.model = unit.pipeline.model();
+    }
+    rig.faults.elements(mark, unit.pipeline.faults_mut());
+    plan::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
+    Ok(())
+}
+
+/// The scatterers within the footprints of the ping's arrays.
+pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let unit = &mut rig.sonars[sonar];
+    let footprints = unit.pipeline.footprints(&slot.plan);
+    slot.output.scene = rig.scene.gather(footprints, &mut rig.scatterers);
+    if let Some((stage, view)) = &mut unit.simplify {
+        view::view(&unit.spec, &slot.plan, view);
+        // The seabed's come first; points and targets stay.
+        let seabed = slot.output.scene.scatterers as usize;
+        rig.simplify_counts = stage.thin(&mut rig.scatterers, seabed, view);
+    }
+}
+
+/// The way of the sound from the transmitters to every scatterer.
+fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let pipeline = &mut rig.sonars[sonar].pipeline;
+    pipeline.insonify(&slot.plan, &rig.scatterers, &mut slot.output);
+}
+
+/// The sum of the echoes at every element.
+fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let pipeline = &mut rig.sonars[sonar].pipeline;
+    pipeline.synthesise(&slot.plan, &rig.scatterers, &mut slot.output);
+}
+
+/// The receiver of every element: noise, gain, converter and faults.
+fn receive(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let pipeline = &mut rig.sonars[sonar].pipeline;
+    pipeline.receive(&slot.plan, &mut slot.output);
+}
+
+/// Side-scan lines, beams and soundings; then the method selection learns from the ping.
+fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let unit = &mut rig.sonars[sonar];
+    let PingSlot { plan, output } = slot;
+    unit.pipeline.form(plan, output);
+    if let Some(planner) = &mut unit.planner {
+        output.methods = planner.mark();
+        planner.after(plan, &rig.scatterers, output.error_check.as_ref());
+    }
+}

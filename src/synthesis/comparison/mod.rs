@@ -1,0 +1,101 @@
+//! Ways to sum echoes that other simulators use, kept to be compared with: the paper's sum over frequencies ([`spectral`]), and a sampled
+//! pulse laid down at the nearest sample ([`nearest`]) or interpolated ([`linear`]).
+//!
+//! [`Comparison`] is all that the pipeline knows of them.
+
+pub mod linear;
+pub mod nearest;
+pub mod replica;
+pub mod spectral;
+
+use num_complex::Complex64;
+
+use echotank_core::flow::{ArrayGeometry, EchoCounts, PingPlan, Synthesis};
+
+use crate::array::filter::Decimator;
+use crate::echo::walk::{TransmitLeg, Workspace, arrivals};
+use linear::Linear;
+use nearest::Nearest;
+use replica::Replica;
+use spectral::{Bins, Spectral, Spectrum};
+
+/// One of the methods kept for comparison, with the tables that all elements share.
+pub enum Comparison {
+    /// The sum over frequencies of Meng et al. 2023.
+    Spectral(Spectrum),
+    /// Every echo at the nearest sample.
+    Nearest(Replica),
+    /// Every echo interpolated between samples.
+    Linear(Replica),
+}
+
+impl Comparison {
+    /// The method that `synthesis` names, for records of up to `record_s` seconds, pulse and filter tails included; none for methods of the
+    /// daily work. `step_hz` is the step of the frequency grid, see [`Spectrum::new`].
+    pub fn new(
+        synthesis: Synthesis,
+        rate_hz: f64,
+        record_s: f64,
+        step_hz: Option<f64>,
+        filter: Option<&Decimator>,
+    ) -> Option<Self> {
+        match synthesis {
+            Synthesis::Spectral => Some(Self::Spectral(Spectrum::new(
+                rate_hz, record_s, step_hz, filter,
+            ))),
+            Synthesis::Nearest => Some(Self::Nearest(Replica::default())),
+            Synthesis::Linear => Some(Self::Linear(Replica::default())),
+            Synthesis::Reference
+            | Synthesis::Direct
+            | Synthesis::Gridded1d
+            | Synthesis::Gridded2d => None,
+        }
+    }
+
+    /// Computes the tables of the plan's pulse, unless they are there.
+    pub fn prepare(&mut self, plan: &PingPlan, rate_hz: f64, filter: Option<&Decimator>) {
+        match self {
+            Self::Spectral(spectrum) => spectrum.prepare(plan),
+            Self::Nearest(replica) | Self::Linear(replica) => {
+                replica.prepare(plan, rate_hz, filter)
+            }
+        }
+    }
+
+    /// Overwrites `iq` with the samples of one element, behind the receiver filter.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one element of one ping, with the scratch of one thread"
+    )]
+    pub fn element(
+        &self,
+        plan: &PingPlan,
+        rate_hz: f64,
+        array: &ArrayGeometry,
+        element: usize,
+        transmit_leg: &TransmitLeg,
+        walk: &mut Workspace,
+        bins: &mut Bins,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let first_s = plan.first_sample_s;
+        match self {
+            Self::Spectral(spectrum) => {
+                let mut sink = Spectral::new(plan, spectrum, first_s, bins);
+                let counts = arrivals(plan, array, element, transmit_leg, walk, &mut sink);
+                sink.finish(iq);
+                counts
+            }
+            Self::Nearest(replica) => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Nearest::new(plan, replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
+            }
+            Self::Linear(replica) => {
+                iq.fill(Complex64::ZERO);
+                let mut sink = Linear::new(plan, replica, rate_hz, first_s, iq);
+                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
+            }
+        }
+    }
+}
