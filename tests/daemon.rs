@@ -2,6 +2,8 @@
 
 #[path = "daemon/control.rs"]
 mod control;
+#[path = "daemon/diagnostics.rs"]
+mod diagnostics;
 #[path = "daemon/families.rs"]
 mod families;
 #[path = "daemon/faults.rs"]

@@ -7,6 +7,7 @@ pub(crate) mod check;
 pub(crate) mod ctl;
 pub(crate) mod doctor;
 pub(crate) mod listen;
+pub(crate) mod logging;
 pub(crate) mod mosaic;
 pub(crate) mod nav;
 pub(crate) mod recover;
@@ -20,6 +21,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use self::logging::LogFormat;
 use echotank_config::{self as config, spec::RigSpec};
 
 /// Feeds a real sonar topside, DSP or acquisition board as though it were in the water.
@@ -31,6 +33,15 @@ use echotank_config::{self as config, spec::RigSpec};
 #[derive(Parser)]
 #[command(name = "echotank", version, max_term_width = 120)]
 struct Cli {
+    /// How diagnostics are written to standard error; RUST_LOG selects their levels
+    #[arg(
+        long,
+        global = true,
+        value_name = "FORMAT",
+        value_enum,
+        default_value_t
+    )]
+    log: LogFormat,
     #[command(subcommand)]
     command: Option<Command>,
 }
@@ -80,10 +91,22 @@ pub(crate) fn main() -> ExitCode {
     {
         end_with_the_reader();
     }
-    let done = match cli
-        .command
-        .unwrap_or_else(|| Command::Run(run::RunArgs::default()))
-    {
+    let done = logging::start(cli.log).and_then(|()| execute(cli.command));
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Configuration(text)) => {
+            logging::report_failure(cli.log, &text);
+            ExitCode::from(2)
+        }
+        Err(Failure::Running(text)) => {
+            logging::report_failure(cli.log, &format!("echotank: {text}"));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(command: Option<Command>) -> Result<(), Failure> {
+    match command.unwrap_or_else(|| Command::Run(run::RunArgs::default())) {
         Command::Run(args) => run::main(&args),
         Command::Recover(args) => recover::main(&args),
         Command::Replay(args) => replay::main(&args),
@@ -96,17 +119,6 @@ pub(crate) fn main() -> ExitCode {
         Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(Failure::Configuration(text)) => {
-            eprintln!("{text}");
-            ExitCode::from(2)
-        }
-        Err(Failure::Running(text)) => {
-            eprintln!("echotank: {text}");
-            ExitCode::FAILURE
-        }
     }
 }
 

@@ -135,6 +135,18 @@ impl RunControl {
         *lock(&self.nav_sources) = sources;
     }
 
+    /// The navigation sources' states, in the configuration's order.
+    pub(crate) fn nav_states(&self) -> Vec<State> {
+        let sources = lock(&self.nav_sources);
+        sources.iter().map(|(state, _)| *state).collect()
+    }
+
+    /// Name of a navigation source.
+    pub(crate) fn nav_name(&self, index: usize) -> Option<&str> {
+        let source = self.page.spec.nav.sources.get(index)?;
+        Some(&source.name)
+    }
+
     fn nav_lines(&self) -> Vec<String> {
         lock(&self.nav_lines).clone()
     }
@@ -282,6 +294,12 @@ impl RunControl {
             && (answer.accepted || answer.why.as_deref().is_some_and(|w| w.contains(" = ")));
         if is_told {
             return;
+        }
+        let (via, peer) = (by.via, by.peer.map(|peer| peer.to_string()));
+        let command = &answer.asked;
+        match &answer.why {
+            None => tracing::info!(via, client = peer, %command, "command accepted"),
+            Some(why) => tracing::warn!(via, client = peer, %command, why, "command refused"),
         }
         let mut deeds = lock(&self.deeds);
         if deeds.len() == MAX_DEEDS {

@@ -65,6 +65,7 @@ use echotank_config::spec::{
 use echotank_core::flow::OverloadState;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
 use echotank_nav::Coverage;
+use echotank_nav::health::State as NavState;
 use echotank_ping::PingOrder;
 use echotank_ping::rig::{PingSlot, Rig};
 
@@ -157,6 +158,8 @@ struct Paced {
 /// What a delivery thread works with besides its outputs.
 #[derive(Clone)]
 struct Way {
+    /// The sonar's name.
+    sonar: String,
     clock: Arc<dyn Clock>,
     counters: Arc<PingCounters>,
     histograms: Arc<Histograms>,
@@ -286,6 +289,12 @@ impl Daemon {
         };
         remarks.push(punctuality(spec.run.priority));
         remarks.extend(preference(spec.run.compute_nice));
+        for remark in &remarks {
+            match remark.strip_prefix("warning: ") {
+                Some(warning) => tracing::warn!("{warning}"),
+                None => tracing::debug!("{remark}"),
+            }
+        }
         let pool = pool_of(threads, spec.run.compute_nice)?;
         let rig = pool.install(|| {
             let mut rig = crate::rig::open(spec)?;
@@ -465,6 +474,7 @@ impl Daemon {
         let mut deliveries = Vec::new();
         for (sonar, outputs) in outputs.into_iter().enumerate() {
             let way = Way {
+                sonar: control.sonars()[sonar].name.clone(),
                 clock: clock.clone(),
                 counters: control.sonars()[sonar].counters.clone(),
                 histograms: control.sonars()[sonar].histograms.clone(),
@@ -514,6 +524,8 @@ impl Daemon {
             .map_err(DaemonError::Thread)?;
         // Whoever looks lives in the machine's time, whatever the rig's does.
         let machine = SystemClock::new();
+        let (mut nav_states, mut is_well) = (NavStates::default(), true);
+        tracing::info!(sonars = control.sonars().len(), "pinging");
         let mut next_status = machine.mono().plus_ns(status_interval_ns);
         while !pipeline.is_finished() {
             machine.sleep_until(machine.mono().plus_ns(20_000_000).min(next_status));
@@ -522,8 +534,17 @@ impl Daemon {
             }
             fault_log.write(&faults.take_injections(), control.sonars());
             overload_log.write(&control.overload_states().take(), control.sonars());
-            if control.ailment().is_none() {
-                notify.alive();
+            nav_states.report(&control);
+            match control.ailment() {
+                None => {
+                    notify.alive();
+                    is_well = true;
+                }
+                Some(why) => {
+                    if std::mem::replace(&mut is_well, false) {
+                        tracing::error!("{why}");
+                    }
+                }
             }
             if machine.mono() >= next_status {
                 let lines = control.lines(latency_s);
@@ -533,6 +554,7 @@ impl Daemon {
             }
         }
         notify.stopping();
+        tracing::info!("pipeline ended");
         let pinged = pipeline.join().map_err(|_| DaemonError::Panic)?;
         let mut closed = Ok(());
         for thread in deliveries {
@@ -544,6 +566,31 @@ impl Daemon {
         status(&control.lines(latency_s).join("\n"));
         drop(server);
         pinged.and(closed.map_err(DaemonError::Output))
+    }
+}
+
+/// The states of the navigation sources when they were last reported.
+#[derive(Default)]
+struct NavStates {
+    reported: Vec<NavState>,
+}
+
+impl NavStates {
+    /// Logs each source whose state differs from the one reported last.
+    fn report(&mut self, control: &RunControl) {
+        let sources = control.nav_states();
+        self.reported.resize(sources.len(), NavState::default());
+        for (index, (&state, reported)) in sources.iter().zip(&mut self.reported).enumerate() {
+            if state == *reported {
+                continue;
+            }
+            let (source, from, to) = (control.nav_name(index), reported.name(), state.name());
+            match state {
+                NavState::Ok => tracing::info!(source, from, to, "navigation source recovered"),
+                _ => tracing::warn!(source, from, to, "navigation source degraded"),
+            }
+            *reported = state;
+        }
     }
 }
 
@@ -565,11 +612,14 @@ impl EventLog {
 
     /// Writes what happened since the last time. An error is told once, ends the log, and counts as a recording that stopped.
     fn write<T: Serialize>(&mut self, events: &[T], sonars: &[SonarControl]) {
+        for event in events {
+            tracing::debug!(log = self.stem, event = %AsJson(event), "ping event");
+        }
         if events.is_empty() || self.directory.is_none() {
             return;
         }
         if let Err(error) = self.append(events) {
-            eprintln!("echotank: {error}");
+            tracing::error!(log = self.stem, %error, "event log stopped");
             if let Some(first) = sonars.first() {
                 add(&first.counters.recordings_stopped, 1);
             }
@@ -591,6 +641,16 @@ impl EventLog {
             }
         };
         Ok(log.write(events)?)
+    }
+}
+
+/// Writes a value as JSON.
+struct AsJson<'a, T>(&'a T);
+
+impl<T: Serialize> std::fmt::Display for AsJson<'_, T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let text = serde_json::to_string(self.0).map_err(|_| std::fmt::Error)?;
+        f.write_str(&text)
     }
 }
 
@@ -729,7 +789,7 @@ impl Pacer {
         let _beat = match beat.start(sender, priority) {
             Ok(thread) => thread,
             Err(why) => {
-                eprintln!("echotank: could not start a thread: {why}");
+                tracing::error!(error = %why, "could not start the thread that orders pings");
                 self.stop.store(true, Ordering::Release);
                 return Ok(());
             }
@@ -1264,7 +1324,7 @@ fn deliver(
         }
         // A recorder that fails (a full disk) is reported once; the topsides go on.
         outputs.deliver(|error| {
-            eprintln!("echotank: {error}");
+            tracing::error!(sonar = way.sonar, %error, "recorder stopped");
             add(&way.counters.recordings_stopped, 1);
             first_error.get_or_insert(error);
         });

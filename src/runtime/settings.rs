@@ -213,6 +213,15 @@ impl SettingsStore {
                 outcome: outcome.map(|applied| applied.version),
             },
         );
+        drop(state);
+        let (via, peer) = (asked.by.via, asked.by.peer.map(|peer| peer.to_string()));
+        match &outcome {
+            Ok(applied) => {
+                let version = applied.version;
+                tracing::info!(via, client = peer, ?change, version, "setting applied");
+            }
+            Err(why) => tracing::warn!(via, client = peer, ?change, %why, "setting refused"),
+        }
         outcome
     }
 

@@ -39,7 +39,7 @@ pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
                         None => {
                             first = Some(Instant::now());
                             stop.store(true, Ordering::Release);
-                            eprintln!("stopping");
+                            tracing::info!(signal = number, "stopping");
                         }
                         Some(at) if at.elapsed() > SAME_WISH => std::process::exit(128 + number),
                         Some(_) => {}

@@ -238,6 +238,7 @@ impl Outputs {
             let histograms = Arc::clone(histograms);
             move |ns| histograms.pacing_us(ns)
         };
+        let _span = tracing::info_span!("outputs", sonar = unit.spec.name).entered();
         let sending = Sending {
             priority: spec.run.priority,
             lateness: Some(Arc::new(lateness)),

@@ -27,6 +27,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use serde_json::json;
 use tokio::sync::watch;
+use tracing::warn;
 
 use super::socket::{self, Pages};
 use super::{Command, ControlPort, assets};
@@ -111,7 +112,12 @@ pub(super) fn refusal(status: StatusCode, why: &str) -> Response {
 async fn guard(State(token): State<Arc<Option<String>>>, request: Request, next: Next) -> Response {
     match objection(request.headers(), token.as_deref()) {
         None => next.run(request).await,
-        Some((status, why)) => refusal(status, why),
+        Some((status, why)) => {
+            let peer = request.extensions().get::<ConnectInfo<SocketAddr>>();
+            let client = peer.map(|ConnectInfo(peer)| peer.to_string());
+            warn!(client, path = request.uri().path(), why, "request refused");
+            refusal(status, why)
+        }
     }
 }
 

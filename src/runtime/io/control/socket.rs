@@ -116,6 +116,7 @@ pub(super) async fn open(
 ) -> Response {
     let Ok(seat) = Arc::clone(&shared.pages.seats).try_acquire_owned() else {
         let why = format!("{MAX_PAGES} pages are open already");
+        tracing::warn!(client = %peer, "{why}");
         return refusal(StatusCode::SERVICE_UNAVAILABLE, &why);
     };
     upgrade
@@ -124,7 +125,9 @@ pub(super) async fn open(
         .max_frame_size(MAX_MESSAGE_BYTES)
         .on_upgrade(move |socket| async move {
             let _seat = seat;
+            tracing::info!(client = %peer, "page opened");
             serve(socket, shared, peer).await;
+            tracing::info!(client = %peer, "page closed");
         })
 }
 

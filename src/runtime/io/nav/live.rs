@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
+use tracing::warn;
 
 use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
 use crate::clock::Clock;
@@ -142,6 +143,7 @@ impl Live {
         };
         let outlet = Outlet {
             source: self.sources.len(),
+            name: spec.name.clone(),
             sender: sender.clone(),
             clock: self.clock.clone(),
             stats,
@@ -334,6 +336,8 @@ fn decode(
 /// A thread's end of the queue.
 struct Outlet {
     source: usize,
+    /// The source's name, for diagnostics.
+    name: String,
     sender: Sender<Chunk>,
     clock: Arc<dyn Clock>,
     stats: Arc<Stats>,
@@ -412,11 +416,18 @@ fn any_at(port: u16) -> SocketAddr {
 fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
     let mut buffer = vec![0; 65_536];
     stamp::enable(socket);
+    let mut failing = false;
     while !outlet.stopped() {
         match stamp::receive(socket, &mut buffer) {
-            Ok((len, age_ns)) => outlet.send_old(&buffer[..len], 0, age_ns),
+            Ok((len, age_ns)) => {
+                failing = false;
+                outlet.send_old(&buffer[..len], 0, age_ns);
+            }
             Err(error) if is_timeout(&error) => {}
-            Err(_) => {
+            Err(error) => {
+                if !std::mem::replace(&mut failing, true) {
+                    warn!(source = outlet.name, %error, "cannot receive navigation");
+                }
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
                 outlet.pause(READ_TIMEOUT);
             }

@@ -1,5 +1,6 @@
 //! Clients that did not come by themselves: records are sent to them because somebody said so.
 
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,6 +10,7 @@ use tokio::net::{TcpStream, UdpSocket};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
+use tracing::warn;
 
 use super::{Seat, Shared, Transport, Wants, stopping, tcp, udp};
 
@@ -55,8 +57,12 @@ async fn attend(dial: Dial, seat: Seat, mut stopped: watch::Receiver<bool>) {
     match dial.transport {
         Transport::Udp => {
             let from = SocketAddr::new(seat.shared.local_addr.ip(), 0);
-            let Ok(socket) = UdpSocket::bind(from).await else {
-                return;
+            let socket = match UdpSocket::bind(from).await {
+                Ok(socket) => socket,
+                Err(error) => {
+                    warn!(parent: &seat.shared.span, client = %dial.peer, %error, "cannot open a UDP socket");
+                    return;
+                }
             };
             begin(&seat);
             udp::write_datagrams(Arc::new(socket), dial.peer, seat, stopped).await;
@@ -67,8 +73,12 @@ async fn attend(dial: Dial, seat: Seat, mut stopped: watch::Receiver<bool>) {
                 stream = connect => stream,
                 () = stopping(&mut stopped) => return,
             };
-            let Ok(Ok(stream)) = stream else {
-                return;
+            let stream = match stream.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into())) {
+                Ok(stream) => stream,
+                Err(error) => {
+                    warn!(parent: &seat.shared.span, client = %dial.peer, %error, "cannot connect");
+                    return;
+                }
             };
             let _ = stream.set_nodelay(true);
             begin(&seat);

@@ -33,6 +33,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use tokio::time::interval;
+use tracing::{Span, info, info_span, warn};
 
 use crate::io::line::{Connection, Line};
 use crate::io::pace::Sending;
@@ -173,8 +174,6 @@ pub struct ServerReport {
     pub admitted: u64,
     /// Turned away because there were `max_clients`.
     pub refused: u64,
-    /// Connections that failed while being accepted.
-    pub(crate) accept_errors: u64,
 }
 
 impl ServerReport {
@@ -218,6 +217,7 @@ impl SonarServer {
             roster: Mutex::new(Roster::default()),
             dials,
             local_addr,
+            span: info_span!("server", protocol = protocol.name(), address = %local_addr),
             protocol,
             sending: OnceLock::new(),
             mute: watch::Sender::new(false),
@@ -430,6 +430,8 @@ async fn stopping(stopped: &mut watch::Receiver<bool>) {
 // ---------------------------------------------------------------- shared by the threads
 
 struct Shared {
+    /// Names the server in diagnostics, inside the span of whoever opened it.
+    span: Span,
     protocol: Arc<dyn Protocol>,
     rig_time: RigTime,
     times: ServerTimes,
@@ -455,7 +457,6 @@ struct Roster {
     gone: ClientCounts,
     admitted: u64,
     refused: u64,
-    accept_errors: u64,
 }
 
 impl Shared {
@@ -474,11 +475,17 @@ impl Shared {
         let mut roster = self.lock();
         if roster.clients.len() >= self.max_clients {
             roster.refused += 1;
+            drop(roster);
+            let max_clients = self.max_clients;
+            warn!(parent: &self.span, client = %peer, %transport, max_clients, "client refused: the server is full");
             return None;
         }
         roster.admitted += 1;
         let client = Arc::new(Client::new(peer, transport, dialled));
         roster.clients.push(Arc::clone(&client));
+        // The delivery thread waits for this lock; standard error may block.
+        drop(roster);
+        info!(parent: &self.span, client = %peer, %transport, dialled, "client connected");
         Some(Seat {
             shared: Arc::clone(self),
             client,
@@ -606,7 +613,6 @@ impl Shared {
             gone: roster.gone,
             admitted: roster.admitted,
             refused: roster.refused,
-            accept_errors: roster.accept_errors,
         }
     }
 }
@@ -623,7 +629,20 @@ impl Drop for Seat {
         roster
             .clients
             .retain(|other| !Arc::ptr_eq(other, &self.client));
-        roster.gone += self.client.close();
+        let counts = self.client.close();
+        roster.gone += counts;
         self.shared.update_wanted(&roster);
+        drop(roster);
+        let Client {
+            peer, transport, ..
+        } = &*self.client;
+        info!(
+            parent: &self.shared.span,
+            client = %peer,
+            %transport,
+            records_sent = counts.records_sent,
+            records_dropped = counts.records_dropped,
+            "client disconnected"
+        );
     }
 }

@@ -11,6 +11,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tracing::warn;
 
 use super::queue::Client;
 use super::{Seat, Shared, Transport, stopping};
@@ -37,8 +38,8 @@ pub(super) async fn serve(
                         clients.spawn(attend(stream, seat, stopped.clone()));
                     }
                 }
-                Err(_) => {
-                    shared.lock().accept_errors += 1;
+                Err(error) => {
+                    warn!(parent: &shared.span, %error, "cannot accept a connection");
                     sleep(ACCEPT_PAUSE).await;
                 }
             },

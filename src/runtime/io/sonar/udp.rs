@@ -10,6 +10,7 @@ use tokio::net::UdpSocket;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep, timeout};
+use tracing::debug;
 
 use super::paced::Burst;
 use super::queue::Client;
@@ -56,7 +57,10 @@ pub(super) async fn serve(
                         peers.insert(from, peer);
                     }
                 }
-                Err(_) => sleep(RECEIVE_PAUSE).await,
+                Err(error) => {
+                    debug!(parent: &shared.span, %error, "cannot receive a datagram");
+                    sleep(RECEIVE_PAUSE).await;
+                }
             },
             _ = sweep.tick() => peers.retain(|_, peer| !is_over(&shared, peer)),
             Some(_) = writers.join_next() => {}

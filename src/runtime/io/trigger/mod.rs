@@ -163,7 +163,8 @@ impl Keeper {
         self.stop.load(Relaxed)
     }
 
-    fn error(&self) {
+    fn error(&self, error: &io::Error) {
+        tracing::debug!(thread = thread::current().name(), %error, "trigger input failed");
         self.counts.errors.fetch_add(1, Relaxed);
         thread::sleep(READ_TIMEOUT);
     }
@@ -188,7 +189,7 @@ impl Keeper {
             match stamp::receive(socket, &mut buffer) {
                 Ok((len, age_ns)) => self.said(&buffer[..len], age_ns),
                 Err(error) if is_silence(&error) => {}
-                Err(_) => self.error(),
+                Err(error) => self.error(&error),
             }
         }
     }
@@ -204,13 +205,13 @@ impl Keeper {
                     let thread = thread::Builder::new().name("trigger client".into());
                     match thread.spawn(move || keeper.client(stream)) {
                         Ok(client) => clients.push(client),
-                        Err(_) => self.error(),
+                        Err(error) => self.error(&error),
                     }
                 }
                 // Turned away.
                 Ok(_) => {}
                 Err(error) if is_silence(&error) => thread::sleep(READ_TIMEOUT / 10),
-                Err(_) => self.error(),
+                Err(error) => self.error(&error),
             }
         }
         for client in clients {
@@ -273,7 +274,8 @@ impl Keeper {
                     }
                     thread::sleep(LOOK);
                 }
-                Err(_) => {
+                Err(error) => {
+                    tracing::warn!(thread = thread::current().name(), %error, "trigger line lost");
                     self.counts.errors.fetch_add(1, Relaxed);
                     port = None;
                 }

@@ -4,6 +4,7 @@ use std::io::Read;
 use std::sync::atomic::Ordering::Relaxed;
 
 use serialport::{DataBits, Parity, SerialPortBuilder, StopBits};
+use tracing::{info, warn};
 
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 use echotank_config::spec::{ParitySpec, SerialLine};
@@ -47,6 +48,9 @@ pub(super) fn read(
         let Some(open) = &mut port else {
             outlet.pause(REOPEN_INTERVAL);
             port = reopen().ok();
+            if port.is_some() {
+                info!(source = outlet.name, "serial port reopened");
+            }
             outlet
                 .stats
                 .reopened
@@ -57,7 +61,9 @@ pub(super) fn read(
             Ok(len) if len > 0 => outlet.send(&buffer[..len], byte_ns),
             Err(error) if is_timeout(&error) => {}
             // No bytes without a timeout: the line hung up.
-            Ok(_) | Err(_) => {
+            ended => {
+                let error = ended.err().map(|error| error.to_string());
+                warn!(source = outlet.name, error, "serial port lost");
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
                 port = None;
             }

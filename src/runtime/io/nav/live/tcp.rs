@@ -5,6 +5,8 @@ use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
+use tracing::{info, warn};
+
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 
 /// A server that does not answer is asked again.
@@ -18,13 +20,20 @@ pub(super) fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
 
 /// Reads from the server at `address`, for ever anew.
 pub(super) fn read_server(address: &str, outlet: &Outlet) {
+    let mut failing = false;
     while !outlet.stopped() {
         match connect(address) {
             Ok(stream) => {
+                failing = false;
+                info!(source = outlet.name, server = address, "connected");
                 outlet.stats.reopened.fetch_add(1, Relaxed);
                 read(stream, outlet, || false);
+                info!(source = outlet.name, server = address, "disconnected");
             }
-            Err(_) => {
+            Err(error) => {
+                if !std::mem::replace(&mut failing, true) {
+                    warn!(source = outlet.name, server = address, %error, "cannot connect; trying again");
+                }
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
             }
         }
@@ -47,22 +56,24 @@ fn connect(address: &str) -> std::io::Result<TcpStream> {
 pub(super) fn read_clients(listener: &TcpListener, outlet: &Outlet) {
     let mut waiting = None;
     while !outlet.stopped() {
-        let Some(stream) = waiting.take().or_else(|| accept(listener)) else {
+        let Some((stream, client)) = waiting.take().or_else(|| accept(listener)) else {
             std::thread::sleep(READ_TIMEOUT);
             continue;
         };
         outlet.stats.reopened.fetch_add(1, Relaxed);
+        info!(source = outlet.name, %client, "client connected");
         read(stream, outlet, || {
             waiting = accept(listener);
             waiting.is_some()
         });
+        info!(source = outlet.name, %client, "client disconnected");
     }
 }
 
-fn accept(listener: &TcpListener) -> Option<TcpStream> {
-    let (stream, _) = listener.accept().ok()?;
+fn accept(listener: &TcpListener) -> Option<(TcpStream, SocketAddr)> {
+    let (stream, client) = listener.accept().ok()?;
     stream.set_nonblocking(false).ok()?;
-    Some(stream)
+    Some((stream, client))
 }
 
 /// Hands over what comes, until the other end closes, or `relieved`, asked between reads, says so.
@@ -76,7 +87,8 @@ fn read(mut stream: TcpStream, outlet: &Outlet, mut relieved: impl FnMut() -> bo
             Ok(0) => return,
             Ok(len) => outlet.send(&buffer[..len], 0),
             Err(error) if is_timeout(&error) => {}
-            Err(_) => {
+            Err(error) => {
+                warn!(source = outlet.name, %error, "cannot read");
                 outlet.stats.read_errors.fetch_add(1, Relaxed);
                 return;
             }

@@ -1,0 +1,100 @@
+//! Diagnostics on standard error, for people, for the systemd journal or as JSON.
+//!
+//! The environment variable `RUST_LOG` selects levels and crates with the syntax of `tracing_subscriber::EnvFilter`.
+
+use std::fs::File;
+use std::io::{self, IsTerminal};
+use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
+
+use clap::ValueEnum;
+use tracing_subscriber::EnvFilter;
+
+use super::Failure;
+
+/// Levels without `RUST_LOG`: information from this program's crates, warnings from its dependencies.
+const DEFAULT_FILTER: &str = "warn,echotank=info";
+
+/// How diagnostics are written to standard error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// One line per event
+    #[default]
+    Text,
+    /// One JSON object per line
+    Json,
+}
+
+/// Installs the program's subscriber.
+pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
+    let filter = filter(std::env::var("RUST_LOG").ok().as_deref())?;
+    let is_journal = is_journal(std::env::var("JOURNAL_STREAM").ok().as_deref());
+    let is_colored = !is_journal
+        && io::stderr().is_terminal()
+        && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(is_colored);
+    match (format, is_journal) {
+        (LogFormat::Text, false) => builder.init(),
+        (LogFormat::Text, true) => builder.without_time().init(),
+        (LogFormat::Json, false) => builder.json().flatten_event(true).init(),
+        (LogFormat::Json, true) => builder.json().flatten_event(true).without_time().init(),
+    }
+    Ok(())
+}
+
+/// Reports why the command failed: as plain text, or as an event where standard error holds JSON.
+pub(crate) fn report_failure(format: LogFormat, text: &str) {
+    match format {
+        LogFormat::Text => eprintln!("{text}"),
+        LogFormat::Json => tracing::error!("{text}"),
+    }
+}
+
+fn filter(rust_log: Option<&str>) -> Result<EnvFilter, Failure> {
+    let text = rust_log
+        .filter(|text| !text.trim().is_empty())
+        .unwrap_or(DEFAULT_FILTER);
+    EnvFilter::builder().parse(text).map_err(|why| {
+        Failure::Configuration(format!(
+            "RUST_LOG = {text:?}: {why}; expected directives such as info or echotank_runtime=debug"
+        ))
+    })
+}
+
+/// Whether standard error is the journal's socket: systemd names its device and inode in `JOURNAL_STREAM` (systemd.exec(5)).
+fn is_journal(journal_stream: Option<&str>) -> bool {
+    let Some((device, inode)) = journal_stream.and_then(|stream| stream.split_once(':')) else {
+        return false;
+    };
+    let stderr = io::stderr().as_fd().try_clone_to_owned().map(File::from);
+    stderr
+        .and_then(|file| file.metadata())
+        .is_ok_and(|found| device.parse() == Ok(found.dev()) && inode.parse() == Ok(found.ino()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_stream_that_systemd_names_is_the_journal() {
+        let stderr = File::from(io::stderr().as_fd().try_clone_to_owned().unwrap());
+        let found = stderr.metadata().unwrap();
+        let named = |inode: u64| format!("{}:{inode}", found.dev());
+        assert!(is_journal(Some(&named(found.ino()))));
+        assert!(!is_journal(Some(&named(found.ino() + 1))));
+        assert!(!is_journal(Some("journal")));
+        assert!(!is_journal(None));
+    }
+
+    #[test]
+    fn an_invalid_filter_is_refused() {
+        assert!(filter(None).is_ok());
+        assert!(filter(Some("")).is_ok());
+        assert!(filter(Some("off")).is_ok());
+        assert!(filter(Some("echotank_runtime=loud")).is_err());
+    }
+}
