@@ -1,104 +1,95 @@
-//! UDP datagrams in packet captures. Comes in: a whole pcap or pcapng file. Goes out: each packet's arrival, and its datagram's payload or its
-//! TCP segment.
+//! Packet captures (pcap, pcapng): each packet's arrival with its UDP payload or its TCP segment.
 //!
-//! Ethernet (with VLAN tags), Linux cooked, loopback and raw IP; IPv4 and IPv6. Not put together: fragments, TCP. A file cut in the middle of a packet ends
-//! before it. Sources: tcpdump's `pcap-savefile(5)`, IETF draft-tuexen-opsawg-pcapng.
+//! `pcap-parser` reads the files; the link, IP, UDP and TCP headers are read here. Link layers: Ethernet (with VLAN tags), Linux cooked, loopback and
+//! raw IP. Network layers: IPv4 and IPv6. IP fragments are not reassembled. A file cut in the middle of a packet ends before that packet; a damaged
+//! pcapng block is skipped by its length. Sources: tcpdump's `pcap-savefile(5)`, IETF draft-tuexen-opsawg-pcapng.
 
 use echotank_core::time::UtcNs;
+use pcap_parser::nom::{Err as ParseError, IResult};
+use pcap_parser::pcapng::{Block, parse_block_be, parse_block_le};
+use pcap_parser::{
+    LegacyPcapBlock, PcapError, parse_pcap_frame, parse_pcap_frame_be, parse_pcap_frame_modified,
+    parse_pcap_header,
+};
 
-/// No packet of a sound file is longer, bytes.
+/// Longest packet that is read, bytes; a longer one marks a damaged file.
 const MAX_PACKET: usize = 256 * 1024;
 const ETHERNET: u32 = 1;
 const NULL_LOOPBACK: u32 = 0;
 const RAW_IP: [u32; 3] = [12, 14, 101];
 const LINUX_COOKED: u32 = 113;
 const LINUX_COOKED_2: u32 = 276;
+/// Block type of a pcapng section header; the same in both byte orders.
+const SECTION_HEADER: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 
-/// One packet; without a payload it was no whole UDP datagram.
+/// One captured packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
+    /// Capture time.
     pub arrival: UtcNs,
+    /// UDP destination port; 0 without a datagram.
     pub port: u16,
+    /// Payload of a whole UDP datagram.
     pub payload: Option<&'a [u8]>,
+    /// TCP segment.
     pub segment: Option<Segment<'a>>,
 }
 
-/// A piece of a TCP connection, one way.
+/// A TCP segment, one direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segment<'a> {
-    /// From and to, as they lie in the IP header.
+    /// Source and destination address, as in the IP header.
     pub addresses: &'a [u8],
+    /// Source port.
     pub from_port: u16,
+    /// Destination port.
     pub to_port: u16,
-    /// Number of the payload's first byte.
+    /// Sequence number of the payload's first byte.
     pub sequence: u32,
-    /// The connection begins: its first byte has the number behind `sequence`.
+    /// The SYN flag: the connection's first byte has the number after `sequence`.
     pub is_start: bool,
+    /// Bytes after the TCP header.
     pub payload: &'a [u8],
 }
 
-#[derive(Clone, Copy)]
-enum Order {
-    Little,
-    Big,
-}
-
-impl Order {
-    fn u16(self, b: &[u8], at: usize) -> Option<u16> {
-        let b = b.get(at..at + 2)?.try_into().ok()?;
-        Some(match self {
-            Order::Little => u16::from_le_bytes(b),
-            Order::Big => u16::from_be_bytes(b),
-        })
-    }
-    fn u32(self, b: &[u8], at: usize) -> Option<u32> {
-        let b = b.get(at..at + 4)?.try_into().ok()?;
-        Some(match self {
-            Order::Little => u32::from_le_bytes(b),
-            Order::Big => u32::from_be_bytes(b),
-        })
-    }
-}
-
-/// Byte order and ticks per second, from a pcap file's magic number.
-fn classic(bytes: &[u8]) -> Option<(Order, u64)> {
-    Some(match bytes.get(..4)? {
-        [0xD4, 0xC3, 0xB2, 0xA1] => (Order::Little, 1_000_000),
-        [0xA1, 0xB2, 0xC3, 0xD4] => (Order::Big, 1_000_000),
-        [0x4D, 0x3C, 0xB2, 0xA1] => (Order::Little, 1_000_000_000),
-        [0xA1, 0xB2, 0x3C, 0x4D] => (Order::Big, 1_000_000_000),
-        _ => return None,
-    })
+/// Whether a file begins with a pcap or pcapng header.
+pub fn is_capture(bytes: &[u8]) -> bool {
+    parse_pcap_header(bytes).is_ok() || is_pcapng(bytes)
 }
 
 fn is_pcapng(bytes: &[u8]) -> bool {
-    bytes.starts_with(&[0x0A, 0x0D, 0x0D, 0x0A])
+    bytes.starts_with(&SECTION_HEADER)
         && matches!(
             bytes.get(8..12),
             Some([0x4D, 0x3C, 0x2B, 0x1A] | [0x1A, 0x2B, 0x3C, 0x4D])
         )
 }
 
-pub fn is_capture(bytes: &[u8]) -> bool {
-    classic(bytes).is_some() || is_pcapng(bytes)
-}
-
-/// All packets, in the file's order.
+/// The packets of a whole capture file, in the file's order; none where it is no capture.
 pub fn packets(bytes: &[u8]) -> Packets<'_> {
-    match classic(bytes) {
-        Some((order, ticks_per_s)) => Packets {
-            rest: bytes.get(24..).unwrap_or(&[]),
-            order,
-            ng: false,
-            interfaces: vec![Interface {
-                link: order.u32(bytes, 20).unwrap_or(u32::MAX) & 0xFFFF,
-                ticks_per_s,
-            }],
-        },
-        None => Packets {
-            rest: if is_pcapng(bytes) { bytes } else { &[] },
-            order: Order::Little,
-            ng: true,
+    if let Ok((rest, header)) = parse_pcap_header(bytes) {
+        let interface = Interface {
+            // The upper half holds flags.
+            link: header.network.0 as u32 & 0xFFFF,
+            ticks_per_s: match header.is_nanosecond_precision() {
+                true => 1_000_000_000,
+                false => 1_000_000,
+            },
+        };
+        let parse = match (header.is_bigendian(), header.is_modified_format()) {
+            (true, _) => parse_pcap_frame_be,
+            (false, true) => parse_pcap_frame_modified,
+            (false, false) => parse_pcap_frame,
+        };
+        return Packets {
+            rest,
+            format: Format::Pcap { parse, interface },
+        };
+    }
+    Packets {
+        rest: if is_pcapng(bytes) { bytes } else { &[] },
+        format: Format::PcapNg {
+            is_big_endian: false,
             interfaces: Vec::new(),
         },
     }
@@ -110,105 +101,114 @@ struct Interface {
     ticks_per_s: u64,
 }
 
+type ParseFrame =
+    for<'a> fn(&'a [u8]) -> IResult<&'a [u8], LegacyPcapBlock<'a>, PcapError<&'a [u8]>>;
+
+enum Format {
+    Pcap {
+        parse: ParseFrame,
+        interface: Interface,
+    },
+    PcapNg {
+        is_big_endian: bool,
+        /// Of the section being read.
+        interfaces: Vec<Interface>,
+    },
+}
+
+/// Iterator over the packets of a capture file.
 pub struct Packets<'a> {
     rest: &'a [u8],
-    order: Order,
-    ng: bool,
-    interfaces: Vec<Interface>,
+    format: Format,
 }
 
 impl<'a> Iterator for Packets<'a> {
     type Item = Packet<'a>;
 
     fn next(&mut self) -> Option<Packet<'a>> {
-        if !self.ng {
-            return self.next_classic();
-        }
-        loop {
-            if let Some(packet) = self.next_block()? {
-                return Some(packet);
+        match &mut self.format {
+            Format::Pcap { parse, interface } => {
+                let (rest, frame) = parse(self.rest).ok()?;
+                if frame.data.len() > MAX_PACKET {
+                    return None;
+                }
+                self.rest = rest;
+                let seconds = u64::from(frame.ts_sec) * interface.ticks_per_s;
+                let ticks = seconds + u64::from(frame.ts_usec);
+                Some(packet(frame.data, *interface, ticks))
             }
+            Format::PcapNg {
+                is_big_endian,
+                interfaces,
+            } => loop {
+                let block = next_block(&mut self.rest, is_big_endian)?;
+                if let Some(packet) = block.and_then(|block| packet_of(block, interfaces)) {
+                    return Some(packet);
+                }
+            },
         }
     }
 }
 
-impl<'a> Packets<'a> {
-    fn next_classic(&mut self) -> Option<Packet<'a>> {
-        let (order, head) = (self.order, self.rest);
-        let seconds = u64::from(order.u32(head, 0)?);
-        let fraction = u64::from(order.u32(head, 4)?);
-        let len = order.u32(head, 8)? as usize;
-        if len > MAX_PACKET {
-            return None;
-        }
-        let data = head.get(16..16 + len)?;
-        self.rest = &head[16 + len..];
-        let interface = self.interfaces[0];
-        let ticks = seconds * interface.ticks_per_s + fraction;
-        Some(packet(data, interface, ticks))
+/// Takes the next pcapng block from `rest`; `Some(None)` for a damaged block of known length.
+fn next_block<'a>(rest: &mut &'a [u8], is_big_endian: &mut bool) -> Option<Option<Block<'a>>> {
+    let bytes = *rest;
+    if bytes.starts_with(&SECTION_HEADER) {
+        *is_big_endian = *bytes.get(8)? != 0x4D;
     }
-
-    /// `Some(None)`: a block that is no packet.
-    fn next_block(&mut self) -> Option<Option<Packet<'a>>> {
-        let block = self.rest;
-        if block.starts_with(&[0x0A, 0x0D, 0x0D, 0x0A]) {
-            self.order = match block.get(8)? {
-                0x4D => Order::Little,
-                _ => Order::Big,
-            };
-            self.interfaces.clear();
+    let parsed = match *is_big_endian {
+        true => parse_block_be(bytes),
+        false => parse_block_le(bytes),
+    };
+    match parsed {
+        Ok((after, block)) => {
+            *rest = after;
+            Some(Some(block))
         }
-        let order = self.order;
-        let len = order.u32(block, 4)? as usize;
-        if !(12..=MAX_PACKET + 64).contains(&len) || !len.is_multiple_of(4) {
-            return None;
-        }
-        let body = block.get(8..len - 4)?;
-        self.rest = block.get(len..)?;
-        match order.u32(block, 0)? {
-            1 => self.interfaces.push(Interface {
-                link: u32::from(order.u16(body, 0)?),
-                ticks_per_s: ticks_per_s(order, body.get(8..)?),
-            }),
-            6 => {
-                let interface = order.u32(body, 0)? as usize;
-                let Some(&interface) = self.interfaces.get(interface) else {
-                    return Some(None);
-                };
-                let high = u64::from(order.u32(body, 4)?);
-                let ticks = high << 32 | u64::from(order.u32(body, 8)?);
-                let captured = order.u32(body, 12)? as usize;
-                let data = body.get(20..20_usize.saturating_add(captured))?;
-                return Some(Some(packet(data, interface, ticks)));
+        Err(ParseError::Incomplete(_)) => None,
+        Err(_) => {
+            let len: [u8; 4] = bytes.get(4..8)?.try_into().ok()?;
+            let len = match *is_big_endian {
+                true => u32::from_be_bytes(len),
+                false => u32::from_le_bytes(len),
+            } as usize;
+            if !(12..=MAX_PACKET + 64).contains(&len) || !len.is_multiple_of(4) {
+                return None;
             }
-            _ => {}
+            *rest = bytes.get(len..)?;
+            Some(None)
         }
-        Some(None)
     }
 }
 
-/// Option `if_tsresol` (9) of an interface; microseconds without it.
-fn ticks_per_s(order: Order, mut options: &[u8]) -> u64 {
-    while let (Some(code), Some(len)) = (order.u16(options, 0), order.u16(options, 2)) {
-        let len = usize::from(len);
-        if let (9, Some(&resolution)) = (code, options.get(4)) {
-            let power = u32::from(resolution & 0x7F);
-            let base: u64 = if resolution & 0x80 == 0 { 10 } else { 2 };
-            return base.checked_pow(power).unwrap_or(1_000_000);
+/// The packet of an Enhanced Packet Block; other blocks update `interfaces` or hold nothing that is used.
+fn packet_of<'a>(block: Block<'a>, interfaces: &mut Vec<Interface>) -> Option<Packet<'a>> {
+    match block {
+        Block::SectionHeader(_) => interfaces.clear(),
+        Block::InterfaceDescription(block) => interfaces.push(Interface {
+            link: block.linktype.0 as u32,
+            ticks_per_s: ticks_per_s(block.if_tsresol),
+        }),
+        Block::EnhancedPacket(block) => {
+            let interface = *interfaces.get(block.if_id as usize)?;
+            let ticks = u64::from(block.ts_high) << 32 | u64::from(block.ts_low);
+            let data = block.data.get(..block.caplen as usize)?;
+            return Some(packet(data, interface, ticks));
         }
-        let Some(rest) = options.get(4 + len.next_multiple_of(4)..) else {
-            break;
-        };
-        options = rest;
-        if code == 0 {
-            break;
-        }
+        _ => {}
     }
-    1_000_000
+    None
+}
+
+/// Ticks per second of option `if_tsresol`: a power of 10, or of 2 with the upper bit set. `pcap-parser` refuses powers of 2.
+fn ticks_per_s(resolution: u8) -> u64 {
+    let base: u64 = if resolution & 0x80 == 0 { 10 } else { 2 };
+    let power = u32::from(resolution & 0x7F);
+    base.checked_pow(power).unwrap_or(1_000_000)
 }
 
 fn packet(data: &[u8], interface: Interface, ticks: u64) -> Packet<'_> {
-    let ns = u128::from(ticks) * 1_000_000_000 / u128::from(interface.ticks_per_s.max(1));
+    let ns = u128::from(ticks) * 1_000_000_000 / u128::from(interface.ticks_per_s);
     let ip = ip_packet(data, interface.link);
     let datagram = ip.and_then(udp);
     Packet {
@@ -219,16 +219,26 @@ fn packet(data: &[u8], interface: Interface, ticks: u64) -> Packet<'_> {
     }
 }
 
-/// Strips the link layer.
+fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    let bytes = bytes.get(at..at + 2)?.try_into().ok()?;
+    Some(u16::from_be_bytes(bytes))
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    let bytes = bytes.get(at..at + 4)?.try_into().ok()?;
+    Some(u32::from_be_bytes(bytes))
+}
+
+/// The IP packet in a frame of link type `link` (tcpdump's LINKTYPE_ numbers).
 fn ip_packet(data: &[u8], link: u32) -> Option<&[u8]> {
     match link {
         ETHERNET => {
             let mut at = 12;
-            // VLAN tags, one inside the other.
-            while matches!(Order::Big.u16(data, at)?, 0x8100 | 0x88A8 | 0x9100) {
+            // VLAN tags may be nested.
+            while matches!(u16_at(data, at)?, 0x8100 | 0x88A8 | 0x9100) {
                 at += 4;
             }
-            matches!(Order::Big.u16(data, at)?, 0x0800 | 0x86DD).then(|| data.get(at + 2..))?
+            matches!(u16_at(data, at)?, 0x0800 | 0x86DD).then(|| data.get(at + 2..))?
         }
         LINUX_COOKED => data.get(16..),
         LINUX_COOKED_2 => data.get(20..),
@@ -244,10 +254,11 @@ const TCP: u8 = 6;
 /// Destination port and payload of a whole UDP datagram.
 fn udp(ip: &[u8]) -> Option<(u16, &[u8])> {
     let datagram = inside(ip, UDP)?;
-    let len = usize::from(Order::Big.u16(datagram, 4)?);
-    Some((Order::Big.u16(datagram, 2)?, datagram.get(8..len)?))
+    let len = usize::from(u16_at(datagram, 4)?);
+    Some((u16_at(datagram, 2)?, datagram.get(8..len)?))
 }
 
+/// The TCP segment in an IP packet.
 fn tcp(ip: &[u8]) -> Option<Segment<'_>> {
     const SYN: u8 = 2;
     let segment = inside(ip, TCP)?;
@@ -257,26 +268,26 @@ fn tcp(ip: &[u8]) -> Option<Segment<'_>> {
             4 => ip.get(12..20)?,
             _ => ip.get(8..40)?,
         },
-        from_port: Order::Big.u16(segment, 0)?,
-        to_port: Order::Big.u16(segment, 2)?,
-        sequence: Order::Big.u32(segment, 4)?,
+        from_port: u16_at(segment, 0)?,
+        to_port: u16_at(segment, 2)?,
+        sequence: u32_at(segment, 4)?,
         is_start: segment.get(13)? & SYN != 0,
         payload: segment.get(header..)?,
     })
 }
 
-/// What an IP packet that is no fragment carries of a protocol, without the padding of short Ethernet frames.
+/// Payload of an unfragmented IP packet of the wanted protocol, without the padding of short Ethernet frames.
 fn inside(ip: &[u8], wanted: u8) -> Option<&[u8]> {
     let (protocol, header, total) = match ip.first()? >> 4 {
         4 => {
-            let fragment = Order::Big.u16(ip, 6)? & 0x3FFF;
+            let fragment = u16_at(ip, 6)? & 0x3FFF;
             if fragment != 0 {
                 return None;
             }
-            let total = usize::from(Order::Big.u16(ip, 2)?);
+            let total = usize::from(u16_at(ip, 2)?);
             (*ip.get(9)?, usize::from(ip[0] & 0xF) * 4, total)
         }
-        6 => (*ip.get(6)?, 40, 40 + usize::from(Order::Big.u16(ip, 4)?)),
+        6 => (*ip.get(6)?, 40, 40 + usize::from(u16_at(ip, 4)?)),
         _ => return None,
     };
     (protocol == wanted).then(|| ip.get(header..total))?
@@ -329,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn the_payload_comes_without_tags_and_padding_from_pcap_and_pcapng() {
+    fn payloads_are_read_without_tags_and_padding_from_pcap_and_pcapng() {
         let text: &[u8] = b"$HEHDT,1,T\r\n";
         for vlan in [false, true] {
             let frame = frame(text, vlan);
@@ -339,7 +350,7 @@ mod tests {
                 file.extend(v.to_le_bytes());
             }
             file.extend(&frame);
-            // A cut packet behind it.
+            // A truncated packet follows.
             file.extend([1; 20]);
             let found: Vec<_> = packets(&file).collect();
             assert_eq!(found.len(), 1);
@@ -350,5 +361,21 @@ mod tests {
             let found: Vec<_> = packets(&file).map(|p| (p.arrival, p.payload)).collect();
             assert_eq!(found, [(UtcNs(1_406_851_200_123_456_789), Some(text))]);
         }
+    }
+
+    #[test]
+    fn a_damaged_block_is_skipped_and_powers_of_two_are_resolutions() {
+        let frame = frame(b"$HEHDT,1,T\r\n", false);
+        let whole = pcapng(&frame);
+        // The packet block twice; the trailing length of the first one is wrong.
+        let at = whole.len() - (frame.len().next_multiple_of(4) + 32);
+        let mut twice = [&whole[..], &whole[at..]].concat();
+        twice[whole.len() - 1] ^= 4;
+        assert_eq!(packets(&twice).count(), 1);
+        for cut in 0..whole.len() {
+            assert_eq!(packets(&whole[..cut]).count(), 0, "{cut}");
+        }
+        assert_eq!(ticks_per_s(0x80 | 20), 1 << 20);
+        assert_eq!(ticks_per_s(9), 1_000_000_000);
     }
 }
