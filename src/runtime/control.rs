@@ -1,7 +1,6 @@
 //! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
 
 use std::collections::VecDeque;
-use std::fmt::Write as _;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -16,6 +15,7 @@ use crate::io::control::socket::ReliefTile;
 use crate::io::control::{Answer, Bytes, ClockMode, Command, ControlPort};
 use crate::io::nav::SourceCounters;
 use crate::io::sonar::RigTime;
+use crate::metrics::{self, Family, Kind};
 use crate::outputs::OutputReports;
 use crate::overload::OverloadLog;
 use crate::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
@@ -487,69 +487,58 @@ impl ControlPort for RunControl {
 
     /// Prometheus text, version 0.0.4.
     fn metrics(&self) -> String {
-        let mut text = String::new();
-        // A name's kind and meaning are said once, ahead of all its values.
         let Some(first) = self.sonars.first() else {
-            return text;
+            return String::new();
         };
-        for (k, (name, doc, _)) in first.all_counters().enumerate() {
-            let kind = match name.starts_with("worst_")
-                || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us")
-            {
-                true => "gauge",
-                false => "counter",
+        let mut families = Vec::new();
+        for (k, (name, help, _)) in first.all_counters().enumerate() {
+            let is_gauge = name.starts_with("worst_")
+                || matches!(name, "nav_age_ms" | "plan" | "looser_now" | "drift_us");
+            let kind = match is_gauge {
+                true => Kind::Gauge,
+                false => Kind::Counter,
             };
-            let _ = writeln!(
-                text,
-                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} {kind}"
-            );
+            let mut family = Family::new(name, help, kind);
             for sonar in &self.sonars {
                 if let Some((_, _, value)) = sonar.all_counters().nth(k) {
-                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{}\"}} {value}", sonar.name);
+                    family.push(&[("sonar", &sonar.name)], value as f64);
                 }
             }
+            families.push(family);
         }
-        for (k, (name, doc, _)) in first.counters.errors().into_iter().enumerate() {
-            let _ = writeln!(
-                text,
-                "# HELP echotank_{name} {doc}\n# TYPE echotank_{name} gauge"
-            );
+        for (k, (name, help, _)) in first.counters.errors().into_iter().enumerate() {
+            let mut family = Family::new(name, help, Kind::Gauge);
             for sonar in &self.sonars {
                 if let Some(value) = sonar.counters.errors()[k].2 {
-                    let who = &sonar.name;
-                    let _ = writeln!(text, "echotank_{name}{{sonar=\"{who}\"}} {value:e}");
+                    family.push(&[("sonar", &sonar.name)], value);
                 }
             }
+            families.push(family);
         }
-        for (k, (name, doc, _)) in first.histograms.all().into_iter().enumerate() {
-            let name = format!("echotank_{name}_seconds");
-            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} summary");
+        for (k, (name, help, _)) in first.histograms.all().into_iter().enumerate() {
+            let mut family = Family::summary(&format!("{name}_seconds"), help);
             for sonar in &self.sonars {
                 let figures = sonar.histograms.all()[k].2;
-                let who = &sonar.name;
-                for (quantile, us) in [
-                    ("0.5", figures.p50_us),
-                    ("0.99", figures.p99_us),
-                    ("0.999", figures.p999_us),
-                    ("1", figures.max_us),
-                ] {
-                    let s = us as f64 / 1e6;
-                    let _ = writeln!(
-                        text,
-                        "{name}{{sonar=\"{who}\",quantile=\"{quantile}\"}} {s}"
-                    );
-                }
-                let _ = writeln!(text, "{name}_count{{sonar=\"{who}\"}} {}", figures.count);
+                let quantiles = [
+                    (0.5, figures.p50_us),
+                    (0.99, figures.p99_us),
+                    (0.999, figures.p999_us),
+                    (1.0, figures.max_us),
+                ];
+                family.push_summary(
+                    &[("sonar", &sonar.name)],
+                    &quantiles.map(|(quantile, us)| (quantile, us as f64 / 1e6)),
+                    figures.sum_us as f64 / 1e6,
+                    figures.count,
+                );
             }
+            families.push(family);
         }
-        let _ = writeln!(
-            text,
-            "# HELP echotank_faults_injected Faults injected\n# TYPE echotank_faults_injected counter\nechotank_faults_injected {}",
-            self.faults.injected()
-        );
-        for (key, kind, doc) in STREAM_METRICS {
-            let name = format!("echotank_client_{key}");
-            let _ = writeln!(text, "# HELP {name} {doc}\n# TYPE {name} {kind}");
+        let mut faults = Family::new("faults_injected", "Faults injected", Kind::Counter);
+        faults.push(&[], self.faults.injected() as f64);
+        families.push(faults);
+        for (key, kind, help) in STREAM_METRICS {
+            let mut family = Family::new(&format!("client_{key}"), help, *kind);
             for sonar in &self.sonars {
                 for stream in sonar.reports.streams() {
                     let value = match *key {
@@ -558,25 +547,27 @@ impl ControlPort for RunControl {
                         "records_dropped" => stream.records_dropped,
                         _ => stream.queued_bytes,
                     };
-                    let _ = writeln!(
-                        text,
-                        "{name}{{sonar=\"{}\",family=\"{}\",peer=\"{}\"}} {value}",
-                        sonar.name, stream.family, stream.peer
-                    );
+                    let labels = [
+                        ("sonar", sonar.name.as_str()),
+                        ("family", stream.family),
+                        ("peer", &stream.peer),
+                    ];
+                    family.push(&labels, value as f64);
                 }
             }
+            families.push(family);
         }
-        text
+        metrics::text(families)
     }
 }
 
-const STREAM_METRICS: &[(&str, &str, &str)] = &[
-    ("bytes_sent", "counter", "Bytes written to a client"),
-    ("records_sent", "counter", "Records written to a client"),
+const STREAM_METRICS: &[(&str, Kind, &str)] = &[
+    ("bytes_sent", Kind::Counter, "Bytes written to a client"),
+    ("records_sent", Kind::Counter, "Records written to a client"),
     (
         "records_dropped",
-        "counter",
+        Kind::Counter,
         "Records that did not fit a client's queue",
     ),
-    ("queued_bytes", "gauge", "Bytes that wait for a client"),
+    ("queued_bytes", Kind::Gauge, "Bytes that wait for a client"),
 ];

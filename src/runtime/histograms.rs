@@ -71,6 +71,7 @@ impl Spread {
             p99_us: histogram.value_at_quantile(0.99),
             p999_us: histogram.value_at_quantile(0.999),
             max_us: histogram.max(),
+            sum_us: (histogram.mean() * histogram.len() as f64) as u64,
         }
     }
 }
@@ -87,6 +88,9 @@ pub struct Figures {
     pub p99_us: u64,
     pub p999_us: u64,
     pub max_us: u64,
+    /// Of all values, to the histogram's resolution.
+    #[serde(skip)]
+    pub(crate) sum_us: u64,
 }
 
 impl Histograms {

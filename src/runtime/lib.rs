@@ -13,6 +13,7 @@ pub mod first_pings;
 pub mod gate;
 pub mod histograms;
 pub mod io;
+pub(crate) mod metrics;
 pub mod outputs;
 pub mod overload;
 pub mod page;

@@ -88,7 +88,7 @@ fn settings_are_obeyed_refused_and_told_over_http_and_ctl() {
     // Every sample line belongs to a name whose kind was said.
     for line in text.lines().filter(|line| !line.starts_with('#')) {
         let name = line.split(['{', ' ']).next().expect("a name");
-        let name = name.trim_end_matches("_count");
+        let name = name.trim_end_matches("_count").trim_end_matches("_sum");
         assert!(text.contains(&format!("# TYPE {name} ")), "{line}");
     }
     assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
