@@ -7,6 +7,7 @@ use echotank_config::spec::{
     SeabedShape, SeabedSpec,
 };
 use echotank_core::flow::{Footprint, Scatterers};
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::tiles::TILE_BYTES;
 use glam::DVec3;
@@ -68,7 +69,7 @@ fn gather_on_the_move(shape: SeabedShape) -> u64 {
         memory_limit_bytes: 40 * TILE_BYTES,
         simplify: None,
     };
-    let mut scene = Scene::open(&spec).unwrap();
+    let mut scene = Scene::open(&FileSystem, &spec).unwrap();
     let mut out = Scatterers::default();
     let mut ping = |north_m: f64, out: &mut Scatterers| {
         let side = |axis| {

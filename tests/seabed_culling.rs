@@ -17,9 +17,10 @@ use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::pool;
 use echotank_ping::{self as ping, PingOrder, Schedule};
 use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::NavInputs;
 use echotank_scene::Scene;
-use echotank_scene::targets::Targets;
+use echotank_scene::targets::{MeshFolder, Targets};
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::echo::levels::Directivity;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
@@ -235,7 +236,7 @@ fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_to
     plan.trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, DQuat::IDENTITY);
     ping::fill(&mut plan, &sonar, &order, NavState::default(), UtcNs(0));
     let mut pipeline = SonarPipeline::new(&sonar, &spec.medium).expect("a pipeline");
-    let mut scene = Scene::open(&spec.scene).expect("a scene");
+    let mut scene = Scene::open(&FileSystem, &spec.scene).expect("a scene");
     let mut scatterers = Scatterers::default();
     let counts = scene.gather(pipeline.footprints(&plan), &mut scatterers);
     assert_eq!(counts.targets, 2);
@@ -296,10 +297,10 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
         let first = rig.history.first_usable_utc().expect("nav");
         let mut unshaded = spec.scene.clone();
         unshaded.occlusion = OcclusionSpec::None;
-        let mut unshaded = Scene::open(&unshaded).expect("scene");
+        let mut unshaded = Scene::open(&FileSystem, &unshaded).expect("scene");
         let own = unshaded.targets()[0].position_m;
         let text = std::fs::read(folder.join("data/seabed_targets.toml")).expect("targets");
-        let solids = Targets::parse(&text, Some(&folder.join("data")), 1, |n, e| {
+        let solids = Targets::parse(&text, Some(MeshFolder { files: &FileSystem, path: &folder.join("data") }), 1, |n, e| {
             unshaded.seabed_down_m(n, e)
         })
         .expect("targets");

@@ -7,6 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use echotank_config::spec::*;
 use echotank_core::flow::*;
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::DVec3;
@@ -68,28 +69,31 @@ fn mu() -> f64 {
 }
 
 fn scene(density: Density) -> Scene {
-    Scene::open(&SceneSpec {
-        seed: 20_260_101,
-        anchor: AnchorSpec::Origin,
-        mirror: false,
-        seabed: Some(SeabedSpec {
-            shape: SeabedShape::Plane {
-                depth_m: HEIGHT,
-                slope_north: 0.0,
-                slope_east: 0.0,
-            },
-            density,
-            bottom: BottomSpec::BistaticLambert { mu_db: MU_DB },
-            incidence: IncidenceSpec::Normal,
-            mosaic: None,
-            speckle: true,
-        }),
-        points: None,
-        targets: None,
-        occlusion: OcclusionSpec::Horizon,
-        memory_limit_bytes: 1 << 26,
-        simplify: None,
-    })
+    Scene::open(
+        &FileSystem,
+        &SceneSpec {
+            seed: 20_260_101,
+            anchor: AnchorSpec::Origin,
+            mirror: false,
+            seabed: Some(SeabedSpec {
+                shape: SeabedShape::Plane {
+                    depth_m: HEIGHT,
+                    slope_north: 0.0,
+                    slope_east: 0.0,
+                },
+                density,
+                bottom: BottomSpec::BistaticLambert { mu_db: MU_DB },
+                incidence: IncidenceSpec::Normal,
+                mosaic: None,
+                speckle: true,
+            }),
+            points: None,
+            targets: None,
+            occlusion: OcclusionSpec::Horizon,
+            memory_limit_bytes: 1 << 26,
+            simplify: None,
+        },
+    )
     .expect("a plane")
 }
 

@@ -2,6 +2,7 @@
 
 use echotank_config::spec::*;
 use echotank_core::flow::{Footprint, Scatterers};
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::tiles::TILE_BYTES;
 use glam::DVec3;
@@ -31,7 +32,7 @@ fn pings_along_ten_kilometres_make_the_same_number_of_tiles_and_come_back_to_the
         memory_limit_bytes: 500 * TILE_BYTES,
         simplify: None,
     };
-    let mut scene = Scene::open(&spec).expect("a plane");
+    let mut scene = Scene::open(&FileSystem, &spec).expect("a plane");
     let mut out = Scatterers::default();
     let mut gather = |km: f64| {
         let at_m = DVec3::new(1000.0 * km, 0.0, 0.0);

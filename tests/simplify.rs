@@ -11,6 +11,7 @@ use echotank_config::spec::{
     SceneSpec, SeabedShape, SeabedSpec, SimplifyMethod, SimplifySpec,
 };
 use echotank_core::flow::{Footprint, Scatterers};
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::simplify::energy::{Beam, View};
 use echotank_scene::simplify::stage::Stage;
@@ -63,24 +64,27 @@ fn the_ladder_in_short() {
 }
 
 fn scene(shape: PaperShape) -> Scene {
-    Scene::open(&SceneSpec {
-        seed: 3,
-        anchor: AnchorSpec::Origin,
-        mirror: false,
-        seabed: Some(SeabedSpec {
-            shape: SeabedShape::Paper(shape),
-            density: Density::PerM2(4.0),
-            bottom: BottomSpec::BistaticLambert { mu_db: -20.0 },
-            incidence: IncidenceSpec::Normal,
-            mosaic: None,
-            speckle: true,
-        }),
-        points: None,
-        targets: None,
-        occlusion: OcclusionSpec::None,
-        memory_limit_bytes: 64 << 20,
-        simplify: None,
-    })
+    Scene::open(
+        &FileSystem,
+        &SceneSpec {
+            seed: 3,
+            anchor: AnchorSpec::Origin,
+            mirror: false,
+            seabed: Some(SeabedSpec {
+                shape: SeabedShape::Paper(shape),
+                density: Density::PerM2(4.0),
+                bottom: BottomSpec::BistaticLambert { mu_db: -20.0 },
+                incidence: IncidenceSpec::Normal,
+                mosaic: None,
+                speckle: true,
+            }),
+            points: None,
+            targets: None,
+            occlusion: OcclusionSpec::None,
+            memory_limit_bytes: 64 << 20,
+            simplify: None,
+        },
+    )
     .unwrap()
 }
 

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 
 use super::Failure;
 use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::relief;
 use echotank_scene::read::survey::{Layout, Lookup, Survey};
@@ -160,7 +161,8 @@ fn info(args: &InfoArgs) -> Result<(), Failure> {
     if args.is_model() {
         return model_info(args);
     }
-    let survey = Survey::open(&args.asked()).map_err(|e| Failure::Configuration(e.to_string()))?;
+    let survey = Survey::open(&FileSystem, &args.asked())
+        .map_err(|e| Failure::Configuration(e.to_string()))?;
     let caption = match &args.png {
         Some(path) => Some(write_relief(path, &survey).map_err(Failure::Running)?),
         None => None,
@@ -439,7 +441,8 @@ fn model_info(args: &InfoArgs) -> Result<(), Failure> {
         Axes::NorthEastDown => MeshAxes::NorthEastDown,
         Axes::EastUpSouth => MeshAxes::EastUpSouth,
     };
-    let mesh = mesh::open(&args.file, axes).map_err(|e| Failure::Configuration(e.to_string()))?;
+    let mesh = mesh::open(&FileSystem, &args.file, axes)
+        .map_err(|e| Failure::Configuration(e.to_string()))?;
     let start = DVec3::splat(f64::INFINITY);
     let low = mesh.vertices_m.iter().fold(start, |m, v| m.min(*v));
     let high = mesh.vertices_m.iter().fold(-start, |m, v| m.max(*v));

@@ -20,7 +20,7 @@ use echotank_core::time::UtcNs;
 use echotank_nav::{NavGap, NavHistory};
 use echotank_scene::simplify::energy::View;
 use echotank_scene::simplify::stage::{Stage, StageCounts};
-use echotank_scene::{Scene, SceneError};
+use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::absorption::absorption_db_per_m;
 
 #[derive(Debug, Error)]
@@ -102,8 +102,8 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Opens the scene and sizes every buffer. `costs` is what the method selection compares. To be called inside the pool that will run it.
-    pub fn open(spec: &RigSpec, costs: Costs) -> Result<Self, RigError> {
+    /// Opens the scene and sizes every buffer. `costs` is what the method selection compares; `files` opens the scene's files. To be called inside the pool that will run it.
+    pub fn open(spec: &RigSpec, costs: Costs, files: &dyn Files) -> Result<Self, RigError> {
         let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
         for (number, request) in spec.faults.iter().enumerate() {
             let added = faults.add(request);
@@ -148,7 +148,7 @@ impl Rig {
         Ok(Self {
             spec: spec.clone(),
             history: NavHistory::new(&spec.nav),
-            scene: Scene::open(&spec.scene)?,
+            scene: Scene::open(files, &spec.scene)?,
             sonars,
             faults,
             costs,

@@ -11,6 +11,7 @@ use echotank_ping::method_selection::costs::{Costs, CostsError};
 use echotank_ping::rig::{Rig, RigError};
 use thiserror::Error;
 
+use crate::io::files::FileSystem;
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::io::{priority, text_of};
 
@@ -29,7 +30,11 @@ pub enum OpenError {
 
 /// Opens the rig of `spec`. To be called inside the pool that will run it.
 pub fn open(spec: &RigSpec) -> Result<Rig, OpenError> {
-    Ok(Rig::open(spec, costs_of(spec.run.costs.as_deref())?)?)
+    Ok(Rig::open(
+        spec,
+        costs_of(spec.run.costs.as_deref())?,
+        &FileSystem,
+    )?)
 }
 
 /// The table of costs in a file, or without one the committed table.

@@ -33,9 +33,10 @@ use gather::{Gatherer, Listeners};
 use loud::Quiet;
 use occlusion::{Around, Occlusion};
 use pool::TilePool;
+pub use read::Files;
 use read::{Fault, text};
 use seabed::{GeodeticPlace, Surface};
-use targets::Targets;
+use targets::{MeshFolder, Targets};
 pub use text::{MAX_FILE_BYTES, Misread};
 use tiles::{Levels, Recipe, TILE_BYTES};
 
@@ -104,12 +105,12 @@ impl Scene {
     /// Reads the scene's files. Its zero lies at the world's origin until [`Scene::place`].
     /// `memory_limit_bytes` bounds the tiles; besides, a grid takes 4 bytes a cell, an explicit point about 53, and so does every scatterer
     /// that a ping hears.
-    pub fn open(spec: &SceneSpec) -> Result<Self, SceneError> {
+    pub fn open(files: &dyn Files, spec: &SceneSpec) -> Result<Self, SceneError> {
         let seabed = match &spec.seabed {
             None => None,
             Some(seabed) => {
                 let block_m = Levels::new(&seabed.density).typical_side_m();
-                let surface = Surface::open(&seabed.shape, spec.mirror, block_m)?;
+                let surface = Surface::open(files, &seabed.shape, spec.mirror, block_m)?;
                 let capacity = spec.memory_limit_bytes / TILE_BYTES;
                 if capacity == 0 {
                     return Err(SceneError::NoRoomForATile {
@@ -120,7 +121,7 @@ impl Scene {
                 let mosaic = match &seabed.mosaic {
                     None => None,
                     Some(mosaic) => {
-                        let laid = surface.open_mosaic(mosaic, spec.mirror, block_m)?;
+                        let laid = surface.open_mosaic(files, mosaic, spec.mirror, block_m)?;
                         Some((laid, mosaic.values))
                     }
                 };
@@ -143,7 +144,7 @@ impl Scene {
         }
         let mut points = match &spec.points {
             None => Scatterers::default(),
-            Some(path) => read(path, points::parse)?,
+            Some(path) => read(files, path, points::parse)?,
         };
         let recipe = seabed.as_ref().map(|(recipe, _)| recipe);
         let quiet = Quiet::new(recipe, &points);
@@ -153,9 +154,12 @@ impl Scene {
         }
         let targets = match &spec.targets {
             None => Targets::default(),
-            Some(path) => read(path, |bytes| {
+            Some(path) => read(files, path, |bytes| {
                 let toml = path.extension().is_some_and(|e| e == "toml");
-                let folder = toml.then(|| path.parent().unwrap_or(Path::new(".")));
+                let folder = toml.then(|| MeshFolder {
+                    files,
+                    path: path.parent().unwrap_or(Path::new(".")),
+                });
                 Targets::parse(bytes, folder, spec.seed, |north_m, east_m| {
                     let (recipe, _) = seabed.as_ref()?;
                     Some(recipe.surface().sample(north_m, east_m)?.down_m)
@@ -394,8 +398,12 @@ impl Scene {
 }
 
 /// Reads a file and gives its faults the file's name.
-fn read<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, Misread>) -> Result<T, SceneError> {
-    parse(&text::read_file(path)?).map_err(|fault| SceneError::Misread {
+fn read<T>(
+    files: &dyn Files,
+    path: &Path,
+    parse: impl FnOnce(&[u8]) -> Result<T, Misread>,
+) -> Result<T, SceneError> {
+    parse(&text::read_file(files, path)?).map_err(|fault| SceneError::Misread {
         path: path.to_owned(),
         fault,
     })

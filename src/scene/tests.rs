@@ -11,12 +11,21 @@ use super::pool::TilePool;
 use super::read::HeightField;
 use super::seabed::Surface;
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
-use super::{Scene, SceneError};
+use super::{Files, Scene, SceneError};
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, CrsSpec, Density, HeightSign, IncidenceSpec, MosaicSpec, MosaicValues,
     OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
 };
 use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
+
+/// The file system, as the runtime passes it.
+pub(crate) struct Disk;
+
+impl Files for Disk {
+    fn open(&self, path: &Path) -> std::io::Result<Box<dyn std::io::Read>> {
+        Ok(Box::new(std::fs::File::open(path)?))
+    }
+}
 
 const FLAT: SeabedShape = SeabedShape::Plane {
     depth_m: 50.0,
@@ -57,7 +66,7 @@ fn plane_recipe(slope_north: f64, slope_east: f64, density_per_m2: f64, speckle:
         slope_north,
         slope_east,
     };
-    let surface = Surface::open(&shape, false, 1.0).unwrap();
+    let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
     Recipe::new(surface, &seabed(shape, density_per_m2, speckle), 42)
 }
 
@@ -282,7 +291,7 @@ fn a_pool_full_of_strangers_hands_out_the_right_tiles() {
 fn seeds_give_different_tiles() {
     let shape = FLAT;
     let with = |seed, id| {
-        let surface = Surface::open(&shape, false, 1.0).unwrap();
+        let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
         tile_bits(&make(
             &Recipe::new(surface, &seabed(shape.clone(), 4.0, true), seed),
             id,
@@ -376,7 +385,7 @@ fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_in
 
 #[test]
 fn a_footprints_count_is_density_times_its_area() {
-    let mut scene = Scene::open(&spec(Some(seabed(FLAT, 4.0, true)), 400)).unwrap();
+    let mut scene = Scene::open(&Disk, &spec(Some(seabed(FLAT, 4.0, true)), 400)).unwrap();
     let mut out = Scatterers::default();
     // 120 m slant over 50 m of water: a circle. Only the cells on its rim are uncertain (standard deviation below 1/2 each).
     let radius_m = (120.0_f64.powi(2) - 50.0_f64.powi(2)).sqrt();
@@ -612,7 +621,7 @@ fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
         .join("hil-configs/data/jd211_crop_400x400_2m.asc");
     let shape = surveyed(path);
-    let mut scene = Scene::open(&spec(Some(seabed(shape, 4.0, true)), 10)).unwrap();
+    let mut scene = Scene::open(&Disk, &spec(Some(seabed(shape, 4.0, true)), 10)).unwrap();
     /// Half a step of the f32 in which depths are kept, metres.
     const F32_AT_52_M: f64 = 2e-6;
     // Metres from the grid's centre, and depth; read and interpolated by a script in another language. The first six are cell centres.
@@ -656,7 +665,7 @@ proptest! {
         prop_assume!(DVec3::from(to).length() > 0.1);
         let shape = SeabedShape::Plane { depth_m: 30.0, slope_north: 0.3, slope_east: -0.1 };
         let mut spec = spec(Some(seabed(shape, density, true)), 1000);
-        let mut scene = Scene::open(&spec).unwrap();
+        let mut scene = Scene::open(&Disk, &spec).unwrap();
         scene.place(anchor[0], anchor[1]);
         let apex_m = DVec3::from(at) + DVec3::new(anchor[0], anchor[1], 0.0);
         let footprints = [
@@ -680,7 +689,7 @@ proptest! {
         prop_assert_eq!(counts.scatterers, got.len() as u64);
         // A pool with room for one tile gives the same.
         spec.memory_limit_bytes = TILE_BYTES;
-        let mut poor = Scene::open(&spec).unwrap();
+        let mut poor = Scene::open(&Disk, &spec).unwrap();
         poor.place(anchor[0], anchor[1]);
         poor.gather(&footprints, &mut got);
         prop_assert_eq!(&sorted(bits(&got)), &want);
@@ -707,7 +716,7 @@ fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
     let mut spec = spec(Some(seabed(FLAT, 4.0, true)), 100);
     spec.points = Some(points);
     spec.targets = Some(targets);
-    let mut scene = Scene::open(&spec).unwrap();
+    let mut scene = Scene::open(&Disk, &spec).unwrap();
     scene.place(1000.0, -2000.0);
     let names: Vec<_> = scene
         .targets()
@@ -779,7 +788,7 @@ fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
 fn the_seabed_moves_with_its_anchor_unless_it_lies_at_the_origin() {
     let mut spec = spec(Some(seabed(FLAT, 4.0, true)), 100);
     let gathered = |spec: &SceneSpec, at: DVec3| {
-        let mut scene = Scene::open(spec).unwrap();
+        let mut scene = Scene::open(&Disk, spec).unwrap();
         scene.place(64.0, -32.0);
         let mut out = Scatterers::default();
         scene.gather(&[all_round(at, 60.0)], &mut out);
@@ -796,7 +805,7 @@ fn the_seabed_moves_with_its_anchor_unless_it_lies_at_the_origin() {
 
 #[test]
 fn an_empty_scene_gives_nothing() {
-    let mut scene = Scene::open(&spec(None, 0)).unwrap();
+    let mut scene = Scene::open(&Disk, &spec(None, 0)).unwrap();
     let mut out = Scatterers::default();
     let counts = scene.gather(&[all_round(DVec3::ZERO, 100.0)], &mut out);
     assert_eq!((counts, out.len()), (SceneCounts::default(), 0));
@@ -808,7 +817,7 @@ fn an_empty_scene_gives_nothing() {
 fn faults_name_their_file_and_limits_their_key() {
     let (_keep, path) = written("bad.asc", "ncols x\n");
     let shape = surveyed(path.clone());
-    let said = |spec: &SceneSpec| Scene::open(spec).unwrap_err().to_string();
+    let said = |spec: &SceneSpec| Scene::open(&Disk, spec).unwrap_err().to_string();
     assert_eq!(
         said(&spec(Some(seabed(shape, 4.0, true)), 1)),
         format!(
@@ -819,7 +828,7 @@ fn faults_name_their_file_and_limits_their_key() {
     let mut missing = spec(None, 1);
     missing.points = Some(path.with_file_name("absent.csv"));
     assert!(matches!(
-        Scene::open(&missing),
+        Scene::open(&Disk, &missing),
         Err(SceneError::Unreadable { path, .. }) if path.ends_with("absent.csv")
     ));
     let mut poor = spec(Some(seabed(FLAT, 4.0, true)), 1);
@@ -841,7 +850,7 @@ fn the_quickstart_targets_open_over_the_recorded_seabed() {
     let mut spec = spec(Some(seabed(shape, 1.0, true)), 10);
     spec.mirror = true;
     spec.targets = Some(data.join("quickstart_targets.csv"));
-    let scene = Scene::open(&spec).unwrap();
+    let scene = Scene::open(&Disk, &spec).unwrap();
     assert!(scene.targets().len() >= 12);
     for t in scene.targets() {
         assert!((48.0..52.3).contains(&t.position_m.z), "{t:?}");
@@ -864,7 +873,7 @@ fn auto_recipe(slope_north: f64) -> Recipe {
         slope_north,
         slope_east: 0.0,
     };
-    let surface = Surface::open(&shape, false, 1.0).unwrap();
+    let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
     let spec = SeabedSpec {
         density: AUTO,
         ..seabed(shape, 1.0, true)
@@ -992,7 +1001,7 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
             .build()
             .unwrap();
         pool.install(|| {
-            let mut scene = Scene::open(&spec).unwrap();
+            let mut scene = Scene::open(&Disk, &spec).unwrap();
             let mut out = Scatterers::default();
             let counts = scene.gather(&[footprint], &mut out);
             (bits(&out), counts, out)
@@ -1047,7 +1056,7 @@ fn flat_incidence_turns_the_normals_up_and_leaves_all_else() {
             incidence,
             ..seabed(shape.clone(), 2.0, true)
         };
-        let surface = Surface::open(&shape, false, 1.0).unwrap();
+        let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
         make(&Recipe::new(surface, &spec, 42), (0, 0))
     };
     let (own, flat) = (made(IncidenceSpec::Normal), made(IncidenceSpec::Flat));
@@ -1103,7 +1112,7 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
                 anchor: AnchorSpec::Origin,
                 ..spec(Some(seabed.clone()), 100)
             };
-            let mut scene = Scene::open(&spec).unwrap();
+            let mut scene = Scene::open(&Disk, &spec).unwrap();
             let mut out = Scatterers::default();
             scene.gather(&[all_round(DVec3::ZERO, 51.0)], &mut out);
             out
@@ -1149,7 +1158,7 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
 fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/bathy");
     let file = SeabedFileSpec::of(folder.join("laparguera_hitw_bathy.tif"));
-    let survey = crate::read::Survey::open(&file).unwrap();
+    let survey = crate::read::Survey::open(&Disk, &file).unwrap();
     let extent_m = (survey.field.extent_north_m(), survey.field.extent_east_m());
     let (shift_north_m, shift_east_m) = (0.2 * extent_m.0, -0.1 * extent_m.1);
     let opened = |mosaic: Option<MosaicSpec>| {
@@ -1162,11 +1171,14 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
             mosaic,
             ..seabed(shape, 400.0 / (extent_m.0 * extent_m.1), false)
         };
-        Scene::open(&SceneSpec {
-            anchor: AnchorSpec::Origin,
-            mirror: true,
-            ..spec(Some(seabed), 1000)
-        })
+        Scene::open(
+            &Disk,
+            &SceneSpec {
+                anchor: AnchorSpec::Origin,
+                mirror: true,
+                ..spec(Some(seabed), 1000)
+            },
+        )
     };
     let mosaic = |path: &Path, crs| MosaicSpec {
         path: path.to_owned(),

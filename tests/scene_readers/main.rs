@@ -7,6 +7,7 @@ use std::process::Command;
 
 use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::survey::{Layout, Source};
 use echotank_scene::read::{Crs, Survey, TriangleMesh};
@@ -25,7 +26,7 @@ fn refusal(name: &str, bytes: impl Into<Vec<u8>>) -> String {
 }
 
 fn opened(path: PathBuf) -> Survey {
-    Survey::open(&SeabedFileSpec::of(path)).unwrap_or_else(|e| panic!("{e}"))
+    Survey::open(&FileSystem, &SeabedFileSpec::of(path)).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// Northing (or latitude), easting (or longitude) and depth, by h5py, tifffile and numpy; drawn at random from the filled cells.

@@ -14,6 +14,7 @@ use echotank_core::frames::Trajectory;
 use echotank_core::time::UtcNs;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::{self as ping, PingOrder};
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use glam::{DQuat, DVec3};
 
@@ -55,7 +56,7 @@ fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std
     std::fs::write(folder.join("ground.asc"), ground())?;
     let spec = config::parse(&configuration(), folder).map_err(|e| e.to_string())?;
     let sonar = &spec.sonars[0];
-    let mut scene = Scene::open(&spec.scene)?;
+    let mut scene = Scene::open(&FileSystem, &spec.scene)?;
     let mut pipeline = SonarPipeline::new(sonar, &spec.medium)?;
     let mut plan = ping::blank(0, sonar, &spec.medium, 0.096);
     let (mut scatterers, mut output) = (Scatterers::default(), pipeline.blank_output());

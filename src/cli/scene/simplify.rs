@@ -9,6 +9,7 @@ use glam::DVec3;
 use crate::cli::Failure;
 use echotank_config::spec::{EnergyWeights, SeabedFileSpec, SimplifyMethod};
 use echotank_core::flow::Scatterers;
+use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::Survey;
 use echotank_scene::simplify::collapse::collapse;
 use echotank_scene::simplify::energy::{Beam, View};
@@ -75,7 +76,8 @@ pub(crate) fn main(args: &SimplifyArgs) -> Result<(), Failure> {
         return Err(Failure::Configuration(text.into()));
     }
     let asked = SeabedFileSpec::of(args.file.clone());
-    let survey = Survey::open(&asked).map_err(|e| Failure::Configuration(e.to_string()))?;
+    let survey =
+        Survey::open(&FileSystem, &asked).map_err(|e| Failure::Configuration(e.to_string()))?;
     let (all, triangles) = field::scatterers(&survey.field, args.lambert_db, args.seed);
     let method = match args.method {
         MethodArg::Acoustic => Some(SimplifyMethod::Acoustic),

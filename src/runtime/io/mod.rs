@@ -1,6 +1,7 @@
 //! The only home of tokio, socket2, serialport and files.
 pub mod control;
 pub mod datagrams;
+pub mod files;
 pub mod line;
 pub mod nav;
 pub(crate) mod notify;

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use crate::Scene;
 use crate::read::Survey;
 use crate::seabed::Surface;
+use crate::tests::Disk;
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
@@ -65,7 +66,7 @@ fn spec(path: PathBuf, occlusion: OcclusionSpec) -> SceneSpec {
 }
 
 fn gathered(spec: &SceneSpec, footprints: &[Footprint]) -> (Vec<DVec3>, u64) {
-    let mut scene = Scene::open(spec).unwrap();
+    let mut scene = Scene::open(&Disk, spec).unwrap();
     scene.place(100.0, -50.0);
     let mut out = Scatterers::default();
     let anchor_m = DVec3::new(100.0, -50.0, 0.0);
@@ -88,7 +89,7 @@ fn key(at: DVec3) -> [i64; 2] {
 
 /// The ground as `Scene` has it.
 fn ground(path: &Path) -> Surface {
-    let survey = Survey::open(&SeabedFileSpec::of(path.to_owned())).unwrap();
+    let survey = Survey::open(&Disk, &SeabedFileSpec::of(path.to_owned())).unwrap();
     Surface::from_grid(survey.field, false, 0.0, 0.0, 16.0)
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::text::{self, MAX_HORIZONTAL_M};
-use super::{Fault, MAX_POINTS, TriangleMesh, ply};
+use super::{Fault, Files, MAX_POINTS, TriangleMesh, ply};
 use crate::SceneError;
 
 /// Triangles at most: as a target's they take some 700 MiB.
@@ -38,9 +38,9 @@ impl MeshAxes {
 }
 
 /// Reads the mesh of a file by its extension.
-pub fn open(path: &Path, axes: MeshAxes) -> Result<TriangleMesh, SceneError> {
+pub fn open(files: &dyn Files, path: &Path, axes: MeshAxes) -> Result<TriangleMesh, SceneError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    parse(text::read_file(path)?, extension, axes).map_err(|fault| SceneError::Refused {
+    parse(text::read_file(files, path)?, extension, axes).map_err(|fault| SceneError::Refused {
         path: path.to_owned(),
         fault,
     })

@@ -17,6 +17,7 @@ mod bag;
 mod crs;
 mod esri_ascii;
 mod fault;
+mod files;
 mod geotiff;
 mod las;
 pub mod mesh;
@@ -30,6 +31,7 @@ mod xyz;
 
 pub use crs::Crs;
 pub use fault::Fault;
+pub use files::Files;
 pub use shapes::{Depth, HeightField, TriangleMesh};
 pub use survey::{Georeference, Survey};
 

@@ -14,8 +14,8 @@ use glam::DVec3;
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::triangulate::{Tin, merge_duplicates};
 use super::{
-    Crs, Facts, Fault, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape, Reader,
-    mesh,
+    Crs, Facts, Fault, Files, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape,
+    Reader, mesh,
 };
 use crate::SceneError;
 use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
@@ -161,8 +161,8 @@ fn local_m(crs: &Crs, zero: [f64; 2], x: f64, y: f64) -> (f64, f64) {
 }
 
 impl Survey {
-    pub fn open(asked: &SeabedFileSpec) -> Result<Self, SceneError> {
-        let bytes = text::read_file(&asked.path)?;
+    pub fn open(files: &dyn Files, asked: &SeabedFileSpec) -> Result<Self, SceneError> {
+        let bytes = text::read_file(files, &asked.path)?;
         Self::parse(bytes, asked).map_err(|fault| SceneError::Refused {
             path: asked.path.clone(),
             fault,
@@ -170,13 +170,17 @@ impl Survey {
     }
 
     /// A file of anything else over the ground (a backscatter mosaic, dB): its numbers stand where depths would, and nothing is guessed from them.
-    pub(crate) fn open_layer(path: &Path, crs: Option<CrsSpec>) -> Result<Self, SceneError> {
+    pub(crate) fn open_layer(
+        files: &dyn Files,
+        path: &Path,
+        crs: Option<CrsSpec>,
+    ) -> Result<Self, SceneError> {
         let asked = SeabedFileSpec {
             values: Some(HeightSign::Depth),
             crs,
             ..SeabedFileSpec::of(path.to_owned())
         };
-        let bytes = text::read_file(path)?;
+        let bytes = text::read_file(files, path)?;
         Self::parse_as(bytes, &asked, Numbers::Other).map_err(|fault| SceneError::Refused {
             path: path.to_owned(),
             fault,

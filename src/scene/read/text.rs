@@ -1,10 +1,10 @@
 //! What the readers of text files share: bounded reading, tables with named columns, and errors that name the place.
 
-use std::fs::File;
 use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
+use super::Files;
 use crate::SceneError;
 
 /// Largest scene file that is read, bytes: it is held in memory whole while it is parsed.
@@ -44,15 +44,15 @@ impl Misread {
     }
 }
 
-/// The bytes of a file of at most [`MAX_FILE_BYTES`].
-pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
+/// Reads a file of at most [`MAX_FILE_BYTES`] into memory.
+pub(crate) fn read_file(files: &dyn Files, path: &Path) -> Result<Vec<u8>, SceneError> {
     let unreadable = |source| SceneError::Unreadable {
         path: path.to_owned(),
         source,
     };
-    let file = File::open(path).map_err(unreadable)?;
+    let file = files.open(path).map_err(unreadable)?;
     let mut bytes = Vec::new();
-    // One byte more than allowed tells a file that is too large from one that just fits, also where it has no length.
+    // One byte above the limit shows that a file is too large, also where the file (a pipe) reports no length.
     file.take(MAX_FILE_BYTES + 1)
         .read_to_end(&mut bytes)
         .map_err(unreadable)?;

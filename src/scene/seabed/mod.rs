@@ -13,7 +13,7 @@ use super::SceneError;
 use super::occlusion::Piece;
 use super::paper;
 pub use super::read::Depth;
-use super::read::{Fault, Georeference, HeightField, Survey};
+use super::read::{Fault, Files, Georeference, HeightField, Survey};
 use blocks::{Blocks, NOTHING, united};
 use echotank_config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
@@ -71,7 +71,12 @@ pub struct GeodeticPlace {
 
 impl Surface {
     /// Opens the shape; `block_m` is the size of the areas [`Surface::bounds_m`] will be asked about.
-    pub fn open(shape: &SeabedShape, mirror: bool, block_m: f64) -> Result<Self, SceneError> {
+    pub fn open(
+        files: &dyn Files,
+        shape: &SeabedShape,
+        mirror: bool,
+        block_m: f64,
+    ) -> Result<Self, SceneError> {
         match shape {
             SeabedShape::Plane {
                 depth_m,
@@ -88,7 +93,7 @@ impl Surface {
                 offset_north_m,
                 offset_east_m,
             } => {
-                let survey = Survey::open(file)?;
+                let survey = Survey::open(files, file)?;
                 let place = survey
                     .zero_geodetic_rad()
                     .map(|(latitude_rad, longitude_rad)| GeodeticPlace {
@@ -111,11 +116,12 @@ impl Surface {
     /// it, to be asked at [`Self::own_place`]; otherwise its centre lies at the scene's zero.
     pub(crate) fn open_mosaic(
         &self,
+        files: &dyn Files,
         mosaic: &MosaicSpec,
         mirror: bool,
         block_m: f64,
     ) -> Result<Self, SceneError> {
-        let survey = Survey::open_layer(&mosaic.path, mosaic.crs)?;
+        let survey = Survey::open_layer(files, &mosaic.path, mosaic.crs)?;
         let refused = |fault: Fault| SceneError::Refused {
             path: mosaic.path.clone(),
             fault,

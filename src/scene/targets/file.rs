@@ -15,7 +15,6 @@
 
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
-use std::path::Path;
 
 use glam::{DMat3, DVec2, DVec3};
 use toml::Spanned;
@@ -24,7 +23,8 @@ use toml::de::{DeTable, DeValue};
 use super::mesh::Mesh;
 use super::solid::Solid;
 use super::{
-    Body, MAX_TARGETS, Placed, STRENGTHS_DB, check_name, lambert_of_mean, mean_strength_db,
+    Body, MAX_TARGETS, MeshFolder, Placed, STRENGTHS_DB, check_name, lambert_of_mean,
+    mean_strength_db,
 };
 use crate::read::mesh::{self, MeshAxes};
 use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
@@ -78,7 +78,7 @@ pub(super) type SeabedDown<'a> = &'a dyn Fn(f64, f64) -> Option<f64>;
 /// `folder`: what the names of meshes count from.
 pub(super) fn parse(
     bytes: &[u8],
-    folder: &Path,
+    folder: MeshFolder,
     seabed: SeabedDown,
 ) -> Result<Vec<Placed>, Misread> {
     let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
@@ -121,7 +121,7 @@ pub(super) fn parse(
     Ok(placed)
 }
 
-fn target(fields: &Fields, folder: &Path, seabed: SeabedDown) -> Result<Placed, Misread> {
+fn target(fields: &Fields, folder: MeshFolder, seabed: SeabedDown) -> Result<Placed, Misread> {
     let name = fields.needed_text("name")?;
     check_name(name).map_err(|rule| fields.misread("name", rule))?;
     let shape = fields.text("shape")?.unwrap_or("point");
@@ -235,7 +235,7 @@ fn cylinder(fields: &Fields) -> Result<Solid, Misread> {
 }
 
 /// The middle of its bounds at zero.
-fn mesh_of_file(fields: &Fields, folder: &Path) -> Result<Solid, Misread> {
+fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, Misread> {
     let file = fields.needed_text("file")?;
     let axes = match fields.text("axes")? {
         None => AXES[0].1,
@@ -249,7 +249,7 @@ fn mesh_of_file(fields: &Fields, folder: &Path) -> Result<Solid, Misread> {
     };
     let scale = fields.number("scale", SCALES)?.unwrap_or(1.0);
     let turned = DMat3::from_rotation_z(fields.heading_rad()?) * scale;
-    let mut read = mesh::open(&folder.join(file), axes)
+    let mut read = mesh::open(folder.files, &folder.path.join(file), axes)
         .map_err(|error| fields.misread("file", error.to_string()))?;
     for vertex_m in &mut read.vertices_m {
         *vertex_m = turned * *vertex_m;

@@ -24,6 +24,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, required};
+use crate::Files;
 use chance::Chance;
 use echotank_core::flow::{ScatterLaw, Scatterers, Target};
 use solid::Solid;
@@ -59,6 +60,15 @@ pub struct Placed {
     line: usize,
 }
 
+/// The folder that mesh names in a target table are relative to, and the access to its files.
+#[derive(Clone, Copy)]
+pub struct MeshFolder<'a> {
+    /// Opens the mesh files.
+    pub files: &'a dyn Files,
+    /// The folder of the target table.
+    pub path: &'a Path,
+}
+
 #[derive(Clone, Debug)]
 pub enum Body {
     Point,
@@ -91,7 +101,7 @@ impl Targets {
     /// Reads a CSV table, or a TOML one that lies in the folder `toml`, if there is one. `seabed_down_m` gives the seabed at (north, east), none where there is none.
     pub fn parse(
         bytes: &[u8],
-        toml: Option<&Path>,
+        toml: Option<MeshFolder>,
         seed: u64,
         seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
     ) -> Result<Self, Misread> {

@@ -6,6 +6,11 @@ use super::mesh::Mesh;
 use super::solid::SurfacePoint;
 use super::*;
 use crate::read::TriangleMesh;
+use crate::tests::Disk;
+
+fn meshes_in(path: &Path) -> MeshFolder<'_> {
+    MeshFolder { files: &Disk, path }
+}
 
 const HEAD: &str = "name,north_m,east_m,height_above_seabed_m,target_strength_db\n";
 
@@ -336,9 +341,12 @@ fn incoherent(s: &Scatterers, to_sonar: DVec3) -> f64 {
 }
 
 fn one(text: &str, seed: u64) -> Targets {
-    Targets::parse(text.as_bytes(), Some(Path::new(".")), seed, |_, _| {
-        Some(30.0)
-    })
+    Targets::parse(
+        text.as_bytes(),
+        Some(meshes_in(Path::new("."))),
+        seed,
+        |_, _| Some(30.0),
+    )
     .unwrap()
 }
 
@@ -474,9 +482,12 @@ fn the_same_seed_gives_the_same_scatterers_and_targets_do_not_disturb_each_other
 #[test]
 fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule() {
     let said = |rows: &str| {
-        Targets::parse(rows.as_bytes(), Some(Path::new(".")), 1, |n, _| {
-            (n < 100.0).then_some(30.0)
-        })
+        Targets::parse(
+            rows.as_bytes(),
+            Some(meshes_in(Path::new("."))),
+            1,
+            |n, _| (n < 100.0).then_some(30.0),
+        )
         .unwrap_err()
         .to_string()
     };
@@ -535,11 +546,11 @@ fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule()
 proptest::proptest! {
     #[test]
     fn any_table_of_targets_is_read_or_refused(tail in ".{0,120}", number in proptest::num::f64::ANY, shape in 0..6usize) {
-        let _ = Targets::parse(tail.as_bytes(), Some(Path::new(".")), 1, |_, _| Some(1.0));
+        let _ = Targets::parse(tail.as_bytes(), Some(meshes_in(Path::new("."))), 1, |_, _| Some(1.0));
         let shape = ["point", "sphere", "cylinder", "box", "rope", "mesh"][shape];
         for field in ["radius_m", "length_m", "down_m", "heading_deg", "density_per_m2", "lambert_db", "scale"] {
             let text = format!("[[target]]\nname = 'a'\nshape = '{shape}'\nnorth_m = 1\neast_m = 2\nfile = '{shape}.obj'\n{field} = {number:?}\n{tail}");
-            let _ = Targets::parse(text.as_bytes(), Some(Path::new(".")), 1, |_, _| Some(1.0));
+            let _ = Targets::parse(text.as_bytes(), Some(meshes_in(Path::new("."))), 1, |_, _| Some(1.0));
         }
     }
 }
@@ -625,8 +636,14 @@ fn a_mesh_of_a_file_stands_where_the_same_box_would() {
             "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"{file}\"\nscale = 0.5\n{common}[[target]]\nname = \"box\"\nshape = \"box\"\nsize_m = [1.0, 1.0, 1.0]\n{common}"
         )
     };
-    let parsed =
-        |text: &str| Targets::parse(text.as_bytes(), Some(folder.path()), 1, |_, _| Some(30.0));
+    let parsed = |text: &str| {
+        Targets::parse(
+            text.as_bytes(),
+            Some(meshes_in(folder.path())),
+            1,
+            |_, _| Some(30.0),
+        )
+    };
     for (name, _) in &files {
         let targets = parsed(&table(name)).unwrap();
         let (mesh, cube) = (&targets.named()[0], &targets.named()[1]);
@@ -680,8 +697,14 @@ fn files_that_are_no_meshes_are_refused_with_the_line_and_the_reason() {
         std::fs::write(folder.path().join(name), bytes).unwrap();
     }
     let table = "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"cube.obj\"\nscale = 0.5\nnorth_m = 3.0\neast_m = -4.0\nlambert_db = -10.0\n";
-    let parsed =
-        |text: &str| Targets::parse(text.as_bytes(), Some(folder.path()), 1, |_, _| Some(30.0));
+    let parsed = |text: &str| {
+        Targets::parse(
+            text.as_bytes(),
+            Some(meshes_in(folder.path())),
+            1,
+            |_, _| Some(30.0),
+        )
+    };
     assert!(parsed(table).is_ok());
     for (from, to, want) in [
         ("cube.obj", "none.obj", "none.obj: cannot be read"),
@@ -745,8 +768,13 @@ fn a_mesh_of_a_sphere_is_the_sphere_to_the_depth_of_its_facets() {
         let table = format!(
             "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"globe.obj\"\n{common}[[target]]\nname = \"ball\"\nshape = \"sphere\"\nradius_m = {RADIUS}\n{common}"
         );
-        let targets =
-            Targets::parse(table.as_bytes(), Some(folder.path()), 1, |_, _| None).unwrap();
+        let targets = Targets::parse(
+            table.as_bytes(),
+            Some(meshes_in(folder.path())),
+            1,
+            |_, _| None,
+        )
+        .unwrap();
         let [mesh, ball] = [0, 1].map(|k| targets.solid(k).unwrap());
         let depth_m = RADIUS * (std::f64::consts::PI / n as f64).powi(2) / 4.0;
         let shortfall = 1.0 - mesh.area_m2() / ball.area_m2();
