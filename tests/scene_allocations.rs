@@ -9,7 +9,7 @@ use echotank_config::spec::{
 use echotank_core::flow::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
-use echotank_scene::tiles::TILE_BYTES;
+use echotank_scene::TILE_BYTES;
 use glam::DVec3;
 
 #[test]

@@ -20,7 +20,7 @@ use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::NavInputs;
 use echotank_scene::Scene;
-use echotank_scene::targets::{MeshFolder, Targets};
+use echotank_scene::{MeshFolder, Targets};
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::echo::levels::Directivity;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};

@@ -4,7 +4,7 @@ use echotank_config::spec::*;
 use echotank_core::flow::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
-use echotank_scene::tiles::TILE_BYTES;
+use echotank_scene::TILE_BYTES;
 use glam::DVec3;
 
 /// 10 km along the track at 500 scatterers per square metre; room for 500 tiles, less than two pings need.

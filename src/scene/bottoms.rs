@@ -154,7 +154,7 @@ pub(crate) fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
 
 /// A bottom ready for the scatterers: what their strengths hold and what their law leaves to the angles.
 #[derive(Clone, Debug)]
-pub struct Bottom {
+pub(crate) struct Bottom {
     pub law: ScatterLaw,
     /// For [`ScatterLaw::Curve`].
     pub curve: Option<Arc<LawCurve>>,
@@ -164,7 +164,7 @@ pub struct Bottom {
 }
 
 impl Bottom {
-    pub fn new(spec: &BottomSpec) -> Self {
+    pub(crate) fn new(spec: &BottomSpec) -> Self {
         let (law, mu, terms) = match *spec {
             BottomSpec::BistaticLambert { mu_db } => (ScatterLaw::Lambert, power(mu_db), None),
             BottomSpec::Lambert { mu_db } => (ScatterLaw::LambertOneWay, power(mu_db), None),
@@ -183,7 +183,7 @@ impl Bottom {
     }
 
     /// Backscattering strength, a power per square metre.
-    pub fn strength(&self, incidence_rad: f64) -> f64 {
+    pub(crate) fn strength(&self, incidence_rad: f64) -> f64 {
         match &self.terms {
             None => self.mu * libm::cos(incidence_rad).powi(2),
             Some(terms) => three_term(terms, incidence_rad),

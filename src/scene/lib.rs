@@ -5,7 +5,9 @@
 //! coordinates, so that the seabed does not depend on where the scene is put.
 //! Not modelled: volume and surface scattering.
 
-pub mod bottoms;
+#![warn(missing_docs)]
+
+mod bottoms;
 mod draws;
 mod gather;
 mod loud;
@@ -14,10 +16,10 @@ pub mod paper;
 pub mod points;
 mod pool;
 pub mod read;
-pub mod seabed;
+mod seabed;
 pub mod simplify;
-pub mod targets;
-pub mod tiles;
+mod targets;
+mod tiles;
 
 #[cfg(test)]
 mod tests;
@@ -36,9 +38,10 @@ use pool::TilePool;
 pub use read::Files;
 use read::{Fault, text};
 use seabed::{GeodeticPlace, Surface};
-use targets::{MeshFolder, Targets};
+pub use targets::{MeshFolder, Targets};
 pub use text::{MAX_FILE_BYTES, Misread};
-use tiles::{Levels, Recipe, TILE_BYTES};
+pub use tiles::TILE_BYTES;
+use tiles::{Levels, Recipe};
 
 /// Normal of things that have none.
 const UP: [f32; 3] = [0.0, 0.0, -1.0];

@@ -34,7 +34,7 @@ pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
     as u64;
 
 /// Nearer than this the automatic density grows no further, metres: few hulls and fewer towed bodies come so close to the ground.
-pub const NEAREST_M: f64 = 2.0;
+pub(crate) const NEAREST_M: f64 = 2.0;
 
 /// A tile: its level, and row (north) and column (east) among those of its level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -157,7 +157,7 @@ pub(crate) struct Recipe {
 
 /// How the bottom's strength changes from place to place.
 #[derive(Clone, Debug)]
-pub struct Mosaic {
+pub(crate) struct Mosaic {
     /// dB in place of depths.
     pub surface: Surface,
     /// dB of the bottom's own strength that the values take the place of; 0 where they are added to it.
@@ -165,7 +165,7 @@ pub struct Mosaic {
 }
 
 impl Mosaic {
-    pub fn new(surface: Surface, values: MosaicValues, bottom: &Bottom) -> Self {
+    pub(crate) fn new(surface: Surface, values: MosaicValues, bottom: &Bottom) -> Self {
         let own_db = match values {
             MosaicValues::Relative => 0.0,
             MosaicValues::Absolute { incidence_rad } => {

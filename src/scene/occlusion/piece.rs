@@ -2,7 +2,7 @@
 
 /// A stretch of the ground along a ray, between two distances from the eye. About its middle, so that the shortest stretch loses no digits.
 #[derive(Clone, Copy, Debug)]
-pub struct Piece {
+pub(crate) struct Piece {
     pub from_m: f64,
     pub to_m: f64,
     middle_m: f64,
@@ -15,7 +15,7 @@ impl Piece {
     pub(crate) const AT: [f64; 3] = [0.1, 0.5, 0.9];
 
     /// `depth`: in the middle, with its first derivative and half the second.
-    pub fn new(from_m: f64, to_m: f64, depth: [f64; 3]) -> Self {
+    pub(crate) fn new(from_m: f64, to_m: f64, depth: [f64; 3]) -> Self {
         Self {
             from_m,
             to_m,
@@ -25,7 +25,7 @@ impl Piece {
     }
 
     /// Through the depths at [`Self::AT`].
-    pub fn through(from_m: f64, to_m: f64, [y0, y1, y2]: [f64; 3]) -> Self {
+    pub(crate) fn through(from_m: f64, to_m: f64, [y0, y1, y2]: [f64; 3]) -> Self {
         let step_m = (Self::AT[1] - Self::AT[0]) * (to_m - from_m);
         let depth = [
             y1,
@@ -36,21 +36,21 @@ impl Piece {
     }
 
     /// Tangent of the elevation at which the eye sees the ground.
-    pub fn tangent(&self, eye_down_m: f64, s: f64) -> f64 {
+    pub(crate) fn tangent(&self, eye_down_m: f64, s: f64) -> f64 {
         let [a, b, c] = self.depth;
         let x = s - self.middle_m;
         (eye_down_m - (a + x * (b + x * c))) / s
     }
 
     /// s^2 times the tangent's derivative: positive where the ground faces the eye. Falls or rises steadily from end to end.
-    pub fn rise(&self, eye_down_m: f64, s: f64) -> f64 {
+    pub(crate) fn rise(&self, eye_down_m: f64, s: f64) -> f64 {
         let [a, b, c] = self.depth;
         let x = s - self.middle_m;
         a + x * (b + x * c) - eye_down_m - (b + 2.0 * x * c) * s
     }
 
     /// The highest tangent from `from_m` (above 0) on.
-    pub fn highest(&self, eye_down_m: f64, from_m: f64) -> f64 {
+    pub(crate) fn highest(&self, eye_down_m: f64, from_m: f64) -> f64 {
         let ends = [from_m, self.to_m].map(|s| self.tangent(eye_down_m, s));
         let summit = self.turns_m(eye_down_m, from_m);
         let summit = summit.map_or(f64::NEG_INFINITY, |s| self.tangent(eye_down_m, s));

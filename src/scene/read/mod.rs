@@ -45,7 +45,7 @@ pub(crate) const MAX_CELLS: usize = 1 << 26;
 pub(crate) const MAX_POINTS: usize = 1 << 22;
 
 /// One format of seabed files.
-pub trait Reader: Sync {
+pub(crate) trait Reader: Sync {
     fn format(&self) -> SeabedFormat;
     fn name(&self) -> &'static str;
     /// Whether a file that begins so, or has this extension (small letters), is of this format.
@@ -65,18 +65,18 @@ pub(crate) static READERS: [&dyn Reader; 6] = [
 ];
 
 /// What a reader found.
-pub struct Raw {
+pub(crate) struct Raw {
     pub shape: RawShape,
     pub(crate) facts: Facts,
 }
 
-pub enum RawShape {
+pub(crate) enum RawShape {
     Grid(RawGrid),
     Points(RawPoints),
 }
 
 /// A grid in its file's own coordinates.
-pub struct RawGrid {
+pub(crate) struct RawGrid {
     pub rows: usize,
     pub cols: usize,
     /// Centre of the south-western cell.
@@ -94,7 +94,7 @@ pub struct RawGrid {
 }
 
 /// Soundings in their file's own coordinates: x, y and height or depth.
-pub struct RawPoints {
+pub(crate) struct RawPoints {
     pub points: Vec<DVec3>,
     /// Where the file has them; otherwise they are made.
     pub triangles: Option<Vec<[u32; 3]>>,

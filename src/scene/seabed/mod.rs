@@ -12,7 +12,7 @@ use glam::DVec2;
 use super::SceneError;
 use super::occlusion::Piece;
 use super::paper;
-pub use super::read::Depth;
+pub(crate) use super::read::Depth;
 use super::read::{Fault, Files, Georeference, HeightField, Survey};
 use blocks::{Blocks, NOTHING, united};
 use echotank_config::spec::{MosaicSpec, PaperShape, SeabedShape};
@@ -31,7 +31,7 @@ impl Depth {
 
 /// The seabed as a function of place.
 #[derive(Clone, Debug)]
-pub enum Surface {
+pub(crate) enum Surface {
     /// `down = depth_m + slope_north * north + slope_east * east`, everywhere.
     Plane {
         depth_m: f64,
@@ -44,7 +44,7 @@ pub enum Surface {
 
 /// A grid whose centre lies at the scene's zero, moved by an offset.
 #[derive(Clone, Debug)]
-pub struct GridSurface {
+pub(crate) struct GridSurface {
     /// Its zero is the south-western cell's centre.
     grid: HeightField,
     /// Beyond its outer cell centres the surface goes on as its mirror image, without end; otherwise it stops there.
@@ -71,7 +71,7 @@ pub struct GeodeticPlace {
 
 impl Surface {
     /// Opens the shape; `block_m` is the size of the areas [`Surface::bounds_m`] will be asked about.
-    pub fn open(
+    pub(crate) fn open(
         files: &dyn Files,
         shape: &SeabedShape,
         mirror: bool,
@@ -176,7 +176,7 @@ impl Surface {
     }
 
     /// A point of it whose place on the earth is known; none where no file tells.
-    pub fn geodetic_place(&self) -> Option<GeodeticPlace> {
+    pub(crate) fn geodetic_place(&self) -> Option<GeodeticPlace> {
         match self {
             Self::Plane { .. } | Self::Paper(_) => None,
             Self::Grid(surface) => surface.place,
@@ -184,7 +184,7 @@ impl Surface {
     }
 
     /// The surface at a place; none in a hole and beyond the end.
-    pub fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
+    pub(crate) fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
         match self {
             Self::Plane {
                 depth_m,
@@ -229,7 +229,7 @@ impl Surface {
 
     /// The ground along a ray from `from_m` in the horizontal unit direction `along`, over a stretch of distances, piece by piece. Holes give
     /// none.
-    pub fn profile(
+    pub(crate) fn profile(
         &self,
         from_m: DVec2,
         along: DVec2,

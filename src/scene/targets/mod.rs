@@ -11,8 +11,8 @@
 
 pub(crate) mod chance;
 mod file;
-pub mod mesh;
-pub mod solid;
+pub(crate) mod mesh;
+pub(crate) mod solid;
 
 #[cfg(test)]
 mod tests;
@@ -30,7 +30,7 @@ use echotank_core::flow::{ScatterLaw, Scatterers, Target};
 use solid::Solid;
 
 /// Rows at most; every ping's truth record carries them all.
-pub const MAX_TARGETS: usize = 10_000;
+pub(crate) const MAX_TARGETS: usize = 10_000;
 /// Scatterers of all targets together: 4 million take some 300 MiB.
 pub(crate) const MAX_TARGET_SCATTERERS: usize = 1 << 22;
 /// However small a solid, so that its strength hardly depends on which side the few happen to lie.
@@ -272,7 +272,7 @@ fn check_name(name: &str) -> Result<(), String> {
 }
 
 /// Points of a CSV table in the scene's own coordinates. `seabed_down_m` gives the seabed at (north, east), none where there is none.
-pub fn parse(
+pub(crate) fn parse(
     bytes: &[u8],
     seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
 ) -> Result<Vec<Target>, Misread> {
@@ -306,6 +306,6 @@ pub fn parse(
 }
 
 /// Echo pressure at 1 m for unit incident pressure.
-pub fn strength(target: &Target) -> Complex64 {
+pub(crate) fn strength(target: &Target) -> Complex64 {
     Complex64::from(libm::pow(10.0, target.target_strength_db / 20.0))
 }
