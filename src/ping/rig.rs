@@ -280,7 +280,7 @@ impl Rig {
         let pipeline = &mut unit.pipeline;
         let within_m = pipeline.max_audible_range_m(&mut slot.plan, end);
         self.scene
-            .is_quiet(pipeline.footprints(&slot.plan), within_m)
+            .is_clear_within(pipeline.footprints(&slot.plan), within_m)
             && self.begin_of(sonar, slot, (end, true), &Scatterers::default(), tile)
     }
 

@@ -143,13 +143,13 @@ fn power(db: f64) -> f64 {
 
 /// Backscattering strength of the three terms, a power, at an incidence of at most a right angle.
 pub(crate) fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
-    let wake_up = |db: f64, width_rad: f64| {
+    let gaussian = |db: f64, width_rad: f64| {
         let x = incidence_rad / width_rad;
         power(db) * libm::exp(-0.5 * x * x)
     };
-    wake_up(t.specular_db, t.specular_rad)
+    gaussian(t.specular_db, t.specular_rad)
         + power(t.lambert_db) * libm::pow(libm::cos(incidence_rad).max(0.0), t.lambert_exponent)
-        + wake_up(t.intermediate_db, t.intermediate_rad)
+        + gaussian(t.intermediate_db, t.intermediate_rad)
 }
 
 /// A bottom ready for the scatterers: what their strengths hold and what their law leaves to the angles.

@@ -7,8 +7,8 @@ use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-use super::occlusion::{Around, Occlusion};
-use super::pool::{Place, TilePool};
+use super::occlusion::{Occluders, Occlusion};
+use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::{Recipe, Tile, TileBox, TileId};
@@ -32,10 +32,10 @@ struct TileCount {
 
 /// Who listens to the seabed, and what may stand in the way.
 #[derive(Clone, Copy)]
-pub(crate) struct Listeners<'a> {
+pub(crate) struct GatherContext<'a> {
     /// The scene's zero in the world.
     pub anchor_m: DVec3,
-    pub heard: &'a [Footprint],
+    pub footprints: &'a [Footprint],
     /// Started for these footprints, and its rays run.
     pub occlusion: &'a Occlusion,
     pub surface: &'a Surface,
@@ -46,7 +46,7 @@ pub(crate) struct Listeners<'a> {
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
     wanted: Vec<(TileId, TileBox)>,
-    places: Vec<Place>,
+    places: Vec<Slot>,
     counts: Vec<TileCount>,
 }
 
@@ -57,23 +57,21 @@ impl Gatherer {
         &mut self,
         recipe: &Recipe,
         pool: &mut TilePool,
-        listeners: Listeners,
+        context: GatherContext,
         out: &mut Scatterers,
         counts: &mut SceneCounts,
     ) -> usize {
         counts.tiles_used = self.wanted.len() as u64;
         let mut filled = 0;
         for batch in self.wanted.chunks(pool.capacity()) {
-            pool.places(batch.iter().map(|(id, _)| *id), &mut self.places);
+            pool.slots(batch.iter().map(|(id, _)| *id), &mut self.places);
             self.counts.resize(batch.len(), TileCount::default());
             self.places
                 .par_iter()
                 .zip(batch)
                 .zip(&mut self.counts)
                 .for_each(|((place, (_, tile_box)), count)| {
-                    pool.work(place, recipe, |tile| {
-                        *count = keep(tile, tile_box, listeners)
-                    });
+                    pool.work(place, recipe, |tile| *count = keep(tile, tile_box, context));
                 });
             let batch_first = filled;
             for (place, count) in self.places.iter().zip(&mut self.counts) {
@@ -94,7 +92,7 @@ impl Gatherer {
                 pool,
                 &self.places,
                 &self.counts,
-                &|tile, rows| rows.fill(tile, listeners.anchor_m, law),
+                &|tile, rows| rows.fill(tile, context.anchor_m, law),
                 Rows::of(out, batch_first, filled),
             );
         }
@@ -113,11 +111,11 @@ impl Gatherer {
         &mut self,
         recipe: &Recipe,
         anchor_m: DVec3,
-        heard: &[Footprint],
+        footprints: &[Footprint],
         counts: &mut SceneCounts,
     ) {
         self.wanted.clear();
-        let Some((low, high)) = reach(heard, anchor_m) else {
+        let Some((low, high)) = reach(footprints, anchor_m) else {
             return;
         };
         let levels = recipe.levels();
@@ -127,7 +125,7 @@ impl Gatherer {
         let mut search = Search {
             recipe,
             anchor_m,
-            heard,
+            footprints,
             wanted: &mut self.wanted,
             culled: 0,
         };
@@ -143,7 +141,7 @@ impl Gatherer {
 struct Search<'a> {
     recipe: &'a Recipe,
     anchor_m: DVec3,
-    heard: &'a [Footprint],
+    footprints: &'a [Footprint],
     wanted: &'a mut Vec<(TileId, TileBox)>,
     culled: u64,
 }
@@ -151,7 +149,7 @@ struct Search<'a> {
 impl Search<'_> {
     fn descend(&mut self, id: TileId) {
         let near = self.recipe.bounds(id).and_then(|tile_box| {
-            self.heard
+            self.footprints
                 .iter()
                 .map(|f| (f, f.apex_m - self.anchor_m))
                 .filter(|(f, apex_m)| tile_box.may_meet(f, *apex_m))
@@ -186,15 +184,15 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
 }
 
 /// Lists the tile's scatterers that lie in a footprint whose transmitter and receiver see them.
-fn keep(tile: &mut Tile, tile_box: &TileBox, listeners: Listeners) -> TileCount {
-    let Listeners {
+fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCount {
+    let GatherContext {
         anchor_m,
-        heard,
+        footprints,
         occlusion,
         surface,
         targets,
-    } = listeners;
-    let around = Around {
+    } = context;
+    let around = Occluders {
         ground: occlusion.ground_before(tile_box, surface),
         solids: occlusion.solids_before(tile_box, targets),
         on_ground: true,
@@ -206,7 +204,7 @@ fn keep(tile: &mut Tile, tile_box: &TileBox, listeners: Listeners) -> TileCount 
         let own_m = tile.position_m(i);
         let position_m = own_m + anchor_m;
         let (mut contained, mut seen) = (false, false);
-        for (index, footprint) in heard.iter().enumerate() {
+        for (index, footprint) in footprints.iter().enumerate() {
             if footprint.contains(position_m) {
                 contained = true;
                 seen = occlusion.sees(index, own_m, around);
@@ -310,7 +308,7 @@ impl<'a> Rows<'a> {
 /// Lets `fill` write the rows of every tile, halving the work until a thread has a few tiles.
 fn copy(
     pool: &TilePool,
-    places: &[Place],
+    places: &[Slot],
     counts: &[TileCount],
     fill: &(impl Fn(&Tile, Rows) + Sync),
     mut rows: Rows,

@@ -10,9 +10,9 @@
 mod bottoms;
 mod draws;
 mod gather;
-mod loud;
 mod occlusion;
 pub mod paper;
+mod pattern_floor;
 pub mod points;
 mod pool;
 pub mod read;
@@ -31,15 +31,15 @@ use glam::DVec2;
 
 use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
 use echotank_core::flow::{Footprint, Scatterers, SceneCounts, Target};
-use gather::{Gatherer, Listeners};
-use loud::Quiet;
-use occlusion::{Around, Occlusion};
+use gather::{GatherContext, Gatherer};
+use occlusion::{Occluders, Occlusion};
+use pattern_floor::FloorReference;
 use pool::TilePool;
 pub use read::Files;
-use read::{Fault, text};
+use read::{FormatError, text};
 use seabed::{GeodeticPlace, Surface};
 pub use targets::{MeshFolder, Targets};
-pub use text::{MAX_FILE_BYTES, Misread};
+pub use text::{MAX_FILE_BYTES, TextError};
 pub use tiles::TILE_BYTES;
 use tiles::{Levels, Recipe};
 
@@ -50,24 +50,24 @@ const UP: [f32; 3] = [0.0, 0.0, -1.0];
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     #[error("{}: cannot be read: {source}", path.display())]
-    Unreadable {
+    Read {
         path: PathBuf,
         source: std::io::Error,
     },
     #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
     TooLarge { path: PathBuf },
-    #[error("{}: {fault}", path.display())]
-    Misread { path: PathBuf, fault: Misread },
-    #[error("{}: {fault}", path.display())]
-    Refused { path: PathBuf, fault: Fault },
+    #[error("{}: {error}", path.display())]
+    Text { path: PathBuf, error: TextError },
+    #[error("{}: {error}", path.display())]
+    Format { path: PathBuf, error: FormatError },
     #[error(
         "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
     )]
-    NoRoomForATile { limit_bytes: u64 },
+    MemoryLimit { limit_bytes: u64 },
     #[error(
         "scene.anchor = \"file\": {what} does not tell where on the earth it lies (its coordinates must be latitude and longitude or UTM)"
     )]
-    NoPlaceOnEarth { what: String },
+    NotGeoreferenced { what: String },
 }
 
 /// The seabed's shape in the world.
@@ -95,11 +95,11 @@ pub struct Scene {
     /// Own coordinates.
     points: Scatterers,
     own_targets: Targets,
-    quiet: Quiet,
+    floor_reference: FloorReference,
     /// World.
     targets: Vec<Target>,
     /// The footprints of the gathering under way that hear something.
-    heard: Vec<Footprint>,
+    footprints: Vec<Footprint>,
     gatherer: Gatherer,
     occlusion: Occlusion,
 }
@@ -116,7 +116,7 @@ impl Scene {
                 let surface = Surface::open(files, &seabed.shape, spec.mirror, block_m)?;
                 let capacity = spec.memory_limit_bytes / TILE_BYTES;
                 if capacity == 0 {
-                    return Err(SceneError::NoRoomForATile {
+                    return Err(SceneError::MemoryLimit {
                         limit_bytes: spec.memory_limit_bytes,
                     });
                 }
@@ -143,17 +143,17 @@ impl Scene {
                 Some(SeabedShape::File { file, .. }) => file.path.display().to_string(),
                 _ => "a scene without a seabed from a file".to_owned(),
             };
-            return Err(SceneError::NoPlaceOnEarth { what });
+            return Err(SceneError::NotGeoreferenced { what });
         }
         let mut points = match &spec.points {
             None => Scatterers::default(),
             Some(path) => read(files, path, points::parse)?,
         };
         let recipe = seabed.as_ref().map(|(recipe, _)| recipe);
-        let quiet = Quiet::new(recipe, &points);
+        let floor_reference = FloorReference::new(recipe, &points);
         for (loud, strength) in points.loud.iter_mut().zip(&points.strength) {
             // As if near, where the ground's scatterers are weakest.
-            *loud = quiet.factor(strength.norm(), recipe, 0.0);
+            *loud = floor_reference.factor(strength.norm(), recipe, 0.0);
         }
         let targets = match &spec.targets {
             None => Targets::default(),
@@ -176,8 +176,8 @@ impl Scene {
             points,
             targets: targets.named().to_vec(),
             own_targets: targets,
-            quiet,
-            heard: Vec::new(),
+            floor_reference,
+            footprints: Vec::new(),
             gatherer: Gatherer::default(),
             occlusion: Occlusion::new(spec.occlusion),
         })
@@ -228,7 +228,7 @@ impl Scene {
         let (recipe, _) = self.seabed.as_ref()?;
         let own = DVec2::new(north_m, east_m) - self.anchor_m;
         let down_m = recipe.surface().sample(own.x, own.y)?.down_m;
-        let around = Around {
+        let around = Occluders {
             ground: Some(recipe.surface()),
             solids: Some(&self.own_targets),
             on_ground: true,
@@ -256,20 +256,20 @@ impl Scene {
 
     /// Whether nothing lies within this distance of the apex of any of the footprints that a gathering of any range would bring: false where
     /// that is not known. It makes no tile.
-    pub fn is_quiet(&mut self, footprints: &[Footprint], within_m: f64) -> bool {
-        self.heard.clear();
+    pub fn is_clear_within(&mut self, footprints: &[Footprint], within_m: f64) -> bool {
+        self.footprints.clear();
         let near = footprints.iter().filter(|f| f.is_finite());
-        self.heard.extend(near.map(|f| Footprint {
+        self.footprints.extend(near.map(|f| Footprint {
             max_range_m: within_m.min(f.max_range_m),
             ..*f
         }));
-        if self.heard.is_empty() {
+        if self.footprints.is_empty() {
             return false;
         }
         let anchor_m = self.anchor_m.extend(0.0);
         let is_near = |at_m: glam::DVec3, radius_m: f64| {
-            let mut heard = self.heard.iter();
-            heard.any(|f| (f.apex_m - anchor_m).distance(at_m) - radius_m <= within_m)
+            let mut footprints = self.footprints.iter();
+            footprints.any(|f| (f.apex_m - anchor_m).distance(at_m) - radius_m <= within_m)
         };
         let points = (0..self.points.len()).any(|k| is_near(self.points.position_m(k), 0.0));
         let targets = (0..self.own_targets.len()).any(|k| {
@@ -284,7 +284,7 @@ impl Scene {
             Some((recipe, _)) => {
                 let mut counts = SceneCounts::default();
                 self.gatherer
-                    .find(recipe, anchor_m, &self.heard, &mut counts);
+                    .find(recipe, anchor_m, &self.footprints, &mut counts);
                 self.gatherer.boxes().next().is_none()
             }
         }
@@ -297,8 +297,8 @@ impl Scene {
     /// Works on all threads of the pool it is called in. Allocates only where `out` has never been so full and where the pool of tiles has
     /// not reached its limit; making a tile anew does not.
     pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
-        self.heard.clear();
-        self.heard
+        self.footprints.clear();
+        self.footprints
             .extend(footprints.iter().filter(|f| f.is_finite()));
         let mut counts = SceneCounts::default();
         let seabed = self.gather_seabed(out, &mut counts);
@@ -311,18 +311,18 @@ impl Scene {
     }
 
     fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) -> usize {
-        let (anchor_m, heard) = (self.anchor_m.extend(0.0), &self.heard[..]);
+        let (anchor_m, footprints) = (self.anchor_m.extend(0.0), &self.footprints[..]);
         let Some((recipe, pool)) = &mut self.seabed else {
             self.occlusion
-                .start(heard, anchor_m, None, &self.own_targets);
+                .start(footprints, anchor_m, None, &self.own_targets);
             return 0;
         };
-        self.gatherer.find(recipe, anchor_m, heard, counts);
-        let longest_m = heard.iter().map(|f| f.max_range_m).fold(0.0, f64::max);
+        self.gatherer.find(recipe, anchor_m, footprints, counts);
+        let longest_m = footprints.iter().map(|f| f.max_range_m).fold(0.0, f64::max);
         let spacing_m = recipe.levels().spacing_m(longest_m);
         let hilly = recipe.surface().is_hilly().then_some(spacing_m);
         self.occlusion
-            .start(heard, anchor_m, hilly, &self.own_targets);
+            .start(footprints, anchor_m, hilly, &self.own_targets);
         for tile_box in self.gatherer.boxes() {
             self.occlusion.mark(tile_box.low_m, tile_box.high_m);
         }
@@ -336,20 +336,20 @@ impl Scene {
                 .mark(center_m - radius_m, center_m + radius_m);
         }
         self.occlusion.scan(recipe.surface());
-        let listeners = Listeners {
+        let context = GatherContext {
             anchor_m,
-            heard,
+            footprints,
             occlusion: &self.occlusion,
             surface: recipe.surface(),
             targets: &self.own_targets,
         };
-        self.gatherer.collect(recipe, pool, listeners, out, counts)
+        self.gatherer.collect(recipe, pool, context, out, counts)
     }
 
     /// Takes points and targets that no pair of arrays sees out of `out`, from `first` on.
     fn drop_shadowed(&self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
         let anchor_m = self.anchor_m.extend(0.0);
-        let around = Around {
+        let around = Occluders {
             ground: self.seabed.as_ref().map(|(recipe, _)| recipe.surface()),
             solids: Some(&self.own_targets),
             on_ground: false,
@@ -357,8 +357,8 @@ impl Scene {
         let mut kept = first;
         for i in first..out.len() {
             let at_m = out.position_m(i) - anchor_m;
-            let seen = self.heard.is_empty()
-                || (0..self.heard.len()).any(|f| self.occlusion.sees(f, at_m, around));
+            let seen = self.footprints.is_empty()
+                || (0..self.footprints.len()).any(|f| self.occlusion.sees(f, at_m, around));
             if seen {
                 out.copy_within(i, kept);
                 kept += 1;
@@ -388,11 +388,17 @@ impl Scene {
             let (center_m, radius_m) = self.own_targets.ball_m(target);
             let center_m = center_m + anchor_m;
             let away_m = |f: &Footprint| f.apex_m.distance(center_m) - radius_m;
-            if self.heard.iter().any(|f| away_m(f) <= f.max_range_m) {
-                let nearest_m = self.heard.iter().map(away_m).fold(f64::INFINITY, f64::min);
+            if self.footprints.iter().any(|f| away_m(f) <= f.max_range_m) {
+                let nearest_m = self
+                    .footprints
+                    .iter()
+                    .map(away_m)
+                    .fold(f64::INFINITY, f64::min);
                 let strength = self.own_targets.strength(target);
                 let recipe = self.seabed.as_ref().map(|(recipe, _)| recipe);
-                let loud = self.quiet.factor(strength, recipe, nearest_m.max(0.0));
+                let loud = self
+                    .floor_reference
+                    .factor(strength, recipe, nearest_m.max(0.0));
                 self.own_targets.gather(target, anchor_m, loud, out);
                 counts.targets += 1;
             }
@@ -404,10 +410,10 @@ impl Scene {
 fn read<T>(
     files: &dyn Files,
     path: &Path,
-    parse: impl FnOnce(&[u8]) -> Result<T, Misread>,
+    parse: impl FnOnce(&[u8]) -> Result<T, TextError>,
 ) -> Result<T, SceneError> {
-    parse(&text::read_file(files, path)?).map_err(|fault| SceneError::Misread {
+    parse(&text::read_file(files, path)?).map_err(|error| SceneError::Text {
         path: path.to_owned(),
-        fault,
+        error,
     })
 }

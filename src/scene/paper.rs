@@ -16,7 +16,7 @@ use glam::{DVec2, DVec3};
 
 use super::occlusion::Piece;
 use super::seabed::Depth;
-use super::targets::chance::Chance;
+use super::targets::random::KeyedRandom;
 use echotank_config::spec::PaperShape;
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
@@ -185,8 +185,8 @@ pub fn cloud(shape: PaperShape, seed: u64, speckle_seed: u64, lambert_db: f64) -
     );
     let (row_m, col_m) = (height_m / CLOUD_ROWS as f64, width_m / CLOUD_COLS as f64);
     let mu_area_m2 = libm::pow(10.0, lambert_db / 10.0) * row_m * col_m;
-    let mut place = Chance::new(seed, KEY_LABEL, 0);
-    let mut speckle = Chance::new(speckle_seed, KEY_LABEL, 1);
+    let mut place = KeyedRandom::new(seed, KEY_LABEL, 0);
+    let mut speckle = KeyedRandom::new(speckle_seed, KEY_LABEL, 1);
     let mut scatterers = Scatterers::default();
     for cell in 0..CLOUD_POINTS {
         let mut inside = |k: usize| k as f64 + 0.5 + CLOUD_JITTER * (2.0 * place.uniform() - 1.0);

@@ -1,12 +1,12 @@
 //! Explicit scatterers: a CSV table to [`Scatterers`].
 //!
 //! Columns `north_m,east_m,down_m,amplitude[,amplitude_imag]`: metres from the scene's zero, and the linear pressure at 1 m for unit
-//! incident pressure. Numbers are read to the nearest f64 and the rows keep their order, so that an outside calculation has the same scene.
+//! incident pressure. Quantity are read to the nearest f64 and the rows keep their order, so that an outside calculation has the same scene.
 
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, optional, required};
+use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, optional, required};
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
 /// Rows at most: 16 million points hold a gigabyte.
@@ -24,14 +24,14 @@ const COLUMNS: [Column; 5] = [
 ];
 
 /// Points in the scene's own coordinates.
-pub fn parse(bytes: &[u8]) -> Result<Scatterers, Misread> {
+pub fn parse(bytes: &[u8]) -> Result<Scatterers, TextError> {
     let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
     let amplitude = -MAX_AMPLITUDE..=MAX_AMPLITUDE;
     let mut points = Scatterers::default();
     text::read_table(bytes, &COLUMNS, |row| {
         if points.len() == MAX_POINTS {
             let rule = format!("at most {MAX_POINTS} points are read");
-            return Err(row.misread(0, rule));
+            return Err(row.text_error(0, rule));
         }
         let position_m = DVec3::new(
             row.number(0, horizontal.clone(), 0.0)?,

@@ -241,7 +241,7 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
 /// Asks a pool for tiles: what each holds and whether it had to be made.
 fn asked(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, bool)> {
     let mut places = Vec::new();
-    pool.places(ids.iter().copied(), &mut places);
+    pool.slots(ids.iter().copied(), &mut places);
     places
         .iter()
         .map(|place| {
@@ -829,7 +829,7 @@ fn faults_name_their_file_and_limits_their_key() {
     missing.points = Some(path.with_file_name("absent.csv"));
     assert!(matches!(
         Scene::open(&Disk, &missing),
-        Err(SceneError::Unreadable { path, .. }) if path.ends_with("absent.csv")
+        Err(SceneError::Read { path, .. }) if path.ends_with("absent.csv")
     ));
     let mut poor = spec(Some(seabed(FLAT, 4.0, true)), 1);
     poor.memory_limit_bytes -= 1;

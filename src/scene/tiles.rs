@@ -302,7 +302,7 @@ impl Recipe {
         for place in 0..SCATTERERS_PER_TILE {
             let (north, east) = cell_at(place);
             let (north, east) = (first(id.row) + north, first(id.col) + east);
-            let (north, east) = self.speaker(id.level, north, east);
+            let (north, east) = self.representative_cell(id.level, north, east);
             let [a, b, c, d] = draws::of_cell(self.seed, north, east);
             let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
                 ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
@@ -318,7 +318,7 @@ impl Recipe {
             };
             let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
             if let Some(mosaic) = &self.mosaic {
-                let (north_m, east_m) = self.surface.own_place(at_north_m, at_east_m);
+                let (north_m, east_m) = self.surface.unmirrored(at_north_m, at_east_m);
                 amplitude *= mosaic.factor(north_m, east_m);
             }
             let reflectivity = match self.speckle {
@@ -343,7 +343,7 @@ impl Recipe {
 
     /// The cell of level 0 whose scatterer speaks for a cell.
     #[inline(always)]
-    fn speaker(&self, level: u32, mut north: i64, mut east: i64) -> (i64, i64) {
+    fn representative_cell(&self, level: u32, mut north: i64, mut east: i64) -> (i64, i64) {
         for level in (1..=level).rev() {
             let half = draws::half_of(self.seed, level, north, east);
             match level % 2 {

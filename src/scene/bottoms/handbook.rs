@@ -85,15 +85,15 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
         * (k * k / ALPHA).powf((1.0 - ALPHA) / ALPHA);
     let slope = slope_squared.sqrt();
     let t = grazing_rad.tan() / slope;
-    let lit = match t > 2.0 {
+    let insonified = match t > 2.0 {
         true => 1.0,
         false => {
             let q = ((-t * t).exp() / PI.sqrt() - t * (1.0 - libm::erf(t))) / (4.0 * t);
             (1.0 - (-2.0 * q).exp()) / (2.0 * q)
         }
     };
-    let composite = lit * over_slopes(grazing_rad, slope, |at| perturbed(p, k, at));
-    let volume = lit * over_slopes(grazing_rad, slope, |at| within(p, at));
+    let composite = insonified * over_slopes(grazing_rad, slope, |at| perturbed(p, k, at));
+    let volume = insonified * over_slopes(grazing_rad, slope, |at| within(p, at));
 
     // Large roughness, Eqs. 53 to 56.
     let slope_deg = slope.to_degrees();
@@ -107,9 +107,9 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
         * ((1.0 - 2.0 / p.density_ratio) / p.speed_ratio.powi(2) + 1.0).powi(2)
         / (1.0 + 3.54 * slope_deg / critical_deg);
     let beyond = 1.0 + 0.81 * (critical_deg / grazing_deg).powi(2);
-    let wake_up = 1.0 + ((grazing_deg - 90.0) / slope_deg).powi(2) / 2.6;
+    let gaussian = 1.0 + ((grazing_deg - 90.0) / slope_deg).powi(2) / 2.6;
     let rough = low * (PI / beyond).sin().powf(0.7263 * slope.powf(-1.0 / 3.0))
-        + 0.0260 * upright / (slope_squared * wake_up.powf(1.9) * beyond);
+        + 0.0260 * upright / (slope_squared * gaussian.powf(1.9) * beyond);
 
     // From one to the next, Eqs. 57 to 64.
     let fallen = 1000.0_f64.powf(1.0 / (1.0 + ALPHA)) * (a * q * q).powf(1.0 / ALPHA);

@@ -63,7 +63,7 @@ struct Sector {
     place: u32,
 }
 
-const UNASKED: Sector = Sector {
+const UNMARKED: Sector = Sector {
     reach_m: 0.0,
     clear_m: f64::INFINITY,
     place: UNUSED,
@@ -87,7 +87,7 @@ const NO_SHADOWS: Shadows = Shadows {
 
 /// What is known of the ground at a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
+pub(crate) enum Visibility {
     Seen,
     Hidden,
     Unsure,
@@ -100,7 +100,7 @@ pub(super) struct Horizon {
     /// Rays in the full circle, a multiple of 4.
     rays: usize,
     sectors: Vec<Sector>,
-    /// Around everything that will be looked at and the eye.
+    /// Occluders everything that will be looked at and the eye.
     low_m: DVec2,
     high_m: DVec2,
     /// Sectors whose rays were run.
@@ -115,7 +115,7 @@ impl Horizon {
         // A unit of `turn` holds up to 2 radians.
         self.rays = (RAYS_TO_A_SPACING * 8 * fine.ceil() as usize).next_multiple_of(SECTOR);
         self.sectors.clear();
-        self.sectors.resize(self.rays / SECTOR, UNASKED);
+        self.sectors.resize(self.rays / SECTOR, UNMARKED);
         (self.low_m, self.high_m) = (eye_m.truncate(), eye_m.truncate());
         self.used.clear();
         self.used.reserve(self.sectors.len());
@@ -231,22 +231,22 @@ impl Horizon {
 
     /// What the rays on both sides say of the ground at a place that was marked, and the nearer one of them alone.
     #[inline(always)]
-    pub(super) fn verdict(&self, at_m: DVec2) -> (Verdict, Verdict) {
+    pub(super) fn visibility(&self, at_m: DVec2) -> (Visibility, Visibility) {
         let d = at_m - self.eye_m.truncate();
         let distance_m = d.length();
         let x = turn(d) * (self.rays as f64 / 4.0);
         let ray = (x as usize).min(self.rays - 1);
         let next = if ray + 1 == self.rays { 0 } else { ray + 1 };
         let (a, b) = (self.along(ray, distance_m), self.along(next, distance_m));
-        let both = if a == b { a } else { Verdict::Unsure };
+        let both = if a == b { a } else { Visibility::Unsure };
         (both, if x - (ray as f64) < 0.5 { a } else { b })
     }
 
     #[inline(always)]
-    fn along(&self, ray: usize, distance_m: f64) -> Verdict {
+    fn along(&self, ray: usize, distance_m: f64) -> Visibility {
         let sector = &self.sectors[ray / SECTOR];
         if sector.place == UNUSED || distance_m < sector.clear_m {
-            return Verdict::Seen;
+            return Visibility::Seen;
         }
         self.shadows[sector.place as usize * SECTOR + ray % SECTOR].at(distance_m as f32)
     }
@@ -272,19 +272,19 @@ impl Horizon {
 
 impl Shadows {
     #[inline(always)]
-    fn at(&self, distance_m: f32) -> Verdict {
+    fn at(&self, distance_m: f32) -> Visibility {
         let kept = &self.edges_m[..self.count as usize];
         for &[from_m, to_m] in kept {
             if distance_m < from_m {
-                return Verdict::Seen;
+                return Visibility::Seen;
             }
             if distance_m < to_m {
-                return Verdict::Hidden;
+                return Visibility::Hidden;
             }
         }
         match distance_m < self.known_m {
-            true => Verdict::Seen,
-            false => Verdict::Unsure,
+            true => Visibility::Seen,
+            false => Visibility::Unsure,
         }
     }
 }
@@ -421,9 +421,9 @@ mod tests {
             let down_m = surface.sample(at_m.x, at_m.y).unwrap().down_m;
             let cast = horizon.cast_hides(&surface, at_m.extend(down_m));
             hidden += i32::from(cast);
-            match horizon.verdict(at_m).0 {
-                Verdict::Unsure => unsure += 1,
-                verdict => {
+            match horizon.visibility(at_m).0 {
+                Visibility::Unsure => unsure += 1,
+                visibility => {
                     sure += 1;
                     // Within a centimetre of an edge either may be right.
                     let near = [-0.01, 0.01].map(|d| {
@@ -432,7 +432,7 @@ mod tests {
                         horizon.cast_hides(&surface, p.extend(down_m))
                     });
                     let edge = near[0] != near[1];
-                    assert!(edge || cast == (verdict == Verdict::Hidden), "{at_m}");
+                    assert!(edge || cast == (visibility == Visibility::Hidden), "{at_m}");
                 }
             }
         }

@@ -34,7 +34,7 @@ use super::targets::Targets;
 use super::tiles::TileBox;
 use echotank_config::spec::OcclusionSpec;
 use echotank_core::flow::Footprint;
-use horizon::{Horizon, Verdict};
+use horizon::{Horizon, Visibility};
 pub(crate) use piece::Piece;
 
 /// Eyes closer together than this are one, metres.
@@ -45,7 +45,7 @@ const ON_GROUND_M: f64 = 1e-4;
 
 /// What may hide a point.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Around<'a> {
+pub(crate) struct Occluders<'a> {
     pub ground: Option<&'a Surface>,
     pub solids: Option<&'a Targets>,
     /// The point is one of the ground's own.
@@ -81,7 +81,7 @@ impl Occlusion {
     /// A new ping. `spacing_m`: between scatterers at the longest range; none where there is no seabed that could hide anything.
     pub(crate) fn start(
         &mut self,
-        heard: &[Footprint],
+        footprints: &[Footprint],
         anchor_m: DVec3,
         spacing_m: Option<f64>,
         targets: &Targets,
@@ -92,12 +92,12 @@ impl Occlusion {
         if self.rule == OcclusionSpec::None {
             return;
         }
-        for f in heard {
+        for f in footprints {
             let pair = [f.apex_m, f.receiver_m].map(|eye_m| self.eye(eye_m - anchor_m));
             self.pairs.push((pair[0], pair[1]));
         }
         self.hilly = spacing_m.is_some();
-        let longest_m = heard.iter().map(|f| f.max_range_m).fold(1.0, f64::max);
+        let longest_m = footprints.iter().map(|f| f.max_range_m).fold(1.0, f64::max);
         let eyes_m = &self.eyes_m;
         // For all, so that no later ping allocates.
         self.solids.reserve(targets.len());
@@ -167,7 +167,7 @@ impl Occlusion {
 
     /// Whether nothing hides a point from transmitter and receiver of a footprint.
     #[inline(always)]
-    pub(crate) fn sees(&self, footprint: usize, at_m: DVec3, around: Around) -> bool {
+    pub(crate) fn sees(&self, footprint: usize, at_m: DVec3, around: Occluders) -> bool {
         let Some(&(transmitter, receiver)) = self.pairs.get(footprint) else {
             return true;
         };
@@ -183,25 +183,25 @@ impl Occlusion {
     }
 
     #[inline(always)]
-    fn ground_hides(&self, eye: usize, at_m: DVec3, around: Around) -> bool {
+    fn ground_hides(&self, eye: usize, at_m: DVec3, around: Occluders) -> bool {
         let Some(ground) = around.ground.filter(|_| self.hilly) else {
             return false;
         };
         let horizon = &self.horizons[eye];
-        let (verdict, nearer) = horizon.verdict(at_m.truncate());
+        let (visibility, nearer) = horizon.visibility(at_m.truncate());
         if self.rule == OcclusionSpec::Paper {
-            return nearer == Verdict::Hidden;
+            return nearer == Visibility::Hidden;
         }
-        match verdict {
-            Verdict::Seen if around.on_ground => false,
-            Verdict::Hidden if around.on_ground => true,
+        match visibility {
+            Visibility::Seen if around.on_ground => false,
+            Visibility::Hidden if around.on_ground => true,
             // What stands over ground that is seen is seen.
-            Verdict::Seen if is_above(ground, at_m) => false,
+            Visibility::Seen if is_above(ground, at_m) => false,
             _ => horizon.cast_hides(ground, at_m),
         }
     }
 
-    fn solid_hides(&self, eye: usize, at_m: DVec3, around: Around) -> bool {
+    fn solid_hides(&self, eye: usize, at_m: DVec3, around: Occluders) -> bool {
         around.solids.is_some_and(|solids| {
             let ray_m = self.eyes_m[eye] - at_m;
             let distance_m = ray_m.length();

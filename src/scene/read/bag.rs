@@ -9,7 +9,7 @@ use hdf5_reader::{Hdf5File, OpenOptions};
 use roxmltree::{Document, Node};
 
 use super::{
-    Crs, Facts, Fault, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
+    Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
 use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
 
@@ -40,13 +40,13 @@ impl Reader for Bag {
         head.starts_with(b"\x89HDF\r\n\x1a\n")
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let options = OpenOptions::default()
             .with_chunk_cache_bytes(0)
             .with_max_chunk_bytes(MAX_CHUNK_BYTES)
             .with_max_read_bytes(MAX_CELLS * size_of::<f32>());
         let file = Hdf5File::from_vec_with_options(bytes, options)
-            .map_err(|e| Fault::decoder("HDF5", e))?;
+            .map_err(|e| FormatError::decoder("HDF5", e))?;
         let metadata = Metadata::read(&file)?;
         let (rows, cols, values) = layer(&file, ELEVATION)?;
         for (what, announced, got) in [
@@ -56,7 +56,7 @@ impl Reader for Bag {
             if announced.size.is_some_and(|size| size != got as u64) {
                 let rule = format!("names another number of {what}s than {ELEVATION} has, {got}");
                 let said = announced.size.unwrap_or_default().to_string();
-                return Err(Fault::new(METADATA, &said, rule));
+                return Err(FormatError::new(METADATA, &said, rule));
             }
         }
         let [west, south, east, north] = metadata.corners;
@@ -70,7 +70,7 @@ impl Reader for Bag {
                 let rule = format!(
                     "is no distance of corners for {count} {what}s of {step}: the cell size or the corners are wrong"
                 );
-                return Err(Fault::new(METADATA, &extent.to_string(), rule));
+                return Err(FormatError::new(METADATA, &extent.to_string(), rule));
             }
         }
         let mut notes = metadata.notes;
@@ -106,19 +106,21 @@ impl Reader for Bag {
 }
 
 /// Rows, columns and numbers of a layer.
-fn layer(file: &Hdf5File, path: &str) -> Result<(usize, usize, Vec<f32>), Fault> {
-    let dataset = file.dataset(path).map_err(|e| Fault::decoder(path, e))?;
+fn layer(file: &Hdf5File, path: &str) -> Result<(usize, usize, Vec<f32>), FormatError> {
+    let dataset = file
+        .dataset(path)
+        .map_err(|e| FormatError::decoder(path, e))?;
     let &[rows, cols] = dataset.shape() else {
         let rule = format!("must have 2 dimensions, not {}", dataset.shape().len());
-        return Err(Fault::new(path, "", rule));
+        return Err(FormatError::new(path, "", rule));
     };
     let (rows, cols) = checked_size(rows, cols, path)?;
     let values = dataset
         .read_array::<f32>()
-        .map_err(|e| Fault::decoder(path, e))?;
+        .map_err(|e| FormatError::decoder(path, e))?;
     let (values, offset) = values.into_raw_vec_and_offset();
     if values.len() != rows * cols || offset.unwrap_or(0) != 0 {
-        return Err(Fault::new(
+        return Err(FormatError::new(
             path,
             "",
             "damaged: does not hold what its shape announces",
@@ -162,34 +164,34 @@ struct Metadata {
 }
 
 impl Metadata {
-    fn read(file: &Hdf5File) -> Result<Self, Fault> {
+    fn read(file: &Hdf5File) -> Result<Self, FormatError> {
         let dataset = file
             .dataset(METADATA)
-            .map_err(|e| Fault::decoder(METADATA, e))?;
+            .map_err(|e| FormatError::decoder(METADATA, e))?;
         if dataset
             .num_elements()
-            .map_err(|e| Fault::decoder(METADATA, e))?
+            .map_err(|e| FormatError::decoder(METADATA, e))?
             > MAX_METADATA_BYTES
         {
             let rule = format!("may have {MAX_METADATA_BYTES} bytes at most");
-            return Err(Fault::new(METADATA, "", rule));
+            return Err(FormatError::new(METADATA, "", rule));
         }
         let bytes = dataset
             .read_raw_bytes()
-            .map_err(|e| Fault::decoder(METADATA, e))?;
+            .map_err(|e| FormatError::decoder(METADATA, e))?;
         let text = std::str::from_utf8(&bytes)
-            .map_err(|_| Fault::new(METADATA, "", "must be UTF-8 text"))?
+            .map_err(|_| FormatError::new(METADATA, "", "must be UTF-8 text"))?
             .trim_start_matches(['\u{feff}', ' ', '\n', '\r']);
         // Writers fill the rest of the array with zeros and line ends.
         let end = text.rfind('>').map_or(0, |at| at + 1);
         Self::parse(&text[..end])
     }
 
-    fn parse(text: &str) -> Result<Self, Fault> {
-        let document = Document::parse(text).map_err(|e| Fault::decoder(METADATA, e))?;
+    fn parse(text: &str) -> Result<Self, FormatError> {
+        let document = Document::parse(text).map_err(|e| FormatError::decoder(METADATA, e))?;
         let root = document.root_element();
         let missing = |what: &str| {
-            Fault::new(
+            FormatError::new(
                 METADATA,
                 what,
                 "is missing: the grid has no place without it",
@@ -225,7 +227,7 @@ impl Metadata {
             .collect();
         let Ok(corners) = <[f64; 4]>::try_from(numbers) else {
             let rule = "must be the coordinates of two corners";
-            return Err(Fault::new(METADATA, &corners, rule));
+            return Err(FormatError::new(METADATA, &corners, rule));
         };
         let mut notes = Vec::new();
         if let Some(vertical) = below(root, "verticalDatum")
@@ -246,7 +248,7 @@ impl Metadata {
 }
 
 /// The horizontal system: well-known text, or the older dialect's projection and zone.
-fn system(root: Node) -> Result<Option<Crs>, Fault> {
+fn system(root: Node) -> Result<Option<Crs>, FormatError> {
     const PLACE: &str = "/BAG_root/metadata, referenceSystemInfo";
     for info in below(root, "referenceSystemInfo") {
         let text = info.descendants().filter_map(|n| n.text()).map(str::trim);
@@ -272,10 +274,18 @@ fn system(root: Node) -> Result<Option<Crs>, Fault> {
         }
         let zone = value("zone").unwrap_or_default();
         let Ok(number) = zone.parse::<i8>() else {
-            return Err(Fault::new(PLACE, &zone, "must be the number of a UTM zone"));
+            return Err(FormatError::new(
+                PLACE,
+                &zone,
+                "must be the number of a UTM zone",
+            ));
         };
         if !(1..=60).contains(&number.unsigned_abs()) {
-            return Err(Fault::new(PLACE, &zone, "must be a UTM zone, 1 to 60"));
+            return Err(FormatError::new(
+                PLACE,
+                &zone,
+                "must be a UTM zone, 1 to 60",
+            ));
         }
         let false_northing: f64 = value("falseNorthing")
             .and_then(|v| v.parse().ok())

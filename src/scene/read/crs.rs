@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use super::Fault;
+use super::FormatError;
 use echotank_config::spec::CrsSpec;
 use echotank_core::utm;
 
@@ -85,7 +85,7 @@ impl Crs {
     }
 
     /// By its number in the EPSG register. `place` is where the file says so.
-    pub(crate) fn from_epsg(code: u32, place: &str) -> Result<Self, Fault> {
+    pub(crate) fn from_epsg(code: u32, place: &str) -> Result<Self, FormatError> {
         let name = format!("EPSG:{code}");
         let utm = |zone: u32, north| Self::Utm {
             zone: zone as u8,
@@ -101,7 +101,7 @@ impl Crs {
             28348..=28358 => utm(code - 28300, false),
             7846..=7859 => utm(code - 7800, false),
             3857 | 900_913 | 3395 => {
-                return Err(Fault::new(
+                return Err(FormatError::new(
                     place,
                     &name,
                     "is Mercator's, whose metres are not metres on the ground: project the file to UTM first",
@@ -111,7 +111,7 @@ impl Crs {
             4001..=4977 | 4979..=4999 | 6318..=6326 | 7844 => Self::Geographic(name),
             1024..=32_766 => Self::Projected(name),
             _ => {
-                return Err(Fault::new(
+                return Err(FormatError::new(
                     place,
                     &name,
                     "must be a projected or geographic system of the EPSG register (1024 to 32766)",
@@ -121,7 +121,7 @@ impl Crs {
     }
 
     /// From well-known text (OGC 01-009, OGC 18-010), of which the name, the EPSG number and the unit are read.
-    pub(crate) fn from_wkt(text: &str, place: &str) -> Result<Self, Fault> {
+    pub(crate) fn from_wkt(text: &str, place: &str) -> Result<Self, FormatError> {
         let text = text.trim().trim_end_matches('\0').trim();
         let keyword: String = text
             .chars()
@@ -135,7 +135,11 @@ impl Crs {
                 let inner = ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["];
                 match inner.iter().filter_map(|k| text.find(k)).min() {
                     Some(at) => Self::from_wkt(&text[at..], place),
-                    None => Err(Fault::new(place, &name, "must hold a horizontal system")),
+                    None => Err(FormatError::new(
+                        place,
+                        &name,
+                        "must hold a horizontal system",
+                    )),
                 }
             }
             "GEOGCS" | "GEOGCRS" | "GEODCRS" => Ok(Self::Geographic(name)),
@@ -146,20 +150,20 @@ impl Crs {
                     let rule = format!(
                         "has a unit of {metres} m: only metres are read; project the file first"
                     );
-                    return Err(Fault::new(place, &name, rule));
+                    return Err(FormatError::new(place, &name, rule));
                 }
                 if name.to_ascii_lowercase().contains("mercator")
                     && !name.to_ascii_lowercase().contains("transverse")
                 {
                     let rule = "is Mercator's, whose metres are not metres on the ground: project the file to UTM first";
-                    return Err(Fault::new(place, &name, rule));
+                    return Err(FormatError::new(place, &name, rule));
                 }
                 Ok(match utm_in_name(&name) {
                     Some((zone, north)) => Self::Utm { zone, north, name },
                     None => Self::Projected(name),
                 })
             }
-            _ => Err(Fault::new(
+            _ => Err(FormatError::new(
                 place,
                 &text.chars().take(40).collect::<String>(),
                 "must be well-known text of a projected or geographic system",

@@ -4,8 +4,8 @@
 //! instead of `cellsize`; then `nrows * ncols` numbers, the northern row first, separated by any white space. Source: ESRI, ArcGIS
 //! documentation, "Esri ASCII raster format". The format says nothing about its coordinates.
 
-use super::text::{self, Misread};
-use super::{Facts, Fault, Raw, RawGrid, RawShape, Reader, checked_size, south_first};
+use super::text::{self, TextError};
+use super::{Facts, FormatError, Raw, RawGrid, RawShape, Reader, checked_size, south_first};
 use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
 /// Cell sizes, metres or degrees.
@@ -44,7 +44,7 @@ impl Reader for EsriAscii {
             .peek()
             .is_some_and(|word| KEYS.contains(&word.to_ascii_lowercase().as_str()))
     }
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         Ok(Raw {
             shape: RawShape::Grid(parse(&bytes, asked)?),
             facts: Facts::default(),
@@ -52,13 +52,13 @@ impl Reader for EsriAscii {
     }
 }
 
-fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, Fault> {
+fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     let mut tokens = Tokens {
         rest: text::without_mark(bytes),
         line: 1,
     };
     let header = Header::read(&mut tokens)?;
-    let missing = |key: &str| Misread::new(tokens.line, key, "is missing in the header");
+    let missing = |key: &str| TextError::new(tokens.line, key, "is missing in the header");
     let cols = header.cols.ok_or_else(|| missing("ncols"))?;
     let rows = header.rows.ok_or_else(|| missing("nrows"))?;
     let x_step = header.x_step.ok_or_else(|| missing("cellsize"))?;
@@ -73,18 +73,18 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, Fault> {
     while let Some(token) = tokens.next() {
         if values.len() == cells {
             let rule = format!("is one number too many: {rows} x {cols} were announced");
-            return Err(Misread::new(tokens.line, token, rule).into());
+            return Err(TextError::new(tokens.line, token, rule).into());
         }
         let value: f64 = token
             .parse()
-            .map_err(|_| Misread::new(tokens.line, token, "must be a number"))?;
+            .map_err(|_| TextError::new(tokens.line, token, "must be a number"))?;
         let hole = value == nodata || asked.nodata == Some(value) || value.is_nan();
         if !hole && value.abs() > text::MAX_VERTICAL_M {
             let rule = format!(
                 "must be a height in metres, {} at most, or the hole value {nodata}",
                 text::MAX_VERTICAL_M
             );
-            return Err(Misread::new(tokens.line, token, rule).into());
+            return Err(TextError::new(tokens.line, token, rule).into());
         }
         values.push(if hole { f32::NAN } else { value as f32 });
     }
@@ -93,7 +93,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, Fault> {
             "comes after {} numbers; {rows} x {cols} were announced",
             values.len()
         );
-        return Err(Misread::new(tokens.line, "end of file", rule).into());
+        return Err(TextError::new(tokens.line, "end of file", rule).into());
     }
     let first_row = asked.first_row.unwrap_or(FirstRow::North);
     Ok(RawGrid {
@@ -109,7 +109,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, Fault> {
     })
 }
 
-/// Numbers begin with a digit, a sign or a point, apart from NaN and infinity.
+/// Quantity begin with a digit, a sign or a point, apart from NaN and infinity.
 fn is_key(token: &str) -> bool {
     token.starts_with(|c: char| c.is_ascii_alphabetic()) && token.parse::<f64>().is_err()
 }
@@ -141,7 +141,7 @@ struct Header {
 }
 
 impl Header {
-    fn read(tokens: &mut Tokens) -> Result<Self, Misread> {
+    fn read(tokens: &mut Tokens) -> Result<Self, TextError> {
         let mut header = Self::default();
         while let Some(key) = tokens.peek()
             && is_key(key)
@@ -150,10 +150,10 @@ impl Header {
             tokens.next();
             let value = tokens
                 .next()
-                .ok_or_else(|| Misread::new(line, &key, "must be followed by its value"))?;
+                .ok_or_else(|| TextError::new(line, &key, "must be followed by its value"))?;
             header
                 .set(&key, value)
-                .map_err(|(wrong, rule)| Misread::new(tokens.line, &wrong, rule))?;
+                .map_err(|(wrong, rule)| TextError::new(tokens.line, &wrong, rule))?;
         }
         Ok(header)
     }
@@ -250,7 +250,7 @@ mod tests {
     fn said(text: &str) -> String {
         match parse(text.as_bytes(), &asked()) {
             Ok(_) => "ok".to_owned(),
-            Err(fault) => fault.to_string(),
+            Err(error) => error.to_string(),
         }
     }
 

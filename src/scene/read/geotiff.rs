@@ -10,7 +10,7 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 use super::{
-    Crs, Facts, Fault, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
+    Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
 use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
@@ -51,29 +51,29 @@ impl Reader for GeoTiff {
             .any(|magic| head.starts_with(magic))
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = MAX_CELLS * size_of::<f64>();
         limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
         limits.ifd_value_size = MAX_TAG_BYTES;
         let mut tiff = Decoder::new(Cursor::new(bytes))
-            .map_err(|e| Fault::decoder("TIFF header", e))?
+            .map_err(|e| FormatError::decoder("TIFF header", e))?
             .with_limits(limits);
         let (width, height) = tiff
             .dimensions()
-            .map_err(|e| Fault::decoder("tag ImageWidth", e))?;
+            .map_err(|e| FormatError::decoder("tag ImageWidth", e))?;
         let (rows, cols) = checked_size(height.into(), width.into(), "tag ImageWidth")?;
         match tiff.colortype() {
             Ok(ColorType::Gray(8..=64)) => {}
             Ok(other) => {
                 let rule = "must be one band of heights, of 8 to 64 bits";
-                return Err(Fault::new(
+                return Err(FormatError::new(
                     "tag SamplesPerPixel",
                     &format!("{other:?}"),
                     rule,
                 ));
             }
-            Err(e) => return Err(Fault::decoder("tag SamplesPerPixel", e)),
+            Err(e) => return Err(FormatError::decoder("tag SamplesPerPixel", e)),
         }
         let keys = GeoKeys::read(&mut tiff)?;
         let place = Georeference::read(&mut tiff, &keys)?;
@@ -81,21 +81,28 @@ impl Reader for GeoTiff {
             Ok(Some(value)) => {
                 let text = value
                     .into_string()
-                    .map_err(|e| Fault::decoder("tag GDAL_NODATA", e))?;
+                    .map_err(|e| FormatError::decoder("tag GDAL_NODATA", e))?;
                 let text = text.trim_matches(['\0', ' ']).to_owned();
                 match text.parse::<f64>() {
                     Ok(v) => Some(v as f32),
                     Err(_) => {
-                        return Err(Fault::new("tag GDAL_NODATA", &text, "must be a number"));
+                        return Err(FormatError::new(
+                            "tag GDAL_NODATA",
+                            &text,
+                            "must be a number",
+                        ));
                     }
                 }
             }
             _ => None,
         };
-        let values = band(tiff.read_image().map_err(|e| Fault::decoder("image", e))?);
+        let values = band(
+            tiff.read_image()
+                .map_err(|e| FormatError::decoder("image", e))?,
+        );
         if values.len() != rows * cols {
             let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
-            return Err(Fault::new("image", "", rule));
+            return Err(FormatError::new("image", "", rule));
         }
         let first_row = asked.first_row.unwrap_or(place.first_row);
         let also = asked.nodata.map(|v| v as f32);
@@ -149,14 +156,14 @@ fn band(image: DecodingResult) -> Vec<f32> {
 
 type Tiff = Decoder<Cursor<Vec<u8>>>;
 
-fn numbers(tiff: &mut Tiff, tag: Tag, place: &str) -> Result<Option<Vec<f64>>, Fault> {
+fn numbers(tiff: &mut Tiff, tag: Tag, place: &str) -> Result<Option<Vec<f64>>, FormatError> {
     match tiff.find_tag(tag) {
         Ok(None) => Ok(None),
         Ok(Some(value)) => value
             .into_f64_vec()
             .map(Some)
-            .map_err(|e| Fault::decoder(place, e)),
-        Err(e) => Err(Fault::decoder(place, e)),
+            .map_err(|e| FormatError::decoder(place, e)),
+        Err(e) => Err(FormatError::decoder(place, e)),
     }
 }
 
@@ -171,14 +178,14 @@ pub(super) struct Georeference {
 }
 
 impl Georeference {
-    fn read(tiff: &mut Tiff, keys: &GeoKeys) -> Result<Self, Fault> {
+    fn read(tiff: &mut Tiff, keys: &GeoKeys) -> Result<Self, FormatError> {
         const SCALE: &str = "tag ModelPixelScale";
         const TIEPOINT: &str = "tag ModelTiepoint";
         const TRANSFORMATION: &str = "tag ModelTransformation";
         let (x0, y0, dx, dy);
         if let Some(scale) = numbers(tiff, Tag::ModelPixelScaleTag, SCALE)? {
             let [sx, sy, ..] = scale[..] else {
-                return Err(Fault::new(
+                return Err(FormatError::new(
                     SCALE,
                     &format!("{scale:?}"),
                     "must be 3 numbers",
@@ -187,14 +194,14 @@ impl Georeference {
             let tie = numbers(tiff, Tag::ModelTiepointTag, TIEPOINT)?.unwrap_or_default();
             let [i, j, _, x, y, _] = tie[..] else {
                 let rule = "must be one tie point of 6 numbers";
-                return Err(Fault::new(TIEPOINT, &format!("{tie:?}"), rule));
+                return Err(FormatError::new(TIEPOINT, &format!("{tie:?}"), rule));
             };
             // Positive scales run east and, down the rows, south.
             (dx, dy) = (sx, -sy);
             (x0, y0) = (x - i * dx, y - j * dy);
         } else if let Some(m) = numbers(tiff, Tag::ModelTransformationTag, TRANSFORMATION)? {
             let [a, b, _, x, c, d, _, y, ..] = m[..] else {
-                return Err(Fault::new(
+                return Err(FormatError::new(
                     TRANSFORMATION,
                     &format!("{m:?}"),
                     "must be 16 numbers",
@@ -202,17 +209,17 @@ impl Georeference {
             };
             if b != 0.0 || c != 0.0 {
                 let rule = "turns the grid: turn it north-up first";
-                return Err(Fault::new(TRANSFORMATION, &format!("{b}, {c}"), rule));
+                return Err(FormatError::new(TRANSFORMATION, &format!("{b}, {c}"), rule));
             }
             (dx, dy, x0, y0) = (a, d, x, y);
         } else {
             let rule = "is missing: a picture without a place is no seabed (a GeoTIFF has it)";
-            return Err(Fault::new(SCALE, "", rule));
+            return Err(FormatError::new(SCALE, "", rule));
         }
         let sound = [x0, y0, dx, dy].iter().all(|v| v.is_finite()) && dx > 0.0 && dy != 0.0;
         if !sound {
             let rule = "must be finite, and the columns must run east";
-            return Err(Fault::new(
+            return Err(FormatError::new(
                 SCALE,
                 &format!("{dx}, {dy} from {x0}, {y0}"),
                 rule,
@@ -242,14 +249,16 @@ struct GeoKeys {
 }
 
 impl GeoKeys {
-    fn read(tiff: &mut Tiff) -> Result<Self, Fault> {
+    fn read(tiff: &mut Tiff) -> Result<Self, FormatError> {
         const PLACE: &str = "tag GeoKeyDirectory";
         let mut shorts = Vec::new();
         let mut citation = None;
         let directory = match tiff.find_tag(Tag::GeoKeyDirectoryTag) {
             Ok(None) => Vec::new(),
-            Ok(Some(value)) => value.into_u16_vec().map_err(|e| Fault::decoder(PLACE, e))?,
-            Err(e) => return Err(Fault::decoder(PLACE, e)),
+            Ok(Some(value)) => value
+                .into_u16_vec()
+                .map_err(|e| FormatError::decoder(PLACE, e))?,
+            Err(e) => return Err(FormatError::decoder(PLACE, e)),
         };
         let text = match tiff.find_tag(Tag::GeoAsciiParamsTag) {
             Ok(Some(value)) => value.into_string().unwrap_or_default(),
@@ -278,11 +287,13 @@ impl GeoKeys {
         self.shorts.iter().find(|(k, _)| *k == key).map(|(_, v)| *v)
     }
 
-    fn crs(&self) -> Result<Option<Crs>, Fault> {
+    fn crs(&self) -> Result<Option<Crs>, FormatError> {
         let must = |key: u16, wanted: u16, rule: &str| match self.short(key) {
-            Some(v) if v != wanted && v != 0 => {
-                Err(Fault::new(format!("GeoKey {key}"), &v.to_string(), rule))
-            }
+            Some(v) if v != wanted && v != 0 => Err(FormatError::new(
+                format!("GeoKey {key}"),
+                &v.to_string(),
+                rule,
+            )),
             _ => Ok(()),
         };
         must(
@@ -302,7 +313,7 @@ impl GeoKeys {
             named(PROJECTED_CRS),
             named(GEODETIC_CRS),
         ) {
-            (Some(3), _, _) => Err(Fault::new(
+            (Some(3), _, _) => Err(FormatError::new(
                 "GeoKey 1024",
                 "3",
                 "is earth-centred: only projected (1) and geographic (2) grids are read",

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use glam::DVec3;
 use las::{PointDataBuilder, Reader as LasReader};
 
-use super::{Crs, Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
+use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Points decoded at once.
@@ -26,21 +26,21 @@ impl Reader for Las {
         head.starts_with(b"LASF")
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let length = bytes.len() as u64;
-        let mut reader =
-            LasReader::new(Cursor::new(bytes)).map_err(|e| Fault::decoder("LAS header", e))?;
+        let mut reader = LasReader::new(Cursor::new(bytes))
+            .map_err(|e| FormatError::decoder("LAS header", e))?;
         let header = reader.header();
         let total = header.number_of_points();
         let record = u64::from(header.point_format().len());
         if total > MAX_POINTS as u64 {
             let rule = format!("at most {MAX_POINTS} points are read: thin or grid them first");
-            return Err(Fault::new("LAS header", &total.to_string(), rule));
+            return Err(FormatError::new("LAS header", &total.to_string(), rule));
         }
         if record == 0 || total.saturating_mul(record) > length {
             let rule =
                 format!("points were announced, more than the file's {length} bytes can hold");
-            return Err(Fault::new("LAS header", &total.to_string(), rule));
+            return Err(FormatError::new("LAS header", &total.to_string(), rule));
         }
         let mut facts = Facts {
             crs: system(&reader, asked)?,
@@ -54,10 +54,10 @@ impl Reader for Las {
             let place = || format!("points from {read}");
             let count = reader
                 .fill_points(BATCH.min(total - read), &mut batch)
-                .map_err(|e| Fault::decoder(place(), e))?;
+                .map_err(|e| FormatError::decoder(place(), e))?;
             if count == 0 {
                 let rule = format!("the file ends; {total} points were announced");
-                return Err(Fault::new(place(), "", rule));
+                return Err(FormatError::new(place(), "", rule));
             }
             let classes = batch.classification();
             for (((x, y), z), class) in batch.x().zip(batch.y()).zip(batch.z()).zip(classes) {
@@ -84,7 +84,7 @@ impl Reader for Las {
     }
 }
 
-fn system(reader: &LasReader, asked: &SeabedFileSpec) -> Result<Option<Crs>, Fault> {
+fn system(reader: &LasReader, asked: &SeabedFileSpec) -> Result<Option<Crs>, FormatError> {
     if asked.crs.is_some() {
         return Ok(None);
     }

@@ -1,13 +1,13 @@
 //! Meshes of targets: OBJ, STL and PLY to [`TriangleMesh`].
 //!
-//! None of the formats says which way its axes point or what its unit is. Numbers are taken for metres; the axes are the caller's to tell.
+//! None of the formats says which way its axes point or what its unit is. Quantity are taken for metres; the axes are the caller's to tell.
 
 use std::path::Path;
 
 use glam::DVec3;
 
 use super::text::{self, MAX_HORIZONTAL_M};
-use super::{Fault, Files, MAX_POINTS, TriangleMesh, ply};
+use super::{Files, FormatError, MAX_POINTS, TriangleMesh, ply};
 use crate::SceneError;
 
 /// Triangles at most: as a target's they take some 700 MiB.
@@ -40,20 +40,20 @@ impl MeshAxes {
 /// Reads the mesh of a file by its extension.
 pub fn open(files: &dyn Files, path: &Path, axes: MeshAxes) -> Result<TriangleMesh, SceneError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    parse(text::read_file(files, path)?, extension, axes).map_err(|fault| SceneError::Refused {
+    parse(text::read_file(files, path)?, extension, axes).map_err(|error| SceneError::Format {
         path: path.to_owned(),
-        fault,
+        error,
     })
 }
 
 /// Reads a mesh; `extension` is one of obj, stl and ply, in any case.
-pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<TriangleMesh, Fault> {
+pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<TriangleMesh, FormatError> {
     let (mut vertices_m, triangles) = match extension.to_ascii_lowercase().as_str() {
         "obj" => obj(&bytes)?,
         "stl" => stl(&bytes)?,
         "ply" => ply::parse(&bytes)?,
         other => {
-            return Err(Fault::new(
+            return Err(FormatError::new(
                 "file name",
                 other,
                 "must end in .obj, .stl or .ply",
@@ -63,13 +63,17 @@ pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<Triangle
     for (k, v) in vertices_m.iter_mut().enumerate() {
         if !v.is_finite() || v.abs().max_element() > MAX_HORIZONTAL_M {
             let rule = format!("must be finite, and no more than {MAX_HORIZONTAL_M} m from zero");
-            return Err(Fault::new(format!("vertex {k}"), &v.to_string(), rule));
+            return Err(FormatError::new(
+                format!("vertex {k}"),
+                &v.to_string(),
+                rule,
+            ));
         }
         *v = axes.north_east_down(*v);
     }
     check_triangles(&triangles, vertices_m.len())?;
     if triangles.is_empty() {
-        return Err(Fault::new("mesh", "", "has no triangles"));
+        return Err(FormatError::new("mesh", "", "has no triangles"));
     }
     Ok(TriangleMesh {
         vertices_m,
@@ -78,15 +82,15 @@ pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<Triangle
 }
 
 /// Every index must be a vertex's.
-pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), Fault> {
+pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), FormatError> {
     if triangles.len() > MAX_TRIANGLES {
         let rule = format!("at most {MAX_TRIANGLES} triangles are read");
-        return Err(Fault::new("mesh", &triangles.len().to_string(), rule));
+        return Err(FormatError::new("mesh", &triangles.len().to_string(), rule));
     }
     for (k, triangle) in triangles.iter().enumerate() {
         if triangle.iter().any(|i| *i as usize >= vertices) {
             let rule = format!("names a vertex that is not there: the mesh has {vertices}");
-            return Err(Fault::new(
+            return Err(FormatError::new(
                 format!("triangle {k}"),
                 &format!("{triangle:?}"),
                 rule,
@@ -98,7 +102,7 @@ pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result
 
 type Parts = (Vec<DVec3>, Vec<[u32; 3]>);
 
-fn obj(bytes: &[u8]) -> Result<Parts, Fault> {
+fn obj(bytes: &[u8]) -> Result<Parts, FormatError> {
     let options = tobj::LoadOptions {
         triangulate: true,
         ignore_points: true,
@@ -107,7 +111,7 @@ fn obj(bytes: &[u8]) -> Result<Parts, Fault> {
     };
     let no_materials = |_: &Path| Ok((Vec::new(), Default::default()));
     let (models, _) = tobj::load_obj_buf(&mut &bytes[..], &options, no_materials)
-        .map_err(|e| Fault::decoder("OBJ", e))?;
+        .map_err(|e| FormatError::decoder("OBJ", e))?;
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
     for model in models {
         // Each object has its own vertices; their counts stay below what the file's bytes allow, and so far below u32.
@@ -130,7 +134,7 @@ fn obj(bytes: &[u8]) -> Result<Parts, Fault> {
     Ok((vertices, triangles))
 }
 
-fn stl(bytes: &[u8]) -> Result<Parts, Fault> {
+fn stl(bytes: &[u8]) -> Result<Parts, FormatError> {
     // Binary files may begin with "solid" as text does: the count that fits the length tells them apart.
     let announced = bytes
         .get(STL_HEAD - 4..STL_HEAD)
@@ -145,13 +149,17 @@ fn stl(bytes: &[u8]) -> Result<Parts, Fault> {
             "triangles are announced, more than the file's {} bytes can hold",
             bytes.len()
         );
-        return Err(Fault::new("STL header", &count.to_string(), rule));
+        return Err(FormatError::new("STL header", &count.to_string(), rule));
     }
-    let mesh =
-        stl_io::read_stl(&mut std::io::Cursor::new(bytes)).map_err(|e| Fault::decoder("STL", e))?;
+    let mesh = stl_io::read_stl(&mut std::io::Cursor::new(bytes))
+        .map_err(|e| FormatError::decoder("STL", e))?;
     if mesh.vertices.len() > 3 * MAX_POINTS {
         let rule = format!("at most {} vertices are read", 3 * MAX_POINTS);
-        return Err(Fault::new("STL", &mesh.vertices.len().to_string(), rule));
+        return Err(FormatError::new(
+            "STL",
+            &mesh.vertices.len().to_string(),
+            rule,
+        ));
     }
     let vertices = mesh
         .vertices

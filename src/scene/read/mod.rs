@@ -16,8 +16,8 @@
 mod bag;
 mod crs;
 mod esri_ascii;
-mod fault;
 mod files;
+mod format_error;
 mod geotiff;
 mod las;
 pub mod mesh;
@@ -30,8 +30,8 @@ mod triangulate;
 mod xyz;
 
 pub use crs::Crs;
-pub use fault::Fault;
 pub use files::Files;
+pub use format_error::FormatError;
 pub use shapes::{Depth, HeightField, TriangleMesh};
 pub use survey::{Georeference, Survey};
 
@@ -51,7 +51,7 @@ pub(crate) trait Reader: Sync {
     /// Whether a file that begins so, or has this extension (small letters), is of this format.
     fn recognises(&self, head: &[u8], extension: &str) -> bool;
     /// The file in its own coordinates. Of `asked` only what changes the reading itself is looked at (`nodata`, `first_row`, `crs`).
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault>;
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError>;
 }
 
 /// In the order in which they are asked: those with a signature first, text last.
@@ -113,10 +113,10 @@ pub(crate) struct Facts {
 }
 
 /// Refuses a grid that is too small to be a surface or too large to be held.
-fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), Fault> {
+fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), FormatError> {
     let size = format!("{rows} x {cols}");
     if rows < 2 || cols < 2 {
-        return Err(Fault::new(
+        return Err(FormatError::new(
             place,
             &size,
             "must have at least 2 rows and 2 columns",
@@ -125,7 +125,7 @@ fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), Fau
     let cells = rows.checked_mul(cols);
     if cells.is_none_or(|cells| cells > MAX_CELLS as u64) {
         let rule = format!("may have {MAX_CELLS} cells at most");
-        return Err(Fault::new(place, &size, rule));
+        return Err(FormatError::new(place, &size, rule));
     }
     Ok((rows as usize, cols as usize))
 }
@@ -138,7 +138,7 @@ fn south_first(
     first_row: FirstRow,
     is_hole: impl Fn(f32) -> bool,
     place: &str,
-) -> Result<Vec<f32>, Fault> {
+) -> Result<Vec<f32>, FormatError> {
     for (k, value) in values.iter_mut().enumerate() {
         if value.is_nan() || is_hole(*value) {
             *value = f32::NAN;
@@ -148,7 +148,7 @@ fn south_first(
                 "must be a height in metres, {} at most, or the value of a hole (nodata)",
                 text::MAX_VERTICAL_M
             );
-            return Err(Fault::new(
+            return Err(FormatError::new(
                 format!("{place}, row {row}, column {col}"),
                 &value.to_string(),
                 rule,

@@ -4,7 +4,7 @@ use glam::DVec3;
 use ply_rs_bw::parser::{Parser, Reader as PlyReader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
-use super::{Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
+use super::{Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 pub(super) struct Ply;
@@ -19,7 +19,7 @@ impl Reader for Ply {
     fn recognises(&self, head: &[u8], _extension: &str) -> bool {
         head.starts_with(b"ply\n") || head.starts_with(b"ply\r")
     }
-    fn read(&self, bytes: Vec<u8>, _asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, _asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let (points, triangles) = parse(&bytes)?;
         Ok(Raw {
             shape: RawShape::Points(RawPoints {
@@ -35,20 +35,28 @@ impl Reader for Ply {
 }
 
 /// Vertices in the file's own axes, and its faces as triangles (fans of the polygons).
-pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), Fault> {
+pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatError> {
     let mut reader = PlyReader::new(bytes);
     let header = Parser::<Skipped>::new()
         .read_header(&mut reader)
-        .map_err(|e| Fault::decoder("PLY header", e))?;
+        .map_err(|e| FormatError::decoder("PLY header", e))?;
     for (name, element) in &header.elements {
         if element.count > MAX_POINTS * 4 {
             let rule = format!("at most {} {name} elements are read", MAX_POINTS * 4);
-            return Err(Fault::new("PLY header", &element.count.to_string(), rule));
+            return Err(FormatError::new(
+                "PLY header",
+                &element.count.to_string(),
+                rule,
+            ));
         }
         // Every element takes at least a byte, unless it has no properties at all.
         if element.count > bytes.len() || element.properties.is_empty() {
             let rule = format!("{name} elements are announced, more than the file can hold");
-            return Err(Fault::new("PLY header", &element.count.to_string(), rule));
+            return Err(FormatError::new(
+                "PLY header",
+                &element.count.to_string(),
+                rule,
+            ));
         }
     }
     let (mut points, mut triangles) = (Vec::new(), Vec::new());
@@ -58,11 +66,15 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), Fault> 
             "vertex" => {
                 if element.count > MAX_POINTS {
                     let rule = format!("at most {MAX_POINTS} vertices are read");
-                    return Err(Fault::new("PLY header", &element.count.to_string(), rule));
+                    return Err(FormatError::new(
+                        "PLY header",
+                        &element.count.to_string(),
+                        rule,
+                    ));
                 }
                 for axis in ["x", "y", "z"] {
                     if !element.properties.contains_key(axis) {
-                        return Err(Fault::new(
+                        return Err(FormatError::new(
                             "PLY header",
                             axis,
                             "is missing in element vertex",
@@ -71,13 +83,13 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), Fault> 
                 }
                 let vertices = Parser::<Vertex>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| Fault::decoder(place(), e))?;
+                    .map_err(|e| FormatError::decoder(place(), e))?;
                 points = vertices.into_iter().map(|v| v.0).collect();
             }
             "face" => {
                 let faces = Parser::<Face>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| Fault::decoder(place(), e))?;
+                    .map_err(|e| FormatError::decoder(place(), e))?;
                 for face in &faces {
                     for pair in face.0.get(1..).unwrap_or(&[]).windows(2) {
                         triangles.push([face.0[0], pair[0], pair[1]]);
@@ -87,7 +99,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), Fault> 
             _ => {
                 Parser::<Skipped>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| Fault::decoder(place(), e))?;
+                    .map_err(|e| FormatError::decoder(place(), e))?;
             }
         }
     }

@@ -14,8 +14,8 @@ use glam::DVec3;
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::triangulate::{Tin, merge_duplicates};
 use super::{
-    Crs, Facts, Fault, Files, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints, RawShape,
-    Reader, mesh,
+    Crs, Facts, Files, FormatError, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints,
+    RawShape, Reader, mesh,
 };
 use crate::SceneError;
 use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
@@ -36,7 +36,7 @@ const COVER_TOLERANCE_DEG: f64 = 0.02;
 
 /// What a file's numbers are.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Numbers {
+enum Quantity {
     Heights,
     Other,
 }
@@ -137,13 +137,13 @@ pub struct Georeference {
 
 impl Georeference {
     /// North and east of this zero, metres, of another's; refused where its coordinates are counted in another system.
-    pub fn locate(&self, other: &Self) -> Result<(f64, f64), Fault> {
+    pub fn locate(&self, other: &Self) -> Result<(f64, f64), FormatError> {
         if !self.crs.agrees(&other.crs) {
             let rule = format!(
                 "must be that of the seabed's file, {} (mosaic_crs overrides what the file says)",
                 self.crs
             );
-            return Err(Fault::new(
+            return Err(FormatError::new(
                 "coordinate system",
                 &other.crs.to_string(),
                 rule,
@@ -163,9 +163,9 @@ fn local_m(crs: &Crs, zero: [f64; 2], x: f64, y: f64) -> (f64, f64) {
 impl Survey {
     pub fn open(files: &dyn Files, asked: &SeabedFileSpec) -> Result<Self, SceneError> {
         let bytes = text::read_file(files, &asked.path)?;
-        Self::parse(bytes, asked).map_err(|fault| SceneError::Refused {
+        Self::parse(bytes, asked).map_err(|error| SceneError::Format {
             path: asked.path.clone(),
-            fault,
+            error,
         })
     }
 
@@ -181,18 +181,22 @@ impl Survey {
             ..SeabedFileSpec::of(path.to_owned())
         };
         let bytes = text::read_file(files, path)?;
-        Self::parse_as(bytes, &asked, Numbers::Other).map_err(|fault| SceneError::Refused {
+        Self::parse_as(bytes, &asked, Quantity::Other).map_err(|error| SceneError::Format {
             path: path.to_owned(),
-            fault,
+            error,
         })
     }
 
     /// Reads a file's bytes; of `asked.path` only the extension counts.
-    pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, Fault> {
-        Self::parse_as(bytes, asked, Numbers::Heights)
+    pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, FormatError> {
+        Self::parse_as(bytes, asked, Quantity::Heights)
     }
 
-    fn parse_as(bytes: Vec<u8>, asked: &SeabedFileSpec, numbers: Numbers) -> Result<Self, Fault> {
+    fn parse_as(
+        bytes: Vec<u8>,
+        asked: &SeabedFileSpec,
+        numbers: Quantity,
+    ) -> Result<Self, FormatError> {
         let reader = reader_of(&bytes, asked)?;
         let length = bytes.len() as u64;
         let Raw { shape, mut facts } = reader.read(bytes, asked)?;
@@ -216,10 +220,10 @@ impl Survey {
             RawShape::Points(points) => from_points(points, sign, plane.as_ref(), zero, asked)?,
         };
         if field.down_m.iter().all(|d| d.is_nan()) {
-            return Err(Fault::new("heights", "", "are all holes"));
+            return Err(FormatError::new("heights", "", "are all holes"));
         }
         let dry = field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0);
-        if dry && numbers == Numbers::Heights {
+        if dry && numbers == Quantity::Heights {
             notes
                 .push("all of it lies above zero: is values = \"depth\" what is meant?".to_owned());
         }
@@ -293,7 +297,7 @@ impl Survey {
     }
 }
 
-fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader, Fault> {
+fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader, FormatError> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES)];
     let extension = asked
         .path
@@ -311,7 +315,7 @@ fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader
             "is of no format that is read ({}), by its first bytes or its name",
             names.join(", ")
         );
-        Fault::new(
+        FormatError::new(
             "file",
             &String::from_utf8_lossy(&head[..head.len().min(16)]),
             rule,
@@ -320,7 +324,7 @@ fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader
 }
 
 /// West, south, east and north of the outer points.
-fn covered(shape: &RawShape) -> Result<[f64; 4], Fault> {
+fn covered(shape: &RawShape) -> Result<[f64; 4], FormatError> {
     match shape {
         RawShape::Grid(g) => Ok([
             g.x_west,
@@ -331,11 +335,11 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], Fault> {
         RawShape::Points(p) => {
             if p.points.len() < 3 {
                 let rule = "soundings: three at least make a surface";
-                return Err(Fault::new("file", &p.points.len().to_string(), rule));
+                return Err(FormatError::new("file", &p.points.len().to_string(), rule));
             }
             if p.points.len() > MAX_POINTS {
                 let rule = format!("at most {MAX_POINTS} soundings are read");
-                return Err(Fault::new("file", &p.points.len().to_string(), rule));
+                return Err(FormatError::new("file", &p.points.len().to_string(), rule));
             }
             let start = DVec3::splat(f64::INFINITY);
             let low = p.points.iter().fold(start, |m, v| m.min(*v));
@@ -346,7 +350,7 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], Fault> {
                         "must be finite, and its height {} m at most",
                         text::MAX_VERTICAL_M
                     );
-                    return Err(Fault::new(format!("point {k}"), &v.to_string(), rule));
+                    return Err(FormatError::new(format!("point {k}"), &v.to_string(), rule));
                 }
             }
             Ok([low.x, low.y, high.x, high.y])
@@ -383,8 +387,8 @@ fn system(
     shape: &RawShape,
     facts: &mut Facts,
     asked: &SeabedFileSpec,
-    numbers: Numbers,
-) -> Result<(Crs, Source), Fault> {
+    numbers: Quantity,
+) -> Result<(Crs, Source), FormatError> {
     if let Some(crs) = asked.crs {
         return Ok((crs.into(), Source::Configured));
     }
@@ -398,7 +402,7 @@ fn system(
         RawShape::Grid(g) => g.x_step.max(g.y_step) <= MAX_CELL_DEG,
         RawShape::Points(_) => true,
     };
-    let steep = numbers == Numbers::Heights && high - low > (east - west).max(north - south);
+    let steep = numbers == Quantity::Heights && high - low > (east - west).max(north - south);
     if fits && fine && steep {
         let why = "the coordinates fit longitudes and latitudes, and as metres the seabed would be impossibly steep";
         return Ok((
@@ -438,10 +442,16 @@ fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign,
 }
 
 /// Coordinates that cannot be of this system are refused.
-fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), Fault> {
+fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
     let [west, south, east, north] = *covers;
     let shown = format!("{west} .. {east}, {south} .. {north}");
-    let wrong = |rule: &str| Err(Fault::new(format!("coordinates as {crs}"), &shown, rule));
+    let wrong = |rule: &str| {
+        Err(FormatError::new(
+            format!("coordinates as {crs}"),
+            &shown,
+            rule,
+        ))
+    };
     match crs {
         Crs::Geographic(_) => {
             if west < -180.0 || east > 360.0 || south < -90.0 || north > 90.0 {
@@ -467,7 +477,7 @@ fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), Fault> {
 }
 
 /// The file's middle must lie where the file says that it lies.
-fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Fault> {
+fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), FormatError> {
     let Some((lat, lon)) = crs.geodetic_rad(zero[0], zero[1]) else {
         return Ok(());
     };
@@ -485,16 +495,20 @@ fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Fault
     let rule = format!(
         "puts its middle at latitude {lat:.3}, longitude {lon:.3}, outside the {south} .. {north}, {west} .. {east} that its metadata name: one of them is wrong (seabed.crs overrides)"
     );
-    Err(Fault::new("coordinate system", &crs.to_string(), rule))
+    Err(FormatError::new(
+        "coordinate system",
+        &crs.to_string(),
+        rule,
+    ))
 }
 
 fn plane_at(zero: [f64; 2]) -> LocalTangentPlane {
     LocalTangentPlane::new(zero[1].to_radians(), zero[0].to_radians())
 }
 
-type Made = (HeightField, Layout, Original);
+type Converted = (HeightField, Layout, Original);
 
-fn check_extent(extent_m: f64) -> Result<(), Fault> {
+fn check_extent(extent_m: f64) -> Result<(), FormatError> {
     if extent_m <= 2.0 * MAX_HORIZONTAL_M {
         return Ok(());
     }
@@ -502,7 +516,7 @@ fn check_extent(extent_m: f64) -> Result<(), Fault> {
         "m are covered: a local plane serves {} km about its middle; cut the file",
         MAX_HORIZONTAL_M / 1e3
     );
-    Err(Fault::new("coordinates", &extent_m.to_string(), rule))
+    Err(FormatError::new("coordinates", &extent_m.to_string(), rule))
 }
 
 fn from_grid(
@@ -512,7 +526,7 @@ fn from_grid(
     zero: [f64; 2],
     asked: &SeabedFileSpec,
     notes: &mut Vec<String>,
-) -> Result<Made, Fault> {
+) -> Result<Converted, FormatError> {
     if sign == HeightSign::Elevation {
         for v in &mut grid.values {
             *v = -*v;
@@ -538,7 +552,7 @@ fn from_grid(
                     CELL_SIZES_M.start(),
                     CELL_SIZES_M.end()
                 );
-                return Err(Fault::new("cell size", &step.to_string(), rule));
+                return Err(FormatError::new("cell size", &step.to_string(), rule));
             }
         }
         let field = HeightField {
@@ -566,7 +580,7 @@ fn resampled(
     grid: &RawGrid,
     plane: &LocalTangentPlane,
     zero: [f64; 2],
-) -> Result<HeightField, Fault> {
+) -> Result<HeightField, FormatError> {
     let [x, y] = zero;
     let half_x = grid.x_step / 2.0;
     let half_y = grid.y_step / 2.0;
@@ -575,7 +589,7 @@ fn resampled(
     let cell_east_m = local(x + half_x, y).1 - local(x - half_x, y).1;
     if !(cell_north_m > 0.0 && cell_east_m > 0.0) {
         let rule = "make no cells of a local plane there";
-        return Err(Fault::new(
+        return Err(FormatError::new(
             "cell size",
             &format!("{} x {}", grid.x_step, grid.y_step),
             rule,
@@ -620,7 +634,7 @@ fn from_points(
     plane: Option<&LocalTangentPlane>,
     zero: [f64; 2],
     asked: &SeabedFileSpec,
-) -> Result<Made, Fault> {
+) -> Result<Converted, FormatError> {
     let flip = match sign {
         HeightSign::Elevation => -1.0,
         HeightSign::Depth => 1.0,

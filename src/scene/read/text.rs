@@ -21,7 +21,7 @@ const SHOWN_CHARACTERS: usize = 40;
 /// A place in a file where it does not say what it should.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}{}: `{value}`: {rule}", column.as_ref().map(|c| format!(", column `{c}`")).unwrap_or_default())]
-pub struct Misread {
+pub struct TextError {
     /// From 1.
     pub line: usize,
     pub column: Option<String>,
@@ -29,7 +29,7 @@ pub struct Misread {
     pub rule: String,
 }
 
-impl Misread {
+impl TextError {
     pub(crate) fn new(line: usize, value: &str, rule: impl Into<String>) -> Self {
         Self {
             line,
@@ -46,7 +46,7 @@ impl Misread {
 
 /// Reads a file of at most [`MAX_FILE_BYTES`] into memory.
 pub(crate) fn read_file(files: &dyn Files, path: &Path) -> Result<Vec<u8>, SceneError> {
-    let unreadable = |source| SceneError::Unreadable {
+    let unreadable = |source| SceneError::Read {
         path: path.to_owned(),
         source,
     };
@@ -121,14 +121,14 @@ impl Row<'_> {
         column: usize,
         allowed: RangeInclusive<f64>,
         absent: f64,
-    ) -> Result<f64, Misread> {
+    ) -> Result<f64, TextError> {
         match self.text(column) {
             None => Ok(absent),
-            Some(text) => number(text, allowed).map_err(|rule| self.misread(column, rule)),
+            Some(text) => number(text, allowed).map_err(|rule| self.text_error(column, rule)),
         }
     }
-    pub(crate) fn misread(&self, column: usize, rule: impl Into<String>) -> Misread {
-        Misread::new(self.line, self.text(column).unwrap_or(""), rule)
+    pub(crate) fn text_error(&self, column: usize, rule: impl Into<String>) -> TextError {
+        TextError::new(self.line, self.text(column).unwrap_or(""), rule)
             .in_column(self.columns[column].name)
     }
 }
@@ -138,14 +138,14 @@ impl Row<'_> {
 pub(crate) fn read_table(
     bytes: &[u8],
     columns: &[Column],
-    mut take: impl FnMut(&Row) -> Result<(), Misread>,
-) -> Result<(), Misread> {
+    mut take: impl FnMut(&Row) -> Result<(), TextError>,
+) -> Result<(), TextError> {
     let text = std::str::from_utf8(without_mark(bytes)).map_err(|e| {
         let line = bytes[..e.valid_up_to()]
             .iter()
             .filter(|b| **b == b'\n')
             .count();
-        Misread::new(line + 1, "", "must be UTF-8 text")
+        TextError::new(line + 1, "", "must be UTF-8 text")
     })?;
     let mut header: Option<(usize, Vec<Option<usize>>)> = None;
     let mut fields: Vec<&str> = Vec::new();
@@ -167,7 +167,7 @@ pub(crate) fn read_table(
                 "must have {width} fields as the header has, not {}",
                 fields.len()
             );
-            return Err(Misread::new(line, content, rule));
+            return Err(TextError::new(line, content, rule));
         }
         take(&Row {
             line,
@@ -178,7 +178,7 @@ pub(crate) fn read_table(
     }
     if header.is_none() {
         let rule = format!("must begin with a header: {}", listed(columns));
-        return Err(Misread::new(lines + 1, "", rule));
+        return Err(TextError::new(lines + 1, "", rule));
     }
     Ok(())
 }
@@ -188,21 +188,21 @@ fn read_header(
     line: usize,
     fields: &[&str],
     columns: &[Column],
-) -> Result<Vec<Option<usize>>, Misread> {
+) -> Result<Vec<Option<usize>>, TextError> {
     let mut places = vec![None; columns.len()];
     for (place, field) in fields.iter().enumerate() {
         let Some(known) = columns.iter().position(|c| c.name == *field) else {
             let rule = format!("is no column of this table; it has {}", listed(columns));
-            return Err(Misread::new(line, field, rule));
+            return Err(TextError::new(line, field, rule));
         };
         if places[known].replace(place).is_some() {
-            return Err(Misread::new(line, field, "must be there once"));
+            return Err(TextError::new(line, field, "must be there once"));
         }
     }
     for (column, place) in columns.iter().zip(&places) {
         if column.required && place.is_none() {
             let rule = format!("is missing; the header must name {}", listed(columns));
-            return Err(Misread::new(line, column.name, rule));
+            return Err(TextError::new(line, column.name, rule));
         }
     }
     Ok(places)

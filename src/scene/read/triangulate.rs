@@ -3,7 +3,7 @@
 use delaunator::{Point, triangulate};
 use glam::{DVec2, DVec3};
 
-use super::{Fault, HeightField, MAX_CELLS};
+use super::{FormatError, HeightField, MAX_CELLS};
 
 /// A surface of triangles over the horizontal: z at each corner, linear between.
 pub(crate) struct Tin {
@@ -52,7 +52,7 @@ pub(crate) fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
 
 impl Tin {
     /// Triangulates points without duplicates; leaves out triangles with an edge longer than `max_edge_m`.
-    pub(super) fn new(points_m: Vec<DVec3>, max_edge_m: Option<f64>) -> Result<Self, Fault> {
+    pub(super) fn new(points_m: Vec<DVec3>, max_edge_m: Option<f64>) -> Result<Self, FormatError> {
         let flat: Vec<Point> = points_m.iter().map(|p| Point { x: p.x, y: p.y }).collect();
         let corners = triangulate(&flat).triangles;
         let triangles: Vec<[u32; 3]> = corners
@@ -67,11 +67,14 @@ impl Tin {
     }
 
     /// A surface whose triangles are given.
-    pub(crate) fn without_long_edges(mut self, max_edge_m: Option<f64>) -> Result<Self, Fault> {
+    pub(crate) fn without_long_edges(
+        mut self,
+        max_edge_m: Option<f64>,
+    ) -> Result<Self, FormatError> {
         if self.triangles.is_empty() {
             let count = self.points_m.len();
             let rule = "soundings span no surface: three that are not in line are needed";
-            return Err(Fault::new("soundings", &count.to_string(), rule));
+            return Err(FormatError::new("soundings", &count.to_string(), rule));
         }
         if let Some(longest) = max_edge_m {
             let points = &self.points_m;
@@ -81,7 +84,7 @@ impl Tin {
             });
             if self.triangles.is_empty() {
                 let rule = "leaves no triangle of the soundings: they lie farther apart";
-                return Err(Fault::new("max_edge_m", &longest.to_string(), rule));
+                return Err(FormatError::new("max_edge_m", &longest.to_string(), rule));
             }
         }
         Ok(self)
@@ -103,7 +106,7 @@ impl Tin {
     }
 
     /// The surface at the centres of cells of `cell_m` (or of the mean distance of the soundings), about the zero.
-    pub(super) fn grid(&self, cell_m: Option<f64>) -> Result<HeightField, Fault> {
+    pub(super) fn grid(&self, cell_m: Option<f64>) -> Result<HeightField, FormatError> {
         let start = DVec3::splat(f64::INFINITY);
         let low = self.points_m.iter().fold(start, |m, p| m.min(*p));
         let high = self.points_m.iter().fold(-start, |m, p| m.max(*p));
@@ -121,7 +124,7 @@ impl Tin {
                 "makes {rows} rows and {cols} columns over {:.1} x {:.1} m: at least 2 of each, and {MAX_CELLS} cells at most",
                 extent.x, extent.y
             );
-            return Err(Fault::new("cell_m", &cell_m.to_string(), rule));
+            return Err(FormatError::new("cell_m", &cell_m.to_string(), rule));
         }
         let (rows, cols) = (rows as usize, cols as usize);
         let spare = extent - DVec2::new((rows - 1) as f64, (cols - 1) as f64) * cell_m;
@@ -271,7 +274,7 @@ mod tests {
     #[test]
     fn soundings_in_line_and_edges_too_long_are_refused() {
         let line: Vec<DVec3> = (0..9).map(|k| DVec3::splat(f64::from(k))).collect();
-        let said = |r: Result<Tin, Fault>| r.map(|_| ()).unwrap_err().to_string();
+        let said = |r: Result<Tin, FormatError>| r.map(|_| ()).unwrap_err().to_string();
         assert_eq!(
             said(Tin::new(line, None)),
             "soundings: `9`: soundings span no surface: three that are not in line are needed"

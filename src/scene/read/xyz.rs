@@ -5,8 +5,8 @@
 
 use glam::DVec3;
 
-use super::text::{self, MAX_VERTICAL_M, Misread};
-use super::{Crs, Facts, Fault, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
+use super::text::{self, MAX_VERTICAL_M, TextError};
+use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Any projection's numbers.
@@ -25,7 +25,7 @@ impl Reader for Xyz {
     fn recognises(&self, _head: &[u8], extension: &str) -> bool {
         matches!(extension, "xyz" | "csv" | "txt" | "tsv" | "dat" | "pts")
     }
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         parse(&bytes, asked)
     }
 }
@@ -38,13 +38,13 @@ struct Columns {
     z: usize,
 }
 
-fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, Fault> {
+fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
     let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
         let line = bytes[..e.valid_up_to()]
             .iter()
             .filter(|b| **b == b'\n')
             .count();
-        Misread::new(line + 1, "", "must be UTF-8 text")
+        TextError::new(line + 1, "", "must be UTF-8 text")
     })?;
     let mut facts = Facts::default();
     let mut columns = None;
@@ -79,12 +79,12 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, Fault> {
         let field = |place: usize| {
             fields.get(place).copied().ok_or_else(|| {
                 let rule = format!("must have at least {} columns", place + 1);
-                Misread::new(line, content, rule)
+                TextError::new(line, content, rule)
             })
         };
         let number = |place: usize, allowed| {
             let text = field(place)?;
-            text::number(text, allowed).map_err(|rule| Misread::new(line, text, rule))
+            text::number(text, allowed).map_err(|rule| TextError::new(line, text, rule))
         };
         let (x, y) = (
             number(columns.x, COORDINATES)?,
@@ -100,7 +100,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, Fault> {
         let z = number(columns.z, HEIGHTS)?;
         if points.len() == MAX_POINTS {
             let rule = format!("at most {MAX_POINTS} soundings are read: thin or grid them first");
-            return Err(Misread::new(line, content, rule).into());
+            return Err(TextError::new(line, content, rule).into());
         }
         points.push(DVec3::new(x, y, z));
     }
@@ -127,7 +127,7 @@ fn split<'a>(line: &'a str, fields: &mut Vec<&'a str>) {
 }
 
 /// The columns that a line of names tells of, and what the names say about coordinates and heights.
-fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Misread> {
+fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, TextError> {
     let names: Vec<String> = fields.iter().map(|f| f.to_ascii_lowercase()).collect();
     let place = |known: &[&str]| {
         names.iter().position(|n| {
@@ -153,12 +153,12 @@ fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Mis
         (_, (Some(x), Some(y))) => (x, y),
         _ => {
             let rule = "must name the columns x and y (or easting and northing, or lon and lat)";
-            return Err(Misread::new(line, &fields.join(" "), rule));
+            return Err(TextError::new(line, &fields.join(" "), rule));
         }
     };
     let Some(z) = depth.or(height) else {
         let rule = "must name a column depth, elevation or z";
-        return Err(Misread::new(line, &fields.join(" "), rule));
+        return Err(TextError::new(line, &fields.join(" "), rule));
     };
     if depth.is_some() {
         facts.values = Some((HeightSign::Depth, "the column is called so"));

@@ -13,7 +13,7 @@ use super::SceneError;
 use super::occlusion::Piece;
 use super::paper;
 pub(crate) use super::read::Depth;
-use super::read::{Fault, Files, Georeference, HeightField, Survey};
+use super::read::{Files, FormatError, Georeference, HeightField, Survey};
 use blocks::{Blocks, NOTHING, united};
 use echotank_config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
@@ -113,7 +113,7 @@ impl Surface {
     }
 
     /// Opens a mosaic to be laid over this surface: decibels take the place of depths. Over a file's surface it lies where its coordinates put
-    /// it, to be asked at [`Self::own_place`]; otherwise its centre lies at the scene's zero.
+    /// it, to be asked at [`Self::unmirrored`]; otherwise its centre lies at the scene's zero.
     pub(crate) fn open_mosaic(
         &self,
         files: &dyn Files,
@@ -122,9 +122,9 @@ impl Surface {
         block_m: f64,
     ) -> Result<Self, SceneError> {
         let survey = Survey::open_layer(files, &mosaic.path, mosaic.crs)?;
-        let refused = |fault: Fault| SceneError::Refused {
+        let refused = |error: FormatError| SceneError::Format {
             path: mosaic.path.clone(),
-            fault,
+            error,
         };
         let offset_m = DVec2::new(mosaic.offset_north_m, mosaic.offset_east_m);
         let Self::Grid(ground) = self else {
@@ -139,7 +139,7 @@ impl Surface {
         }
         let laid = GridSurface::new(survey.field, false, zero_m.x, zero_m.y, block_m);
         if !laid.overlaps(ground) {
-            return Err(refused(Fault::new(
+            return Err(refused(FormatError::new(
                 "coordinates",
                 &format!(
                     "{:.0} m north, {:.0} m east of the scene's zero",
@@ -152,7 +152,7 @@ impl Surface {
     }
 
     /// The place of the file that a place of the scene shows: another only in mirror images.
-    pub(crate) fn own_place(&self, north_m: f64, east_m: f64) -> (f64, f64) {
+    pub(crate) fn unmirrored(&self, north_m: f64, east_m: f64) -> (f64, f64) {
         match self {
             Self::Grid(surface) if surface.mirror => {
                 let v = fold(north_m - surface.south_m, surface.grid.extent_north_m()).0;

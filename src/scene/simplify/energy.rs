@@ -114,7 +114,7 @@ const CURVATURE_FLOOR: f64 = 1e-3;
 
 /// What a set measured its members with; another set measured with it gives each scatterer the same energy.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Yardstick {
+pub struct EnergyScale {
     /// The greatest of each part.
     pub parts: [f64; PARTS],
     /// Of the search for shadows.
@@ -128,7 +128,7 @@ pub struct Energies {
     /// In shadow.
     pub hidden: Vec<bool>,
     /// What this set was measured with.
-    pub(crate) yardstick: Yardstick,
+    pub(crate) scale: EnergyScale,
     pub curvatures: Curvatures,
     horizon: Horizon,
     parts: Vec<[f64; PARTS]>,
@@ -136,14 +136,14 @@ pub struct Energies {
 
 impl Energies {
     /// Evaluates all of them. Scatterers from `free` on are deterministic: they hide nothing, are never hidden, and set no scale. `held`:
-    /// the yardstick of an earlier set, so that its rule goes on to mean the same.
+    /// the scale of an earlier set, so that its rule goes on to mean the same.
     pub fn evaluate(
         &mut self,
         scatterers: &Scatterers,
         free: usize,
         view: &View,
         settings: &Settings,
-        held: Option<Yardstick>,
+        held: Option<EnergyScale>,
     ) {
         if settings.weights.curvature > 0.0 {
             self.curvatures.fit(scatterers, free);
@@ -158,7 +158,7 @@ impl Energies {
         free: usize,
         view: &View,
         settings: &Settings,
-        held: Option<Yardstick>,
+        held: Option<EnergyScale>,
     ) {
         let count = scatterers.len();
         self.hidden.clear();
@@ -179,21 +179,21 @@ impl Energies {
         }
         let weights = &settings.weights;
         match settings.method {
-            Method::Paper => self.printed(scatterers, view, weights),
-            Method::Acoustic | Method::Unbiased => self.mended(scatterers, view, weights),
+            Method::Paper => self.printed_parts(scatterers, view, weights),
+            Method::Acoustic | Method::Unbiased => self.acoustic_parts(scatterers, view, weights),
         }
-        self.yardstick = held.unwrap_or_else(|| Yardstick {
+        self.scale = held.unwrap_or_else(|| EnergyScale {
             parts: self.scale(free),
             sector_rad: self.horizon.width_rad,
         });
-        let scale = self.yardstick.parts;
+        let scale = self.scale.parts;
         match settings.method {
-            Method::Paper => self.weigh_as_printed(scale, weights),
-            Method::Acoustic | Method::Unbiased => self.weigh(scale, weights),
+            Method::Paper => self.combine_as_printed(scale, weights),
+            Method::Acoustic | Method::Unbiased => self.combine(scale, weights),
         }
     }
 
-    fn mended(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
+    fn acoustic_parts(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
         self.parts.clear();
         for i in 0..scatterers.len() {
             let offset_m = scatterers.position_m(i) - view.apex_m;
@@ -239,7 +239,7 @@ impl Energies {
         greatest
     }
 
-    fn weigh(&mut self, scale: [f64; PARTS], weights: &Weights) {
+    fn combine(&mut self, scale: [f64; PARTS], weights: &Weights) {
         let share = |value: f64, most: f64| if most > 0.0 { value / most } else { 0.0 };
         self.energy.clear();
         self.energy.extend(self.parts.iter().map(|part| {
@@ -253,7 +253,7 @@ impl Energies {
         }));
     }
 
-    fn printed(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
+    fn printed_parts(&mut self, scatterers: &Scatterers, view: &View, weights: &Weights) {
         self.parts.clear();
         for i in 0..scatterers.len() {
             let offset_m = scatterers.position_m(i) - view.apex_m;
@@ -270,7 +270,7 @@ impl Energies {
         }
     }
 
-    fn weigh_as_printed(&mut self, scale: [f64; PARTS], weights: &Weights) {
+    fn combine_as_printed(&mut self, scale: [f64; PARTS], weights: &Weights) {
         self.energy.clear();
         for (part, hidden) in self.parts.iter().zip(&self.hidden) {
             // 10 log10 x of x < 0 is 10 log10 |x| + j 10 pi / ln 10: only curvature can be negative.

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::super::read::HeightField;
-use super::super::targets::chance::Chance;
+use super::super::targets::random::KeyedRandom;
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
 /// Keeps these draws apart from other uses of the seed.
@@ -14,7 +14,7 @@ const KEY_LABEL: &[u8; 24] = b"echotank height field v1";
 pub fn scatterers(field: &HeightField, lambert_db: f64, seed: u64) -> (Scatterers, Vec<[u32; 3]>) {
     const HOLE: u32 = u32::MAX;
     let mu_area_m2 = libm::pow(10.0, lambert_db / 10.0) * field.cell_north_m * field.cell_east_m;
-    let mut chance = Chance::new(seed, KEY_LABEL, 0);
+    let mut chance = KeyedRandom::new(seed, KEY_LABEL, 0);
     let mut points = Scatterers::default();
     let mut number = vec![HOLE; field.rows * field.cols];
     for row in 0..field.rows {

@@ -53,7 +53,7 @@ pub enum Rule {
         ties: usize,
     },
     /// `Unbiased`: p = min(1, per_energy * energy).
-    Chance {
+    Probability {
         per_energy: f64,
     },
 }
@@ -113,7 +113,7 @@ impl Selection {
             return Rule::All;
         }
         match settings.method {
-            Method::Unbiased => Rule::Chance {
+            Method::Unbiased => Rule::Probability {
                 per_energy: per_energy(energies, free, settings.keep),
             },
             Method::Acoustic | Method::Paper => {
@@ -182,7 +182,7 @@ impl Selection {
                             _ => None,
                         }
                     }
-                    Rule::Chance { per_energy } => {
+                    Rule::Probability { per_energy } => {
                         let p = probability(per_energy, energies, i);
                         (permanent_number(scatterers, i, seed) < p).then(|| 1.0 / p.sqrt())
                     }

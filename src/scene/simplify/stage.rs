@@ -4,7 +4,7 @@
 //! whether it was there when the rule was made or not, so that nothing flickers. When the sonar has moved or turned farther, a new rule is
 //! made from where it is.
 
-use super::energy::{Energies, View, Yardstick};
+use super::energy::{Energies, EnergyScale, View};
 use super::{Rule, Selection, Settings};
 use echotank_config::spec::SimplifySpec;
 use echotank_core::flow::Scatterers;
@@ -63,12 +63,12 @@ impl Stage {
             held.view.clone_from(view);
             counts.chosen = 1;
         }
-        let yardstick = (!chosen).then_some(held.yardstick);
+        let scale = (!chosen).then_some(held.scale);
         self.energies
-            .evaluate(scatterers, free, &held.view, &self.settings, yardstick);
+            .evaluate(scatterers, free, &held.view, &self.settings, scale);
         if chosen {
             held.rule = self.selection.rule(&self.energies, free, &self.settings);
-            held.yardstick = self.energies.yardstick;
+            held.scale = self.energies.scale;
         }
         let rule = held.rule;
         let seed = self.settings.seed;
@@ -84,7 +84,7 @@ impl Stage {
 #[derive(Debug)]
 struct Held {
     view: View,
-    yardstick: Yardstick,
+    scale: EnergyScale,
     rule: Rule,
 }
 
@@ -92,7 +92,7 @@ impl Default for Held {
     fn default() -> Self {
         Self {
             view: View::default(),
-            yardstick: Yardstick::default(),
+            scale: EnergyScale::default(),
             rule: Rule::All,
         }
     }

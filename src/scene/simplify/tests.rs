@@ -247,7 +247,7 @@ fn probabilities_add_up_to_what_is_asked_for() {
             let settings = settings(Method::Unbiased, keep);
             energies.evaluate(&s, s.len(), &looking_east(slack_m), &settings, None);
             let rule = Selection::default().rule(&energies, s.len(), &settings);
-            let Rule::Chance { per_energy } = rule else {
+            let Rule::Probability { per_energy } = rule else {
                 panic!("{rule:?}");
             };
             let sum: f64 = (0..s.len())

@@ -23,11 +23,11 @@ use toml::de::{DeTable, DeValue};
 use super::mesh::Mesh;
 use super::solid::Solid;
 use super::{
-    Body, MAX_TARGETS, MeshFolder, Placed, STRENGTHS_DB, check_name, lambert_of_mean,
+    Body, MAX_TARGETS, MeshFolder, ParsedTarget, STRENGTHS_DB, check_name, lambert_of_mean,
     mean_strength_db,
 };
 use crate::read::mesh::{self, MeshAxes};
-use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread};
+use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError};
 use echotank_core::flow::Target;
 
 /// Radii and sides, metres: from a fishing line to an island.
@@ -80,40 +80,40 @@ pub(super) fn parse(
     bytes: &[u8],
     folder: MeshFolder,
     seabed: SeabedDown,
-) -> Result<Vec<Placed>, Misread> {
+) -> Result<Vec<ParsedTarget>, TextError> {
     let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
         let line = bytes[..e.valid_up_to()]
             .iter()
             .filter(|b| **b == b'\n')
             .count()
             + 1;
-        Misread::new(line, "", "must be UTF-8 text")
+        TextError::new(line, "", "must be UTF-8 text")
     })?;
     let root = DeTable::parse(text).map_err(|e| {
         let at = e.span().map_or(0, |span| span.start);
-        Misread::new(line_of(text, at), "", e.message())
+        TextError::new(line_of(text, at), "", e.message())
     })?;
-    let mut placed: Vec<Placed> = Vec::new();
+    let mut placed: Vec<ParsedTarget> = Vec::new();
     for (key, value) in root.get_ref() {
         let line = line_of(text, key.span().start);
         let entries = value.get_ref().as_array();
         let (true, Some(entries)) = (key.get_ref().as_ref() == "target", entries) else {
             let rule = "must be [[target]]; a table of targets holds nothing else";
-            return Err(Misread::new(line, key.get_ref(), rule));
+            return Err(TextError::new(line, key.get_ref(), rule));
         };
         for entry in entries {
             let line = line_of(text, entry.span().start);
             let Some(table) = entry.get_ref().as_table() else {
-                return Err(Misread::new(line, "target", "must be a table"));
+                return Err(TextError::new(line, "target", "must be a table"));
             };
             let fields = Fields { text, table, line };
             let one = target(&fields, folder, seabed)?;
             if placed.len() == MAX_TARGETS {
                 let rule = format!("at most {MAX_TARGETS} targets are read");
-                return Err(fields.misread("name", rule));
+                return Err(fields.text_error("name", rule));
             }
             if placed.iter().any(|p| p.target.name == one.target.name) {
-                return Err(fields.misread("name", "must be the name of one target only"));
+                return Err(fields.text_error("name", "must be the name of one target only"));
             }
             placed.push(one);
         }
@@ -121,13 +121,17 @@ pub(super) fn parse(
     Ok(placed)
 }
 
-fn target(fields: &Fields, folder: MeshFolder, seabed: SeabedDown) -> Result<Placed, Misread> {
+fn target(
+    fields: &Fields,
+    folder: MeshFolder,
+    seabed: SeabedDown,
+) -> Result<ParsedTarget, TextError> {
     let name = fields.needed_text("name")?;
-    check_name(name).map_err(|rule| fields.misread("name", rule))?;
+    check_name(name).map_err(|rule| fields.text_error("name", rule))?;
     let shape = fields.text("shape")?.unwrap_or("point");
     let Some((_, own)) = SHAPES.iter().find(|(known, _)| *known == shape) else {
         let names: Vec<&str> = SHAPES.iter().map(|(known, _)| *known).collect();
-        return Err(fields.misread("shape", format!("must be one of {}", names.join(", "))));
+        return Err(fields.text_error("shape", format!("must be one of {}", names.join(", "))));
     };
     fields.refuse_others(shape, own)?;
     if shape == "point" {
@@ -168,7 +172,7 @@ fn target(fields: &Fields, folder: MeshFolder, seabed: SeabedDown) -> Result<Pla
     ) {
         (Some(_), Some(_), _) => {
             let rule = "must not stand beside lambert_db: one follows from the other";
-            return Err(fields.misread("target_strength_db", rule));
+            return Err(fields.text_error("target_strength_db", rule));
         }
         (Some(db), None, _) => libm::pow(10.0, db / 10.0),
         (None, Some(db), _) => lambert_of_mean(db, area_m2),
@@ -181,11 +185,11 @@ fn target(fields: &Fields, folder: MeshFolder, seabed: SeabedDown) -> Result<Pla
         }
         (None, None, _) => {
             let rule = format!("a {shape} needs lambert_db or target_strength_db");
-            return Err(fields.misread("shape", rule));
+            return Err(fields.text_error("shape", rule));
         }
     };
     let density = fields.number("density_per_m2", DENSITIES_PER_M2)?;
-    Ok(Placed {
+    Ok(ParsedTarget {
         target: Target {
             name: name.to_owned(),
             position_m,
@@ -200,13 +204,13 @@ fn target(fields: &Fields, folder: MeshFolder, seabed: SeabedDown) -> Result<Pla
     })
 }
 
-fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<Placed, Misread> {
+fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<ParsedTarget, TextError> {
     for key in ["lambert_db", "density_per_m2"] {
         if fields.value(key).is_some() {
-            return Err(fields.misread(key, "is no field of a point"));
+            return Err(fields.text_error(key, "is no field of a point"));
         }
     }
-    Ok(Placed {
+    Ok(ParsedTarget {
         target: Target {
             name: name.to_owned(),
             position_m: place(fields, seabed, 0.0)?,
@@ -218,7 +222,7 @@ fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<Placed, Misr
 }
 
 /// About its centre.
-fn cylinder(fields: &Fields) -> Result<Solid, Misread> {
+fn cylinder(fields: &Fields) -> Result<Solid, TextError> {
     let radius_m = fields.needed("radius_m", SIZES_M)?;
     let length_m = fields.needed("length_m", SIZES_M)?;
     let heading = fields.heading_rad()?;
@@ -235,7 +239,7 @@ fn cylinder(fields: &Fields) -> Result<Solid, Misread> {
 }
 
 /// The middle of its bounds at zero.
-fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, Misread> {
+fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, TextError> {
     let file = fields.needed_text("file")?;
     let axes = match fields.text("axes")? {
         None => AXES[0].1,
@@ -243,42 +247,42 @@ fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, Misread> {
             Some((_, axes)) => *axes,
             None => {
                 let names = AXES.map(|(known, _)| known).join(", ");
-                return Err(fields.misread("axes", format!("must be one of {names}")));
+                return Err(fields.text_error("axes", format!("must be one of {names}")));
             }
         },
     };
     let scale = fields.number("scale", SCALES)?.unwrap_or(1.0);
     let turned = DMat3::from_rotation_z(fields.heading_rad()?) * scale;
     let mut read = mesh::open(folder.files, &folder.path.join(file), axes)
-        .map_err(|error| fields.misread("file", error.to_string()))?;
+        .map_err(|error| fields.text_error("file", error.to_string()))?;
     for vertex_m in &mut read.vertices_m {
         *vertex_m = turned * *vertex_m;
     }
     let mesh = Mesh::new(&read);
-    let mesh = mesh.ok_or_else(|| fields.misread("file", "has no triangle with an area"))?;
+    let mesh = mesh.ok_or_else(|| fields.text_error("file", "has no triangle with an area"))?;
     let solid = Solid::Mesh(mesh);
     let (low, high) = solid.bounds_m();
     Ok(solid.moved(-(low + high) / 2.0))
 }
 
-fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {
+fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
     let radius_m = fields.needed("radius_m", SIZES_M)?;
     for key in ["north_m", "east_m", "down_m"] {
         if fields.value(key).is_some() {
-            return Err(fields.misread(key, "is no field of a rope: path_m says where it lies"));
+            return Err(fields.text_error(key, "is no field of a rope: path_m says where it lies"));
         }
     }
     let height_m = fields.number("height_above_seabed_m", 0.0..=MAX_VERTICAL_M)?;
     let Some(rows) = fields.value("path_m") else {
-        return Err(fields.misread("path_m", "is missing"));
+        return Err(fields.text_error("path_m", "is missing"));
     };
     let rule =
         "must be two or more [north, east] over the seabed, or [north, east, down], all alike";
-    let wrong = || fields.misread("path_m", rule);
+    let wrong = || fields.text_error("path_m", rule);
     let rows = rows.get_ref().as_array().ok_or_else(wrong)?;
     if rows.len() > MAX_ROPE_VERTICES {
         let rule = format!("may have {MAX_ROPE_VERTICES} places at most");
-        return Err(fields.misread("path_m", rule));
+        return Err(fields.text_error("path_m", rule));
     }
     let mut vertices_m: Vec<DVec3> = Vec::with_capacity(rows.len());
     let mut width = None;
@@ -298,7 +302,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {
         }
         if row.len() == 2 {
             let Some(down_m) = seabed(numbers[0], numbers[1]) else {
-                return Err(fields.misread("path_m", needs_seabed(numbers[0], numbers[1])));
+                return Err(fields.text_error("path_m", needs_seabed(numbers[0], numbers[1])));
             };
             numbers[2] = down_m - height_m.unwrap_or(0.0) - radius_m;
         }
@@ -306,7 +310,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {
     }
     if width == Some(3) && height_m.is_some() {
         let rule = "is for a path over the seabed; this one has its own depths";
-        return Err(fields.misread("height_above_seabed_m", rule));
+        return Err(fields.text_error("height_above_seabed_m", rule));
     }
     if vertices_m.len() < 2 {
         return Err(wrong());
@@ -315,7 +319,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, Misread> {
         .windows(2)
         .any(|pair| pair[0].distance(pair[1]) < 1e-3)
     {
-        return Err(fields.misread(
+        return Err(fields.text_error(
             "path_m",
             "must have a millimetre or more between neighbours",
         ));
@@ -331,7 +335,7 @@ fn needs_seabed(north_m: f64, east_m: f64) -> String {
 }
 
 /// Where the centre goes: at its depth, or with the lowest point (`lowest_m` below the centre) at its height over the seabed.
-fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, Misread> {
+fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, TextError> {
     let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
     let at = DVec2::new(
         fields.needed("north_m", horizontal.clone())?,
@@ -342,12 +346,12 @@ fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, Mi
     match (down_m, height_m) {
         (Some(_), Some(_)) => {
             let rule = "must not stand beside height_above_seabed_m";
-            Err(fields.misread("down_m", rule))
+            Err(fields.text_error("down_m", rule))
         }
         (Some(down_m), None) => Ok(at.extend(down_m)),
         (None, height_m) => match seabed(at.x, at.y) {
             Some(seabed_m) => Ok(at.extend(seabed_m - height_m.unwrap_or(0.0) - lowest_m)),
-            None => Err(fields.misread("name", needs_seabed(at.x, at.y))),
+            None => Err(fields.text_error("name", needs_seabed(at.x, at.y))),
         },
     }
 }
@@ -364,45 +368,45 @@ impl<'a> Fields<'a> {
         self.table.get(key)
     }
 
-    /// The fault of one field: at its own line if it is there, else at the target's.
-    fn misread(&self, key: &str, rule: impl Into<String>) -> Misread {
+    /// The error of one field: at its own line if it is there, else at the target's.
+    fn text_error(&self, key: &str, rule: impl Into<String>) -> TextError {
         match self.value(key) {
-            None => Misread::new(self.line, "", rule),
+            None => TextError::new(self.line, "", rule),
             Some(value) => {
                 let span = value.span();
                 let written = self.text.get(span.clone()).unwrap_or("");
-                Misread::new(line_of(self.text, span.start), written, rule)
+                TextError::new(line_of(self.text, span.start), written, rule)
             }
         }
         .in_column(key)
     }
 
-    fn refuse_others(&self, shape: &str, own: &[&str]) -> Result<(), Misread> {
+    fn refuse_others(&self, shape: &str, own: &[&str]) -> Result<(), TextError> {
         for (key, _) in self.table {
             let known = |list: &[&str]| list.contains(&key.get_ref().as_ref());
             if !known(COMMON) && !known(SOLID) && !known(own) {
                 let line = line_of(self.text, key.span().start);
                 let all = [COMMON, SOLID, own].concat().join(", ");
                 let rule = format!("is no field of a {shape}; it has {all}");
-                return Err(Misread::new(line, key.get_ref(), rule));
+                return Err(TextError::new(line, key.get_ref(), rule));
             }
         }
         Ok(())
     }
 
-    fn text(&self, key: &str) -> Result<Option<&'a str>, Misread> {
+    fn text(&self, key: &str) -> Result<Option<&'a str>, TextError> {
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
         match value.get_ref().as_str() {
             Some(text) => Ok(Some(text)),
-            None => Err(self.misread(key, "must be text")),
+            None => Err(self.text_error(key, "must be text")),
         }
     }
 
-    fn needed_text(&self, key: &str) -> Result<&'a str, Misread> {
+    fn needed_text(&self, key: &str) -> Result<&'a str, TextError> {
         self.text(key)?
-            .ok_or_else(|| self.misread(key, "is missing"))
+            .ok_or_else(|| self.text_error(key, "is missing"))
     }
 
     fn item(
@@ -410,29 +414,33 @@ impl<'a> Fields<'a> {
         key: &str,
         value: &DeValue,
         allowed: RangeInclusive<f64>,
-    ) -> Result<f64, Misread> {
+    ) -> Result<f64, TextError> {
         let digits = match value {
             DeValue::Integer(number) if number.radix() == 10 => number.as_str(),
             DeValue::Float(number) => number.as_str(),
-            _ => return Err(self.misread(key, "must be a number")),
+            _ => return Err(self.text_error(key, "must be a number")),
         };
-        text::number(&digits.replace('_', ""), allowed).map_err(|rule| self.misread(key, rule))
+        text::number(&digits.replace('_', ""), allowed).map_err(|rule| self.text_error(key, rule))
     }
 
-    fn number(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<Option<f64>, Misread> {
+    fn number(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<Option<f64>, TextError> {
         self.value(key)
             .map(|value| self.item(key, value.get_ref(), allowed))
             .transpose()
     }
 
-    fn needed(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<f64, Misread> {
+    fn needed(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<f64, TextError> {
         self.number(key, allowed)?
-            .ok_or_else(|| self.misread(key, "is missing"))
+            .ok_or_else(|| self.text_error(key, "is missing"))
     }
 
-    fn needed_triple(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<[f64; 3], Misread> {
+    fn needed_triple(
+        &self,
+        key: &str,
+        allowed: RangeInclusive<f64>,
+    ) -> Result<[f64; 3], TextError> {
         let Some(value) = self.value(key) else {
-            return Err(self.misread(key, "is missing"));
+            return Err(self.text_error(key, "is missing"));
         };
         match value.get_ref().as_array() {
             Some(items) if items.len() == 3 => {
@@ -442,11 +450,11 @@ impl<'a> Fields<'a> {
                 }
                 Ok(numbers)
             }
-            _ => Err(self.misread(key, "must be three numbers")),
+            _ => Err(self.text_error(key, "must be three numbers")),
         }
     }
 
-    fn heading_rad(&self) -> Result<f64, Misread> {
+    fn heading_rad(&self) -> Result<f64, TextError> {
         let deg = self.number("heading_deg", -360.0..=360.0)?;
         Ok(deg.unwrap_or(0.0).to_radians())
     }

@@ -9,9 +9,9 @@
 //! shadow is for the occlusion to find, through [`Targets::hits`].
 //! Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
 
-pub(crate) mod chance;
 mod file;
 pub(crate) mod mesh;
+pub(crate) mod random;
 pub(crate) mod solid;
 
 #[cfg(test)]
@@ -23,10 +23,10 @@ use std::path::Path;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, Misread, required};
+use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, required};
 use crate::Files;
-use chance::Chance;
 use echotank_core::flow::{ScatterLaw, Scatterers, Target};
+use random::KeyedRandom;
 use solid::Solid;
 
 /// Rows at most; every ping's truth record carries them all.
@@ -53,7 +53,7 @@ const KEY_LABEL: &[u8; 24] = b"echotank targets    v001";
 
 /// A target as its file describes it, in the scene's own coordinates.
 #[derive(Clone, Debug)]
-pub struct Placed {
+pub struct ParsedTarget {
     pub target: Target,
     pub body: Body,
     /// Of the file.
@@ -104,12 +104,12 @@ impl Targets {
         toml: Option<MeshFolder>,
         seed: u64,
         seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
-    ) -> Result<Self, Misread> {
+    ) -> Result<Self, TextError> {
         let placed = match toml {
             Some(folder) => file::parse(bytes, folder, &seabed_down_m)?,
             None => parse(bytes, seabed_down_m)?
                 .into_iter()
-                .map(|target| Placed {
+                .map(|target| ParsedTarget {
                     target,
                     body: Body::Point,
                     line: 0,
@@ -120,9 +120,9 @@ impl Targets {
     }
 
     /// Makes the scatterers. Refuses more than [`MAX_TARGET_SCATTERERS`].
-    pub fn new(placed: Vec<Placed>, seed: u64) -> Result<Self, Misread> {
+    pub fn new(placed: Vec<ParsedTarget>, seed: u64) -> Result<Self, TextError> {
         let mut all = Self::default();
-        for (index, Placed { target, body, line }) in placed.into_iter().enumerate() {
+        for (index, ParsedTarget { target, body, line }) in placed.into_iter().enumerate() {
             let first = all.scatterers.len();
             match body {
                 Body::Point => {
@@ -147,9 +147,9 @@ impl Targets {
                         let rule = format!(
                             "has an area of {area_m2:.1} m2 and would take {wanted:.0} scatterers; all targets together may take {MAX_TARGET_SCATTERERS}: lower its density_per_m2"
                         );
-                        return Err(Misread::new(line, &target.name, rule).in_column("name"));
+                        return Err(TextError::new(line, &target.name, rule).in_column("name"));
                     }
-                    let mut chance = Chance::new(seed, KEY_LABEL, index as u64);
+                    let mut chance = KeyedRandom::new(seed, KEY_LABEL, index as u64);
                     let share_m2 = area_m2 / wanted;
                     let amplitude = (lambert * share_m2).sqrt();
                     solid.sample(wanted as usize, &mut chance, |point, chance| {
@@ -275,16 +275,16 @@ fn check_name(name: &str) -> Result<(), String> {
 pub(crate) fn parse(
     bytes: &[u8],
     seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
-) -> Result<Vec<Target>, Misread> {
+) -> Result<Vec<Target>, TextError> {
     let mut targets: Vec<Target> = Vec::new();
     text::read_table(bytes, &COLUMNS, |row| {
         if targets.len() == MAX_TARGETS {
-            return Err(row.misread(0, format!("at most {MAX_TARGETS} targets are read")));
+            return Err(row.text_error(0, format!("at most {MAX_TARGETS} targets are read")));
         }
         let name = row.text(0).unwrap_or("");
-        check_name(name).map_err(|rule| row.misread(0, rule))?;
+        check_name(name).map_err(|rule| row.text_error(0, rule))?;
         if targets.iter().any(|t| t.name == name) {
-            return Err(row.misread(0, "must be the name of one target only"));
+            return Err(row.text_error(0, "must be the name of one target only"));
         }
         let north_m = row.number(1, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;
         let east_m = row.number(2, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;
@@ -293,7 +293,7 @@ pub(crate) fn parse(
             let rule = format!(
                 "needs a seabed below it; at north {north_m}, east {east_m} the scene has none"
             );
-            return Err(row.misread(0, rule));
+            return Err(row.text_error(0, rule));
         };
         targets.push(Target {
             name: name.to_owned(),

@@ -6,8 +6,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::chance::Chance;
 use super::mesh::Mesh;
+use super::random::KeyedRandom;
 
 /// Places closer than this to the start of a ray are not met: a scatterer on a surface does not shade itself by rounding, metres.
 pub(crate) const SKIN_M: f64 = 1e-6;
@@ -222,8 +222,8 @@ impl Solid {
     pub(super) fn sample(
         &self,
         count: usize,
-        chance: &mut Chance,
-        mut take: impl FnMut(SurfacePoint, &mut Chance),
+        chance: &mut KeyedRandom,
+        mut take: impl FnMut(SurfacePoint, &mut KeyedRandom),
     ) {
         for k in 0..count {
             let share = (k as f64 + chance.uniform()) / count as f64;

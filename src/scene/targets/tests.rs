@@ -291,7 +291,7 @@ fn scatterers_lie_on_the_surface_with_normals_outward_and_evenly_by_area() {
         let mut mean = DVec3::ZERO;
         const COUNT: usize = 20_000;
         let mut buried = 0;
-        solid.sample(COUNT, &mut Chance::new(1, KEY_LABEL, 0), |point, _| {
+        solid.sample(COUNT, &mut KeyedRandom::new(1, KEY_LABEL, 0), |point, _| {
             let SurfacePoint { position_m, normal } = point;
             assert!((normal.length() - 1.0).abs() < 1e-12, "{name}: {normal}");
             assert!(

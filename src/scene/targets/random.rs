@@ -4,9 +4,9 @@ use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-pub(crate) struct Chance(ChaCha8Rng);
+pub(crate) struct KeyedRandom(ChaCha8Rng);
 
-impl Chance {
+impl KeyedRandom {
     /// `label` keeps this use of the seed apart from others; `stream` is the thing's own number.
     pub(crate) fn new(seed: u64, label: &[u8; 24], stream: u64) -> Self {
         let mut key = [0; 32];

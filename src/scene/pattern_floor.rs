@@ -15,7 +15,7 @@ const LOUDEST: f64 = 1e9;
 
 /// Pressure at 1 m of what the floor is good for.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Quiet {
+pub(crate) enum FloorReference {
     /// A scatterer of the ground stands for a square metre.
     Ground { per_root_m2: f64 },
     /// Without a ground: the explicit points, root mean square.
@@ -24,7 +24,7 @@ pub(crate) enum Quiet {
     Nothing,
 }
 
-impl Quiet {
+impl FloorReference {
     pub(crate) fn new(recipe: Option<&Recipe>, points: &Scatterers) -> Self {
         if let Some(recipe) = recipe {
             let power = recipe.bottom().strength(LOW_INCIDENCE_DEG.to_radians());

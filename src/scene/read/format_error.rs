@@ -1,13 +1,13 @@
 //! What is wrong with a file, and where.
 
-use super::text::Misread;
+use super::text::TextError;
 
 /// Characters of an offending value that are repeated.
 const SHOWN_CHARACTERS: usize = 60;
 
 /// A place in a file where it does not say what it should. Displayed as `place: ``value``: rule`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fault {
+pub struct FormatError {
     /// "line 3", "tag ModelPixelScale", "/BAG_root/elevation": as near as the format lets one name it.
     pub place: String,
     /// Empty where nothing can be shown.
@@ -15,7 +15,7 @@ pub struct Fault {
     pub rule: String,
 }
 
-impl Fault {
+impl FormatError {
     pub fn new(place: impl Into<String>, value: &str, rule: impl Into<String>) -> Self {
         let shown = value
             .chars()
@@ -43,7 +43,7 @@ impl Fault {
     }
 }
 
-impl std::fmt::Display for Fault {
+impl std::fmt::Display for FormatError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.value.is_empty() {
             true => write!(f, "{}: {}", self.place, self.rule),
@@ -52,18 +52,18 @@ impl std::fmt::Display for Fault {
     }
 }
 
-impl std::error::Error for Fault {}
+impl std::error::Error for FormatError {}
 
-impl From<Misread> for Fault {
-    fn from(misread: Misread) -> Self {
-        let column = misread
+impl From<TextError> for FormatError {
+    fn from(error: TextError) -> Self {
+        let column = error
             .column
             .map(|c| format!(", column `{c}`"))
             .unwrap_or_default();
         Self::new(
-            format!("line {}{column}", misread.line),
-            &misread.value,
-            misread.rule,
+            format!("line {}{column}", error.line),
+            &error.value,
+            error.rule,
         )
     }
 }
