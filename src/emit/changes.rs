@@ -1,13 +1,13 @@
-//! Several changes of the settings at once, as commands of some protocols hold them: all of them, or none.
+//! Applies several setting changes as one transaction: all of them, or none. Some protocols send them in one command.
 
 use echotank_core::flow::{
     Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
 };
 
-/// What is outside a limit by no more than an f32 can tell is the limit itself.
+/// A value that exceeds a limit by no more than the precision of an f32 counts as the limit.
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 
-/// Applies `changes` in order, unless one of them would be refused: then nothing is changed.
+/// Applies `changes` in order. If any of them would be refused, nothing changes and the refusal is returned.
 pub(crate) fn apply_all(
     settings: &dyn SettingsPort,
     changes: &[SettingChange],
@@ -32,7 +32,7 @@ fn fits(limits: &SettingLimits, change: &SettingChange) -> Result<(), SettingRef
         _ => return Ok(()),
     };
     let held = value.clamp(min, max);
-    // Written so that NaN does not fit.
+    // The comparison is written so that NaN fails it.
     if (value - held).abs() <= WIRE_PRECISION * held.abs() {
         return Ok(());
     }
@@ -43,7 +43,7 @@ fn fits(limits: &SettingLimits, change: &SettingChange) -> Result<(), SettingRef
     Err(SettingRefused { key, value, rule })
 }
 
-/// Where `value` lies between the ends of a limit, 0 to 1; 0 where they are one.
+/// Relative position of `value` within the limits, 0 (minimum) to 1 (maximum); 0 if both limits are equal.
 pub fn part_of((min, max): (f64, f64), value: f64) -> f64 {
     if max > min {
         ((value - min) / (max - min)).clamp(0.0, 1.0)
@@ -52,7 +52,7 @@ pub fn part_of((min, max): (f64, f64), value: f64) -> f64 {
     }
 }
 
-/// The reverse of [`part_of`].
+/// Inverse of [`part_of`].
 pub(crate) fn at_part((min, max): (f64, f64), part: f64) -> f64 {
     min + part * (max - min)
 }

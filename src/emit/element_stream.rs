@@ -1,4 +1,4 @@
-//! Frames of element samples (`echotank_protocols::elements`), and the session of a client that gets them.
+//! Emits frames of element samples (`echotank_protocols::elements`) and implements the client session for them.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -14,14 +14,14 @@ use echotank_config::spec::{ElementStreamSpec, SonarSpec};
 use echotank_core::flow::{PingOutput, PingPlan};
 use echotank_core::time::UtcNs;
 
-/// Turns pings into frames. Holds its buffers and the frames' count; one thread's.
+/// Converts pings into element frames. Owns its buffers and the frame counter; for use by one thread.
 pub struct ElementStreamEmitter {
     arrays: Vec<usize>,
     sample_type: SampleType,
     full_scale_v: f64,
     moments_per_s: f64,
     max_frame_bytes: usize,
-    /// Frames end at the ends of blocks of this length.
+    /// Frames end at the boundaries of blocks of this duration, seconds.
     block_s: Option<f64>,
     frame_number: u32,
     counts: Vec<[i16; 2]>,
@@ -30,6 +30,7 @@ pub struct ElementStreamEmitter {
 }
 
 impl ElementStreamEmitter {
+    /// `max_frame_bytes` limits a frame including its header. With `block_s` (seconds), frames end at block boundaries.
     pub fn new(
         output: &ElementStreamSpec,
         sonar: &SonarSpec,
@@ -53,12 +54,13 @@ impl ElementStreamEmitter {
         }
     }
 
-    /// Fills `into` with the frames of one ping; returns how many values were held at full scale.
+    /// Fills `into` with the frames of one ping. Returns the number of values clipped at full scale.
     pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, into: &mut Packets) -> u64 {
         self.emit_rows(plan, output, 0..plan.sample_count, into)
     }
 
-    /// The same of some of its moments, from the start of a block to the end of one; `output` has those up to there at least.
+    /// Does the same for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the samples up to
+    /// `rows.end`.
     pub fn emit_rows(
         &mut self,
         plan: &PingPlan,
@@ -110,7 +112,7 @@ impl ElementStreamEmitter {
             ping_number: plan.ping_number,
             first_moment: first as u32,
             ping_moments: plan.sample_count as u32,
-            // The configuration keeps them to fewer.
+            // The configuration limits the number of elements to the 16 bits of the field.
             elements: elements as u16,
             sample_type: self.sample_type,
             volts_per_unit: match self.sample_type {
@@ -141,7 +143,7 @@ impl ElementStreamEmitter {
     }
 }
 
-/// Whoever connects gets every frame.
+/// Protocol of the element stream: every client receives every frame.
 pub struct ElementsProtocol;
 
 impl Protocol for ElementsProtocol {
@@ -156,7 +158,7 @@ impl Protocol for ElementsProtocol {
     }
 }
 
-/// What a client says is counted and means nothing.
+/// Session of a client. Input from the client is ignored and counted as framing errors.
 #[derive(Default)]
 struct Listener(SessionCounts);
 

@@ -1,11 +1,11 @@
-//! Element samples side by side, moment by moment, as boards and recordings want them.
+//! Interleaves element samples by sample time, as acquisition boards and recordings store them.
 
 use num_complex::Complex64;
 
 use super::sevenk::quantise::IQ_FULL_SCALE;
 use echotank_core::flow::{ElementFrame, PingOutput};
 
-/// The elements of `arrays` one after the other: samples of each.
+/// Iterates over the elements of `arrays` in order; each item is the sample row of one element.
 pub fn elements_of<'a>(
     output: &'a PingOutput,
     arrays: &'a [usize],
@@ -16,15 +16,15 @@ pub fn elements_of<'a>(
         .flat_map(|frame: &ElementFrame| (0..frame.elements).map(|e| frame.element(e)))
 }
 
-/// Counts at full scale, whether real or I or Q, and whether the value had to be held.
+/// Quantises a value relative to full scale (real, I or Q) to counts. The flag is true if the value was clipped.
 pub fn counts(value: f64) -> (i16, bool) {
     let rounded = (value * IQ_FULL_SCALE).round();
-    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and `as` makes it 0
-    let fits = rounded.abs() <= IQ_FULL_SCALE; // never for NaN
+    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN; the cast makes it 0
+    let fits = rounded.abs() <= IQ_FULL_SCALE; // false for NaN
     (held as i16, !fits)
 }
 
-/// Fills `into` with I and Q of all elements, moment by moment, and says how many values did not fit.
+/// Fills `into` with the I and Q counts of all elements, interleaved by sample. Returns the number of clipped values.
 pub fn interleave_iq(
     output: &PingOutput,
     arrays: &[usize],

@@ -1,6 +1,10 @@
-//! Frames to datagrams, one folder per sonar family. Sans I/O.
+//! Converts computed pings into records of sonar protocols, one module per sonar family. Sans I/O.
 //!
-//! In: the plan and the output of one ping, and what somebody wants of it. Out: whole records, stamped, in buffers from a pool.
+//! Input: the plan and output of one ping, and the records that clients subscribe to. Output: complete, time-stamped records in pooled
+//! buffers.
+
+#![warn(missing_docs)]
+
 pub mod blocks;
 pub mod changes;
 pub mod element_stream;

@@ -1,6 +1,6 @@
-//! The datagrams of one ping, one after the other, and when they are due where they leave as they arise.
+//! Holds the datagrams of one ping in order, with the time at which each block of them may be sent.
 
-/// Buffers are used again.
+/// Datagrams of one ping, stored in reusable buffers.
 #[derive(Debug, Default)]
 pub struct Packets {
     bytes: Vec<u8>,
@@ -8,67 +8,75 @@ pub struct Packets {
     blocks: Vec<Block>,
 }
 
-/// Datagrams that leave together.
+/// Datagrams that are sent together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Block {
-    /// The number of the last one's successor.
+    /// Index after the last datagram of the block.
     end: usize,
-    /// When the last of their samples has been heard, seconds after the start of the pulse.
-    heard_s: f64,
+    /// Time at which the last sample of the block is received, seconds after the start of the pulse.
+    received_s: f64,
 }
 
 impl Packets {
+    /// Removes all datagrams and blocks, and keeps the buffers.
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.ends.clear();
         self.blocks.clear();
     }
 
+    /// Appends a copy of `packet` as one datagram.
     pub fn push(&mut self, packet: &[u8]) {
         self.bytes.extend_from_slice(packet);
         self.ends.push(self.bytes.len());
     }
 
-    /// What was pushed since the last block, or the start, is one whose last sample is heard so long after the start of the pulse.
-    pub fn end_block(&mut self, heard_s: f64) {
+    /// Ends a block: it holds the datagrams pushed since the previous block. `received_s` is the time of its last sample, seconds after the
+    /// start of the pulse.
+    pub fn end_block(&mut self, received_s: f64) {
         let end = self.ends.len();
-        self.blocks.push(Block { end, heard_s });
+        self.blocks.push(Block { end, received_s });
     }
 
+    /// Number of datagrams.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
 
+    /// True if there is no datagram.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty()
     }
 
+    /// Total size of all datagrams, bytes.
     pub fn len_bytes(&self) -> usize {
         self.bytes.len()
     }
 
+    /// The datagram with index `number`, counted from 0. Panics if there is none.
     pub fn packet(&self, number: usize) -> &[u8] {
         let start = number.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.bytes[start..self.ends[number]]
     }
 
+    /// Iterates over the datagrams in order.
     pub fn iter(&self) -> impl Iterator<Item = &[u8]> {
         (0..self.len()).map(|number| self.packet(number))
     }
 
-    /// The blocks in order: the numbers of their packets, and when their last sample was heard. What no block was made of is one without a
-    /// time, at the end.
+    /// Iterates over the blocks in order: the indices of their datagrams and the reception time of their last sample. Datagrams outside any
+    /// block form a last block without a time.
     pub fn blocks(&self) -> impl Iterator<Item = (std::ops::Range<usize>, Option<f64>)> {
         let ended = self
             .blocks
             .iter()
-            .map(|block| (block.end, Some(block.heard_s)));
+            .map(|block| (block.end, Some(block.received_s)));
         let rest = (self.len(), None);
         let mut start = 0;
-        ended.chain([rest]).filter_map(move |(end, heard_s)| {
+        ended.chain([rest]).filter_map(move |(end, received_s)| {
             let range = start..end;
             start = end;
-            (!range.is_empty()).then_some((range, heard_s))
+            (!range.is_empty()).then_some((range, received_s))
         })
     }
 }
@@ -87,8 +95,8 @@ mod tests {
             ("d", None),
         ] {
             packets.push(packet.as_bytes());
-            if let Some(heard_s) = end {
-                packets.end_block(heard_s);
+            if let Some(received_s) = end {
+                packets.end_block(received_s);
             }
         }
         let all: Vec<_> = packets.iter().collect();

@@ -1,41 +1,41 @@
-//! What a converter on the element itself would have seen: real samples at its rate, from the complex envelope at the receiver's.
+//! Computes the real passband samples that a converter at the element would take, from the complex envelope at the receiver's rate.
 //!
-//! With the envelope x (volts rms) about f_c the voltage is sqrt(2) Re{ x(t) exp(j 2 pi f_c t) }, t from the start of the pulse. x between its
-//! samples is a sinc under a Kaiser window (Kaiser 1974), [`TAPS`] samples long: at the envelope's own samples it is the samples, and between
-//! them a tone within 0.8 of the band (which is what `receiver.sample_rate_khz` must leave to the signal and its Doppler) is off by less than
-//! [`INTERPOLATION_ERROR`]. The envelope is zero outside its record.
+//! For the envelope x (volts rms) at carrier frequency f_c, the voltage is sqrt(2) Re{ x(t) exp(j 2 pi f_c t) }, with t from the start of
+//! the pulse. x is interpolated with a sinc under a Kaiser window (Kaiser 1974) of [`TAPS`] samples. The interpolation reproduces the
+//! envelope's own samples. Between them, the error of a tone within 0.8 of the band is below 2e-5 of its amplitude.
+//! `receiver.sample_rate_khz` must leave the signal and its Doppler shift within that part of the band. The envelope is zero outside its
+//! record.
 
 use std::f64::consts::{PI, TAU};
 
 use num_complex::Complex64;
 
-/// Samples that each interpolated one is made from.
+/// Number of input samples that contribute to one interpolated sample.
 pub const TAPS: usize = 40;
-/// Of a tone's amplitude, worst within 0.8 of the band; a test holds it.
-pub(crate) const INTERPOLATION_ERROR: f64 = 2e-5;
-/// Places between two samples that the kernel is tabled at; linear between: pi^2 0.8^2 / 8 over the square of it, 5e-8.
+/// Tabulated kernel positions between two samples. Linear interpolation between them adds an error of pi^2 0.8^2 / 8 / PHASES^2 = 5e-8.
 const PHASES: usize = 4096;
-/// Kaiser's shape for 100 dB: 0.1102 (100 - 8.7).
+/// Kaiser's shape parameter for 100 dB: 0.1102 (100 - 8.7).
 const BETA: f64 = 10.06;
 
-/// Interpolates and mixes. One thread's; shared by all elements of a sonar.
+/// Interpolator and mixer. One instance serves all elements of a sonar; for use by one thread.
 pub struct Passband {
     in_rate_hz: f64,
     out_rate_hz: f64,
     center_hz: f64,
-    /// `PHASES + 1` rows.
+    /// `PHASES + 1` rows of taps.
     kernel: Vec<[f64; TAPS]>,
-    /// cos and sin of the carrier at the samples of the current ping.
+    /// cos and sin of the carrier at the output samples of the current ping.
     carrier: Vec<[f64; 2]>,
-    /// I and Q of the element at hand, with room for the kernel at either end.
+    /// I and Q of the current element, padded with zeros for the kernel at both ends.
     i: Vec<f64>,
     q: Vec<f64>,
-    /// Of the first sample out, from the start of the pulse, and of the first one in.
+    /// Times of the first output sample and of the first input sample, seconds from the start of the pulse.
     start_s: f64,
     first_in_s: f64,
 }
 
 impl Passband {
+    /// `in_rate_hz` is the rate of the envelope, `out_rate_hz` that of the real samples, `center_hz` the carrier frequency.
     pub fn new(in_rate_hz: f64, out_rate_hz: f64, center_hz: f64) -> Self {
         let kernel = (0..=PHASES)
             .map(|phase| {
@@ -56,17 +56,18 @@ impl Passband {
         }
     }
 
-    /// Samples out of so many in.
+    /// Number of output samples for `in_samples` input samples.
     pub fn samples_of(&self, in_samples: usize) -> usize {
         (in_samples as f64 * self.out_rate_hz / self.in_rate_hz).floor() as usize
     }
 
-    /// Samples of each element of the ping that was begun.
+    /// Number of output samples per element of the current ping.
     pub fn samples(&self) -> usize {
         self.carrier.len()
     }
 
-    /// Sets the samples of a ping: `samples` from `start_s` on, from envelopes whose first sample lies at `first_in_s`.
+    /// Starts a ping of `samples` output samples from `start_s` on. The first envelope sample lies at `first_in_s`. Both times are seconds
+    /// from the start of the pulse.
     pub fn begin(&mut self, start_s: f64, samples: usize, first_in_s: f64) {
         self.start_s = start_s;
         self.first_in_s = first_in_s;
@@ -79,7 +80,8 @@ impl Passband {
         }));
     }
 
-    /// One element's samples, in order. Over sqrt(2): an envelope of 1 V rms gives a carrier between -1 and 1.
+    /// Passes the output samples of one element to `each`, in order. They are scaled by 1/sqrt(2): an envelope of 1 V rms gives values
+    /// between -1 and 1.
     pub fn element(&mut self, envelope: &[Complex64], mut each: impl FnMut(f64)) {
         for (row, part) in [(&mut self.i, 0), (&mut self.q, 1)] {
             row.clear();
@@ -95,7 +97,7 @@ impl Passband {
             let at_phase = (place - whole) * PHASES as f64;
             let phase = at_phase as usize;
             let between = at_phase - phase as f64;
-            // Where the kernel's first tap lies in the rows, which have TAPS zeros in front.
+            // Index of the first tap in the rows, which begin with TAPS zeros.
             let tap = whole + (TAPS - (TAPS / 2 - 1)) as f64;
             if tap < 0.0 || tap as usize + TAPS > self.i.len() {
                 each(0.0);
@@ -115,7 +117,7 @@ impl Passband {
     }
 }
 
-/// In four sums, for the machine's vectors.
+/// Dot product in four partial sums, so that the compiler vectorises it.
 fn dot(weights: &[f64; TAPS], samples: &[f64]) -> f64 {
     let mut sums = [0.0; 4];
     for (w, x) in weights.chunks_exact(4).zip(samples.chunks_exact(4)) {
@@ -126,7 +128,7 @@ fn dot(weights: &[f64; TAPS], samples: &[f64]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
-/// The kernel `x` samples from its middle.
+/// Kernel value `x` samples from its centre.
 fn weight(x: f64) -> f64 {
     let across = x / (TAPS / 2) as f64;
     if across.abs() >= 1.0 {
@@ -140,7 +142,7 @@ fn weight(x: f64) -> f64 {
     sinc * bessel_i0(BETA * (1.0 - across * across).sqrt()) / bessel_i0(BETA)
 }
 
-/// Modified Bessel function of order 0, by its series.
+/// Modified Bessel function of order 0, by its power series.
 fn bessel_i0(x: f64) -> f64 {
     let quarter = 0.25 * x * x;
     let (mut term, mut sum) = (1.0, 1.0);
@@ -155,7 +157,10 @@ fn bessel_i0(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Worst difference from sqrt(2) Re{ x exp(j 2 pi f_c t) } (over sqrt(2)) away from the record's ends, for a tone `tone_hz` beside the carrier.
+    /// Bound on the interpolation error relative to a tone's amplitude, within 0.8 of the band.
+    const INTERPOLATION_ERROR: f64 = 2e-5;
+
+    /// Largest difference from Re{ x exp(j 2 pi f_c t) } away from the ends of the record, for a tone at `tone_hz` from the carrier.
     fn error_of_tone(in_hz: f64, out_hz: f64, tone_hz: f64, start_s: f64) -> f64 {
         let (center_hz, first_s) = (400e3, 1.7e-3);
         let samples = 1000;
@@ -197,11 +202,11 @@ mod tests {
     }
 
     #[test]
-    fn at_the_envelopes_own_samples_it_is_the_samples() {
+    fn interpolation_reproduces_the_envelopes_own_samples() {
         let envelope: Vec<_> = (0..100)
             .map(|k| Complex64::new((k as f64 * 1.7).sin(), (k as f64 * 0.3).cos()))
             .collect();
-        // 25 samples out to one in; a carrier of whole turns at each of those.
+        // 25 output samples per input sample; the carrier makes whole turns at each input sample.
         let mut passband = Passband::new(40e3, 1e6, 400e3);
         passband.begin(0.0, 2500, 0.0);
         let mut out = Vec::new();
@@ -213,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_the_record_it_is_silent() {
+    fn samples_outside_the_record_are_zero() {
         let mut passband = Passband::new(40e3, 1e6, 400e3);
         passband.begin(-1.0, 1000, 0.0);
         passband.element(&[Complex64::ONE; 10], |v| assert_eq!(v, 0.0));

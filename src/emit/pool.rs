@@ -1,11 +1,10 @@
-//! Buffers for records, used again once every client and recorder has let go of them.
+//! Reuses record buffers once every client and recorder has dropped them.
 
 use std::sync::Arc;
 
 use echotank_core::flow::Datagram;
 
-/// Buffers of one record type, at most `capacity`: as many as may wait in the queues. Beyond that a record gets a buffer of its own, and
-/// `misses` counts it.
+/// Pool of at most `capacity` buffers for one record type. If all are in use, a record gets a new buffer and `misses` counts it.
 #[derive(Debug)]
 pub struct DatagramPool {
     record_type: u32,
@@ -15,6 +14,7 @@ pub struct DatagramPool {
 }
 
 impl DatagramPool {
+    /// `capacity` is the number of records that may wait in queues at the same time.
     pub fn new(record_type: u32, capacity: usize) -> Self {
         Self {
             record_type,
@@ -24,7 +24,7 @@ impl DatagramPool {
         }
     }
 
-    /// A record written by `fill` into an empty buffer.
+    /// Returns a record whose bytes `fill` writes into an empty buffer.
     pub fn write(&mut self, fill: impl FnOnce(&mut Vec<u8>)) -> Arc<Datagram> {
         if let Some(slot) = self
             .slots
@@ -50,7 +50,7 @@ impl DatagramPool {
         datagram
     }
 
-    /// Records that found every buffer in use.
+    /// Number of records for which all buffers were in use.
     pub fn misses(&self) -> u64 {
         self.misses
     }
@@ -61,12 +61,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_buffer_comes_back_when_everybody_has_let_go_of_it() {
+    fn a_buffer_is_reused_when_all_references_are_dropped() {
         let mut pool = DatagramPool::new(7038, 2);
         let first = pool.write(|bytes| bytes.extend_from_slice(&[1; 1000]));
         let place = first.bytes.as_ptr();
         let second = pool.write(|bytes| bytes.push(2));
-        assert_ne!(place, second.bytes.as_ptr(), "the first is still held");
+        assert_ne!(place, second.bytes.as_ptr(), "the first is still in use");
         drop(first);
         let third = pool.write(|bytes| bytes.push(3));
         assert_eq!((place, &third.bytes[..]), (third.bytes.as_ptr(), &[3][..]));

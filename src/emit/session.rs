@@ -1,7 +1,7 @@
-//! What a protocol is to the servers: bytes in, answers out, and which records a client wants. Sans I/O.
+//! Interface between a sonar protocol and the servers: received bytes in, answers out, and the records each client subscribes to. Sans I/O.
 //!
-//! A family implements [`Protocol`] once for each port it serves, and [`Session`] for one client of that port. The server
-//! (`io::sonar::SonarServer`) does the rest: sockets, queues, counters, times.
+//! A family implements [`Protocol`] for each port it serves and [`Session`] for one client of that port. The server in the runtime crate
+//! handles sockets, queues, counters and times.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -9,35 +9,44 @@ use std::ops::Range;
 use echotank_core::flow::Datagram;
 use echotank_core::time::UtcNs;
 
-/// A set of a protocol's classes of records, small enough for an atomic. What the bits mean is the protocol's ([`Protocol::class`]).
+/// Bit set of a protocol's record classes, small enough for an atomic. The protocol defines the meaning of the bits ([`Protocol::class`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Wants(pub u64);
 
 impl Wants {
+    /// No record.
     pub const NONE: Self = Self(0);
+    /// Every class of records.
     pub const ALL: Self = Self(u64::MAX);
 
     /// The class with this number, 0 to 63.
     pub const fn class(number: u32) -> Self {
         Self(1 << number)
     }
+    /// True if the set holds no class.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
+    /// Classes in either set.
     pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
+    /// Classes in this set and not in `other`.
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
+    /// True if the sets have a class in common.
     pub const fn meets(self, other: Self) -> bool {
         self.0 & other.0 != 0
     }
 }
 
+/// Transport protocol of a client's connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Transport {
+    /// Stream: the server sends records one after the other.
     Tcp,
+    /// Datagrams: the server sends each packet as one datagram.
     Udp,
 }
 
@@ -50,73 +59,82 @@ impl std::fmt::Display for Transport {
     }
 }
 
-/// What a session wants done.
+/// An action that a session requests from the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outgoing {
-    /// For this client.
+    /// Send this record to the session's client.
     Reply(Datagram),
-    /// For every client of the port that wants records of its class.
+    /// Send this record to every client of the port that subscribes to its class.
     Echo(Datagram),
-    /// Records of these classes are to go to somebody who has not asked himself, until [`Outgoing::HangUp`].
+    /// Send records of these classes to a third party, until [`Outgoing::HangUp`].
     Dial {
+        /// Address of the third party.
         peer: SocketAddr,
+        /// Transport to use.
         transport: Transport,
+        /// Classes of records to send.
         wants: Wants,
     },
+    /// Stop sending records to a third party.
     HangUp {
+        /// Address of the third party.
         peer: SocketAddr,
+        /// Transport in use.
         transport: Transport,
     },
 }
 
+/// Counters of one session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounts {
-    /// Commands met, refused ones included.
+    /// Commands received, refused ones included.
     pub commands: u64,
+    /// Commands refused.
     pub nacks: u64,
-    /// Times that bytes were no record, or a record was wrong.
+    /// Number of times that bytes were no record or a record was malformed.
     pub framing_errors: u64,
-    /// Whole records that are no commands.
+    /// Complete records that are not commands.
     pub other_records: u64,
 }
 
-/// One client.
+/// Session of one client.
 pub trait Session: Send {
-    /// What is said to a client before it says anything.
+    /// Appends the messages to send when a client connects.
     fn greet(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
         let _ = (now, out);
     }
-    /// Takes what came from the client (over UDP: one datagram) and appends the answers to `out`, in order. `now`: rig time.
+    /// Processes bytes from the client (over UDP: one datagram) and appends the answers to `out` in order. `now` is rig time.
     fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>);
-    /// Part of a command is there and waits for the rest.
+    /// True if part of a command has arrived and the rest is missing.
     fn is_waiting(&self) -> bool {
         false
     }
-    /// Says that the command begun will not go on: the client closed, or stalled.
+    /// Ends the wait for an incomplete command, because the client closed or stalled.
     fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
         let _ = (now, out);
     }
-    /// The client asked to be let go: what waits for it is written, and the connection closed.
+    /// True if the client asked to disconnect. The server sends the waiting records and closes the connection.
     fn is_over(&self) -> bool {
         false
     }
-    /// What it gets of every ping.
+    /// Classes of records that the client receives from every ping.
     fn wants(&self) -> Wants;
-    /// What it gets of the next ping, once, since the last call.
+    /// Takes the classes of records requested, since the last call, from the next ping only.
     fn take_requested(&mut self) -> Wants {
         Wants::NONE
     }
+    /// Counters of the session so far.
     fn counts(&self) -> SessionCounts;
 }
 
-/// Puts a client's records on the wire.
+/// Divides records into packets for the wire.
 pub trait Framer: Send {
-    /// Appends the packets of one record to `wire` and where each lies in it to `packets`: over TCP they are sent as they are, over UDP each
-    /// is a datagram.
+    /// Appends the packets of one record to `wire` and their byte ranges to `packets`. TCP sends the bytes as they are; UDP sends each
+    /// packet as a datagram.
     fn frame(&mut self, record: &[u8], wire: &mut Vec<u8>, packets: &mut Vec<Range<usize>>);
 }
 
-/// Records that go out as they are.
+/// Framer that sends each record unchanged as one packet.
 pub struct Plain;
 
 impl Framer for Plain {
@@ -127,27 +145,29 @@ impl Framer for Plain {
     }
 }
 
-/// What is spoken on one port.
+/// Protocol of one port.
 pub trait Protocol: Send + Sync {
-    /// For names of threads and lines of counters.
+    /// Name for threads and counters.
     fn name(&self) -> &'static str;
+    /// Creates the session of a client that connects from `peer`.
     fn connect(&self, transport: Transport, peer: SocketAddr) -> Box<dyn Session>;
+    /// Creates the framer for a client's transport.
     fn framer(&self, transport: Transport) -> Box<dyn Framer> {
         let _ = transport;
         Box::new(Plain)
     }
-    /// Which wants a record answers, by [`Datagram::record_type`].
+    /// Record classes of a record, by [`Datagram::record_type`].
     fn class(&self, record_type: u32) -> Wants;
-    /// Whether a stranger's first datagram makes him a client. What does not is only counted.
+    /// True if this first datagram from an unknown address starts a session. Other datagrams are only counted.
     fn welcomes(&self, datagram: &[u8]) -> bool {
         let _ = datagram;
         true
     }
-    /// The settings' version; [`Protocol::notices`] is asked when it goes up.
+    /// Version of the settings. The server calls [`Protocol::notices`] when it increases.
     fn version(&self) -> u64 {
         0
     }
-    /// What clients are told, by their wants, of changes after `version` that were not made through this protocol.
+    /// Records that report setting changes after `version` that other protocols made. Clients receive them by their subscriptions.
     fn notices(&self, version: u64, now: UtcNs) -> Vec<Datagram> {
         let _ = (version, now);
         Vec::new()

@@ -155,7 +155,7 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     );
     assert_eq!(bench.os(|p| p.start_mm = 1000), Answer::Ack);
     assert_eq!(bench.settings.settings().range_m, 81.0);
-    assert_eq!(bench.device.told().start_m, 1.0);
+    assert_eq!(bench.device.requested().start_m, 1.0);
     assert_eq!(bench.os(|p| p.gain_index = 7), Answer::Ack);
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
     assert_eq!(bench.os(|p| p.msec_per_ping = 500), Answer::Ack);
@@ -170,13 +170,13 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     assert!(!bench.settings.settings().pinging);
     assert_eq!(bench.os(|p| p.num_results = 1200), Answer::Ack);
     assert!(bench.settings.settings().pinging);
-    assert_eq!(bench.device.told().num_results, 1200);
+    assert_eq!(bench.device.requested().num_results, 1200);
 }
 
 #[test]
 fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
-    let before = (bench.settings.settings(), bench.device.told());
+    let before = (bench.settings.settings(), bench.device.requested());
     type Change = fn(&mut OsPingParams);
     let wrong: [(&str, Change); 7] = [
         ("range_m = 200.001: must be from 5 to 200", |p| {
@@ -206,7 +206,7 @@ fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
         };
         assert!(text.contains(words), "{text}; wanted {words}");
         assert_eq!(
-            (bench.settings.settings(), bench.device.told()),
+            (bench.settings.settings(), bench.device.requested()),
             before,
             "{words}"
         );
@@ -255,7 +255,7 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         Some(KeptValue::Numbers(vec![1480.5]))
     );
     assert_eq!(answer(&bench.say(&set_sync(0))), Answer::Ack);
-    assert_eq!(bench.device.told().sync.channel_number, 0);
+    assert_eq!(bench.device.requested().sync.channel_number, 0);
     assert!(matches!(answer(&bench.say(&set_sync(2))), Answer::Nack(_)));
     let mut bytes = Vec::new();
     SetDeviceId { device_id: 9 }.emit_frame(&mut bytes, 0, 1);
@@ -298,7 +298,7 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     let settings = bench.settings.settings();
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));
     // 5 % of the range at least.
-    assert!((bench.device.told().start_m - 3.0).abs() < 1e-12);
+    assert!((bench.device.requested().start_m - 3.0).abs() < 1e-12);
     assert_eq!(bench.surveyor(|p| p.gain_index = 100), Answer::Ack);
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
     assert_eq!(bench.surveyor(|p| p.end_mm = 0), Answer::Ack);
@@ -311,8 +311,8 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     assert!(!bench.settings.settings().pinging);
     let yz = |p: &mut SetPingParameters| (p.enable_yz_point_data, p.enable_atof_data) = (1, 0);
     assert_eq!(bench.surveyor(yz), Answer::Ack);
-    let told = bench.device.told();
-    assert_eq!((told.wants_yz, told.wants_atof), (true, false));
+    let requested = bench.device.requested();
+    assert_eq!((requested.wants_yz, requested.wants_atof), (true, false));
     let wrong: [fn(&mut SetPingParameters); 6] = [
         |p| p.end_mm = 201_000,
         |p| p.start_mm = 80_000,
@@ -321,11 +321,11 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
         |p| p.enable_channel_data = 1,
         |p| p.reserved_for_raw_data = 1,
     ];
-    let before = (bench.settings.settings(), bench.device.told());
+    let before = (bench.settings.settings(), bench.device.requested());
     for (n, change) in wrong.into_iter().enumerate() {
         assert!(matches!(bench.surveyor(change), Answer::Nack(_)), "{n}");
         assert_eq!(
-            (bench.settings.settings(), bench.device.told()),
+            (bench.settings.settings(), bench.device.requested()),
             before,
             "{n}"
         );

@@ -58,7 +58,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     let mut bench = bench();
     assert_eq!(bench.say("set_range 2.5 60\r\n"), "set_range 2.5 60\r\n");
     assert_eq!(bench.settings.settings().range_m, 60.0);
-    assert_eq!(bench.device.told().start_m, 2.5);
+    assert_eq!(bench.device.requested().start_m, 2.5);
     assert_eq!(bench.say("set_rate 12.5\r\n"), "set_rate 12.5\r\n");
     assert_eq!(bench.settings.settings().max_ping_rate_hz, 12.5);
     assert_eq!(
@@ -129,7 +129,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     }
     assert_eq!(bench.say("set_default\r\n"), "set_default\r\n");
     assert_eq!(bench.settings.settings(), wire_rig::SETTINGS);
-    assert_eq!(bench.device.told().start_m, 0.0);
+    assert_eq!(bench.device.requested().start_m, 0.0);
     assert!(!bench.client.is_over());
     bench.say("exit\r\n");
     assert!(bench.client.is_over());
@@ -158,7 +158,7 @@ fn queries_say_what_is_in_force_whoever_changed_it() {
 #[test]
 fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothing() {
     let mut bench = bench();
-    let before = (bench.settings.settings(), bench.device.told());
+    let before = (bench.settings.settings(), bench.device.requested());
     for (command, words) in [
         ("set_range 0 201", "set_range 0 75 # refused: range_m = 201"),
         (
@@ -209,7 +209,7 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
             "{said:?}"
         );
         assert_eq!(
-            (bench.settings.settings(), bench.device.told()),
+            (bench.settings.settings(), bench.device.requested()),
             before,
             "{command}"
         );

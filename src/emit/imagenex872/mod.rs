@@ -1,11 +1,12 @@
-//! Imagenex 872 YellowFin: a head that answers every switch command with one side of one ping. Sans I/O.
+//! Imagenex 872 YellowFin: the head answers every switch command with one side of one ping. Sans I/O.
 //!
-//! What we decided where the source says nothing:
-//! - A command is answered by the first ping whose pulse leaves after it; a sonar that rests makes one for it.
-//! - The protocol has no refusal: a range or gain beyond the limits leaves the sonar as it was, and the echo stands over the range asked for,
-//!   dark where the sonar did not listen. What is no command at all has no answer.
-//! - Data gain 0 to 100 is the receiver's gain from its lower to its upper limit. Balance gain and frequency are kept.
-//! - A point is the largest sample within it, linear, with the receiver's full scale as 255; what is beyond is counted.
+//! Behaviour that the protocol description leaves open:
+//! - The first ping transmitted after a command answers it. A stopped sonar transmits one ping for the command.
+//! - The protocol has no refusal. A range or gain beyond the limits leaves the sonar unchanged. The echo then covers the requested range,
+//!   with zeros where the sonar did not receive. Bytes that are not a command get no answer.
+//! - Data gain 0 to 100 covers the receiver's gain limits. Balance gain and frequency are stored without effect.
+//! - A point is the largest sample within it, on a linear scale with the receiver's full scale as 255. Larger values are clipped and
+//!   counted.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,10 +23,10 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// How it signs what it changes.
+/// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "imagenex872";
 
-/// [`Datagram::record_type`] of a side's answer: the number that the command has for it.
+/// [`Datagram::record_type`] of a side's answer: the number that the command uses for the side.
 fn record_type(side: Side) -> u32 {
     match side {
         Side::Port => 0,
@@ -37,23 +38,23 @@ fn class(side: Side) -> Wants {
     Wants::class(record_type(side))
 }
 
-/// What the sessions tell the emitter.
+/// Latest command for one side; sessions write it, the emitter reads it.
 #[derive(Debug, Default)]
-struct SideAsked {
-    /// When the newest command came; 0 before there was one.
+struct SideRequest {
+    /// Time of the newest command, UTC nanoseconds; 0 before the first command.
     utc_ns: AtomicI64,
     range_m: AtomicU32,
 }
 
-/// The two sides as they were last asked for.
+/// Latest commands for both sides of the head.
 #[derive(Debug, Default)]
 pub struct Head {
-    port: SideAsked,
-    starboard: SideAsked,
+    port: SideRequest,
+    starboard: SideRequest,
 }
 
 impl Head {
-    fn side(&self, side: Side) -> &SideAsked {
+    fn side(&self, side: Side) -> &SideRequest {
         match side {
             Side::Port => &self.port,
             Side::Starboard => &self.starboard,
@@ -61,7 +62,7 @@ impl Head {
     }
 }
 
-/// Appends the answers of one ping that are wanted, and returns how many points did not fit.
+/// Appends the requested answers of one ping. Returns the number of clipped points.
 pub fn emit_ping(
     head: &Head,
     plan: &PingPlan,
@@ -102,9 +103,11 @@ pub fn emit_ping(
     saturated
 }
 
-/// The head on one port.
+/// The head's protocol on one port.
 pub struct ImagenexProtocol {
+    /// Settings that commands change.
     pub settings: Arc<dyn SettingsPort>,
+    /// Requests shared with the emitter.
     pub head: Arc<Head>,
 }
 
@@ -134,7 +137,7 @@ impl Protocol for ImagenexProtocol {
 }
 
 struct Client {
-    /// Taken out while it hands commands on.
+    /// Taken out while it passes commands on.
     stream: Option<SwitchStream>,
     link: Link,
     held: usize,
@@ -210,7 +213,7 @@ impl Link {
         let gain_db = min_db + (max_db - min_db) * f64::from(command.data_gain) / 100.0;
         let is = self.settings.settings();
         let range_m = f64::from(command.range_m);
-        // What is so already is not told again: every ping has its command, and the others would be told of every one.
+        // Only differences are applied. Every ping has its command, and other protocols would otherwise be notified of each.
         let mut changes = Vec::new();
         changes.extend((is.range_m != range_m).then_some(SettingChange::RangeM(range_m)));
         changes.extend((is.gain_db != gain_db).then_some(SettingChange::GainDb(gain_db)));
@@ -230,14 +233,15 @@ impl Link {
             };
             let value = KeptValue::Integer(value.into());
             if self.settings.kept(key).as_ref() != Some(&value) {
-                // Refused only when thousands are kept, which the head does not need to know.
+                // Refused only if thousands of values are stored, which the head cannot report.
                 let _ = self.settings.keep(key, value, asked);
             }
         }
-        let told = self.head.side(side);
-        told.range_m
+        let request = self.head.side(side);
+        request
+            .range_m
             .store(command.range_m.into(), Ordering::Release);
-        told.utc_ns.store(now.0, Ordering::Release);
+        request.utc_ns.store(now.0, Ordering::Release);
         self.requested = self.requested.union(class(side));
     }
 }

@@ -1,13 +1,13 @@
-//! EdgeTech JSF messages of a ping, and the sessions of its command and data connections.
+//! EdgeTech JSF messages of a ping, and the sessions of the command and data connections.
 //!
-//! - [`JsfEmitter`]: a ping's plan and output to messages 80, 2002, 2020, 2060, 2080, 2091
-//! - [`JsfSheet`]: what the sonar is to a JSF client
+//! - [`JsfEmitter`]: converts a ping's plan and output into messages 80, 2002, 2020, 2060, 2080, 2091
+//! - [`JsfSheet`]: properties of the sonar for JSF clients
 //! - [`session`]: commands in, answers out
 //!
-//! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: nothing saturates, and
-//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Of several pulses in one ping each
-//! is a subsystem, counted on from the sonar's own, as the frequencies of the maker's are. Not modelled: pulse files, the sonar's own clock, a
-//! coupling of subsystems.
+//! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: none saturates, and
+//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Each of several pulses in a
+//! ping is a subsystem, numbered upwards from the sonar's own, as the maker's frequencies are. Not modelled: pulse files, the sonar's own
+//! clock, coupled subsystems.
 
 pub mod session;
 
@@ -30,35 +30,37 @@ use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
 use echotank_core::flow::{Datagram, Line, NavState, PingOutput, PingPlan, Pulse, PulseKind, Side};
 use echotank_core::time::UtcNs;
 
-/// Thousandths of a pound per square inch in a metre of sea water: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
+/// Pressure of a metre of sea water in thousandths of a pound per square inch: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
 const MPSI_PER_M: f64 = 1025.0 * 9.81 / 6.894_757;
-/// One atmosphere: pressure is absolute.
+/// One atmosphere in the same unit; pressures are absolute.
 const SURFACE_MPSI: f64 = 14_695.9;
-/// Counts of pitch and roll in a radian.
+/// Counts of pitch and roll per radian.
 const TILT_COUNTS_PER_RAD: f64 = 32_768.0 / PI;
-/// Steps of 500 x 1.5 / 32768 deg/s.
+/// Unit of angular rates: 500 x 1.5 / 32768 deg/s.
 const RATE_STEP_RAD_PER_S: f64 = 500.0 * 1.5 / 32_768.0 * PI / 180.0;
-/// What pings of a client that reads annotations say they are.
+/// Annotation text in the pings.
 const ANNOTATION: [u8; 24] = *b"ECHOTANK SIMULATION\0\0\0\0\0";
 const SOFTWARE_VERSION: [u8; 6] = *b"ETANK\0";
 
-/// Matched filter of a row of samples, in place.
+/// Matched filter that acts on a row of samples in place.
 pub type RowFilter = Box<dyn FnMut(&PingPlan, &mut [Complex64]) + Send>;
 
-/// [`Datagram::record_type`] of a message: type, subsystem and channel.
+/// [`Datagram::record_type`] of a message, from its type, subsystem and channel.
 pub fn record_type(message_type: u16, subsystem: u8, channel: u8) -> u32 {
     u32::from(message_type) | u32::from(subsystem) << 16 | u32::from(channel) << 24
 }
 
-/// What one sonar is, to a JSF client. Fixed for a run.
+/// Properties of one sonar for JSF clients, constant during a run.
 #[derive(Clone, Debug)]
 pub struct JsfSheet {
+    /// Configuration of the output.
     pub output: JsfSpec,
+    /// Sonar that the output represents.
     pub sonar: SonarSpec,
 }
 
 impl JsfSheet {
-    /// Channels of its messages 80, at most 256.
+    /// Number of channels of messages 80, at most 256.
     pub fn channels(&self) -> usize {
         match self.output.channels {
             JsfChannels::Sides => self.sonar.beams.lines.len(),
@@ -71,7 +73,7 @@ impl JsfSheet {
         }
     }
 
-    /// Those of which data come: the sonar's own and, where channels are the lines that pulses have of their own, one for each further pulse.
+    /// Subsystems that send data: the sonar's own and, for side-scan lines, one per further pulse.
     pub fn subsystems(&self) -> impl Iterator<Item = u8> {
         let own = self.output.subsystem;
         let further = match (self.output.channels, self.output.format) {
@@ -81,6 +83,7 @@ impl JsfSheet {
         (0..=further).map(move |pulse| own.wrapping_add(pulse as u8))
     }
 
+    /// JSF number of the kind of sonar.
     pub fn system_type(&self) -> i32 {
         match self.output.channels {
             JsfChannels::Sides if self.subsystems().nth(1).is_some() => {
@@ -91,12 +94,12 @@ impl JsfSheet {
         }
     }
 
-    /// Source level of a full gain, dB.
+    /// Source level at full transmit gain, dB.
     fn full_level_db(&self) -> f64 {
         self.sonar.limits.source_level_db.1
     }
 
-    /// 182: what the system is.
+    /// Message 182: system information.
     pub fn information(&self) -> Datagram {
         let mut bytes = Vec::new();
         SystemInformation182 {
@@ -114,7 +117,7 @@ impl JsfSheet {
         }
     }
 
-    /// What a file begins with: 182 and 426.
+    /// The messages at the start of a file: 182 and 426.
     pub fn file_head(&self, now: UtcNs) -> Vec<u8> {
         let mut bytes = self.information().bytes;
         bytes.extend(file_time(now));
@@ -122,7 +125,7 @@ impl JsfSheet {
     }
 }
 
-/// 426: when a file was begun or ended.
+/// Message 426: time at which a file starts or ends.
 pub fn file_time(now: UtcNs) -> Vec<u8> {
     let mut bytes = Vec::new();
     let time = SensorTime::from_utc_ns(now.0);
@@ -130,10 +133,10 @@ pub fn file_time(now: UtcNs) -> Vec<u8> {
     bytes
 }
 
-/// Turns pings into JSF messages. Holds its buffers; one thread's.
+/// Converts pings into JSF messages. Owns its buffers; for use by one thread.
 pub struct JsfEmitter {
     sheet: Arc<JsfSheet>,
-    /// For samples after a matched filter.
+    /// Matched filter for the formats that carry filtered samples.
     filter: RowFilter,
     row: Vec<Complex64>,
     floats: Vec<f32>,
@@ -141,6 +144,7 @@ pub struct JsfEmitter {
 }
 
 impl JsfEmitter {
+    /// `filter` compresses the rows of the formats that carry matched-filtered samples.
     pub fn new(sheet: Arc<JsfSheet>, filter: RowFilter) -> Self {
         Self {
             sheet,
@@ -151,12 +155,13 @@ impl JsfEmitter {
         }
     }
 
+    /// Properties of the sonar.
     pub fn sheet(&self) -> &Arc<JsfSheet> {
         &self.sheet
     }
 
-    /// Appends the messages of one ping: those of the sensors, then 80 of every channel of a subsystem that `active` says is wanted. Returns the
-    /// samples that were no numbers.
+    /// Appends the messages of one ping: sensor messages, then message 80 for every channel of a subsystem for which `active` returns true.
+    /// Returns the number of samples that were NaN or infinite.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -200,7 +205,7 @@ impl JsfEmitter {
                         continue;
                     };
                     for e in 0..frame.elements {
-                        // The configuration keeps them to 256.
+                        // The configuration limits the number of channels to 256.
                         let number = channel as u8;
                         channel += 1;
                         if active(own, number) {
@@ -248,7 +253,7 @@ impl JsfEmitter {
         self.row_message(plan, number, header, into)
     }
 
-    /// A side's envelope.
+    /// Envelope of one side.
     fn line(
         &mut self,
         line: &Line,
@@ -258,7 +263,7 @@ impl JsfEmitter {
     ) -> u64 {
         self.floats.clear();
         self.floats.extend_from_slice(&line.amplitude);
-        // A line begins with the pulse.
+        // A line begins at the start of the pulse.
         let header = SonarDataHeader {
             starting_depth_samples: 0,
             ..header
@@ -266,7 +271,7 @@ impl JsfEmitter {
         self.message(to, header, DataFormat::Envelope, into)
     }
 
-    /// `self.row` as the format asks.
+    /// Message 80 with `self.row` in the configured format.
     fn row_message(
         &mut self,
         plan: &PingPlan,
@@ -293,7 +298,7 @@ impl JsfEmitter {
         self.message((subsystem, number), header, format, into)
     }
 
-    /// `self.floats` as one message 80 of a subsystem's channel.
+    /// Message 80 of a subsystem's channel with the samples in `self.floats`.
     fn message(
         &mut self,
         (subsystem, channel): (u8, u8),
@@ -329,7 +334,7 @@ fn push(
     }));
 }
 
-/// Height above the bottom: the shallowest of the soundings, if there are any.
+/// Altitude above the bottom from the shallowest sounding, metres; none without soundings.
 pub fn altitude_m(output: &PingOutput, sound_speed_m_per_s: f64) -> Option<f64> {
     output
         .soundings
@@ -345,7 +350,7 @@ fn channel_of(side: Side) -> u8 {
     }
 }
 
-/// Of a pulse that leaves `late_s` after the sonar's own.
+/// Header for a pulse that starts `late_s` after the sonar's own.
 fn header(
     sheet: &JsfSheet,
     plan: &PingPlan,
@@ -397,12 +402,12 @@ fn header(
     h
 }
 
-/// Below the world's zero, 0 above it.
+/// Depth below the world's vertical origin, metres; 0 above it.
 fn depth_m(nav: &NavState) -> f64 {
     (-nav.height_m).max(0.0)
 }
 
-/// 2002, 2020, 2060, 2080 and 2091 of one ping, all from the navigation as the ping has it.
+/// Messages 2002, 2020, 2060, 2080 and 2091 of one ping, from the ping's navigation.
 fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) {
     const RAW: u8 = echotank_protocols::jsf::subsystem::RAW_SERIAL;
     const PARSED: u8 = echotank_protocols::jsf::subsystem::PARSED_SERIAL;
@@ -434,7 +439,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
             roll: tilt(nav.roll_rad),
             heave_down_mm: counts(nav.heave_down_m * 1e3),
             heading_cdeg,
-            // Rates, pitch, roll, heave, heading.
+            // Valid: rates, pitch, roll, heave, heading.
             validity: 0b11_1111_1000,
             ..PitchRoll2020::default()
         }
@@ -447,7 +452,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
             pressure_mpsi: (SURFACE_MPSI + depth * MPSI_PER_M).round() as i32,
             sound_velocity_mm_per_s: (plan.sound_speed_m_per_s * 1e3).round() as i32,
             depth_m: depth.round() as i32,
-            // Pressure, sound velocity, depth.
+            // Valid: pressure, sound velocity, depth.
             validity: 0b11_0001,
             ..Pressure2060::default()
         }
@@ -461,14 +466,14 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
         Dvl2080 {
             time,
             distance_cm: [distance_cm; 4],
-            // Starboard, forward, up.
+            // Axes: starboard, forward, up.
             velocity_mm_per_s: [v_body.y, v_body.x, -v_body.z].map(|v| counts(v * 1e3)),
             depth_dm: (depth * 10.0).round().min(65_535.0) as u16,
             pitch_cdeg: counts(nav.pitch_rad.to_degrees() * 100.0),
             roll_cdeg: counts(nav.roll_rad.to_degrees() * 100.0),
             heading_cdeg,
             sound_velocity_m_per_s: counts(plan.sound_speed_m_per_s),
-            // Velocities in the ship's axes, heading, pitch, roll, depth, sound velocity; the distance where it is known.
+            // Valid: velocities in the ship's axes, heading, pitch, roll, depth, sound velocity; the altitude if it is known.
             validity: 0b1_0101_1100_0111 | u32::from(altitude.is_some()) << 5,
             ..Dvl2080::default()
         }
@@ -477,7 +482,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
     push(into, message_type::SITUATION, PARSED, 0, |buf| {
         Situation2091 {
             time,
-            // All but altitude, which may be there, and water temperature.
+            // Valid: all but the water temperature; the altitude if it is known.
             validity: 0b1111_1110_1111 | u32::from(altitude.is_some()) << 4,
             velocity_axes: 0,
             source_time_100ns: (utc.0 / 100).max(0) as u64,
@@ -499,7 +504,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
     });
 }
 
-/// Latitude and longitude as a GLL sentence: 1e-5 minutes of arc, 2 cm.
+/// Latitude and longitude as a GLL sentence, with a resolution of 1e-5 minutes of arc (2 cm).
 fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
     let (minutes_of_day, ns) = {
         let ns_of_day = utc.0.rem_euclid(86_400_000_000_000);
@@ -520,12 +525,12 @@ fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
         if nav.longitude_rad < 0.0 { 'W' } else { 'E' },
         minutes_of_day / 60,
         minutes_of_day % 60,
-        // Cut, not rounded: 59.999 stays within its minute.
+        // Truncated, so that 59.999 s does not round to the next minute.
         (ns / 10_000_000) as f64 / 100.0,
     );
     let checksum = text.bytes().fold(0, |sum, byte| sum ^ byte);
     text.insert(0, '$');
-    // A string takes everything that is written to it.
+    // Writing to a String cannot fail.
     let _ = write!(text, "*{checksum:02X}");
     text
 }

@@ -1,15 +1,15 @@
-//! The two connections of a JSF client: commands in and answers out on one, data one way on the other. Sans I/O.
+//! Sessions of a JSF client's two connections: commands and answers on one, data on the other. Sans I/O.
 //!
-//! What we decided where no manual says:
-//! - A SET that is obeyed has no answer, a GET has a REPLY, anything that cannot be done has an ERROR. 41 is echoed either way.
-//! - Settings belong to the sonar whatever connection they came by; 83 too: a client that connects anew finds what was set. Data are active
-//!   until told otherwise.
-//! - 121 is the amplitude of the transmitter over its largest, times 1000: 20 log10 of it goes on the source level's upper limit. 140 is the
-//!   receiver's gain as a factor, times 1000.
-//! - Subsystems that the sonar answers for without having them (`silent_subsystems`) keep and report all they are told, and change nothing.
-//! - The subsystems of further pulses in the same ping have the sonar's settings: what is set for one is set for all, but 83, which is a channel's.
-//! - 25 stops the pings, as a client in wide use sends it when it leaves; the daemon goes on.
-//! - 22 cannot be set: the time is the navigation's.
+//! Behaviour that no manual defines:
+//! - A successful SET has no answer, a GET has a REPLY, and every failure has an ERROR. Message 41 is always echoed.
+//! - Settings, including 83, belong to the sonar and not to a connection: a client that reconnects finds the stored values. Data are active
+//!   by default.
+//! - 121 is the transmit amplitude relative to its maximum, times 1000: 20 log10 of the ratio is added to the upper limit of the source
+//!   level. 140 is the receiver gain as a factor, times 1000.
+//! - Subsystems in `silent_subsystems` do not exist in the sonar. They store and report all settings without effect.
+//! - The subsystems of further pulses in the same ping share the sonar's settings. Only 83 is set per channel.
+//! - 25 stops pinging, because a widely used client sends it when it disconnects. The program continues.
+//! - 22 is refused: the time comes from the navigation.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -27,20 +27,23 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// How JSF signs what it changes.
+/// Name under which JSF changes settings.
 pub(crate) const VIA: &str = "jsf";
 
-/// The longest body a client may send.
+/// Maximum length of a client's message body, bytes.
 const MAX_COMMAND_BODY_BYTES: u32 = 4096;
 
-/// The command connection.
+/// Protocol of the command connection.
 pub struct JsfCommands {
+    /// Properties of the sonar.
     pub sheet: Arc<JsfSheet>,
+    /// Settings that commands change.
     pub settings: Arc<dyn SettingsPort>,
 }
 
-/// The data connection: whoever connects gets all data that are active.
+/// Protocol of the data connection: every client receives all active data.
 pub struct JsfData {
+    /// Properties of the sonar.
     pub sheet: Arc<JsfSheet>,
 }
 
@@ -52,7 +55,7 @@ fn key(message_type: u16, subsystem: u8, channel: u8) -> KeptKey {
     }
 }
 
-/// Whether data of a channel were asked for (83); they are until somebody says no.
+/// True if data of a channel are active (83). They are active unless a client switches them off.
 pub fn is_active(settings: &dyn SettingsPort, subsystem: u8, channel: u8) -> bool {
     let kept = settings.kept(key(message_type::DATA_ACTIVE, subsystem, channel));
     kept != Some(KeptValue::Integer(0))
@@ -80,7 +83,7 @@ impl Protocol for JsfCommands {
             },
         })
     }
-    /// Only answers leave by this connection.
+    /// This connection carries answers only.
     fn class(&self, _record_type: u32) -> Wants {
         Wants::NONE
     }
@@ -110,7 +113,7 @@ impl Session for DataSession {
     fn greet(&mut self, _now: UtcNs, out: &mut Vec<Outgoing>) {
         out.push(Outgoing::Reply(self.sheet.information()));
     }
-    /// Nothing is asked for here.
+    /// Input on this connection has no effect.
     fn receive(&mut self, _bytes: &[u8], _now: UtcNs, _out: &mut Vec<Outgoing>) {
         self.counts.other_records += 1;
     }
@@ -123,9 +126,9 @@ impl Session for DataSession {
 }
 
 struct CommandSession {
-    /// Taken out while it hands messages on.
+    /// Taken out while it passes messages on.
     stream: Option<JsfStream>,
-    /// Bytes of a message that waits for its rest.
+    /// Bytes of an incomplete message.
     held: usize,
     client: Client,
 }
@@ -221,7 +224,7 @@ impl Client {
                 (control.message_type == message_type::ALIVE).then(|| control.value.clone())
             }),
             command_type::GET => self.get(control, now).map(Some),
-            // Somebody else's answers are nothing to us.
+            // Answers from another device are ignored.
             _ => return None,
         };
         match done {
@@ -230,8 +233,8 @@ impl Client {
         }
     }
 
-    /// Whether the command is for the subsystem that the sonar has; an error where the sonar does not even answer for it.
-    fn is_ours(&self, control: &Control) -> Result<bool, i32> {
+    /// True if the command addresses a subsystem that the sonar has. An error if the sonar does not answer for the subsystem.
+    fn addresses_sonar(&self, control: &Control) -> Result<bool, i32> {
         let output = &self.sheet.output;
         let kind = control.message_type;
         let for_the_whole = matches!(
@@ -262,7 +265,7 @@ impl Client {
             utc: now,
             by: self.by,
         };
-        let ours = self.is_ours(control)?;
+        let ours = self.addresses_sonar(control)?;
         let kept = match &control.value {
             Value::Number(number) => KeptValue::Integer(i64::from(*number)),
             Value::Coupling {
@@ -279,7 +282,7 @@ impl Client {
             _ => return Err(error_code::FAILED),
         };
         if ours && let KeptValue::Integer(number) = kept {
-            self.obey(control.message_type, number, asked)?;
+            self.execute(control.message_type, number, asked)?;
         }
         let key = key(control.message_type, control.subsystem, control.channel);
         self.settings
@@ -287,8 +290,8 @@ impl Client {
             .map_err(|_| error_code::FAILED)
     }
 
-    /// Does what the model can do; what it cannot is only kept.
-    fn obey(&self, message_type: u16, number: i64, asked: Asked) -> Result<(), i32> {
+    /// Applies a setting if the model has it; otherwise it is only stored.
+    fn execute(&self, message_type: u16, number: i64, asked: Asked) -> Result<(), i32> {
         let value = number as f64;
         let changes: &[SettingChange] = match message_type {
             message_type::PING_RANGE => &[SettingChange::RangeM(value * 1e-3)],
@@ -305,7 +308,7 @@ impl Client {
             },
             message_type::SHUTDOWN if number != 0 => &[SettingChange::Stop],
             message_type::PING_TRIGGER => match i32::try_from(number) {
-                // Coupled to a subsystem that has no pings of its own: the sonar's own beat.
+                // A subsystem without pings of its own is coupled: the sonar keeps its internal trigger.
                 Ok(trigger::INTERNAL | trigger::COUPLED) => {
                     &[SettingChange::Trigger(TriggerSource::Internal)]
                 }
@@ -325,7 +328,7 @@ impl Client {
     }
 
     fn get(&self, control: &Control, now: UtcNs) -> Result<Value, i32> {
-        let ours = self.is_ours(control)?;
+        let ours = self.addresses_sonar(control)?;
         let kind = control.message_type;
         if kind == message_type::SYSTEM_TIME {
             let time = SensorTime::from_utc_ns(now.0);
@@ -360,7 +363,7 @@ impl Client {
         }
         let key = key(kind, control.subsystem, control.channel);
         Ok(match (kind, self.settings.kept(key)) {
-            // Somebody else has made it internal again.
+            // Another protocol has since selected the internal trigger.
             (message_type::PING_TRIGGER, Some(KeptValue::Integer(was)))
                 if ours && was == i64::from(trigger::EXTERNAL) =>
             {

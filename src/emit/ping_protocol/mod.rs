@@ -1,12 +1,15 @@
-//! The Ping protocol of Blue Robotics and Cerulean: the Omniscan 450 and the Surveyor 240.
+//! Ping protocol of Blue Robotics and Cerulean: Omniscan 450 and Surveyor 240.
 //!
-//! - [`Device`]: what a device is and how it was told to ping; shared by its emitter and its clients' sessions
-//! - [`PingEmitter`]: a ping to frames
-//! - [`session`]: the commands
+//! - [`Device`]: a device and its requested settings; shared by its emitter and its clients' sessions
+//! - [`PingEmitter`]: converts a ping into frames
+//! - [`session`]: processes commands
 //!
-//! What the definitions leave open, and what we made of it: gain indices run evenly over the sonar's own limits of gain; `timestamp_ms` counts
-//! from when the output was opened; results are dB re 1 uV (rms) at the receiver, each the mean power of its stretch of range, scaled between
-//! the loudest of the ping and [`RANGE_OF_RESULTS_DB`] below it; angles of points are positive to port, as the device's axes are.
+//! Behaviour that the protocol definitions leave open:
+//! - Gain indices cover the sonar's gain limits in equal steps.
+//! - `timestamp_ms` counts from when the output was opened.
+//! - Results are dB re 1 uV (rms) at the receiver, each the mean power of its range interval. They are scaled between the largest of the
+//!   ping and [`RANGE_OF_RESULTS_DB`] below it.
+//! - Angles of points are positive to port, as the device's axes are.
 
 pub mod session;
 
@@ -26,38 +29,48 @@ use echotank_config::spec::{PingDevice, PingProtocolSpec, SonarSpec};
 use echotank_core::flow::{Datagram, Line, PingOutput, PingPlan, Side};
 use echotank_core::time::UtcNs;
 
-/// What 16 bits of a result span at most, dB.
+/// Largest span of the 16-bit results, dB.
 const RANGE_OF_RESULTS_DB: f64 = 100.0;
-/// dB re 1 uV of 1 V.
+/// 1 V in dB re 1 uV.
 const VOLT_IN_MICROVOLT_DB: f64 = 120.0;
-/// The Omniscan's highest gain index, and the Surveyor's.
+/// Highest gain index of the Omniscan; the Surveyor's is in percent.
 const GAIN_STEPS: f64 = 7.0;
 const GAIN_PERCENT: f64 = 100.0;
-/// Frames are signed with the device's identifier.
+/// Device identifier at start; every frame carries the identifier as its source.
 const FIRST_DEVICE_ID: u8 = 1;
 
-/// A device, to its clients.
+/// A simulated device as its clients see it.
 pub struct Device {
+    /// Configuration of the output.
     pub spec: PingProtocolSpec,
+    /// Sonar that the device simulates.
     pub sonar: SonarSpec,
+    /// Sound speed for the conversion of time to range.
     pub sound_speed_m_per_s: f64,
-    /// When it was switched on, rig time.
+    /// Power-up in rig time.
     power_up: UtcNs,
-    told: Mutex<Told>,
+    requested: Mutex<RequestedSettings>,
 }
 
-/// How it was told to ping, beyond the sonar's settings.
+/// Settings requested by clients that the sonar's own settings do not include.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
+pub struct RequestedSettings {
+    /// Slant range of the first result, metres.
     pub start_m: f64,
+    /// Number of results per profile.
     pub num_results: u16,
+    /// Synchronisation channel of the device and the number of channels.
     pub sync: SyncChannel,
+    /// Send angles and times of flight (3012) with each ping.
     pub wants_atof: bool,
+    /// Send points in the vertical plane (3011) with each ping.
     pub wants_yz: bool,
+    /// Identifier in the source field of frames.
     pub device_id: u8,
 }
 
 impl Device {
+    /// A device with default settings; `power_up` is rig time.
     pub fn new(
         spec: &PingProtocolSpec,
         sonar: &SonarSpec,
@@ -70,7 +83,7 @@ impl Device {
             sonar: sonar.clone(),
             sound_speed_m_per_s,
             power_up,
-            told: Mutex::new(Told {
+            requested: Mutex::new(RequestedSettings {
                 start_m: 0.0,
                 num_results: 600,
                 sync: SyncChannel {
@@ -84,22 +97,25 @@ impl Device {
         }
     }
 
-    pub fn told(&self) -> Told {
+    /// A copy of the current requested settings.
+    pub fn requested(&self) -> RequestedSettings {
         *self.lock()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Told> {
-        // Each field is written whole.
-        self.told.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, RequestedSettings> {
+        // A poisoned lock is usable: each field is written in one step.
+        self.requested
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     fn uptime_ms(&self, utc: UtcNs) -> u32 {
-        // Counts around after 49 days, as the field does.
+        // Wraps after 49 days, as the field does.
         ((utc.0 - self.power_up.0) / 1_000_000) as u32
     }
 }
 
-/// Turns pings into the frames of one device. One thread's.
+/// Converts pings into the frames of one device; for use by one thread.
 pub struct PingEmitter {
     device: Arc<Device>,
     pools: [DatagramPool; 4],
@@ -109,7 +125,7 @@ pub struct PingEmitter {
     yz: Vec<[f32; 2]>,
 }
 
-/// What a device sends of a ping, in this order.
+/// Messages of a ping in the order in which they are sent.
 const PER_PING: [u16; 4] = [
     message_id::OS_MONO_PROFILE,
     message_id::ATTITUDE_REPORT,
@@ -118,6 +134,7 @@ const PER_PING: [u16; 4] = [
 ];
 
 impl PingEmitter {
+    /// `waiting_pings` is the number of pings whose frames may wait in queues without a new buffer.
     pub fn new(device: Arc<Device>, waiting_pings: usize) -> Self {
         Self {
             device,
@@ -143,27 +160,27 @@ impl PingEmitter {
                 }
             }
             PingDevice::Surveyor240 => {
-                let told = self.device.told();
-                into.push(self.attitude(plan, &told));
-                if told.wants_atof {
-                    into.push(self.atof(plan, output, &told));
+                let requested = self.device.requested();
+                into.push(self.attitude(plan, &requested));
+                if requested.wants_atof {
+                    into.push(self.atof(plan, output, &requested));
                 }
-                if told.wants_yz {
-                    into.push(self.yz(plan, output, &told));
+                if requested.wants_yz {
+                    into.push(self.yz(plan, output, &requested));
                 }
             }
         }
     }
 
-    /// 2198
+    /// Message 2198.
     fn profile(&mut self, plan: &PingPlan, line: &Line, side: Side) -> Arc<Datagram> {
         let device = Arc::clone(&self.device);
-        let told = device.told();
+        let requested = device.requested();
         let range_m = plan.settings.range_m;
-        let start_m = told.start_m.min(0.95 * range_m);
+        let start_m = requested.start_m.min(0.95 * range_m);
         let length_m = range_m - start_m;
         let samples_per_m = 2.0 * device.sonar.receiver.sample_rate_hz / plan.sound_speed_m_per_s;
-        let count = usize::from(told.num_results);
+        let count = usize::from(requested.num_results);
         mean_levels_db(
             &line.amplitude,
             start_m * samples_per_m,
@@ -185,7 +202,7 @@ impl PingEmitter {
         };
         let limits = &device.sonar.limits;
         let head = OsMonoProfileHead {
-            // From 0 at power-up.
+            // The device counts from 0 at power-up.
             ping_number: plan.ping_number.wrapping_sub(1),
             start_mm: (start_m * 1e3).round() as u32,
             length_mm: (length_m * 1e3).round() as u32,
@@ -195,7 +212,7 @@ impl PingEmitter {
                 as u16,
             num_results: 0,
             sos_dmps: (plan.sound_speed_m_per_s * 10.0).round() as u16,
-            channel_number: told.sync.channel_number,
+            channel_number: requested.sync.channel_number,
             pulse_duration_s: plan.pulse.duration_s as f32,
             analog_gain: 10f64.powf(plan.settings.gain_db / 20.0) as f32,
             max_pwr_db: max_db,
@@ -205,24 +222,29 @@ impl PingEmitter {
         };
         let results = &self.results;
         self.pools[0].write(|buf| {
-            emit_2198(buf, told.device_id, 0, &head, results);
+            emit_2198(buf, requested.device_id, 0, &head, results);
         })
     }
 
-    /// 504
-    fn attitude(&mut self, plan: &PingPlan, told: &Told) -> Arc<Datagram> {
+    /// Message 504.
+    fn attitude(&mut self, plan: &PingPlan, requested: &RequestedSettings) -> Arc<Datagram> {
         let report = AttitudeReport {
             up: up(plan),
             utc_msec: utc_ms(plan),
             pwr_up_msec: self.device.uptime_ms(plan.transmit_utc),
         };
         self.pools[1].write(|buf| {
-            report.emit_frame(buf, told.device_id, 0);
+            report.emit_frame(buf, requested.device_id, 0);
         })
     }
 
-    /// 3012
-    fn atof(&mut self, plan: &PingPlan, output: &PingOutput, told: &Told) -> Arc<Datagram> {
+    /// Message 3012.
+    fn atof(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        requested: &RequestedSettings,
+    ) -> Arc<Datagram> {
         self.points.clear();
         self.points
             .extend(output.soundings.iter().map(|sounding| AtofPoint {
@@ -243,12 +265,17 @@ impl PingEmitter {
         };
         let points = &self.points;
         self.pools[2].write(|buf| {
-            emit_3012(buf, told.device_id, 0, &head, points);
+            emit_3012(buf, requested.device_id, 0, &head, points);
         })
     }
 
-    /// 3011
-    fn yz(&mut self, plan: &PingPlan, output: &PingOutput, told: &Told) -> Arc<Datagram> {
+    /// Message 3011.
+    fn yz(
+        &mut self,
+        plan: &PingPlan,
+        output: &PingOutput,
+        requested: &RequestedSettings,
+    ) -> Arc<Datagram> {
         let c = plan.sound_speed_m_per_s;
         self.yz.clear();
         self.yz.extend(output.soundings.iter().map(|sounding| {
@@ -261,33 +288,33 @@ impl PingEmitter {
             ping_number: plan.ping_number,
             sos_mps: c as f32,
             up: up(plan),
-            // No sensors.
+            // The device has no such sensors.
             water_c: -1000.0,
             water_bar: -1000.0,
             heave_m: -plan.nav.heave_down_m as f32,
-            start_m: told.start_m as f32,
+            start_m: requested.start_m as f32,
             end_m: plan.settings.range_m as f32,
             num_points: 0,
         };
         let points = &self.yz;
         self.pools[3].write(|buf| {
-            emit_3011(buf, told.device_id, 0, &head, points);
+            emit_3011(buf, requested.device_id, 0, &head, points);
         })
     }
 }
 
-/// Of the ping, milliseconds since 1970.
+/// Time of the ping, milliseconds since 1970.
 fn utc_ms(plan: &PingPlan) -> u64 {
     (plan.stamp_utc.0.max(0) / 1_000_000) as u64
 }
 
-/// Our roll is positive starboard down, which is port up.
+/// The up vector. Roll here is positive starboard down, which is port up.
 fn up(plan: &PingPlan) -> [f32; 3] {
     AttitudeReport::up_from(plan.nav.roll_rad, plan.nav.pitch_rad)
 }
 
-/// dB re 1 uV of the mean power of `count` stretches of a line, each `width` samples long, from sample `first` on. A stretch between two
-/// samples is read between them; nothing is beyond the line's end.
+/// Mean power of `count` intervals of a line in dB re 1 uV. Each interval is `width` samples long; the first begins at sample `first`. An
+/// interval that contains no sample is interpolated. Samples beyond the end of the line are zero.
 fn mean_levels_db(line: &[f32], first: f64, width: f64, count: usize, into: &mut Vec<f64>) {
     let power_at = |sample: usize| line.get(sample).map_or(0.0, |&v| f64::from(v).powi(2));
     into.clear();
@@ -307,7 +334,7 @@ fn mean_levels_db(line: &[f32], first: f64, width: f64, count: usize, into: &mut
     }));
 }
 
-/// What 0 and 65535 stand for: the quietest, but not too far below the loudest, and the loudest.
+/// Levels for 0 and 65535: the smallest finite level, at most [`RANGE_OF_RESULTS_DB`] below the largest, and the largest.
 fn scale(results_db: &[f64]) -> (f32, f32) {
     let finite = || results_db.iter().copied().filter(|db| db.is_finite());
     let max = finite().fold(f64::NEG_INFINITY, f64::max);
@@ -315,7 +342,7 @@ fn scale(results_db: &[f64]) -> (f32, f32) {
         return (0.0, 1.0);
     }
     let min = finite().fold(max, f64::min).max(max - RANGE_OF_RESULTS_DB);
-    // A line of one level has to have a scale too.
+    // A line of constant level also needs a non-zero span.
     (min.min(max - 1.0) as f32, max as f32)
 }
 

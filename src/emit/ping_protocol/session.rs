@@ -1,12 +1,12 @@
-//! The commands of the Ping protocol: bytes in, answers out.
+//! Client sessions of the Ping protocol: received commands in, answers out.
 //!
-//! - A request for a message is answered with it (4, 5, 169), or it comes with the next ping, as those of a ping do anyway; what the device does
-//!   not have is refused (2) with words.
-//! - A command is acknowledged (1), or refused (2) with words, and then nothing of it is obeyed. The rate is the highest to be kept, so that one
-//!   beyond the sonar's own is held at that; so is the length of the pulse, which the range sets. Everything else must lie within the limits.
-//! - Automatic gain (-1) and automatic range (0) leave the sonar's as they are: neither is modelled. Speed of sound, filter, frequency and
-//!   network settings are kept and change nothing.
-//! - Who connects, or sends a whole frame over UDP, gets everything.
+//! - A request for messages 4, 5 or 169 is answered at once. Requested ping messages come with the next ping. A message that the device
+//!   does not have is refused (2) with a reason.
+//! - A command is acknowledged (1), or refused (2) with a reason and without effect. The ping rate is a maximum: values above the sonar's
+//!   limit are clamped. The pulse length follows from the range and is clamped likewise. All other values must lie within the limits.
+//! - Automatic gain (-1) and automatic range (0) are not modelled and leave the sonar's values unchanged. Speed of sound, filter, frequency
+//!   and network settings are stored without effect.
+//! - A client receives all messages once it connects, or over UDP once it sends a valid frame.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -27,10 +27,10 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// How it signs what it changes.
+/// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "ping";
 
-/// Major and minor of this program, as the firmware's.
+/// Version of this program, reported as the firmware's.
 const FIRMWARE: [u8; 3] = [0, 1, 0];
 const PROTOCOL_VERSION: [u8; 3] = [1, 0, 0];
 
@@ -41,11 +41,12 @@ pub struct PingPort {
 }
 
 impl PingPort {
+    /// The port changes `settings` and the requested settings of `device`.
     pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
         Self { device, settings }
     }
 
-    /// A client that is no network's.
+    /// Creates the session of a client without a network address, such as a serial line.
     pub fn connect_line(&self) -> Box<dyn Session> {
         self.client(false, None)
     }
@@ -82,16 +83,16 @@ struct Client {
     settings: Arc<dyn SettingsPort>,
     by: Asker,
     stream: PingStream,
-    /// Every datagram begins with a frame.
+    /// Each datagram begins with a frame.
     datagrams: bool,
     counts: SessionCounts,
 }
 
 impl Session for Client {
-    /// The Surveyor asks for the time.
+    /// The Surveyor requests the time from a new client.
     fn greet(&mut self, _now: UtcNs, out: &mut Vec<Outgoing>) {
         if self.device.spec.device == PingDevice::Surveyor240 {
-            let id = self.device.told().device_id;
+            let id = self.device.requested().device_id;
             out.push(reply(message_id::UTC_REQUEST, |buf| {
                 emit_utc_request(buf, id, 0);
             }));
@@ -103,7 +104,7 @@ impl Session for Client {
         if self.datagrams {
             stream = PingStream::new(PingFraming);
         }
-        stream.feed(bytes, |item| self.item(item, now, out));
+        stream.feed(bytes, |item| self.process_item(item, now, out));
         self.stream = stream;
         if self.datagrams {
             self.give_up_waiting(now, out);
@@ -117,7 +118,7 @@ impl Session for Client {
     fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
         let mut stream = std::mem::replace(&mut self.stream, PingStream::new(PingFraming));
         stream.finish();
-        stream.feed(&[], |item| self.item(item, now, out));
+        stream.feed(&[], |item| self.process_item(item, now, out));
         self.stream = stream;
     }
 
@@ -130,11 +131,11 @@ impl Session for Client {
     }
 }
 
-/// Why a command is refused.
+/// Reason for refusing a command.
 type Refusal = String;
 
 impl Client {
-    fn item(
+    fn process_item(
         &mut self,
         item: Result<&[u8], echotank_protocols::WireError>,
         now: UtcNs,
@@ -146,19 +147,19 @@ impl Client {
         };
         let id = frame.message_id;
         let outcome = match Message::parse(&frame) {
-            Ok(message) => self.obey(&message, frame.source, now, out),
+            Ok(message) => self.execute(&message, frame.source, now, out),
             Err(error) => Err(error.to_string()),
         };
-        let (from, to) = (self.device.told().device_id, frame.source);
+        let (from, to) = (self.device.requested().device_id, frame.source);
         match outcome {
-            Ok(Obeyed::Command) => {
+            Ok(Outcome::Command) => {
                 self.counts.commands += 1;
                 out.push(reply(message_id::ACK, |buf| {
                     AckMessage { acked_id: id }.emit_frame(buf, from, to);
                 }));
             }
-            Ok(Obeyed::Answered) => self.counts.commands += 1,
-            Ok(Obeyed::NoCommand) => self.counts.other_records += 1,
+            Ok(Outcome::Answered) => self.counts.commands += 1,
+            Ok(Outcome::NoCommand) => self.counts.other_records += 1,
             Err(words) => {
                 self.counts.commands += 1;
                 self.counts.nacks += 1;
@@ -169,13 +170,13 @@ impl Client {
         }
     }
 
-    fn obey(
+    fn execute(
         &mut self,
         message: &Message<'_>,
         to: u8,
         now: UtcNs,
         out: &mut Vec<Outgoing>,
-    ) -> Result<Obeyed, Refusal> {
+    ) -> Result<Outcome, Refusal> {
         let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
         let asked = Asked {
             utc: now,
@@ -210,27 +211,27 @@ impl Client {
                 let value = KeptValue::Numbers(numbers.map(f64::from).into());
                 self.keep("net_info", value, asked)?;
             }
-            // The device has the rig's time.
+            // The device uses rig time.
             Message::UtcResponse(_)
             | Message::Ack(_)
             | Message::Nack { .. }
             | Message::AsciiText(_)
             | Message::Json(_)
             | Message::DeviceInformation(_)
-            | Message::ProtocolVersion(_) => return Ok(Obeyed::NoCommand),
+            | Message::ProtocolVersion(_) => return Ok(Outcome::NoCommand),
             _ => return Err("not a command of this device".into()),
         }
-        Ok(Obeyed::Command)
+        Ok(Outcome::Command)
     }
 
-    fn request(&mut self, id: u16, to: u8, out: &mut Vec<Outgoing>) -> Result<Obeyed, Refusal> {
-        let told = self.device.told();
-        let from = told.device_id;
+    fn request(&mut self, id: u16, to: u8, out: &mut Vec<Outgoing>) -> Result<Outcome, Refusal> {
+        let requested = self.device.requested();
+        let from = requested.device_id;
         let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
         match id {
             message_id::DEVICE_INFORMATION => {
                 let information = DeviceInformation {
-                    // The makers publish no number for either.
+                    // The makers publish no number for either field.
                     device_type: 0,
                     device_revision: 1,
                     firmware: FIRMWARE,
@@ -248,19 +249,19 @@ impl Client {
                 }));
             }
             message_id::SYNC_CHANNEL if is_omniscan => out.push(reply(id, |buf| {
-                told.sync.emit_frame(buf, from, to);
+                requested.sync.emit_frame(buf, from, to);
             })),
-            // They come with every ping.
+            // Sent with every ping.
             message_id::OS_MONO_PROFILE if is_omniscan => {}
             message_id::ATTITUDE_REPORT if !is_omniscan => {}
             message_id::ATOF_POINT_DATA if !is_omniscan => self.device.lock().wants_atof = true,
             message_id::YZ_POINT_DATA if !is_omniscan => self.device.lock().wants_yz = true,
             _ => return Err(format!("this device has no message {id}")),
         }
-        Ok(Obeyed::Answered)
+        Ok(Outcome::Answered)
     }
 
-    /// 2197
+    /// Message 2197.
     fn os_ping_params(&mut self, params: &OsPingParams, asked: Asked) -> Result<(), Refusal> {
         let (start_m, length_m) = (
             f64::from(params.start_mm) / 1e3,
@@ -290,13 +291,13 @@ impl Client {
             KeptValue::Numbers(vec![filter]),
             asked,
         )?;
-        let mut told = self.device.lock();
-        told.start_m = start_m;
-        told.num_results = params.num_results;
+        let mut requested = self.device.lock();
+        requested.start_m = start_m;
+        requested.num_results = params.num_results;
         Ok(())
     }
 
-    /// 3023
+    /// Message 3023.
     fn set_ping_parameters(
         &mut self,
         params: &SetPingParameters,
@@ -320,7 +321,7 @@ impl Client {
         let limits = self.settings.limits();
         let mut changes = Vec::new();
         let end_m = match params.end_mm {
-            // Following the bottom is not modelled.
+            // Automatic range (bottom tracking) is not modelled.
             0 => self.settings.settings().range_m,
             mm => f64::from(mm) / 1e3,
         };
@@ -341,15 +342,15 @@ impl Client {
         self.keep("sos_mps", numbers(f64::from(params.sos_mps)), asked)?;
         let frequency = KeptValue::Integer(params.target_ping_hz.into());
         self.keep("target_ping_hz", frequency, asked)?;
-        let mut told = self.device.lock();
-        // 5 % of the range at least, as the device has it; none in automatic range.
-        told.start_m = match params.end_mm {
+        let mut requested = self.device.lock();
+        // The device starts at 5 % of the range or more; automatic range starts at 0.
+        requested.start_m = match params.end_mm {
             0 => 0.0,
             _ => (f64::from(params.start_mm) / 1e3).max(0.05 * end_m),
         };
-        told.num_results = params.n_range_steps;
-        told.wants_atof = params.enable_atof_data != 0;
-        told.wants_yz = params.enable_yz_point_data != 0;
+        requested.num_results = params.n_range_steps;
+        requested.wants_atof = params.enable_atof_data != 0;
+        requested.wants_yz = params.enable_yz_point_data != 0;
         Ok(())
     }
 
@@ -365,15 +366,15 @@ impl Client {
     }
 }
 
-/// What became of a message that was not refused.
-enum Obeyed {
-    /// To be acknowledged.
+/// Outcome of a message that was not refused.
+enum Outcome {
+    /// A command to acknowledge.
     Command,
     Answered,
     NoCommand,
 }
 
-/// The highest rate to be kept; 0 and below is as fast as it goes.
+/// Maximum ping rate; a period of 0 or less selects the highest rate.
 fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
     let (_, max_hz) = limits.ping_rate_hz;
     SettingChange::MaxPingRateHz(match msec_per_ping {
@@ -382,7 +383,7 @@ fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
     })
 }
 
-/// -1, automatic, changes nothing.
+/// Gain of an index. Automatic gain (-1) changes nothing.
 fn gain(index: i16, steps: f64, limits: &SettingLimits) -> Result<Option<SettingChange>, Refusal> {
     match f64::from(index) {
         -1.0 => Ok(None),
@@ -396,7 +397,7 @@ fn gain(index: i16, steps: f64, limits: &SettingLimits) -> Result<Option<Setting
 
 fn pulse(duration_s: f64, limits: &SettingLimits) -> Result<SettingChange, Refusal> {
     if !(duration_s >= 0.0 && duration_s.is_finite()) {
-        return Err("the length of the pulse must be a number from 0 on".into());
+        return Err("the pulse length must be finite and not below 0".into());
     }
     let (shortest_s, longest_s) = limits.pulse_duration_s;
     Ok(SettingChange::PulseDurationS(

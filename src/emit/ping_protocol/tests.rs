@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn a_stretch_of_many_samples_has_their_mean_power_and_one_between_two_is_read_between_them() {
+fn an_interval_has_the_mean_power_of_its_samples_or_an_interpolated_power() {
     let mut levels = Vec::new();
     let line = [1.0, 3.0, 1.0, 3.0];
     mean_levels_db(&line, 0.0, 2.0, 2, &mut levels);
@@ -19,11 +19,15 @@ fn a_stretch_of_many_samples_has_their_mean_power_and_one_between_two_is_read_be
         levels[0]
     );
     mean_levels_db(&line, 10.0, 1.0, 1, &mut levels);
-    assert_eq!(levels[0], f64::NEG_INFINITY, "nothing is beyond the end");
+    assert_eq!(
+        levels[0],
+        f64::NEG_INFINITY,
+        "no power beyond the end of the line"
+    );
 }
 
 #[test]
-fn a_scale_spans_what_there_is_and_a_line_of_one_level_has_one_too() {
+fn the_scale_spans_the_levels_and_is_never_empty() {
     assert_eq!(scale(&[60.0, 100.0, f64::NEG_INFINITY]), (60.0, 100.0));
     assert_eq!(scale(&[-60.0, 100.0]), (0.0, 100.0), "no more than 100 dB");
     assert_eq!(scale(&[50.0]), (49.0, 50.0));

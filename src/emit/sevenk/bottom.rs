@@ -1,8 +1,8 @@
-//! Records about the bottom and of calibrated samples: 7027, 7028, 7058, 7042, 7057.
+//! Bottom and calibrated-sample records: 7027, 7028, 7058, 7042, 7057.
 //!
-//! Levels go back from volts to the water by undoing sensitivity, gain and time-varying gain. A scattering strength is the echo level minus
-//! source level and footprint plus two transmission losses (20 log r + absorption), with the pattern of the transmitter left out, as the
-//! record's own flags say.
+//! Levels in the water follow from volts by removing sensitivity, gain and time-varying gain. Scattering strength is echo level minus
+//! source level and footprint plus twice the transmission loss (20 log r + absorption). The transmit pattern is not removed; the record's
+//! flags state this.
 
 use std::f64::consts::PI;
 
@@ -21,27 +21,27 @@ use echotank_core::flow::{
     BeamFrame, Detection, PingOutput, PingPlan, PulseKind, Sounding, TimeVaryingGain,
 };
 
-/// Both quality tests passed, brightness and colinearity: what is detected at all has passed ours.
+/// Both quality tests passed (brightness and colinearity): every detection has passed the equivalent tests here.
 const QUALITY_PASSED: u32 = 0b11;
-/// Type 1 of the quality, in the flags of a detection.
+/// Detection flag: the quality is of type 1.
 const QUALITY_TYPE_1: u32 = 1 << 2;
-/// The algorithm that takes amplitude or phase, whichever is better.
+/// Detection algorithm that takes amplitude or phase, whichever is better.
 const ALGORITHM_G2: u8 = 2;
-/// Samples of a snippet on either side of the footprint.
+/// Samples added to a snippet on each side of the footprint.
 const SNIPPET_MARGIN: f64 = 8.0;
-/// dB that 8 bits of 7042 span: 20 log10 of 65535.
+/// Span of the 8-bit values of 7042: 20 log10(65535) dB.
 const DB_OF_16_BITS: f64 = 96.329_6;
-/// Bits of the 7042 set-up that we cannot do: compression factor, segments, delay in the first sample.
+/// Unsupported flags of the 7042 set-up: compression factor, segments, delay in the first sample.
 const NOT_DONE: u32 =
     flags_7042::COMPRESSION_FACTOR | flags_7042::SEGMENTS | flags_7042::FIRST_SAMPLE_IS_DELAY;
 
-/// Whether 7042 can be made with these flags.
+/// True if 7042 supports these flags.
 pub(crate) fn can_compress(flags: u32) -> bool {
     let both = flags_7042::DB_IN_8_BITS | flags_7042::MAGNITUDE_IN_32_BITS;
     flags & NOT_DONE == 0 && flags & both != both
 }
 
-/// Buffers of this module's records.
+/// Buffers for the records of this module.
 #[derive(Default)]
 pub(super) struct Workspace {
     detections: Vec<Detection7027>,
@@ -53,13 +53,13 @@ pub(super) struct Workspace {
     phases: Vec<i16>,
 }
 
-/// One ping, and where its samples lie.
+/// One ping with the position of its samples.
 pub(super) struct Source<'a> {
     pub plan: &'a PingPlan,
     pub output: &'a PingOutput,
     pub sonar: &'a SonarSpec,
     pub kept: &'a Kept,
-    /// Samples between the start of the pulse and the first computed.
+    /// Samples between the start of the pulse and the first computed sample.
     pub silent: usize,
     pub stamp: RecordStamp,
 }
@@ -74,14 +74,14 @@ impl Source<'_> {
     fn metres_per_sample(&self) -> f64 {
         0.5 * self.plan.sound_speed_m_per_s / self.rate_hz()
     }
-    /// Length of a compressed pulse, seconds.
+    /// Duration of a compressed pulse, seconds.
     fn compressed_s(&self) -> f64 {
         match self.plan.pulse.kind {
             PulseKind::Cw => self.plan.pulse.duration_s,
             PulseKind::LfmUp | PulseKind::LfmDown => 1.0 / self.plan.pulse.bandwidth_hz.max(1.0),
         }
     }
-    /// The receiver's gain over the sensitivity of an array, dB re 1 V/uPa, at a slant range.
+    /// Receiver gain plus array sensitivity at a slant range, dB re 1 V/uPa.
     pub(super) fn gain_db(&self, array: usize, range_m: f64) -> f64 {
         self.sonar.receive[array].sensitivity_db
             + self.plan.settings.gain_db
@@ -111,7 +111,7 @@ fn tvg_db(tvg: &TimeVaryingGain, range_m: f64) -> f64 {
     }
 }
 
-/// 7027.
+/// Record 7027.
 pub(super) fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Vec<u8>) {
     let (plan, rate_hz) = (source.plan, source.rate_hz());
     let end = (source.silent + plan.sample_count) as f32;
@@ -143,13 +143,13 @@ pub(super) fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Ve
     emit_7027(buf, &source.stamp, &rth, &work.detections);
 }
 
-/// Half the time that a flat bottom stays in the beam of a sounding, in samples.
+/// Half the time that the beam of a sounding covers a flat bottom, in samples.
 fn half_footprint_samples(sounding: &Sounding, fan: &BeamFrame, rate_hz: f64) -> f64 {
     let width_rad = fan.width_rad.get(sounding.beam).copied().unwrap_or(0.0);
     0.5 * width_rad * sounding.angle_rad.abs().min(1.45).tan() * sounding.twtt_s * rate_hz
 }
 
-/// Where the snippets of a ping lie, counted from range 0.
+/// Computes the sample ranges of a ping's snippets, counted from range 0.
 fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
     let window = source.kept.snippets;
     let last = (source.silent + fan.samples).saturating_sub(1) as u32;
@@ -177,7 +177,7 @@ fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
     }
 }
 
-/// The samples of a snippet.
+/// Samples of a snippet.
 fn samples_of<'a>(
     descriptor: &SnippetDescriptor,
     fan: &'a BeamFrame,
@@ -189,7 +189,7 @@ fn samples_of<'a>(
     &beam[from.min(beam.len())..to.min(beam.len())]
 }
 
-/// 7028; how many intensities did not fit.
+/// Record 7028. Returns the number of clipped intensities.
 pub(crate) fn snippets_7028(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -219,7 +219,7 @@ pub(crate) fn snippets_7028(
     saturated
 }
 
-/// 7058: the same snippets as scattering strengths, with their footprints.
+/// Record 7058: the snippets as scattering strengths, with their footprints.
 pub(crate) fn strengths_7058(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -241,7 +241,7 @@ pub(crate) fn strengths_7058(
         for (k, v) in volts.iter().enumerate() {
             let sample = f64::from(descriptor.start_sample) + k as f64;
             let range_m = (sample * source.metres_per_sample()).max(source.metres_per_sample());
-            // Across: the pulse on the bottom, or the beam on it where that is shorter.
+            // Across-track extent: the pulse on the bottom, or the beam on the bottom if that is shorter.
             let beam_m = range_m * fan.width_rad[beam] / angle_rad.cos().max(1e-3);
             let pulse_m = cell_m / angle_rad.sin().max(1e-6);
             let footprint_m2 = range_m * along_track_width_rad.min(PI) * beam_m.min(pulse_m);
@@ -257,7 +257,7 @@ pub(crate) fn strengths_7058(
     let rth = Rth7058 {
         sonar_id: source.sonar.serial,
         ping_number: plan.ping_number,
-        // Bit 8: one absorption for all.
+        // Bit 8: one absorption for all samples.
         control_flags: 1 << 8,
         absorption_db_per_km: (plan.absorption_db_per_m * 1e3) as f32,
         ..Rth7058::default()
@@ -272,7 +272,7 @@ pub(crate) fn strengths_7058(
     );
 }
 
-/// 7042, as its set-up asks; how many magnitudes did not fit.
+/// Record 7042 according to its set-up. Returns the number of clipped magnitudes.
 pub(crate) fn water_column_7042(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -347,7 +347,7 @@ pub(crate) fn water_column_7042(
     saturated
 }
 
-/// One magnitude for a window: 0 its middle, 1 its largest, 2 the mean.
+/// Magnitude of a window. `kind` 0: its middle sample, 1: its largest sample, 2: its mean.
 fn window_magnitude(window: &[Complex64], kind: u32) -> f64 {
     match kind {
         1 => window.iter().map(|v| v.norm()).fold(0.0, f64::max),

@@ -1,5 +1,5 @@
-//! What a SeaBat can be told and the model does not use: kept in the settings, and reported in 7503 as it was told. 7000 says what the ping
-//! had, so of these it shows only what the model has nothing of its own for.
+//! Settings of a SeaBat that the model does not use. They are stored and reported in 7503 as the client set them. 7000 describes the ping,
+//! so it reports only those for which the model has no value.
 
 use echotank_protocols::sevenk::Command;
 use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
@@ -8,7 +8,7 @@ use echotank_protocols::sevenk::records::{RemoteSettings7503, SonarSettings7000}
 use super::protocol::VIA;
 use echotank_core::flow::{KeptKey, KeptValue, SettingsPort, TriggerSource};
 
-/// Names of kept settings and how many numbers each has.
+/// Names of the stored settings.
 mod name {
     pub(crate) const DETECTION_MASK: &str = "bottom detection mask";
     pub(crate) const DETECTION_FILTER: &str = "bottom detection filter";
@@ -26,7 +26,8 @@ mod name {
     pub(super) const SOUND_VELOCITY: &str = "sound velocity";
 }
 
-pub fn key(name: &'static str) -> KeptKey {
+/// Key under which the settings store keeps the value `name`.
+pub(crate) fn key(name: &'static str) -> KeptKey {
     KeptKey {
         via: VIA,
         name,
@@ -34,8 +35,8 @@ pub fn key(name: &'static str) -> KeptKey {
     }
 }
 
-/// The setting that a command tells; none for a command that does something.
-pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
+/// Name and values of the setting that a command stores; none for commands with an effect.
+pub(crate) fn stored_setting(command: &Command) -> Option<(&'static str, Vec<f64>)> {
     Some(match *command {
         Command::BottomDetectionMask { flags } => (name::DETECTION_MASK, vec![flags.into()]),
         Command::BottomDetectionFilter {
@@ -67,7 +68,7 @@ pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
             name::PULSE_ENVELOPE,
             vec![
                 match envelope {
-                    // As 7503 counts them.
+                    // Values as in 7503.
                     PulseEnvelope::Rectangle => 4.0,
                     PulseEnvelope::Tukey => 1.0,
                 },
@@ -132,16 +133,19 @@ pub fn told(command: &Command) -> Option<(&'static str, Vec<f64>)> {
     })
 }
 
-/// How long snippets may be.
+/// Limits on the length of snippets (7028).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SnippetWindow {
+    /// Flags of the snippet control command.
     pub flags: u32,
+    /// Minimum length, samples.
     pub(crate) min_samples: u32,
+    /// Maximum length, samples.
     pub max_samples: u32,
 }
 
 impl Default for SnippetWindow {
-    /// As long as the beam's footprint asks for, up to what keeps a record of a thousand beams below a megabyte.
+    /// Length according to the beam's footprint. The maximum keeps a record of a thousand beams below a megabyte.
     fn default() -> Self {
         Self {
             flags: 1,
@@ -151,11 +155,12 @@ impl Default for SnippetWindow {
     }
 }
 
-/// What has been told, as the records want it.
+/// Stored settings as the records need them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Kept {
+    /// Limits on the length of snippets.
     pub snippets: SnippetWindow,
-    /// Flags of 7042.
+    /// Set-up flags of 7042.
     pub(crate) water_column_flags: u32,
     detection_filter: Option<[f64; 5]>,
     envelope: Option<[f64; 2]>,
@@ -165,11 +170,12 @@ pub struct Kept {
     coverage: Option<[f64; 2]>,
     trigger_out: Option<[f64; 3]>,
     sound_velocity: Option<[f64; 3]>,
-    /// Somebody else's pulse starts the pings.
+    /// An external trigger starts the pings.
     pub(crate) foreign_trigger: bool,
 }
 
 impl Kept {
+    /// Reads the stored settings.
     pub fn of(settings: &dyn SettingsPort) -> Self {
         fn numbers<const N: usize>(
             settings: &dyn SettingsPort,
@@ -204,7 +210,7 @@ impl Kept {
         }
     }
 
-    /// What was told, over what is.
+    /// Overrides fields of 7503 with stored settings.
     pub(crate) fn report_7503(&self, s: &mut RemoteSettings7503) {
         if let Some([min_range, max_range, min_depth, max_depth, tilt]) = self.detection_filter {
             s.bottom_filter_min_range_m = min_range as f32;
@@ -247,6 +253,7 @@ impl Kept {
         }
     }
 
+    /// Overrides fields of 7000 with stored settings.
     pub(crate) fn report_7000(&self, s: &mut SonarSettings7000) {
         if let Some([min_range, max_range, min_depth, max_depth, _]) = self.detection_filter {
             s.bottom_filter_min_range_m = min_range as f32;

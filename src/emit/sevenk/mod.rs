@@ -1,16 +1,16 @@
-//! Teledyne RESON 7k records of a ping, and the session of one client.
+//! Teledyne RESON 7k records of a ping, and the session of a client.
 //!
-//! - [`SevenKEmitter`]: a ping's plan and output to records, only those that somebody wants
-//! - [`DeviceSheet`]: what fills their fields
-//! - [`quantise`]: volts to the wire's integers
-//! - [`session`]: one client's commands and subscriptions, bytes in and records out
-//! - [`protocol`]: both, as the servers know them
+//! - [`SevenKEmitter`]: converts a ping's plan and output into the records that clients subscribe to
+//! - [`DeviceSheet`]: contents of the record fields
+//! - [`quantise`]: conversion of volts to integers
+//! - [`session`]: commands and subscriptions of one client; bytes in, records out
+//! - [`protocol`]: the server interface to both
 //!
-//! Of several pulses in one ping ([`echotank_core::flow::PulseLines`]) each has a 7000 and a 7007 of its own, with the ping's number and 1, 2 .. as multi-ping
-//! sequence; those of the further pulses come last. Everything else is the sonar's own pulse's.
+//! Each of several pulses in a ping ([`echotank_core::flow::PulseLines`]) has its own 7000 and 7007. They carry the ping's number and the
+//! multi-ping sequence 1, 2, ...; those of the further pulses come last. All other records describe the sonar's own pulse.
 //!
-//! Ping records carry the end of the transmission (stamp of the ping plus the pulse's duration), as the DFD says; navigation records carry
-//! the time at which the state holds, the start of the pulse.
+//! Ping records carry the end of the transmission (the ping's timestamp plus the pulse duration), as the DFD specifies. Navigation records
+//! carry the time for which the state holds, the start of the pulse.
 
 mod bottom;
 pub mod kept;
@@ -36,23 +36,26 @@ use echotank_core::flow::{
 use kept::Kept;
 use records::{DeviceSheet, View};
 
-/// Every record that a sonar of ours can send. Those of one ping are sent in this order: readers group by what follows a 7000.
+/// Every record type that a simulated sonar can send. The records of a ping are sent in this order, because readers group by what follows a
+/// 7000.
 pub const RECORDS: [u32; 20] = [
     7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 7610, 1003, 1012,
     1013, 1015, 1016, 7500, 7001,
 ];
-/// The first so many of [`RECORDS`] belong to a ping; 7500 are echoes and 7001 is only sent when asked for.
+/// Number of leading [`RECORDS`] that belong to a ping. 7500 is an echo, and 7001 is only sent on request.
 const PING_RECORDS: usize = 18;
 
-/// A set of records out of [`RECORDS`], small enough for an atomic.
+/// A set of [`RECORDS`], small enough for an atomic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct RecordSet(u32);
 
 impl RecordSet {
+    /// No record.
     pub const EMPTY: Self = Self(0);
+    /// All of [`RECORDS`].
     pub const ALL: Self = Self((1 << RECORDS.len()) - 1);
 
-    /// Those of `ids` that are ours.
+    /// The elements of `ids` that are in [`RECORDS`].
     pub fn of(ids: &[u32]) -> Self {
         let mut set = Self::EMPTY;
         for &id in ids {
@@ -60,43 +63,51 @@ impl RecordSet {
         }
         set
     }
-    /// False, and nothing changed, if `id` is none of [`RECORDS`].
+    /// Adds a record. Returns false without a change if `id` is not in [`RECORDS`].
     pub fn insert(&mut self, id: u32) -> bool {
         let bit = bit(id);
         self.0 |= bit;
         bit != 0
     }
+    /// Removes a record, if present.
     pub fn remove(&mut self, id: u32) {
         self.0 &= !bit(id);
     }
+    /// True if the set contains the record.
     pub fn contains(self, id: u32) -> bool {
         self.0 & bit(id) != 0
     }
+    /// True if the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
+    /// Records in either set.
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
+    /// Records in both sets.
     pub fn intersection(self, other: Self) -> Self {
         Self(self.0 & other.0)
     }
+    /// Records in this set and not in `other`.
     pub fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
+    /// Iterates over the record types in the order of [`RECORDS`].
     pub fn iter(self) -> impl Iterator<Item = u32> {
         RECORDS.into_iter().filter(move |&id| self.contains(id))
     }
-    /// For an atomic; [`RecordSet::from_bits`] turns it back.
+    /// The set as an integer for an atomic; [`RecordSet::from_bits`] is the inverse.
     pub fn bits(self) -> u32 {
         self.0
     }
+    /// The set for an integer from [`RecordSet::bits`].
     pub fn from_bits(bits: u32) -> Self {
         Self(bits & Self::ALL.0)
     }
 }
 
-/// 0 for a record that is none of ours.
+/// Bit of a record type; 0 if it is not in [`RECORDS`].
 fn bit(id: u32) -> u32 {
     RECORDS
         .iter()
@@ -104,12 +115,14 @@ fn bit(id: u32) -> u32 {
         .map_or(0, |at| 1 << at)
 }
 
-/// What one ping, or all so far, put out.
+/// Output counters of one ping or of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EmitCounts {
+    /// Number of records.
     pub records: u64,
+    /// Total size, bytes.
     pub bytes: u64,
-    /// Values that did not fit the wire's integers.
+    /// Number of values clipped at the range of their integers.
     pub saturated: u64,
 }
 
@@ -121,10 +134,10 @@ impl std::ops::AddAssign for EmitCounts {
     }
 }
 
-/// Turns pings into 7k records. Holds its buffers; one thread's.
+/// Converts pings into 7k records. Owns its buffers; for use by one thread.
 pub struct SevenKEmitter {
     sheet: Arc<DeviceSheet>,
-    /// One per ping record, as [`RECORDS`].
+    /// One pool per ping record, in the order of [`RECORDS`].
     pools: Vec<DatagramPool>,
     element_numbers: Vec<u16>,
     iq_element_major: Vec<[i16; 2]>,
@@ -142,10 +155,10 @@ pub struct SevenKEmitter {
 }
 
 impl SevenKEmitter {
-    /// `waiting_pings`: records of so many pings may be held by clients and recorders at once without a new buffer.
+    /// `waiting_pings` is the number of pings whose records clients and recorders may hold at the same time without a new buffer.
     pub fn new(sheet: Arc<DeviceSheet>, waiting_pings: usize) -> Self {
         let elements = u16::try_from(sheet.wire_elements())
-            .expect("the configuration keeps 7038 to 65535 elements");
+            .expect("the configuration limits 7038 to 65535 elements");
         let pulses = 1 + sheet.sonar().more_pulses.len();
         let pools = RECORDS[..PING_RECORDS]
             .iter()
@@ -172,27 +185,28 @@ impl SevenKEmitter {
         }
     }
 
+    /// Contents of the record fields that are constant during a run.
     pub fn sheet(&self) -> &Arc<DeviceSheet> {
         &self.sheet
     }
 
-    /// What the sonar has been told, for the pings from now on.
+    /// Sets the stored settings that apply to the pings from now on.
     pub fn keep(&mut self, kept: Kept) {
         self.kept = kept;
     }
 
-    /// Since the start.
+    /// Counts since the start.
     pub fn totals(&self) -> EmitCounts {
         self.totals
     }
 
-    /// Records that found every buffer in use and were given a new one.
+    /// Number of records for which all buffers were in use, so that a new one was allocated.
     pub fn pool_misses(&self) -> u64 {
         self.pools.iter().map(DatagramPool::misses).sum()
     }
 
-    /// Appends those records of one ping that are wanted and that this ping has, in the order of [`RECORDS`]. Allocates nothing once the
-    /// buffers have met the longest ping, unless consumers hold more than `waiting_pings` of them; 7042 makes a list of its beams.
+    /// Appends the wanted records that this ping can fill, in the order of [`RECORDS`]. Once the buffers fit the longest ping, only 7042
+    /// allocates (a list of beams), unless consumers hold more than `waiting_pings` pings.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -229,7 +243,7 @@ impl SevenKEmitter {
         counts
     }
 
-    /// 7000 or 7007 of the `number`th pulse beside the sonar's own.
+    /// 7000 or 7007 of the further pulse with index `number`.
     fn further_record(
         &mut self,
         number: usize,
@@ -261,7 +275,7 @@ impl SevenKEmitter {
         Some((record, 0))
     }
 
-    /// 7007 of one pulse's lines.
+    /// 7007 with the lines of one pulse.
     fn side_scan(
         &mut self,
         place: usize,
@@ -276,7 +290,7 @@ impl SevenKEmitter {
         let scale_v = self.sheet.full_scale_v();
         let saturated = fill_side(&mut self.port, lines, Side::Port, scale_v)
             + fill_side(&mut self.starboard, lines, Side::Starboard, scale_v);
-        // A side that is not there is silent.
+        // A missing side is filled with zeros.
         let samples = self.port.len().max(self.starboard.len());
         self.port.resize(samples, 0);
         self.starboard.resize(samples, 0);
@@ -296,7 +310,7 @@ impl SevenKEmitter {
         Some((record, saturated))
     }
 
-    /// One record, and how many of its values were saturated; none if this ping has nothing for it.
+    /// One record and its number of clipped values; none if this ping has no data for it.
     fn record(
         &mut self,
         place: usize,
@@ -493,7 +507,7 @@ impl SevenKEmitter {
                     position.emit(buf, &nav_stamp);
                 }))
             }
-            // Records of sensors have no flag: where the sensor says nothing, neither do they.
+            // Sensor records have no validity flag: they are omitted if the sensor's values are invalid.
             1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
             1013 if plan.nav.invalid.heading => None,
             1012 => {
@@ -520,17 +534,17 @@ impl SevenKEmitter {
                     emit_1016(buf, &nav_stamp, &sets);
                 }))
             }
-            other => unreachable!("{other} is no ping record"),
+            other => unreachable!("{other} is not a ping record"),
         }
     }
 }
 
-/// Multi-ping sequence of the sonar's own pulse: 0 where it is the only one.
+/// Multi-ping sequence of the sonar's own pulse: 0 if it is the only pulse.
 fn own_sequence(output: &PingOutput) -> u16 {
     u16::from(!output.more_lines.is_empty())
 }
 
-/// Samples between the start of the pulse and the first sample computed: the wire counts from range 0.
+/// Samples between the start of the pulse and the first computed sample, because the record counts from range 0.
 fn silent_samples(plan: &PingPlan, sample_rate_hz: f64) -> usize {
     (plan.first_sample_s * sample_rate_hz).round().max(0.0) as usize
 }
@@ -557,7 +571,7 @@ fn fill_side(counts: &mut Vec<u16>, lines: &[Line], side: Side, full_scale_v: f6
         })
 }
 
-/// Both sides as sound pressure at the array, uPa (rms): sensitivity and all gains undone. A side that is not there is silent.
+/// Both sides as sound pressure at the array, uPa (rms), with sensitivity and all gains removed. A missing side is filled with zeros.
 fn fill_pressures(sides: &mut [Vec<f32>; 2], source: &Source<'_>) {
     let metres_per_sample =
         0.5 * source.plan.sound_speed_m_per_s / source.sonar.receiver.sample_rate_hz;
@@ -594,7 +608,7 @@ fn fill_beams(
         .sum()
 }
 
-/// All frames of a ping have `samples` samples.
+/// All frames of a ping must have `samples` samples.
 fn fill_elements(
     counts: &mut Vec<[i16; 2]>,
     frame: &ElementFrame,

@@ -1,4 +1,4 @@
-//! 7k as the servers know it: sessions, packets, and echoes of what other protocols changed.
+//! Server interface of 7k: sessions, packets, and echoes of setting changes from other protocols.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -14,18 +14,19 @@ use crate::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transpo
 use echotank_core::flow::{Asker, Changed, Datagram, SettingChange, SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 
-/// How 7k signs what it changes.
+/// Name under which 7k changes settings.
 pub(crate) const VIA: &str = "7k";
 
 /// 7k on one port, over TCP and UDP.
 pub struct SevenKProtocol {
     sheet: Arc<DeviceSheet>,
     settings: Arc<dyn SettingsPort>,
-    /// Bytes of a packet over TCP, network frame included.
+    /// Maximum size of a TCP packet including the network frame, bytes.
     max_packet_bytes: u32,
 }
 
 impl SevenKProtocol {
+    /// Returns an error if `max_packet_bytes` is too small for a packet.
     pub fn new(
         sheet: Arc<DeviceSheet>,
         settings: Arc<dyn SettingsPort>,
@@ -84,7 +85,7 @@ impl Protocol for SevenKProtocol {
         RecordSet::of(&[record_type]).into()
     }
 
-    /// A command that comes in several datagrams cannot be a client's first.
+    /// A first command in several datagrams cannot start a session.
     fn welcomes(&self, datagram: &[u8]) -> bool {
         matches!(
             Reassembler::new(MAX_COMMAND_BYTES).push_datagram(datagram),
@@ -96,7 +97,7 @@ impl Protocol for SevenKProtocol {
         self.settings.version()
     }
 
-    /// The command that would have made the change, to those who get echoes, and the settings as they are now.
+    /// Returns the command equivalent to the change, for clients that receive echoes, and the current settings.
     fn notices(&self, version: u64, now: UtcNs) -> Vec<Datagram> {
         let stamp = self.sheet.stamp(now);
         let changes = self.settings.changes_since(version);
@@ -125,7 +126,7 @@ impl Protocol for SevenKProtocol {
     }
 }
 
-/// What a 7k client would have sent for this; none for what 7k has no word for.
+/// The 7k command equivalent to a change; none if 7k has no such command.
 fn command_for(changed: &Changed) -> Option<Command> {
     let Changed::Setting(change) = changed else {
         return None;

@@ -1,7 +1,7 @@
-//! Volts to the wire's integers, each with a count of what did not fit.
+//! Converts volts to integers and counts clipped values.
 //!
-//! `full_scale_v` of the receiver fills the integer: 32767 counts for I and Q (7038), 65535 for magnitudes (7018, 7007). The scale is fixed:
-//! counts = volts / full_scale_v x full scale counts, to the nearest; what lies beyond, or is not a number, is held at the end and counted.
+//! `full_scale_v` of the receiver corresponds to the integer's maximum: 32767 for I and Q (7038), 65535 for magnitudes (7018, 7007). Counts
+//! are volts / full_scale_v x maximum, rounded. Values beyond the range, and NaN, are clipped and counted.
 
 use num_complex::Complex64;
 
@@ -12,11 +12,11 @@ pub(crate) const IQ_FULL_SCALE: f64 = i16::MAX as f64;
 /// Counts of a magnitude at full scale.
 pub(crate) const MAGNITUDE_FULL_SCALE: f64 = u16::MAX as f64;
 
-/// `value` counts, held within the i16 (symmetric), and whether it had to be.
+/// Rounds `value` counts to the symmetric range of i16. The flag is true if the value was clipped.
 fn signed(value: f64) -> (i16, bool) {
     let rounded = value.round();
     let fits = rounded.abs() <= IQ_FULL_SCALE;
-    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and `as` makes it 0
+    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN; the cast makes it 0
     (held as i16, !fits)
 }
 
@@ -26,7 +26,7 @@ fn unsigned(value: f64) -> (u16, bool) {
     (rounded.clamp(0.0, MAGNITUDE_FULL_SCALE) as u16, !fits)
 }
 
-/// Appends I and Q of one element and returns how many of its values did not fit.
+/// Appends I and Q of one element. Returns the number of clipped values.
 pub fn iq(volts: &[Complex64], full_scale_v: f64, into: &mut Vec<[i16; 2]>) -> u64 {
     let scale = IQ_FULL_SCALE / full_scale_v;
     let mut saturated = 0;
@@ -39,8 +39,8 @@ pub fn iq(volts: &[Complex64], full_scale_v: f64, into: &mut Vec<[i16; 2]>) -> u
     saturated
 }
 
-/// Writes one beam (samples in time) into its column of `into`, which lies per sample, per beam, from sample `first` on; returns how many
-/// magnitudes did not fit.
+/// Writes the samples of one beam into its column of `into` (by sample, then beam), starting at sample `first`. Returns the number of
+/// clipped magnitudes.
 pub(crate) fn beam_column(
     volts: &[Complex64],
     full_scale_v: f64,
@@ -60,7 +60,7 @@ pub(crate) fn beam_column(
     saturated
 }
 
-/// Appends one side-scan line and returns how many of its values did not fit.
+/// Appends one side-scan line. Returns the number of clipped values.
 pub fn line(volts: &[f32], full_scale_v: f64, into: &mut Vec<u16>) -> u64 {
     let scale = MAGNITUDE_FULL_SCALE / full_scale_v;
     let mut saturated = 0;
@@ -78,7 +78,7 @@ mod tests {
     use std::f64::consts::PI;
 
     #[test]
-    fn full_scale_fits_and_what_is_beyond_it_is_held_and_counted() {
+    fn values_beyond_full_scale_are_clipped_and_counted() {
         let c = Complex64::new;
         let volts = [
             c(2.0, -2.0),
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_lie_sample_by_sample_with_magnitude_and_phase() {
+    fn beams_are_interleaved_by_sample_with_magnitude_and_phase() {
         let mut out = vec![BeamSample::default(); 3 * 2];
         let volts = [
             Complex64::from_polar(0.5, 1.0),
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_unsigned_and_a_negative_envelope_is_a_saturation() {
+    fn lines_are_unsigned_and_a_negative_envelope_counts_as_clipped() {
         let mut out = Vec::new();
         let saturated = line(&[0.0, 0.25, 1.0, 1.5, -0.1], 1.0, &mut out);
         assert_eq!(

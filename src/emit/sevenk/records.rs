@@ -1,7 +1,7 @@
-//! What fills the fields of the 7k records.
+//! Contents of the fields of 7k records.
 //!
-//! 7k axes are X starboard, Y forward, Z up; ours are x forward, y starboard, z down. Fields that a sonar of ours has nothing for are 0.
-//! Source: DFD 3.12 (2020).
+//! 7k axes are X starboard, Y forward, Z up; Echotank's body axes are x forward, y starboard, z down. Fields without a counterpart in the
+//! model are 0. Source: DFD 3.12 (2020).
 
 use std::fmt::Write;
 
@@ -23,12 +23,11 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// Where sinc(pi u) falls to -3 dB (1/sqrt 2): half the width of a line source's beam is asin(HALF_POWER lambda / length); the customary
+/// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length). The usual
 /// 0.886 lambda / length is twice this for small angles.
 const HALF_POWER: f64 = 0.442_946_47;
 
-/// Devices that a client may address besides ours: nobody in particular, the Center itself, and the two that MBARI's client sends
-/// whatever sonar it talks to.
+/// Accepted device identifiers besides the sonar's own: 0 (unspecified), the 7k Center, and the two that MBARI's client sends to any sonar.
 const ACCEPTED_DEVICES: [u32; 4] = [
     0,
     device_id::SONAR_SOURCE,
@@ -36,7 +35,7 @@ const ACCEPTED_DEVICES: [u32; 4] = [
     device_id::SEABAT_T50,
 ];
 
-/// What one sonar is, to a 7k client. Fixed for a run; shared by the emitter and the sessions.
+/// Properties of one sonar for 7k clients. Constant during a run and shared by the emitter and the sessions.
 #[derive(Clone, Debug)]
 pub struct DeviceSheet {
     output: SevenKSpec,
@@ -46,14 +45,18 @@ pub struct DeviceSheet {
     info_xml: String,
 }
 
-/// What changes from ping to ping in the settings records.
+/// Values in the settings records that change from ping to ping.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
+    /// Settings in force.
     pub settings: SonarSettings,
+    /// Transmitted pulse.
     pub pulse: Pulse,
+    /// Time between pings, seconds.
     pub ping_period_s: f64,
+    /// Sound speed of the medium.
     pub sound_speed_m_per_s: f64,
-    /// One way.
+    /// One-way absorption of the medium.
     pub absorption_db_per_m: f64,
 }
 
@@ -73,7 +76,7 @@ impl View {
 }
 
 impl DeviceSheet {
-    /// Sound speed and absorption (dB/m, one way) of the medium, for settings that are asked for before a ping has them.
+    /// `sound_speed_m_per_s` and `absorption_db_per_m` (one way) describe the medium for settings requested before the first ping.
     pub fn new(
         output: &SevenKSpec,
         sonar: &SonarSpec,
@@ -89,31 +92,36 @@ impl DeviceSheet {
         }
     }
 
+    /// Name of the sonar.
     pub fn name(&self) -> &str {
         &self.sonar.name
     }
+    /// Configuration of the sonar.
     pub fn sonar(&self) -> &SonarSpec {
         &self.sonar
     }
-    /// Whether its fan finds the bottom.
+    /// True if the fan detects the bottom.
     pub(crate) fn detects_bottom(&self) -> bool {
         let fan = self.sonar.beams.fan.as_ref();
         fan.is_some_and(|fan| fan.form.bottom_detection)
     }
+    /// Serial number of the sonar.
     pub fn sonar_id(&self) -> u64 {
         self.sonar.serial
     }
+    /// Sample rate of the receiver.
     pub fn sample_rate_hz(&self) -> f64 {
         self.sonar.receiver.sample_rate_hz
     }
+    /// Full-scale voltage of the receiver.
     pub fn full_scale_v(&self) -> f64 {
         self.sonar.receiver.full_scale_v
     }
-    /// Receive arrays whose elements go into 7038, in this order.
+    /// Indices of the receive arrays whose elements 7038 contains, in this order.
     pub(crate) fn wire_arrays(&self) -> &[usize] {
         &self.output.arrays
     }
-    /// Elements in 7038.
+    /// Number of elements in 7038.
     pub(crate) fn wire_elements(&self) -> usize {
         self.output
             .arrays
@@ -121,12 +129,12 @@ impl DeviceSheet {
             .map(|&a| self.sonar.receive[a].elements)
             .sum()
     }
-    /// Elements of the whole sonar.
+    /// Number of elements of all receive arrays.
     pub(crate) fn receive_elements(&self) -> usize {
         self.sonar.receive.iter().map(|array| array.elements).sum()
     }
 
-    /// The records that this sonar sends while it pings.
+    /// Records that this sonar sends while it pings.
     pub(crate) fn ping_records(&self) -> RecordSet {
         let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
         if self.sonar.beams.fan.is_some() {
@@ -144,7 +152,8 @@ impl DeviceSheet {
         set
     }
 
-    /// Whether a command to this device is for us. Enumerator 0 means all heads; the Center and nobody in particular have none.
+    /// True if a command to this device addresses this sonar. Enumerator 0 addresses all heads; commands to the Center or to device 0 have
+    /// none.
     pub fn accepts(&self, device: u32, enumerator: u16) -> bool {
         let ours = device == self.output.device_id;
         let known = ours || ACCEPTED_DEVICES.contains(&device);
@@ -157,7 +166,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ what the configuration fixes
 
-    /// An error unless the pulse is of this kind: it is the configuration's to say.
+    /// Returns an error unless the configured pulse has this type; clients cannot change it.
     pub(crate) fn confirms_pulse(&self, kind: PulseType) -> Result<(), ErrorCode> {
         let is_cw = self.sonar.pulse.kind == PulseKind::Cw;
         (is_cw == (kind == PulseType::ContinuousWave))
@@ -165,7 +174,8 @@ impl DeviceSheet {
             .ok_or(ErrorCode::FeatureNotAvailable)
     }
 
-    /// An error unless the pulse has this middle and, where it is not 0, this width, to the precision of an f32.
+    /// Returns an error unless the pulse has this centre frequency and bandwidth, to the precision of an f32. A bandwidth of 0 is not
+    /// checked.
     pub(crate) fn confirms_band(&self, center_hz: f32, width_hz: f32) -> Result<(), ErrorCode> {
         let pulse = &self.sonar.pulse;
         let alike =
@@ -177,7 +187,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ stamps
 
-    /// A time before 1970, which 7k cannot write, becomes 1970.
+    /// Timestamp of a record; times before 1970, which 7k cannot represent, become 1970.
     pub fn stamp(&self, utc: UtcNs) -> RecordStamp {
         RecordStamp {
             time: SevenKTime::from_utc_ns_clamped(utc.0),
@@ -185,11 +195,11 @@ impl DeviceSheet {
             system_enumerator: self.output.enumerator,
         }
     }
-    /// Ping records: the end of the transmission.
+    /// Timestamp of ping records: the end of the transmission.
     pub(crate) fn ping_stamp(&self, plan: &PingPlan) -> RecordStamp {
         self.stamp(plan.stamp_utc.plus_s(plan.pulse.duration_s))
     }
-    /// Navigation records: when the state holds, on the time axis of the ping's stamp.
+    /// Timestamp of navigation records: the time for which the state holds, on the time axis of the ping's timestamp.
     pub(crate) fn nav_stamp(&self, plan: &PingPlan) -> RecordStamp {
         let after_transmit_ns = plan.nav.utc.0.saturating_sub(plan.transmit_utc.0);
         self.stamp(plan.stamp_utc.plus_ns(after_transmit_ns))
@@ -197,7 +207,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ settings
 
-    /// 7000 of one ping.
+    /// Record 7000 of one ping.
     pub(crate) fn settings_7000(
         &self,
         ping_number: u32,
@@ -233,7 +243,7 @@ impl DeviceSheet {
         }
     }
 
-    /// 7503 of one ping; ping number 0 means "the settings now".
+    /// Record 7503 of one ping; ping number 0 means the current settings.
     pub(crate) fn settings_7503(&self, ping_number: u32, view: &View) -> RemoteSettings7503 {
         let (along_rad, across_rad) = self.transmit_widths_rad(view);
         let mounting = self.sonar.transmit.first().map(|t| t.mounting);
@@ -244,7 +254,7 @@ impl DeviceSheet {
             ping_number,
             frequency_hz: view.pulse.center_frequency_hz as f32,
             sample_rate_hz: self.sample_rate_hz() as f32,
-            // Complex samples: the band is as wide as the rate.
+            // The bandwidth of complex samples equals their rate.
             receiver_bandwidth_hz: self.sample_rate_hz() as f32,
             tx_pulse_width_s: view.pulse.duration_s as f32,
             tx_pulse_type: match view.pulse.kind {
@@ -271,7 +281,7 @@ impl DeviceSheet {
             tx_array_offset_x_m: offset.y as f32,
             tx_array_offset_y_m: offset.x as f32,
             tx_array_offset_z_m: -offset.z as f32,
-            // Right-handed about X starboard: bow up; about Y forward: starboard down.
+            // Right-handed rotations about X starboard (bow up) and Y forward (starboard down).
             head_tilt_x_rad: boresight.x.clamp(-1.0, 1.0).asin() as f32,
             head_tilt_y_rad: (-boresight.y).atan2(boresight.z) as f32,
             ping_state: if view.settings.pinging {
@@ -291,7 +301,7 @@ impl DeviceSheet {
         }
     }
 
-    /// Answer to a single-record request for 7503: the settings that the next ping will obey, ping number 0.
+    /// Answer to a single-record request for 7503: the settings for the next ping, with ping number 0.
     pub(crate) fn current_settings_7503(&self, port: &dyn SettingsPort, now: UtcNs) -> Datagram {
         let settings = port.settings();
         let view = View {
@@ -314,7 +324,7 @@ impl DeviceSheet {
         }
     }
 
-    /// 7001: what the sonar is, with a description of our own.
+    /// Record 7001 with an XML description of the sonar.
     pub fn configuration_7001(&self, now: UtcNs) -> Datagram {
         let module = Module {
             identifier: self.output.device_id,
@@ -331,7 +341,7 @@ impl DeviceSheet {
         }
     }
 
-    /// Bits 12..=15: what is behind a fan or a line is matched filtered. Bits 16..=19: time-varying gain.
+    /// Bits 12 to 15: fans and lines are matched filtered. Bits 16 to 19: time-varying gain.
     fn receive_flags(&self) -> u32 {
         let beams = &self.sonar.beams;
         let is_filtered = beams.fan.is_some() || !beams.lines.is_empty();
@@ -339,7 +349,7 @@ impl DeviceSheet {
         (u32::from(is_filtered) << 12) | (u32::from(has_tvg) << 16)
     }
 
-    /// The coefficient of log10(r) in the gain law; 0 where there is no law.
+    /// Coefficient of log10(r) in the time-varying gain; 0 without time-varying gain.
     fn spreading_db(&self) -> f64 {
         match self.sonar.receiver.tvg {
             TimeVaryingGain::Law { spreading, .. } => spreading,
@@ -374,7 +384,7 @@ impl DeviceSheet {
                 )
             }
         };
-        // The array axis that lies closer to the bow is the one along track.
+        // The array axis closer to the bow is the along-track axis.
         let rotation = transmit.mounting.body_from_array;
         let (x, y) = (rotation * DVec3::X, rotation * DVec3::Y);
         if x.x.abs() >= y.x.abs() {
@@ -388,7 +398,7 @@ impl DeviceSheet {
         self.transmit_widths_rad(view).0
     }
 
-    /// -3 dB width of the receive beam: of a fan's middle beam across track, else of the first line's array.
+    /// -3 dB width of the receive beam: a fan's middle beam across track, otherwise the array of the first line.
     pub fn receive_beam_width_rad(&self, plan: &PingPlan, fan: Option<&BeamFrame>) -> f64 {
         if let Some(width_rad) = fan.and_then(|fan| fan.width_rad.get(fan.beams / 2)) {
             return *width_rad;
@@ -401,7 +411,7 @@ impl DeviceSheet {
     }
 }
 
-/// -3 dB width of a uniform line source; without length, or shorter than the angle can show, all that its baffle leaves.
+/// -3 dB width of a uniform line source. For a length of 0, or one too short for the formula, the angle that the baffle leaves.
 fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
     let sine = HALF_POWER * wavelength_m / length_m;
     if length_m > 0.0 && sine < 1.0 {
@@ -415,7 +425,7 @@ fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
 
 // ---------------------------------------------------------------- navigation
 
-/// Of the platform's reference point.
+/// Record 1003: position of the platform's reference point.
 pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
     Position1003 {
         datum_id: 0,
@@ -425,7 +435,7 @@ pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
         height_m: nav.height_m,
         position_type: Position1003::GEOGRAPHIC,
         utm_zone: 0,
-        // 1: dead reckoning. It is the only flag that navigation records of 7k have.
+        // 1: dead reckoning, the only quality flag of 7k navigation records.
         quality_flag: u8::from(nav.invalid.position || nav.fix == FixQuality::DeadReckoning),
         positioning_method: match nav.fix {
             FixQuality::None | FixQuality::Autonomous | FixQuality::DeadReckoning => 0,
@@ -437,7 +447,7 @@ pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
     }
 }
 
-/// 7k: roll port up, pitch bow up, as ours; heave up, ours is down.
+/// Record 1012. Roll is positive port up and pitch bow up, as in Echotank; heave is positive up.
 pub(crate) fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     RollPitchHeave1012 {
         roll_rad: nav.roll_rad as f32,
@@ -446,13 +456,14 @@ pub(crate) fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     }
 }
 
+/// Record 1013.
 pub(crate) fn heading_1013(nav: &NavState) -> Heading1013 {
     Heading1013 {
         heading_rad: nav.heading_rad as f32,
     }
 }
 
-/// Accuracies 0: not known. Heights are above the geoid, as positions give them.
+/// Record 1015. Accuracies are 0 (unknown). Heights are above the geoid, as in the positions.
 pub(crate) fn navigation_1015(nav: &NavState) -> Navigation1015 {
     let velocity = nav.pose.velocity_m_per_s;
     Navigation1015 {
@@ -471,7 +482,7 @@ pub(crate) fn navigation_1015(nav: &NavState) -> Navigation1015 {
     }
 }
 
-/// One reading, at the record's own time.
+/// Record 1016: one reading at the record's own time.
 pub(crate) fn attitude_1016(nav: &NavState) -> AttitudeSet {
     AttitudeSet {
         after_ms: 0,
@@ -482,7 +493,7 @@ pub(crate) fn attitude_1016(nav: &NavState) -> AttitudeSet {
     }
 }
 
-/// Temperature and pressure 0: not known.
+/// Record 7610. Temperature and pressure are 0 (unknown).
 pub(crate) fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610 {
     SoundVelocity7610 {
         sound_velocity_m_per_s: sound_speed_m_per_s as f32,
@@ -492,7 +503,7 @@ pub(crate) fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610
 
 // ---------------------------------------------------------------- 7001
 
-/// The sonar in XML of our own, SI units, body axes x forward, y starboard, z down.
+/// Description of the sonar in XML: SI units, body axes x forward, y starboard, z down.
 fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let pulse = &sonar.pulse;
@@ -564,7 +575,7 @@ fn placed(mounting: &echotank_core::flow::Mounting) -> String {
     )
 }
 
-/// A text within an attribute; control characters, which XML cannot hold, become blanks.
+/// Escapes text for an attribute; control characters, which XML cannot contain, become blanks.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

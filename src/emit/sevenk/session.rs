@@ -1,19 +1,19 @@
-//! The 7k session of one client: its bytes in, answers out, and what it subscribed to. Sans I/O.
+//! 7k session of one client: received bytes in, answers out, and subscriptions. Sans I/O.
 //!
-//! What we decided where the DFD (3.12) leaves room:
-//! - 1051 and 1055 add to what is subscribed; 1056 takes away, 1052 ends all. Record types that this sonar does not send are passed over, as
-//!   clients ask for all they know; only a list without a single one that it does send is refused (0x7002).
-//! - 1050 of 7001 or 7503 is answered at once. Of a record that belongs to a ping, the next ping's is sent, once; while the sonar does not
-//!   ping it is refused (0x7002). 7500 is for subscribers only (0x700A).
-//! - What a SeaBat has and the model does not use is kept and reported in 7503 ([`super::kept`]); what the configuration fixes (pulse type,
-//!   frequency, band) is accepted where it says what is, and refused (0x7006) where not.
-//! - 1114 stops the sonar's own beat; 1100 and 1101 end that too. 1107 and 1121 halt continuous pinging.
-//! - The four bytes of an address in 1053 and 1054 are taken as they are spoken, a.b.c.d; the DFD does not say.
-//! - Commands addressed to nobody (0), to the Center (7000), to 7125 or to 50 are taken as addressed to us: clients in wide use send those
-//!   to any sonar. Other devices, and enumerators neither 0 nor ours, are refused (0x7009).
-//! - A command whose checksum is wrong is refused (0x7054) if its frame is otherwise right. Anything else that is no record is counted and
-//!   passed over without an answer: there is no ticket to answer to.
-//! - Records other than 7500 are counted and not answered.
+//! Behaviour that the DFD (3.12) leaves open:
+//! - 1051 and 1055 add to the subscription, 1056 removes from it, 1052 ends it. Record types that this sonar does not send are ignored,
+//!   because clients request all types they know. A list without any available type is refused (0x7002).
+//! - 1050 for 7001 or 7503 is answered at once. For a ping record, the next ping's record is sent once; while the sonar is not pinging, the
+//!   request is refused (0x7002). 7500 is available by subscription only (0x700A).
+//! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::kept`]). Values that the configuration
+//!   fixes (pulse type, frequency, band) are accepted if they match and refused (0x7006) otherwise.
+//! - 1114 stops the internal trigger; 1100 and 1101 stop it as well. 1107 and 1121 stop continuous pinging.
+//! - The four bytes of an address in 1053 and 1054 are in the order a.b.c.d; the DFD does not define it.
+//! - Commands to device 0, to the Center (7000), to 7125 or to 50 are accepted, because widely used clients send these to any sonar. Other
+//!   devices, and enumerators other than 0 and the sonar's own, are refused (0x7009).
+//! - A command with a wrong checksum in an otherwise valid frame is refused (0x7054). Other malformed bytes are counted and get no answer,
+//!   because they carry no ticket.
+//! - Records other than 7500 are counted and get no answer.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -35,24 +35,27 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// The longest record a client may send: a command with some thousands of record types.
+/// Maximum size of a record from a client: a command with some thousands of record types.
 pub(crate) const MAX_COMMAND_BYTES: u32 = 64 * 1024;
 
 const REMOTE_CONTROL: u32 = 7500;
 const ACK: u32 = 7501;
 const NACK: u32 = 7502;
 
-/// What a session needs of the world while it answers.
+/// State outside the session that its answers depend on.
 #[derive(Clone, Copy)]
 pub struct SessionContext<'a> {
+    /// Properties of the sonar.
     pub sheet: &'a DeviceSheet,
+    /// Settings that commands change.
     pub settings: &'a dyn SettingsPort,
-    /// Rig time: stamps the answers.
+    /// Rig time; the answers are stamped with it.
     pub now: UtcNs,
+    /// Origin of the commands, recorded with setting changes.
     pub by: Asker,
 }
 
-/// One client.
+/// Session of one client.
 pub struct Session {
     input: Input,
     client: Client,
@@ -63,7 +66,7 @@ enum Input {
     Datagrams(Reassembler),
 }
 
-/// What a session is apart from its bytes.
+/// Session state except for the input bytes.
 #[derive(Default)]
 struct Client {
     subscribed: RecordSet,
@@ -72,7 +75,7 @@ struct Client {
 }
 
 impl Session {
-    /// Over TCP.
+    /// Session over TCP.
     pub fn stream() -> Self {
         Self {
             input: Input::Stream(StreamDecoder::new(MAX_COMMAND_BYTES)),
@@ -80,7 +83,7 @@ impl Session {
         }
     }
 
-    /// Over UDP.
+    /// Session over UDP.
     pub fn datagrams() -> Self {
         Self {
             input: Input::Datagrams(Reassembler::new(MAX_COMMAND_BYTES)),
@@ -88,20 +91,22 @@ impl Session {
         }
     }
 
+    /// Counters of the session so far.
     pub fn counts(&self) -> SessionCounts {
         self.client.counts
     }
 
+    /// Records that the client receives from every ping.
     pub fn subscribed(&self) -> RecordSet {
         self.client.subscribed
     }
 
-    /// Records of the next ping that were asked for since the last call.
+    /// Takes the ping records requested once since the last call.
     pub fn take_requested(&mut self) -> RecordSet {
         std::mem::take(&mut self.client.requested)
     }
 
-    /// Part of a record is there and waits for the rest.
+    /// True if part of a record has arrived and the rest is missing.
     pub fn is_waiting(&self) -> bool {
         match &self.input {
             Input::Stream(decoder) => decoder.held_bytes() > 0,
@@ -109,7 +114,7 @@ impl Session {
         }
     }
 
-    /// Takes what came from the client (over UDP: one datagram) and appends the answers to `out`, in order.
+    /// Processes bytes from the client (over UDP: one datagram) and appends the answers to `out` in order.
     pub fn receive(&mut self, bytes: &[u8], context: &SessionContext<'_>, out: &mut Vec<Outgoing>) {
         match &mut self.input {
             Input::Stream(decoder) => {
@@ -134,7 +139,7 @@ impl Session {
         }
     }
 
-    /// Says that the record begun will not go on: the client closed, or stalled. What it hid comes to light.
+    /// Ends the wait for an incomplete record, because the client closed or stalled. Records behind its first byte are then processed.
     pub fn give_up_waiting(&mut self, context: &SessionContext<'_>, out: &mut Vec<Outgoing>) {
         if let Input::Stream(decoder) = &mut self.input {
             decoder.finish();
@@ -164,7 +169,7 @@ impl Client {
         }
     }
 
-    /// `record`: what stands where the wrong record began, behind its network frame.
+    /// `record` is the data at the start of the malformed record, behind its network frame.
     fn framing_error(
         &mut self,
         error: &WireError,
@@ -203,7 +208,7 @@ impl Client {
         if !context.sheet.accepts(device, enumerator) {
             return self.refuse(&header, ErrorCode::InvalidDeviceId, context, out);
         }
-        match self.obey(&request.command, context) {
+        match self.execute(&request.command, context) {
             Err(code) => self.refuse(&header, code, context, out),
             Ok(answer) => {
                 let stamp = context.sheet.stamp(context.now);
@@ -218,8 +223,8 @@ impl Client {
         }
     }
 
-    /// Does what was asked. What else is to be done about it: a record that was asked for and can be had at once, somebody to be dialled.
-    fn obey(
+    /// Executes a command. Returns what remains to be sent or done: a record that is available at once, or a third party to send to.
+    fn execute(
         &mut self,
         command: &Command,
         context: &SessionContext<'_>,
@@ -228,7 +233,7 @@ impl Client {
             utc: context.now,
             by: context.by,
         };
-        if let Some((name, numbers)) = kept::told(command) {
+        if let Some((name, numbers)) = kept::stored_setting(command) {
             check_kept(command)?;
             let value = KeptValue::Numbers(numbers);
             let kept = context.settings.keep(kept::key(name), value, asked);
@@ -319,13 +324,13 @@ impl Client {
                 return Ok(None);
             }
             Command::Unknown(_) => return Err(ErrorCode::RemoteCommandNotFound),
-            // These were kept, above.
+            // Stored above.
             _ => return Err(ErrorCode::FeatureNotAvailable),
         };
         apply(change)
     }
 
-    /// Those of the records asked for that this sonar sends; an error if there is none.
+    /// The requested records that this sonar sends; an error if there is none.
     fn available(asked: RecordSet, context: &SessionContext<'_>) -> Result<RecordSet, ErrorCode> {
         let sent = context
             .sheet
@@ -384,7 +389,7 @@ impl Client {
     }
 }
 
-/// What a kept setting may be: within its own bounds, and for 7042 what can be made.
+/// Checks a stored setting: its values must be within bounds, and the model must support a set-up of 7042.
 fn check_kept(command: &Command) -> Result<(), ErrorCode> {
     use std::f32::consts::{FRAC_PI_2, PI};
     let is_right = match *command {
@@ -439,7 +444,7 @@ fn address(party: &ThirdParty) -> (SocketAddr, Transport) {
     (peer, transport)
 }
 
-/// The header of a 7500 that stands at the front of `record`, if that is what it says it is.
+/// Header of a 7500 at the start of `record`, if it is one.
 fn command_header(record: &[u8]) -> Option<ControlHeader> {
     let frame = DataRecordFrame::parse(record).ok()?;
     if frame.check().is_err() || frame.record_type_id != REMOTE_CONTROL {

@@ -1,7 +1,7 @@
-//! ANSI/VITA 49.2 packets of a ping: what each stream is (context), then the samples of all streams side by side in time.
+//! ANSI/VITA 49.2 packets of a ping: a context packet per stream, then the samples of all streams interleaved in time.
 //!
-//! The time of a packet is that of its first sample, in UTC and picoseconds, counted from the stamp of the ping. Frequencies are those at the
-//! transducer; for passband samples the intermediate frequency says that they are where they were. Full scale in dBm is across 50 ohm.
+//! The timestamp of a packet is the UTC time of its first sample in picoseconds, derived from the ping's timestamp. Frequencies are those
+//! at the transducer. For passband samples, the intermediate frequency equals the radio frequency. The full scale in dBm refers to 50 ohm.
 
 use std::ops::Range;
 
@@ -15,19 +15,19 @@ use super::sevenk::EmitCounts;
 use echotank_config::spec::{SonarSpec, Vita49Spec};
 use echotank_core::flow::{PingOutput, PingPlan};
 
-/// Turns pings into packets. Holds its buffers and the streams' counts; one thread's.
+/// Converts pings into packets. Owns its buffers and the packet counters of the streams; for use by one thread.
 pub struct Vita49Emitter {
     arrays: Vec<usize>,
     full_scale_v: f64,
-    /// Packets end at the ends of blocks of this length.
+    /// Packets end at the boundaries of blocks of this duration, seconds.
     block_s: Option<f64>,
     streams: Vec<SignalStream>,
     passband: Option<Passband>,
-    /// What the streams' contexts said last.
-    said: Option<Context>,
+    /// Latest context sent.
+    last_context: Option<Context>,
     iq: Vec<[i16; 2]>,
     real: Vec<i16>,
-    /// What one packet takes of them.
+    /// Samples of one packet, cut out of the above.
     cut_iq: Vec<[i16; 2]>,
     cut_real: Vec<i16>,
     packet: Vec<u8>,
@@ -35,6 +35,7 @@ pub struct Vita49Emitter {
 }
 
 impl Vita49Emitter {
+    /// One stream per element, or one vector stream for all elements of the output's arrays.
     pub fn new(output: &Vita49Spec, sonar: &SonarSpec) -> Self {
         let elements: usize = output
             .arrays
@@ -66,7 +67,7 @@ impl Vita49Emitter {
             passband: output
                 .passband_rate_hz
                 .map(|hz| Passband::new(sample_rate_hz, hz, sonar.pulse.center_frequency_hz)),
-            said: None,
+            last_context: None,
             iq: Vec::new(),
             real: Vec::new(),
             cut_iq: Vec::new(),
@@ -76,17 +77,18 @@ impl Vita49Emitter {
         }
     }
 
-    /// The same samples in packets that end where blocks of this length end.
+    /// Makes packets end at the boundaries of blocks of `block_s` seconds.
     pub fn in_blocks_of(mut self, block_s: Option<f64>) -> Self {
         self.block_s = block_s;
         self
     }
 
+    /// Counts since the start.
     pub fn totals(&self) -> EmitCounts {
         self.totals
     }
 
-    /// Fills `into` with the packets of one ping. `lost`: packets before these were not sent.
+    /// Fills `into` with the packets of one ping. `lost` is true if packets before these were not sent.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -97,8 +99,8 @@ impl Vita49Emitter {
         self.emit_rows(plan, output, 0..plan.sample_count, lost, into)
     }
 
-    /// The same of some of its moments, from the start of a block to the end of one; `output` has those up to there at least. Passband samples want
-    /// all of them.
+    /// Does the same for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the samples up to
+    /// `rows.end`. Passband output requires all samples.
     pub fn emit_rows(
         &mut self,
         plan: &PingPlan,
@@ -121,7 +123,7 @@ impl Vita49Emitter {
                 &mut self.iq,
             ),
             Some(passband) => {
-                // An even number fills whole words.
+                // An even number of samples fills whole words.
                 let samples = passband.samples_of(plan.sample_count) / 2 * 2;
                 passband.begin(plan.first_sample_s, samples, plan.first_sample_s);
                 interleave_real(
@@ -144,7 +146,7 @@ impl Vita49Emitter {
             valid_data: Some(true),
             over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
             sample_loss: Some(lost),
-            // Not stated where nothing is wrong: the bits are those of a machine that keeps up.
+            // Omitted without degradation, so that the bits equal those of a machine that keeps up.
             degraded: output.overload_state.tolerance.map(|_| true),
         };
         self.emit_samples(
@@ -179,8 +181,10 @@ impl Vita49Emitter {
             ),
             ..self.streams[0].context()
         };
-        context.is_change = self.said.is_some_and(|said| said != context);
-        self.said = Some(Context {
+        context.is_change = self
+            .last_context
+            .is_some_and(|last_context| last_context != context);
+        self.last_context = Some(Context {
             is_change: false,
             ..context
         });
@@ -191,7 +195,7 @@ impl Vita49Emitter {
         }
     }
 
-    /// Packet by packet, all streams of a time together, from a moment on.
+    /// Emits sample packets from a sample on; the packets of all streams for one time follow each other.
     fn emit_samples(
         &mut self,
         first_sample_s: f64,
@@ -203,17 +207,17 @@ impl Vita49Emitter {
         let streams = self.streams.len();
         let side_by_side = elements / streams;
         let is_complex = self.passband.is_none();
-        let moments = match is_complex {
+        let samples = match is_complex {
             true => self.iq.len(),
             false => self.real.len(),
         } / elements;
         let per_packet = self.streams[0].moments_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
-        let all = blocks(moments, rate_hz, self.block_s);
+        let all = blocks(samples, rate_hz, self.block_s);
         for (block, end_s) in all.filter(|(block, _)| block.start >= from) {
             for first in block.clone().step_by(per_packet) {
                 let rows = first..(first + per_packet).min(block.end);
-                // From the ping's start every time, so that rounding does not add up.
+                // Computed from the start of the ping each time, so that rounding errors do not accumulate.
                 let time = start.plus_ps((first as f64 / rate_hz * 1e12).round() as u128);
                 for (s, stream) in self.streams.iter_mut().enumerate() {
                     let columns = s * side_by_side..(s + 1) * side_by_side;
@@ -239,7 +243,7 @@ impl Vita49Emitter {
     }
 }
 
-/// Some columns of some rows, row by row.
+/// Copies a block of columns of some rows, row by row.
 fn take<T: Copy>(
     all: &[T],
     width: usize,
@@ -253,7 +257,7 @@ fn take<T: Copy>(
     }
 }
 
-/// Passband samples of all elements, moment by moment; returns how many did not fit.
+/// Interleaves the passband samples of all elements by sample time. Returns the number of clipped values.
 fn interleave_real(
     passband: &mut Passband,
     output: &PingOutput,

@@ -19,7 +19,7 @@ const PULSE: Pulse = Pulse {
 const RATE_HZ: f64 = 40e3;
 const SAMPLES: usize = 1001;
 
-/// Two arrays, of three elements and one.
+/// Two arrays, of three elements and of one.
 fn sonar() -> SonarSpec {
     let text = include_str!("../../../hil-configs/points.toml");
     let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
@@ -75,7 +75,7 @@ fn spec() -> Vita49Spec {
     }
 }
 
-/// Time of sample `k` of the ping, in ps since 1970.
+/// Time of sample `k` of the ping, picoseconds since 1970.
 fn moment_ps(k: usize, rate_hz: f64) -> u128 {
     1_700_000_000_999_900_000_000 + 250_000_000 + (k as f64 / rate_hz * 1e12).round() as u128
 }
@@ -86,7 +86,7 @@ fn ps(time: Option<VrtTime>) -> u128 {
 }
 
 #[test]
-fn a_stream_per_element_carries_its_samples_their_times_and_counts() {
+fn each_element_stream_carries_its_samples_times_and_counts() {
     let (plan, output) = ping();
     let mut emitter = Vita49Emitter::new(&spec(), &sonar());
     let mut packets = Packets::default();
@@ -135,7 +135,7 @@ fn a_stream_per_element_carries_its_samples_their_times_and_counts() {
 }
 
 #[test]
-fn a_vector_stream_has_all_elements_of_a_moment_side_by_side() {
+fn a_vector_stream_interleaves_all_elements_by_sample() {
     let (plan, output) = ping();
     let vector = Vita49Spec {
         is_vector: true,
@@ -167,9 +167,9 @@ fn a_vector_stream_has_all_elements_of_a_moment_side_by_side() {
 }
 
 #[test]
-fn passband_samples_are_the_carrier_with_the_envelope_to_a_count() {
+fn passband_samples_equal_the_modulated_carrier_within_one_count() {
     let (plan, mut output) = ping();
-    // A steady tone 3 kHz over the carrier, half of full scale.
+    // A steady tone 3 kHz above the carrier at half of full scale.
     let tone = |k: usize| {
         let t = 2.5e-4 + k as f64 / RATE_HZ;
         Complex64::cis(std::f64::consts::TAU * 3e3 * t)
@@ -217,7 +217,7 @@ fn passband_samples_are_the_carrier_with_the_envelope_to_a_count() {
 }
 
 #[test]
-fn what_does_not_fit_is_held_counted_and_flagged() {
+fn values_beyond_full_scale_are_clipped_counted_and_flagged() {
     let (plan, mut output) = ping();
     output.elements[0].iq[5] = Complex64::new(2.1, f64::NAN);
     let mut emitter = Vita49Emitter::new(&spec(), &sonar());
@@ -234,7 +234,7 @@ fn what_does_not_fit_is_held_counted_and_flagged() {
 }
 
 #[test]
-fn a_context_that_differs_from_the_last_says_so() {
+fn a_changed_context_sets_the_change_flag() {
     let (mut plan, output) = ping();
     let mut emitter = Vita49Emitter::new(&spec(), &sonar());
     let mut packets = Packets::default();

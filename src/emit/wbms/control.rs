@@ -1,16 +1,16 @@
-//! The text control, and the three ports of data, which only send.
+//! Text control protocol, and the three data ports, which only send.
 //!
-//! A line is a command; what has no end is taken as a command when it is a whole one, or when nothing more comes: a client in wide use sends no
-//! ends of lines. Every answer repeats the command with the values now in force; what was refused says why behind `#`. The rate, the range's
-//! far end, the gain, the pulse's amplitude (0 to 15, evenly over the limits of the source level) and length, power and trigger change the sonar,
-//! the rates of snippets and water column how often these come; the others are kept and change nothing.
+//! Each line is a command. An unterminated line is a command if it parses as one, or if no more bytes arrive: a widely used client sends no
+//! line ends. Every answer repeats the command with the values now in force; after a refusal, the reason follows `#`. These commands change
+//! the sonar: ping rate, end of the range, gain, pulse amplitude (0 to 15, in equal steps over the source-level limits), pulse length,
+//! power and trigger. The snippet and water-column rates set how often these packets are sent. All other values are stored without effect.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 
 use echotank_protocols::wbms::control::{Command, answer};
 
-use super::{Device, Told};
+use super::{Device, RequestedSettings};
 use crate::changes::{apply_all, at_part, part_of};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::flow::{
@@ -19,21 +19,22 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// How it signs what it changes.
+/// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "wbms";
-/// The greatest amplitude.
+/// Largest pulse amplitude.
 const MAX_AMPLITUDE: f64 = 15.0;
-/// An unended line longer than this is no command.
+/// An unterminated line longer than this is rejected.
 const MAX_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
 const READY: &str = "# Echotank, simulated WBMS, ready\r\n";
 
-/// A source level as the device's amplitude.
+/// Pulse amplitude of the device for a source level.
 pub(crate) fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
     (part_of(limits.source_level_db, source_level_db) * MAX_AMPLITUDE).round() as u8
 }
 
-/// One of the three ports of data: who connects gets everything.
+/// One of the three data ports: every client receives all its packets.
 pub struct DataPort {
+    /// Name for threads and counters.
     pub name: &'static str,
 }
 
@@ -66,13 +67,14 @@ impl Session for Listener {
     }
 }
 
-/// The control's port.
+/// The control port.
 pub struct ControlPort {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,
 }
 
 impl ControlPort {
+    /// The port changes `settings` and the requested settings of `device`.
     pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
         Self { device, settings }
     }
@@ -104,7 +106,7 @@ struct Client {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,
     by: Asker,
-    /// A line without its end.
+    /// A line whose end has not arrived.
     held: String,
     is_over: bool,
     counts: SessionCounts,
@@ -168,14 +170,14 @@ impl Client {
         };
         let outcome = Command::parse(line)
             .map_err(|error| error.to_string())
-            .and_then(|command| self.obey(word, command, asked));
+            .and_then(|command| self.execute(word, command, asked));
         let comment = outcome.err().unwrap_or_default();
         self.counts.nacks += u64::from(!comment.is_empty());
         let comment = match comment.as_str() {
             "" => String::new(),
             why => format!("refused: {why}"),
         };
-        // What is no word of ours is not repeated at length.
+        // An unknown word is cut before it is repeated.
         let word: String = word
             .chars()
             .filter(char::is_ascii_graphic)
@@ -184,7 +186,7 @@ impl Client {
         out.push(text(self.answer(&word, &comment)));
     }
 
-    fn obey(&mut self, word: &str, command: Command, asked: Asked) -> Result<(), String> {
+    fn execute(&mut self, word: &str, command: Command, asked: Asked) -> Result<(), String> {
         let limits = self.settings.limits();
         let changes: Vec<SettingChange> = match command {
             Command::Query(_) => return Ok(()),
@@ -227,20 +229,20 @@ impl Client {
             _ => Vec::new(),
         };
         apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
-        let mut told = self.device.lock();
+        let mut requested = self.device.lock();
         match command {
-            Command::RangeM { start, .. } => told.start_m = start,
-            Command::SidescanMode(mode) => told.sidescan_mode = mode,
-            Command::SnippetRateHz(hz) => told.snippet_rate_hz = hz,
-            Command::WaterColumnRateHz(hz) => told.water_column_rate_hz = hz,
-            Command::Default => *told = Told::of(&self.device.sonar),
+            Command::RangeM { start, .. } => requested.start_m = start,
+            Command::SidescanMode(mode) => requested.sidescan_mode = mode,
+            Command::SnippetRateHz(hz) => requested.snippet_rate_hz = hz,
+            Command::WaterColumnRateHz(hz) => requested.water_column_rate_hz = hz,
+            Command::Default => *requested = RequestedSettings::of(&self.device.sonar),
             _ => {}
         }
-        drop(told);
+        drop(requested);
         self.keep(word, &command, asked)
     }
 
-    /// Keeps what the model has no use for.
+    /// Stores values without an effect in the model.
     fn keep(&self, word: &str, command: &Command, asked: Asked) -> Result<(), String> {
         if let (Command::NtpServer(server), Some(key)) = (command, key_of(word)) {
             let kept = self
@@ -286,25 +288,25 @@ impl Client {
     /// The command with the values now in force.
     fn answer(&self, word: &str, comment: &str) -> String {
         let settings = self.settings.settings();
-        let told = self.device.told();
+        let requested = self.device.requested();
         let sonar = &self.device.sonar;
         let limits = self.settings.limits();
         let pulse = &sonar.pulse;
         let fan = sonar.beams.fan.as_ref();
         let values = match word {
-            "set_range" => vec![told.start_m, settings.range_m],
+            "set_range" => vec![requested.start_m, settings.range_m],
             "set_rate" => vec![settings.max_ping_rate_hz],
             "set_tx" => vec![
                 pulse.center_frequency_hz / 1e3,
                 pulse.bandwidth_hz / 1e3,
                 f64::from(amplitude_of(&limits, settings.source_level_db)),
-                // To a nanosecond: no digits that only the change of units makes.
+                // Rounded to a nanosecond, which removes digits that only the conversion of units adds.
                 (settings.pulse_duration_s * 1e9).round() / 1e3,
             ],
             "set_power" => vec![f64::from(u8::from(settings.pinging))],
-            "set_sidescan_mode" => vec![f64::from(told.sidescan_mode)],
-            "set_snippet_rate" => vec![told.snippet_rate_hz],
-            "set_tp_rate" => vec![told.water_column_rate_hz],
+            "set_sidescan_mode" => vec![f64::from(requested.sidescan_mode)],
+            "set_snippet_rate" => vec![requested.snippet_rate_hz],
+            "set_tp_rate" => vec![requested.water_column_rate_hz],
             "set_gain" => vec![settings.gain_db],
             "set_trigger_mode" => vec![match (self.settings.trigger(), self.kept(word)) {
                 (TriggerSource::External, Some(kept)) => kept.first().copied().unwrap_or(4.0),
@@ -354,7 +356,7 @@ impl Client {
     }
 }
 
-/// Commands whose values are only kept, wholly or in part.
+/// Commands with values, all or some, that are only stored.
 const KEPT: [&str; 18] = [
     "set_mode",
     "set_flip",

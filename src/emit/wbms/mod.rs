@@ -1,11 +1,12 @@
-//! NORBIT WBMS: bathymetry, water column, side-scan and snippets of a ping, and the text control.
+//! NORBIT WBMS: bathymetry, water column, side-scan and snippet packets of a ping, and the text control protocol.
 //!
-//! - [`Device`]: what the sonar is and how it was told to work; shared by the emitter and the control's clients
-//! - [`WbmsEmitter`]: a ping to packets
-//! - [`control`]: the text commands
+//! - [`Device`]: the sonar and its requested settings; shared by the emitter and the control clients
+//! - [`WbmsEmitter`]: converts a ping into packets
+//! - [`control`]: processes text commands
 //!
-//! Angles are positive to starboard, beam 0 is port-most. Samples are i16 on a fixed scale (`receiver.full_scale_v` is 32767), and the header's
-//! gain is 1. Sample numbers count from the start of the pulse at the receiver's rate. Not modelled: gates (stated as the range), the voltage.
+//! Angles are positive to starboard; beam 0 is the most port beam. Samples are i16 on a fixed scale (`receiver.full_scale_v` is 32767), and
+//! the gain in the header is 1. Sample numbers count from the start of the pulse at the receiver's rate. Not modelled: gates (reported as
+//! the range), the transmitter voltage.
 
 pub mod control;
 
@@ -25,50 +26,57 @@ use echotank_core::flow::{
 };
 use echotank_core::time::UtcNs;
 
-/// Samples of a snippet before and after its detection.
+/// Samples of a snippet on each side of its detection.
 const SNIPPET_HALF: usize = 16;
 const SNIPPET_SAMPLES: usize = 2 * SNIPPET_HALF + 1;
 
-/// A sonar, to its clients.
+/// A simulated sonar as its clients see it.
 pub struct Device {
+    /// Sonar that the device simulates.
     pub sonar: SonarSpec,
+    /// Sound speed in force.
     pub sound_speed_m_per_s: f64,
-    told: Mutex<Told>,
+    requested: Mutex<RequestedSettings>,
 }
 
-/// How it was told to work, beyond the sonar's settings.
+/// Settings requested by clients that the sonar's own settings do not include.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
+pub struct RequestedSettings {
+    /// Start of the range gate, metres of slant range.
     pub start_m: f64,
-    /// Side-scan on the fourth port; snippets otherwise.
+    /// Content of the fourth port: side-scan if not 0, otherwise snippets.
     pub(crate) sidescan_mode: u8,
-    /// -1 with every ping, 0 none.
+    /// Highest rate of snippets: -1 with every ping, 0 never.
     pub(crate) snippet_rate_hz: f64,
     pub(crate) water_column_rate_hz: f64,
 }
 
 impl Device {
+    /// A sonar with the settings it has at start.
     pub fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Self {
-        let told = Told::of(sonar);
+        let requested = RequestedSettings::of(sonar);
         Self {
             sonar: sonar.clone(),
             sound_speed_m_per_s,
-            told: Mutex::new(told),
+            requested: Mutex::new(requested),
         }
     }
 
-    pub fn told(&self) -> Told {
+    /// A copy of the current requested settings.
+    pub fn requested(&self) -> RequestedSettings {
         *self.lock()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Told> {
-        // Each field is written whole.
-        self.told.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, RequestedSettings> {
+        // A poisoned lock is usable: each field is written in one step.
+        self.requested
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Told {
-    /// As the sonar starts.
+impl RequestedSettings {
+    /// Settings at the start of the sonar.
     fn of(sonar: &SonarSpec) -> Self {
         Self {
             start_m: 0.0,
@@ -79,16 +87,18 @@ impl Told {
     }
 }
 
-/// Which packets somebody wants.
+/// Types of packets that have a subscriber.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
+    /// Detections of the fan.
     pub bathymetry: bool,
+    /// Magnitudes of all beams.
     pub water_column: bool,
-    /// Side-scan or snippets.
+    /// Side-scan lines or snippets.
     pub side_scan: bool,
 }
 
-/// Turns pings into packets. One thread's.
+/// Converts pings into packets; for use by one thread.
 pub struct WbmsEmitter {
     device: Arc<Device>,
     pools: [DatagramPool; 3],
@@ -103,6 +113,7 @@ pub struct WbmsEmitter {
 }
 
 impl WbmsEmitter {
+    /// `waiting_pings` is the number of pings whose packets may wait in queues without a new buffer.
     pub fn new(device: Arc<Device>, waiting_pings: usize) -> Self {
         let pool = |record_type| DatagramPool::new(record_type, waiting_pings + 1);
         Self {
@@ -123,13 +134,13 @@ impl WbmsEmitter {
         }
     }
 
-    /// Values that did not fit, since the start.
+    /// Number of clipped values since the start.
     pub fn saturated(&self) -> u64 {
         self.saturated
     }
 
-    /// Appends the packets of one ping that are wanted and that it has: by [`Datagram::record_type`] 1, 2, and 5 for both side-scan and snippets,
-    /// which share a port.
+    /// Appends the packets of one ping that are wanted and that the ping can fill. [`Datagram::record_type`] is 1 for bathymetry and 2 for
+    /// the water column. It is 5 for both side-scan and snippets, which share a port.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -137,41 +148,48 @@ impl WbmsEmitter {
         wanted: Wanted,
         into: &mut Vec<Arc<Datagram>>,
     ) {
-        let told = self.device.told();
+        let requested = self.device.requested();
         if wanted.bathymetry && self.device.sonar.beams.fan.is_some() {
-            into.push(self.bathymetry(plan, &output.soundings, &told));
+            into.push(self.bathymetry(plan, &output.soundings, &requested));
         }
         if let (true, Some(fan)) = (wanted.water_column, output.beams.first())
-            && is_time(plan, told.water_column_rate_hz, &mut self.last_water_column)
+            && is_time(
+                plan,
+                requested.water_column_rate_hz,
+                &mut self.last_water_column,
+            )
         {
             into.push(self.water_column(plan, fan));
         }
         if !wanted.side_scan {
             return;
         }
-        if told.sidescan_mode != 0 && !output.lines.is_empty() {
+        if requested.sidescan_mode != 0 && !output.lines.is_empty() {
             into.push(self.side_scan(plan, &output.lines));
         } else if let Some(fan) = output.beams.first()
-            && is_time(plan, told.snippet_rate_hz, &mut self.last_snippets)
+            && is_time(plan, requested.snippet_rate_hz, &mut self.last_snippets)
             && !output.soundings.is_empty()
         {
             into.push(self.snippets(plan, fan, &output.soundings));
         }
     }
 
-    /// Type 1.
+    /// Packet type 1.
     fn bathymetry(
         &mut self,
         plan: &PingPlan,
         soundings: &[Sounding],
-        told: &Told,
+        requested: &RequestedSettings,
     ) -> Arc<Datagram> {
         let rate_hz = self.device.sonar.receiver.sample_rate_hz;
         let sample_of = |range_m: f64| {
-            // The cast holds what the gates' 16 bits cannot count.
+            // The cast clamps values that exceed the 16 bits of the gates.
             (2.0 * range_m / plan.sound_speed_m_per_s * rate_hz).round() as u16
         };
-        let (upper_gate, lower_gate) = (sample_of(told.start_m), sample_of(plan.settings.range_m));
+        let (upper_gate, lower_gate) = (
+            sample_of(requested.start_m),
+            sample_of(plan.settings.range_m),
+        );
         self.detections.clear();
         self.detections
             .extend(soundings.iter().map(|sounding| WireDetection {
@@ -184,7 +202,7 @@ impl WbmsEmitter {
                     Detection::Amplitude => 1,
                     Detection::Phase => 2,
                 },
-                // Signal to noise, and colinearity.
+                // Signal-to-noise ratio and colinearity.
                 quality_flags: 3,
                 quality: 3,
             }));
@@ -225,7 +243,7 @@ impl WbmsEmitter {
         })
     }
 
-    /// What the heads of types 2, 4 and 5 have in common.
+    /// Header fields common to types 2, 4 and 5.
     fn head(&self, plan: &PingPlan, first_sample: i32) -> BackscatterHead {
         let sonar = &self.device.sonar;
         let rate_hz = sonar.receiver.sample_rate_hz;
@@ -257,12 +275,12 @@ impl WbmsEmitter {
         }
     }
 
-    /// The number of a ping's first sample, from the start of the pulse.
+    /// Number of a ping's first sample, counted from the start of the pulse.
     fn first_sample(&self, plan: &PingPlan) -> i32 {
         (plan.first_sample_s * self.device.sonar.receiver.sample_rate_hz).round() as i32
     }
 
-    /// Type 2.
+    /// Packet type 2.
     fn water_column(&mut self, plan: &PingPlan, fan: &BeamFrame) -> Arc<Datagram> {
         let full_scale_v = self.device.sonar.receiver.full_scale_v;
         self.samples.clear();
@@ -285,7 +303,7 @@ impl WbmsEmitter {
         })
     }
 
-    /// Type 5. A side that is not there is silent.
+    /// Packet type 5. A missing side is filled with zeros.
     fn side_scan(&mut self, plan: &PingPlan, lines: &[Line]) -> Arc<Datagram> {
         let full_scale_v = self.device.sonar.receiver.full_scale_v;
         let len = lines.iter().map(|line| line.amplitude.len()).max();
@@ -310,7 +328,7 @@ impl WbmsEmitter {
         })
     }
 
-    /// Type 4: the same number of samples around every detection.
+    /// Packet type 4: an equal number of samples around every detection.
     fn snippets(
         &mut self,
         plan: &PingPlan,
@@ -333,7 +351,7 @@ impl WbmsEmitter {
             let centre = (sounding.twtt_s * rate_hz).round().max(0.0) as usize;
             let start = centre.saturating_sub(SNIPPET_HALF);
             for m in 0..SNIPPET_SAMPLES {
-                // Before the first sample and behind the last there is nothing.
+                // Samples before the first and after the last stay zero.
                 let sample = (start + m).checked_sub(first);
                 if let Some(v) = sample.and_then(|k| fan.beam(sounding.beam).get(k)) {
                     self.samples[m * count + n] = magnitude(*v, full_scale_v, &mut saturated);
@@ -357,7 +375,7 @@ impl WbmsEmitter {
     }
 }
 
-/// Whether a ping's packet goes out at a rate: -1 with every ping, 0 never.
+/// True if a packet of this ping is due at the given rate: -1 with every ping, 0 never.
 fn is_time(plan: &PingPlan, rate_hz: f64, last: &mut Option<UtcNs>) -> bool {
     let is_time = match *last {
         _ if rate_hz == 0.0 => false,
@@ -370,7 +388,7 @@ fn is_time(plan: &PingPlan, rate_hz: f64, last: &mut Option<UtcNs>) -> bool {
     is_time
 }
 
-/// Of the ping, seconds since 1970.
+/// Time of the ping, seconds since 1970.
 fn stamp_s(plan: &PingPlan) -> f64 {
     plan.stamp_utc.0 as f64 * 1e-9
 }

@@ -1,8 +1,9 @@
-//! XTF packets of a ping: side-scan lines with the navigation in their header, and the attitude. Files only.
+//! XTF packets of a ping: side-scan lines with navigation in their header, and attitude. Files only.
 //!
-//! A sample is the envelope of a line: u16 with the receiver's full scale as 65535, saturations counted, or f32 in volts. Sample 0 is the start
-//! of the pulse. Of several pulses in one ping each has channels of its own ("port 2", ..), as a sonar of two frequencies has; a file has six channels, so that
-//! pulses beyond the third (of two sides) are left out. Not modelled: a tow behind a ship (ship and sensor are one place), notes, bathymetry.
+//! A sample is the envelope of a line. It is a u16 with the receiver's full scale as 65535 and clipped values counted, or an f32 in volts.
+//! Sample 0 is the start of the pulse. Each of several pulses in a ping has its own channels ("port 2", ...), like a sonar with two
+//! frequencies. A file has six channels, so that pulses beyond the third (with two sides) are omitted. Not modelled: a towed sensor apart
+//! from its ship (both have one position), notes, bathymetry.
 
 use echotank_protocols::xtf::file_header::MAX_CHANNELS;
 use echotank_protocols::xtf::{
@@ -18,7 +19,7 @@ use echotank_core::frames::angles_from_rotation;
 
 const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
 
-/// Turns pings into XTF packets. Holds its buffers; one thread's.
+/// Converts pings into XTF packets. Owns its buffers; for use by one thread.
 pub struct XtfEmitter {
     output: XtfSpec,
     sonar: SonarSpec,
@@ -27,7 +28,7 @@ pub struct XtfEmitter {
 }
 
 impl XtfEmitter {
-    /// The configuration gives the sonar one line or two.
+    /// `sonar` has one or two side-scan lines (the configuration checks it). `sound_speed_m_per_s` sets the stated beam widths.
     pub fn new(output: &XtfSpec, sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Self {
         let format = if output.is_float {
             SampleFormat::F32
@@ -64,14 +65,14 @@ impl XtfEmitter {
         }
     }
 
-    /// What a file begins with.
+    /// The header at the start of a file.
     pub fn file_head(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.header.emit(&mut bytes);
         bytes
     }
 
-    /// Appends the packets of one ping, if it has lines, and returns how many samples did not fit.
+    /// Appends the packets of one ping, if it has side-scan lines. Returns the number of clipped samples.
     pub fn emit_ping(&mut self, plan: &PingPlan, output: &PingOutput, buf: &mut Vec<u8>) -> u64 {
         let specs = &self.sonar.beams.lines;
         let pulses = pulses_written(&self.sonar);
@@ -138,13 +139,13 @@ impl XtfEmitter {
     }
 }
 
-/// Pulses of a ping whose lines the channels of a file hold.
+/// Number of pulses per ping whose lines fit into the channels of a file.
 fn pulses_written(sonar: &SonarSpec) -> usize {
     let fit = MAX_CHANNELS / sonar.beams.lines.len().max(1);
     fit.min(1 + sonar.more_pulses.len())
 }
 
-/// The channel of one line and one pulse, the `number`th from 1.
+/// Channel of one line and one pulse; `number` counts pulses from 1.
 fn channel(
     sonar: &SonarSpec,
     line: &LineSpec,
@@ -161,7 +162,7 @@ fn channel(
         Pattern::Rectangle { width_m, .. } | Pattern::Part { width_m, .. } => width_m,
         Pattern::Omnidirectional => 0.0,
     };
-    // 0.886 wavelengths over the length; 0 where it has none.
+    // Beam width of 0.886 wavelengths per length; 0 without a length.
     let width_deg = |length_m: f64| {
         if length_m > 0.0 {
             (0.886 * wavelength_m / length_m).to_degrees().min(360.0) as f32
@@ -183,7 +184,7 @@ fn channel(
         },
         frequency_khz: (pulse.center_frequency_hz / 1e3) as f32,
         horizontal_beam_deg: width_deg(length_m),
-        // Down from the horizontal.
+        // Positive down from the horizontal.
         tilt_deg: boresight.z.clamp(-1.0, 1.0).asin().to_degrees() as f32,
         beam_width_deg: width_deg(across_m),
         volt_scale: sonar.receiver.full_scale_v as f32,
@@ -227,9 +228,9 @@ fn ping_header(plan: &PingPlan, output: &PingOutput) -> PingHeader {
     header
 }
 
-fn ascii(text: &str, most: usize) -> String {
+fn ascii(text: &str, max_len: usize) -> String {
     text.chars()
         .filter(|c| c.is_ascii_graphic() || *c == ' ')
-        .take(most)
+        .take(max_len)
         .collect()
 }
