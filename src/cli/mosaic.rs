@@ -9,7 +9,7 @@ use super::Failure;
 use echotank_config::spec::{ColourMap, Contrast, Overlap};
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_imaging::image::line::first_return_m;
-use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicSpec, Place};
+use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicSpec, SonarPose};
 use echotank_runtime::io::record::lines::{self, RecordedPing};
 use echotank_runtime::io::record::picture::write_mosaic;
 
@@ -233,7 +233,7 @@ fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
 }
 
 /// Where a ping's arrays are, and how fast they go ahead.
-fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
+fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
     let ping = &pings[k];
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
     let [port, starboard] = ping.arms_m;
@@ -257,7 +257,7 @@ fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
         true => ahead_m / seconds,
         false => 0.0,
     };
-    Place {
+    SonarPose {
         latitude_rad,
         longitude_rad,
         heading_rad: ping.heading_rad,

@@ -1,4 +1,6 @@
-//! From element samples to beams ([`beam`]) and from beams to pictures, detections and mosaics ([`image`]).
+//! Forms beams from element samples ([`beam`]), and pictures, detections and mosaics from beams ([`image`]).
+
+#![warn(missing_docs)]
 
 pub mod beam;
 pub mod image;

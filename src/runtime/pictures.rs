@@ -16,7 +16,7 @@ use echotank_core::flow::{Line, LineTruth, PingPlan, Side, Target};
 use echotank_core::frames::angles_from_rotation;
 use echotank_imaging::image::line::{Projection, RangeAxis, first_return_m};
 use echotank_imaging::image::masks::WaterfallMasks;
-use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicError, MosaicSpec, Place};
+use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicError, MosaicSpec, SonarPose};
 use echotank_imaging::image::water_column::{Stack, polar, polar_masks};
 use echotank_imaging::image::waterfall::{Waterfall, WaterfallSpec, rows_that_keep_the_aspect};
 use echotank_ping::fan_truth::fan_truth;
@@ -257,7 +257,7 @@ impl Pictures {
         let (sin, cos) = heading_rad.sin_cos();
         let ahead = DVec3::new(cos, sin, 0.0);
         let starboard = DVec3::new(-sin, cos, 0.0);
-        let place = Place {
+        let place = SonarPose {
             latitude_rad,
             longitude_rad,
             heading_rad,

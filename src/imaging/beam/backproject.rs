@@ -1,18 +1,19 @@
-//! Synthetic aperture: back-projection of many pings onto points of the world.
+//! Synthetic aperture: back-projection of many pings onto points in world coordinates.
 //!
 //! ```text
 //! I(S) = 1/N sum over pings and elements of y_e(u) exp(+j 2pi f_c u),    u the two-way time of S by the polyline's first segment
 //! ```
 //!
-//! y is the matched-filtered row, its samples between samples by a windowed sinc, u from the pose and velocity that the ping's plan states
-//! (navigation as it is believed: its errors defocus). A point that scatters with unit amplitude at every element has I = 1.
+//! y is the matched-filtered row, interpolated with a windowed sinc. u follows from the pose and velocity in the ping's plan, which are the
+//! measured navigation; its errors defocus the image. A point that scatters with unit amplitude at every element has I = 1.
 //!
-//! The pulse moves on while it sounds: an echo of Doppler nu = f_c (eta - 1) turns by pi nu T over the pulse and its compressed peak stands
-//! -nu T/(+-B) late. Both are undone, to first order in eta - 1, or the image would lie v T/2 along the track.
+//! The platform moves during the pulse. An echo with Doppler shift nu = f_c (eta - 1) changes phase by pi nu T over the pulse, and its
+//! compressed peak is delayed by -nu T/(+-B). Both effects are removed to first order in eta - 1; otherwise the image would be displaced by
+//! v T/2 along the track.
 //!
 //! Work is split by points; no sum crosses threads.
 //!
-//! Not modelled: bends of the track during one echo, turning, autofocus.
+//! Not modelled: curvature of the track during one echo, rotation, autofocus.
 
 use std::f64::consts::{PI, TAU};
 
@@ -26,13 +27,13 @@ use super::weights::Taper;
 use echotank_config::spec::Shading;
 use echotank_core::flow::{ArrayGeometry, ElementFrame, PingPlan, Pulse, PulseKind, TransmitArray};
 
-/// Length of the interpolating filter, and its fractions of a sample (the nearest is taken: 0.5 % at the band's edge).
+/// Length of the interpolation filter and its number of sub-sample positions (the nearest is used: 0.5 % error at the band's edge).
 const TAPS: usize = 16;
 const FRACTIONS: usize = 256;
-/// Points handed to a thread at once.
-const SHARE: usize = 256;
+/// Number of points per unit of parallel work.
+const POINTS_PER_TASK: usize = 256;
 
-/// An image that pings are added to.
+/// An image that accumulates pings.
 pub struct BackProjection {
     points_m: Vec<DVec3>,
     image: Vec<Complex64>,
@@ -44,7 +45,7 @@ pub struct BackProjection {
 }
 
 impl BackProjection {
-    /// Of points of the world, metres. `weighting` along the pulse.
+    /// `points_m` are world coordinates, metres. `weighting` is applied along the pulse.
     pub fn new(points_m: Vec<DVec3>, limits: RowLimits, pulse: &Pulse, weighting: Shading) -> Self {
         let taper = Taper::new(Shading::Kaiser { beta: 4.6 });
         let interpolation = (0..FRACTIONS)
@@ -72,7 +73,7 @@ impl BackProjection {
         }
     }
 
-    /// Adds one ping of one array. `plan` is the ping as its navigation states it.
+    /// Adds one ping of one array. `plan` contains the ping's measured navigation.
     pub fn add(
         &mut self,
         plan: &PingPlan,
@@ -90,7 +91,7 @@ impl BackProjection {
             let row = &mut self.row[..frame.samples];
             row.copy_from_slice(frame.element(e));
             self.filter.apply(row);
-            let look = Look {
+            let received = ReceivedRow {
                 transmit_m,
                 receive_m: world(array.element_body_m(e)),
                 velocity_m_per_s: segment.velocity_m_per_s,
@@ -101,28 +102,28 @@ impl BackProjection {
             };
             let (row, interpolation) = (&*row, &self.interpolation[..]);
             self.image
-                .par_chunks_mut(SHARE)
-                .zip(self.points_m.par_chunks(SHARE))
+                .par_chunks_mut(POINTS_PER_TASK)
+                .zip(self.points_m.par_chunks(POINTS_PER_TASK))
                 .for_each(|(image, points)| {
                     for (pixel, point) in image.iter_mut().zip(points) {
-                        *pixel += look.sample(*point, row, interpolation);
+                        *pixel += received.sample(*point, row, interpolation);
                     }
                 });
             self.added += 1;
         }
     }
 
-    /// The image, one value per point, over the number of rows added.
+    /// The image: one value per point, divided by the number of rows added.
     pub fn image(&self) -> impl Iterator<Item = Complex64> + '_ {
         let scale = 1.0 / self.added.max(1) as f64;
         self.image.iter().map(move |x| x * scale)
     }
 }
 
-/// One row and where it was heard.
-struct Look {
+/// Geometry of one received row.
+struct ReceivedRow {
     transmit_m: DVec3,
-    /// At the start of the pulse.
+    /// Position at the start of the pulse.
     receive_m: DVec3,
     velocity_m_per_s: DVec3,
     c: f64,
@@ -131,8 +132,8 @@ struct Look {
     rate_hz: f64,
 }
 
-impl Look {
-    /// The row at the point's two-way time, its carrier turned back.
+impl ReceivedRow {
+    /// The row at the point's two-way time, with the carrier phase removed.
     fn sample(
         &self,
         point_m: DVec3,
@@ -142,7 +143,7 @@ impl Look {
         let (c, v) = (self.c, self.velocity_m_per_s);
         let out = point_m - self.transmit_m;
         let out_m = out.length();
-        // The receiver's leg from where the pulse reaches the point: |D - v tau| = c tau, in its well-conditioned form.
+        // Travel time from the point to the receiver: |D - v tau| = c tau, solved in its well-conditioned form.
         let first_s = out_m / c;
         let d = point_m - self.receive_m - v * first_s;
         let (along, d2) = (d.dot(v), d.length_squared());
@@ -161,11 +162,11 @@ impl Look {
             PulseKind::Cw => 0.0,
             PulseKind::LfmUp | PulseKind::LfmDown => doppler_hz / sweep_hz_per_s,
         };
-        let place = (delay_s - early_s - self.first_sample_s) * self.rate_hz;
-        if !(place >= 0.0 && place < row.len() as f64) {
+        let position_m = (delay_s - early_s - self.first_sample_s) * self.rate_hz;
+        if !(position_m >= 0.0 && position_m < row.len() as f64) {
             return Complex64::ZERO;
         }
-        let steps = (place * FRACTIONS as f64).round() as usize;
+        let steps = (position_m * FRACTIONS as f64).round() as usize;
         let (whole, fraction) = (steps / FRACTIONS, steps % FRACTIONS);
         let mut sum = Complex64::ZERO;
         for (i, w) in interpolation[fraction].iter().enumerate() {
@@ -220,7 +221,7 @@ mod tests {
         plan
     }
 
-    /// The echo of a point by the retarded-time sum: pulse time t' from c (t - t') = |S - p_T(t')| + |S - r(t)|, both ends moving.
+    /// Echo of a point by the retarded-time sum: pulse time t' from c (t - t') = |S - p_T(t')| + |S - r(t)|, with both ends moving.
     fn echo(point_m: DVec3, at_m: DVec3) -> ElementFrame {
         let v = DVec3::X * SPEED_M_PER_S;
         let pulse = pulse();
@@ -245,11 +246,11 @@ mod tests {
         }
     }
 
-    fn place(ping: usize) -> DVec3 {
+    fn position_m(ping: usize) -> DVec3 {
         DVec3::X * ((ping as f64 - 0.5 * (PINGS as f64 - 1.0)) * SPACING_M)
     }
 
-    /// The image along the track through a point at broadside, every millimetre; `error_m` moves the navigation of each ping.
+    /// The image along the track through a point at broadside, in steps of a millimetre; `error_m` displaces the navigation of each ping.
     fn image(error_m: impl Fn(usize) -> DVec3) -> Vec<f64> {
         let point = DVec3::new(0.0, 0.0, RANGE_M);
         let pixels: Vec<_> = (-150..=150)
@@ -270,19 +271,19 @@ mod tests {
         };
         let mut image = BackProjection::new(pixels, limits, &pulse(), Shading::Uniform);
         for ping in 0..PINGS {
-            let frame = echo(point, place(ping));
-            let believed = plan(place(ping) + error_m(ping));
+            let frame = echo(point, position_m(ping));
+            let believed = plan(position_m(ping) + error_m(ping));
             image.add(&believed, &transmit, &array(1, 0.2, 0.0), &frame);
         }
         image.image().map(|x| x.norm()).collect()
     }
 
     #[test]
-    fn a_hundred_pings_resolve_0p886_lambda_r_over_twice_the_track_where_the_point_is() {
+    fn a_hundred_pings_resolve_0p886_lambda_r_over_twice_the_track() {
         let level = image(|_| DVec3::ZERO);
         let peak = (0..301).fold(0, |b, k| if level[k] > level[b] { k } else { b });
         assert!(peak.abs_diff(150) <= 1, "peak {} mm off", peak as i64 - 150);
-        // Doppler at the ends of the track takes 3 % of the time-bandwidth product.
+        // Doppler at the ends of the track costs 3 % of the time-bandwidth product.
         assert!((level[peak] - 1.0).abs() < 0.05, "{}", level[peak]);
         let half = level[peak] * 0.5_f64.sqrt();
         let crossing = |step: isize| {
@@ -306,9 +307,10 @@ mod tests {
         );
     }
 
-    /// A bowed track, unknown to the navigation by a m at its ends: the phase 4 pi a xi^2/lambda over the aperture, and the peak falls to the mean of its phasor.
+    /// A bowed track, wrong by a metres at its ends in the navigation: the phase error over the aperture is 4 pi a xi^2/lambda, and the
+    /// peak falls to the mean of its phasor.
     #[test]
-    fn a_navigation_error_defocuses_as_its_phase_predicts() {
+    fn a_navigation_error_defocuses_by_the_predicted_phase() {
         for share in [0.125, 0.25, 0.5] {
             let a_m = share * LAMBDA_M;
             let xi = |ping: usize| (ping as f64 + 0.5) / (0.5 * PINGS as f64) - 1.0;

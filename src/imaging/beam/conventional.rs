@@ -1,20 +1,22 @@
-//! A fan of far-field beams from a uniform line array: matched-filtered delay-and-sum, done in the frequency domain.
+//! Fan of far-field beams from a uniform line array: matched-filtered delay-and-sum in the frequency domain.
 //!
-//! A plane wave from angle theta reaches element e at t - x_e sin(theta)/c, t at the array's centre, so that its envelope about f_c has the
-//! spectrum S(f) exp(j 2pi (f + f_c) x_e sin(theta)/c). Beam b undoes this at every frequency of the pulse,
+//! A plane wave from angle theta arrives at element e at t - x_e sin(theta)/c, where t is the arrival at the array's centre. Its envelope
+//! about f_c therefore has the spectrum S(f) exp(j 2pi (f + f_c) x_e sin(theta)/c). Beam b removes this phase at every frequency of the
+//! pulse:
 //!
 //! ```text
 //! Y_b(f) = conj(A(f)) sum_e w_e X_e(f) exp(-j 2pi (f + f_c) x_e sin(theta_b)/c),    sum_e w_e = 1
 //! ```
 //!
-//! which is a true time delay: no squint over the band, and sample k of a beam is the leading edge at the *array's centre*. One forward
-//! transform per element, one inverse per beam. Between them the sum over the equally spaced elements is a polynomial in
-//! z = exp(-j 2pi (f + f_c) d sin(theta_b)/c), evaluated by Horner's rule on tiles of a few frequencies that stay in the nearest cache.
+//! This is a true time delay: beams do not squint over the band, and sample k of a beam is the leading edge at the *array's centre*. Each
+//! element needs one forward transform and each beam one inverse transform. The sum over equally spaced elements is a polynomial in z =
+//! exp(-j 2pi (f + f_c) d sin(theta_b)/c). It is evaluated by Horner's rule on tiles of a few frequencies that stay in the first-level
+//! cache.
 //!
-//! Angles are counted from the boresight, positive to starboard whichever way the array's x axis points: an array whose +x end is to port is
-//! read backwards. (An array without an across-track part keeps +x positive.)
+//! Angles are measured from the boresight and are positive to starboard, whichever way the array's x axis points. An array whose +x end is
+//! to port is processed in reverse order. (An array without an across-track component keeps +x positive.)
 //!
-//! Not modelled: near-field focus, motion between transmission and reception, element patterns (they are in the samples).
+//! Not modelled: near-field focus, motion between transmission and reception. The samples contain the element patterns.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,27 +24,27 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::aimed::{Aimed, Band};
+use super::steered::{Band, SteeredArray};
 use echotank_config::spec::{FanSpec, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
 
-/// Frequencies handled together by the inner loop: their sums and phasors fit sixteen 128-bit registers.
+/// Number of frequencies processed together in the inner loop: their sums and phasors fit sixteen 128-bit registers.
 const TILE: usize = 4;
-/// Beams that share one gathering of the elements' spectra.
+/// Number of beams that share one gathering of the elements' spectra.
 const GROUP: usize = 16;
-/// Phasors are advanced by multiplication and made anew every so many tiles: their rounding stays below 1e-13.
+/// Phasors are advanced by multiplication and recomputed after this many tiles, which keeps their rounding error below 1e-13.
 const RESEED_TILES: usize = 128;
-/// The fan of one receive array.
+/// Far-field fan of one receive array.
 pub struct FanFormer {
-    aimed: Aimed,
-    /// Element-major: weighted, matched-filtered spectra.
+    steered: SteeredArray,
+    /// Element-major spectra, weighted and matched-filtered.
     spectra: Vec<Complex64>,
     workers: Vec<Worker>,
 }
 
-/// What one share of the work needs for itself.
+/// Buffers of one share of the work.
 struct Worker {
-    /// [`GROUP`] beam spectra, one behind the other.
+    /// [`GROUP`] beam spectra in sequence.
     beams: Vec<Complex64>,
     /// One tile of all elements: real parts, then imaginary parts of each.
     tile: Vec<[[f64; TILE]; 2]>,
@@ -50,9 +52,9 @@ struct Worker {
 }
 
 impl FanFormer {
-    /// `array` is the receive array that `fan` names. Shares its work among the threads of the pool it is made in.
+    /// `array` is the receive array that `fan` names. Work is shared among the threads of the current pool.
     ///
-    /// Panics on an empty fan or array or a pulse beyond `limits`: they come from a checked configuration.
+    /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
     pub fn new(
         array: &ArrayGeometry,
         fan: &FanSpec,
@@ -62,9 +64,9 @@ impl FanFormer {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let c = sound_speed_m_per_s;
-        let silence = Aimed::far_field_silence(array, &limits, c);
-        let aimed = Aimed::new(array, fan, (limits, silence), pulse, weighting, c);
-        let length = aimed.correlator.length();
+        let silence = SteeredArray::far_field_silence(array, &limits, c);
+        let steered = SteeredArray::new(array, fan, (limits, silence), pulse, weighting, c);
+        let length = steered.correlator.length();
         let workers = rayon::current_num_threads().clamp(1, fan.beams);
         Self {
             spectra: vec![Complex64::ZERO; length * array.elements],
@@ -72,21 +74,21 @@ impl FanFormer {
                 .map(|_| Worker {
                     beams: vec![Complex64::ZERO; length * GROUP.min(fan.beams)],
                     tile: vec![[[0.0; TILE]; 2]; array.elements],
-                    scratch: aimed.correlator.make_scratch(),
+                    scratch: steered.correlator.make_scratch(),
                 })
                 .collect(),
-            aimed,
+            steered,
         }
     }
 
-    /// Index of the receive array it belongs to.
+    /// Index of the fan's receive array.
     pub fn array(&self) -> usize {
-        self.aimed.array()
+        self.steered.array()
     }
 
-    /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
+    /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        self.aimed.begin(plan, frame, out);
+        self.steered.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -95,7 +97,7 @@ impl FanFormer {
     }
 
     fn transform_elements(&mut self, frame: &ElementFrame) {
-        let (correlator, weights) = (&self.aimed.correlator, &self.aimed.weights);
+        let (correlator, weights) = (&self.steered.correlator, &self.steered.weights);
         let length = correlator.length();
         let share = weights.len().div_ceil(self.workers.len());
         self.spectra
@@ -116,12 +118,12 @@ impl FanFormer {
     }
 
     fn sum_beams(&mut self, samples: usize, out: &mut [Complex64]) {
-        let (correlator, spectra) = (&self.aimed.correlator, &self.spectra);
-        let (length, band) = (correlator.length(), self.aimed.band());
-        let sines = &self.aimed.directions.sine;
+        let (correlator, spectra) = (&self.steered.correlator, &self.spectra);
+        let (length, band) = (correlator.length(), self.steered.band());
+        let sines = &self.steered.directions.sine;
         let share = sines.len().div_ceil(self.workers.len());
-        // Cycles over one element spacing per unit of sine and hertz.
-        let spacing_s = self.aimed.spacing_m() / self.aimed.sound_speed_m_per_s;
+        // Cycles per element spacing, per unit of sine and hertz.
+        let spacing_s = self.steered.spacing_m() / self.steered.sound_speed_m_per_s;
         out.par_chunks_mut(share * samples)
             .zip(sines.par_chunks(share))
             .zip(&mut self.workers)
@@ -140,7 +142,7 @@ impl FanFormer {
     }
 }
 
-/// The phasors of one beam over one tile of frequencies.
+/// Phasors of one beam over one tile of frequencies.
 #[derive(Clone, Copy)]
 struct Steering {
     /// From one element to the next.
@@ -152,12 +154,12 @@ struct Steering {
 #[derive(Clone, Copy)]
 struct Phasors {
     now: [Complex64; TILE],
-    /// From one tile to the following.
+    /// From one tile to the next.
     step: Complex64,
 }
 
 impl Phasors {
-    /// exp(-j 2pi f delay) at the tile that begins with bin `first`.
+    /// exp(-j 2pi f delay) for the tile that begins with bin `first`.
     fn at(band: &Band, first: usize, delay_s: f64) -> Self {
         let turn = |hz: f64| {
             let cycles = hz * delay_s;
@@ -216,7 +218,7 @@ fn steer(band: &Band, spectra: &[Complex64], spacing_s: f64, sines: &[f64], work
     }
 }
 
-/// sum_e tile[e] z^e for [`TILE`] values of z at once, by Horner's rule: real parts, imaginary parts.
+/// sum_e tile[e] z^e for [`TILE`] values of z by Horner's rule: real parts, imaginary parts.
 #[inline]
 fn polynomial(tile: &[[[f64; TILE]; 2]], z: &[Complex64; TILE]) -> [[f64; TILE]; 2] {
     let z_re: [f64; TILE] = std::array::from_fn(|i| z[i].re);
@@ -233,7 +235,7 @@ fn polynomial(tile: &[[[f64; TILE]; 2]], z: &[Complex64; TILE]) -> [[f64; TILE];
     [re, im]
 }
 
-/// |sin(N x) / (N sin x)|, x = pi d sine / lambda: the response of N equal elements (the Dirichlet kernel).
+/// |sin(N x) / (N sin x)|, x = pi d sine / lambda: response of N equal elements (Dirichlet kernel).
 pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64) -> f64 {
     let n = elements as f64;
     let x = PI * spacing_wavelengths * sine;
@@ -296,7 +298,7 @@ mod tests {
                 .form(&plan(&self.pulse, self.samples, C), frame, &mut out);
             out
         }
-        /// Echo of the pulse from `sine` (array axes) whose leading edge meets the array's centre at `edge_s`.
+        /// Echo of the pulse from `sine` (array axes) whose leading edge arrives at the array's centre at `edge_s`.
         fn echo(&self, sine: f64, edge_s: f64) -> ElementFrame {
             elements_of_plane_wave(&self.array, self.rate_hz, self.samples, |e| {
                 let delay = edge_s - self.array.element_x_m(e) * sine / C;
@@ -305,7 +307,7 @@ mod tests {
         }
     }
 
-    /// Half a wavelength apart at 300 kHz, across the track, x to starboard.
+    /// Elements half a wavelength apart at 300 kHz, across the track, x to starboard.
     fn narrow(elements: usize) -> Rig {
         let center_hz = 300e3;
         Rig {
@@ -316,7 +318,7 @@ mod tests {
         }
     }
 
-    /// Long tones from many directions against the closed form sin(Nx)/(N sin x).
+    /// Long tones from many directions, compared with the closed form sin(Nx)/(N sin x).
     #[test]
     fn beam_pattern_is_the_dirichlet_kernel_to_0p2_percent() {
         for (elements, beam_deg) in [(8, 0.0), (32, 0.0), (32, 35.0), (33, -50.0)] {
@@ -354,7 +356,7 @@ mod tests {
             let rig = narrow(elements);
             let mut former = rig.former(&fan(1, 0.0, Shading::Uniform));
             let mut out = BeamFrame::default();
-            // The lobe lies near 1.43 of the first null's 2/N.
+            // The lobe lies near 1.43 times the first null at 2/N.
             let mut lobe = 0.0_f64;
             for i in 0..60 {
                 let sine = (1.2 + i as f64 * 0.01) * 2.0 / elements as f64;
@@ -378,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn unit_plane_wave_on_the_axis_of_a_beam_gives_one_at_the_centre_s_leading_edge() {
+    fn a_unit_plane_wave_on_a_beam_axis_peaks_at_one_on_its_leading_edge() {
         for shading in [Shading::Uniform, Shading::Hann] {
             let rig = wide();
             let spec = fan(5, f64::to_radians(120.0), shading);
@@ -388,7 +390,7 @@ mod tests {
                 let out = rig.beams(&spec, &frame);
                 assert!((out.angle_rad[b].to_degrees() - angle_deg).abs() < 1e-12);
                 let peak = out.beam(b)[edge].norm();
-                // What is missing is the rectangular pulse's share outside the sampled band, which no shift by parts of a sample can keep.
+                // The loss is the part of the pulse spectrum outside the sampled band, which fractional shifts cannot preserve.
                 assert!((peak - 1.0).abs() < 0.01, "{shading:?} beam {b}: {peak}");
                 let top = (0..out.samples)
                     .max_by(|&i, &j| out.beam(b)[i].norm().total_cmp(&out.beam(b)[j].norm()));
@@ -397,7 +399,7 @@ mod tests {
         }
     }
 
-    /// 100 kHz of sweep about 200 kHz, 48 elements: off axis the echo needs seven samples to pass along the array.
+    /// 100 kHz sweep about 200 kHz, 48 elements: off axis the echo needs seven samples to travel along the array.
     fn wide() -> Rig {
         let center_hz = 200e3;
         Rig {
@@ -408,7 +410,7 @@ mod tests {
         }
     }
 
-    /// A phase-steered beam would smear: at 60 degrees the band's ends would look 16 degrees apart.
+    /// A phase-steered beam would be smeared: at 60 degrees the ends of the band would appear 16 degrees apart.
     #[test]
     fn wideband_beams_do_not_squint() {
         let rig = wide();
@@ -423,7 +425,7 @@ mod tests {
         println!("compressed pulse at 60 deg against broadside: {worst:.2e}");
         assert!(worst < 0.01, "{worst:.2e}");
 
-        // The same sum with phases at the centre frequency alone, for the difference.
+        // The same sum with phases at the centre frequency only, for comparison.
         let frame = rig.echo(f64::to_radians(60.0).sin(), edge_s);
         let n = (rig.pulse.duration_s * rig.rate_hz) as usize + 1;
         let phase_only: Complex64 = (0..rig.array.elements)
@@ -462,12 +464,12 @@ mod tests {
                     (got_deg - starboard_deg).abs() < 0.6,
                     "yaw {yaw_deg}: echo at {starboard_deg} deg, strongest beam at {got_deg:.2}"
                 );
-                assert!(out.angle_rad[0] < 0.0, "beam 0 is port-most");
+                assert!(out.angle_rad[0] < 0.0, "beam 0 is the most port beam");
             }
         }
     }
 
-    /// Meng et al. 2023, Eq. 1: 50.8 deg lambda/(N d) (0.886 lambda/L), at broadside; 1/cos wider off it.
+    /// Meng et al. 2023, Eq. 1: 50.8 deg lambda/(N d) (0.886 lambda/L) at broadside, wider by 1/cos off it.
     #[test]
     fn widths_match_equation_1_within_1_percent_for_16_elements_or_more() {
         for elements in [16, 64, 256] {
@@ -488,7 +490,7 @@ mod tests {
                 "{} {slanted}",
                 out.width_rad[2]
             );
-            // The response itself at the edges is half the power.
+            // At the edges the response is half the power.
             let edge = (0.5 * out.width_rad[1]).sin();
             let level = line_array_response(elements, 0.5, edge);
             assert!((level - 0.5_f64.sqrt()).abs() < 1e-9, "{level}");
@@ -510,7 +512,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_are_the_same_bits_on_one_thread_and_on_five() {
+    fn beams_are_bit_identical_on_one_thread_and_on_five() {
         let rig = wide();
         let spec = fan(37, 2.0, Shading::Hann);
         let frame = rig.echo(0.4, 0.001_234);
@@ -524,7 +526,7 @@ mod tests {
         assert_eq!(on(1), on(5));
     }
 
-    /// Delay-and-sum straight from the definition, on a pulse whose band the sampling holds (a tapered, oversampled sweep).
+    /// Delay-and-sum directly from the definition, for a pulse within the sampled band (a tapered, oversampled sweep).
     #[test]
     fn equals_delayed_sums_computed_from_the_definition() {
         let center_hz = 120e3;

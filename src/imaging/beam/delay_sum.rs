@@ -1,27 +1,29 @@
-//! Beams by delay and sum in the time domain: far field with phases or true time delays, or focused along range while the platform moves.
+//! Delay-and-sum beams in the time domain: far field with phases or true time delays, or focused along range while the platform moves.
 //!
-//! Echo of a point S at element e: env(t - u_e) exp(-j 2pi f_c u_e). With delta_e = u_e - u_c, c the array's centre, a beam is
+//! The echo of a point S at element e is env(t - u_e) exp(-j 2pi f_c u_e). With delta_e = u_e - u_c, where c is the array's centre, a beam
+//! is
 //!
 //! ```text
 //! y(t) = sum_e w_e x_e(t + delta_e) exp(+j 2pi f_c delta_e),    sum_e w_e = 1
 //! ```
 //!
-//! so that sample k of a beam is a leading edge at the *array's centre*, and a unit point in focus peaks at 1.
+//! Sample k of a beam is a leading edge at the *array's centre*, and a unit point in focus peaks at 1.
 //!
 //! - `time-delay`: delta_e = -x_e sin(theta)/c. `phase`: the same without the shift of the envelope.
-//! - `dynamic-focus`: S = R (sin theta, cos theta) in the plane of the array's line and boresight, about the array's centre at the start of the
-//!   pulse, R from |S - p_T| + |S - v t| = c t: both legs, the transmitter where it is, the receiver moving evenly (the ping's first segment).
-//!   Element e then hears S at c delta_e = Q - D - (q.v/Q) delta_e, q = S - v t - x_e, Q = |q|, D = |S - v t|, whose Q - D is formed as
-//!   x_e (x_e - 2 d_x)/(Q + D): well conditioned in f32.
-//!   A focus serves a zone of ranges r in which it errs by no more than `focus_error_rad` of carrier at the outermost element: that is
-//!   (pi/lambda) a^2 |1/r - 1/r_zone|, a the half aperture in use. With `f_number` = F the aperture in use is r/F, at most the whole line.
+//! - `dynamic-focus`: S = R (sin theta, cos theta) in the plane of the array's line and boresight, about the array's centre at the start of
+//!   the pulse. R solves |S - p_T| + |S - v t| = c t. This includes both legs: the transmitter at its position, and a receiver that moves
+//!   at constant velocity (the ping's first segment). Element e receives S at c delta_e = Q - D - (q.v/Q) delta_e, with q = S - v t - x_e,
+//!   Q = |q|, D = |S - v t|. Q - D is computed as x_e (x_e - 2 d_x)/(Q + D), which is well conditioned in f32.
+//!   A focus applies to a zone of ranges r in which its carrier-phase error is at most `focus_error_rad` at the outermost element. The
+//!   error is (pi/lambda) a^2 |1/r - 1/r_zone|, where a is half the aperture in use. With `f_number` = F the aperture in use is r/F, limited
+//!   to the whole line.
 //!
-//! Rows are matched-filtered in f64, then summed in f32. Fractions of a sample: the nearest of [`FRACTIONS`] interpolated rows; what is left of
-//! the delay, at most 1/32 of a sample, is an error of the envelope alone, for carrier phases are those of the delay itself. Work goes tile
-//! by tile of [`WIDEST`] samples, so that rows and sums stay in the second cache, and is split by beam.
+//! Rows are matched-filtered in f64, then summed in f32. Delays use the nearest of [`FRACTIONS`] interpolated rows. The remaining delay, at
+//! most 1/32 of a sample, affects the envelope only, because carrier phases use the exact delay. Work proceeds in tiles of [`MAX_SAMPLES`]
+//! samples, so that rows and sums stay in the second-level cache, and is split by beam.
 //!
-//! Not modelled: motion along the third axis (out of the plane of line and boresight) in the steering; turning during the echo; the Doppler stretch (a common shift
-//! of range by the range-Doppler coupling).
+//! Not modelled in the steering: motion out of the plane of line and boresight, rotation during the echo, and the Doppler stretch (a common
+//! range shift through range-Doppler coupling).
 
 use std::f64::consts::PI;
 
@@ -29,41 +31,42 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::aimed::Aimed;
-use super::kernel::{BLOCK, STEP, SimdLevel, Sums, Taps, WIDEST, add_rows};
+use super::kernel::{BLOCK, MAX_SAMPLES, STEP, SimdLevel, Sums, Taps, add_rows};
+use super::steered::SteeredArray;
 use super::weights::Taper;
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
-/// Interpolated rows for each sample.
+/// Number of interpolated rows per sample.
 pub(crate) const FRACTIONS: usize = 16;
-/// Length of the interpolating filters: 50 dB from 0.4 to 0.6 of the sample rate, the margin that the checked sample rate leaves.
+/// Length of the interpolation filters. They reject 50 dB from 0.4 to 0.6 of the sample rate, the margin that the checked sample rate
+/// leaves.
 const TAPS: usize = 16;
 const INTERPOLATION: Shading = Shading::Kaiser { beta: 4.6 };
-/// No point is taken for nearer than this, metres: delays stay finite on the line itself.
-const NEAREST_M: f64 = 1e-3;
+/// Minimum distance of a focal point, metres: keeps delays finite on the line itself.
+const MIN_DISTANCE_M: f64 = 1e-3;
 
-/// The beams of one receive array.
+/// Beams of one receive array.
 pub struct DelaySumFormer {
-    aimed: Aimed,
+    steered: SteeredArray,
     former: Former,
-    /// Elements along the line from its centre, metres.
+    /// Element positions along the line from its centre, metres.
     x_m: Vec<f32>,
-    /// The transmitter from the array's centre, along the line and the boresight, metres.
+    /// Position of the transmitter relative to the array's centre, along the line and the boresight, metres.
     transmit_m: [f64; 2],
     array_from_body: glam::DQuat,
     taper: Taper,
     f_number: Option<f64>,
     focus_error_rad: f64,
-    /// Elements that hear.
+    /// Elements in use.
     part: std::ops::Range<usize>,
-    /// Silence before and behind each row: what delays and filters may reach beyond it.
+    /// Zeros before and after each row, for the reach of delays and filters.
     margin: usize,
-    /// Element-major compressed rows: real parts, imaginary parts, with their margins.
+    /// Element-major compressed rows with their margins: real parts, imaginary parts.
     rows: Vec<f32>,
     row_length: usize,
     zones: Vec<Zone>,
-    /// Per zone: the elements' weights.
+    /// Element weights of each zone.
     zone_weights: Vec<f32>,
     filters: [[f32; TAPS]; FRACTIONS],
     simd_level: SimdLevel,
@@ -75,25 +78,25 @@ pub struct DelaySumFormer {
 struct Zone {
     first: usize,
     end: usize,
-    /// The two-way time that it is focused for.
+    /// Two-way time of the focus.
     time_s: f64,
 }
 
 struct Worker {
-    /// Of [`BLOCK`] elements, [`FRACTIONS`] each: real parts, imaginary parts.
+    /// Rows of [`BLOCK`] elements with [`FRACTIONS`] each: real parts, imaginary parts.
     grid: Vec<f32>,
-    /// Real and imaginary sums of a tile, per beam.
+    /// Real and imaginary sums of a tile, for each beam.
     tile: Vec<Sums>,
-    /// Of the tile's zones, one behind the other, per beam.
+    /// Focus of each of the tile's zones, for each beam.
     focus: Vec<Focus>,
     buffer: Vec<Complex64>,
     scratch: Vec<Complex64>,
 }
 
 impl DelaySumFormer {
-    /// `array` is the receive array that `fan` names, `transmit` the one it listens to. Shares its work among the threads of the pool it is made in.
+    /// `array` is the receive array that `fan` names, `transmit` its transmitter. Work is shared among the threads of the current pool.
     ///
-    /// Panics on an empty fan or array or a pulse beyond `limits`: they come from a checked configuration.
+    /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
     pub fn new(
         array: &ArrayGeometry,
         transmit: &TransmitArray,
@@ -103,7 +106,7 @@ impl DelaySumFormer {
         weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
-        let aimed = Aimed::new(
+        let steered = SteeredArray::new(
             array,
             fan,
             (limits, 0),
@@ -113,13 +116,13 @@ impl DelaySumFormer {
         );
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;
-        // A platform at a tenth of the speed of sound lengthens delays by as much.
+        // A platform speed of a tenth of the sound speed lengthens delays by that fraction.
         let reach = 1.2 * half_m / sound_speed_m_per_s * limits.sample_rate_hz;
         let margin = reach.ceil() as usize + 2;
         let array_from_body = array.mounting.body_from_array.inverse();
         let transmit_m =
             array_from_body * (transmit.mounting.position_m - array.mounting.position_m);
-        let row_length = limits.samples + 2 * (margin + TAPS) + 2 * WIDEST;
+        let row_length = limits.samples + 2 * (margin + TAPS) + 2 * MAX_SAMPLES;
         let workers = rayon::current_num_threads().clamp(1, fan.beams);
         let share = fan.beams.div_ceil(workers);
         let grid_row = grid_row(margin);
@@ -143,14 +146,14 @@ impl DelaySumFormer {
                 .map(|_| Worker {
                     grid: vec![0.0; BLOCK.min(elements) * FRACTIONS * 2 * grid_row],
                     tile: (0..share).map(|_| Sums::ZERO).collect(),
-                    focus: vec![Focus::default(); share * WIDEST],
-                    buffer: vec![Complex64::ZERO; aimed.correlator.length()],
-                    scratch: aimed.correlator.make_scratch(),
+                    focus: vec![Focus::default(); share * MAX_SAMPLES],
+                    buffer: vec![Complex64::ZERO; steered.correlator.length()],
+                    scratch: steered.correlator.make_scratch(),
                 })
                 .collect(),
-            aimed,
+            steered,
         };
-        // Sized by the zones of the longest ping, or one zone.
+        // Sizes the buffers for the zones of the longest ping, or one zone.
         former.make_zones(limits.samples, 0.0);
         former
             .zone_weights
@@ -158,21 +161,21 @@ impl DelaySumFormer {
         former
     }
 
-    /// Only these elements, about the whole line's centre.
+    /// Uses these elements only. Delays still refer to the whole line's centre.
     pub(crate) fn with_part(mut self, part: std::ops::Range<usize>) -> Self {
-        self.aimed.hear_with(&part);
+        self.steered.select_elements(&part);
         self.part = part;
         self
     }
 
-    /// Index of the receive array it belongs to.
+    /// Index of the fan's receive array.
     pub fn array(&self) -> usize {
-        self.aimed.array()
+        self.steered.array()
     }
 
-    /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
+    /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        self.aimed.begin(plan, frame, out);
+        self.steered.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -182,9 +185,9 @@ impl DelaySumFormer {
         self.sum(plan, frame.samples, &mut out.iq);
     }
 
-    /// Half of the aperture in use at a range, metres.
+    /// Half the aperture in use at a range, metres.
     fn half_aperture_m(&self, range_m: f64) -> f64 {
-        let whole = 0.5 * self.aimed.spacing_m() * self.x_m.len() as f64;
+        let whole = 0.5 * self.steered.spacing_m() * self.x_m.len() as f64;
         match self.f_number {
             Some(f) => whole.min(0.5 * range_m / f),
             None => whole,
@@ -193,9 +196,9 @@ impl DelaySumFormer {
 
     fn make_zones(&mut self, samples: usize, first_sample_s: f64) {
         self.zones.clear();
-        let rate_hz = self.aimed.correlator.limits().sample_rate_hz;
+        let rate_hz = self.steered.correlator.limits().sample_rate_hz;
         let time_s = |k: usize| first_sample_s + k as f64 / rate_hz;
-        let range_m = |k: usize, c: f64| (0.5 * c * time_s(k)).max(NEAREST_M);
+        let range_m = |k: usize, c: f64| (0.5 * c * time_s(k)).max(MIN_DISTANCE_M);
         if self.former != Former::DynamicFocus {
             self.zones.push(Zone {
                 first: 0,
@@ -204,15 +207,15 @@ impl DelaySumFormer {
             });
             return;
         }
-        let c = self.aimed.sound_speed_m_per_s;
+        let c = self.steered.sound_speed_m_per_s;
         let mut first = 0;
         while first < samples {
             let near_m = range_m(first, c);
             let half_m = self.half_aperture_m(near_m);
-            // 1/r may change by this from the zone's middle to its ends.
-            let bend = self.focus_error_rad * self.aimed.wavelength_m() / (PI * half_m * half_m);
+            // Permitted change of 1/r from a zone's middle to its ends.
+            let bend = self.focus_error_rad * self.steered.wavelength_m() / (PI * half_m * half_m);
             let far = 1.0 / near_m - 2.0 * bend;
-            // An aperture that grows with range is followed in steps of a twentieth.
+            // An aperture that grows with range is adapted in steps of 5 %.
             let max_m = match half_m < self.half_aperture_m(f64::INFINITY) {
                 true => 1.05 * near_m,
                 false => f64::INFINITY,
@@ -238,16 +241,16 @@ impl DelaySumFormer {
         let elements = self.x_m.len();
         self.zone_weights.clear();
         for z in 0..self.zones.len() {
-            let range_m = 0.5 * self.aimed.sound_speed_m_per_s * self.zones[z].time_s;
+            let range_m = 0.5 * self.steered.sound_speed_m_per_s * self.zones[z].time_s;
             let half_m = self.half_aperture_m(range_m);
             let start = self.zone_weights.len();
             if half_m >= self.half_aperture_m(f64::INFINITY) {
                 self.zone_weights
-                    .extend(self.aimed.weights.iter().map(|w| *w as f32));
+                    .extend(self.steered.weights.iter().map(|w| *w as f32));
                 continue;
             }
-            // At least the middle of the line hears.
-            let half_m = half_m.max(0.5 * self.aimed.spacing_m()) as f32;
+            // At least the middle of the line is in use.
+            let half_m = half_m.max(0.5 * self.steered.spacing_m()) as f32;
             let taper = &self.taper;
             let part = &self.part;
             self.zone_weights
@@ -266,7 +269,7 @@ impl DelaySumFormer {
 
     /// Matched-filters every element into its row.
     fn compress(&mut self, frame: &ElementFrame) {
-        let (correlator, row_length) = (&self.aimed.correlator, self.row_length);
+        let (correlator, row_length) = (&self.steered.correlator, self.row_length);
         let before = self.margin + TAPS;
         let share = self.x_m.len().div_ceil(self.workers.len());
         self.rows
@@ -293,7 +296,7 @@ impl DelaySumFormer {
 
     fn sum(&mut self, plan: &PingPlan, samples: usize, out: &mut [Complex64]) {
         let share = self
-            .aimed
+            .steered
             .directions
             .sine
             .len()
@@ -305,14 +308,14 @@ impl DelaySumFormer {
             former: self.former,
             transmit_m: self.transmit_m,
             velocity_m_per_s: [velocity.x, velocity.z],
-            c: self.aimed.sound_speed_m_per_s,
-            carrier_hz: self.aimed.correlator.pulse().center_frequency_hz,
-            rate_hz: self.aimed.correlator.limits().sample_rate_hz,
+            c: self.steered.sound_speed_m_per_s,
+            carrier_hz: self.steered.correlator.pulse().center_frequency_hz,
+            rate_hz: self.steered.correlator.limits().sample_rate_hz,
         };
         let mut workers = std::mem::take(&mut self.workers);
         let this = &*self;
         out.par_chunks_mut(share * samples)
-            .zip(this.aimed.directions.sine.par_chunks(share))
+            .zip(this.steered.directions.sine.par_chunks(share))
             .zip(&mut workers)
             .for_each(|((rows, sines), worker)| {
                 this.sum_beams(&steering, sines, samples, worker, rows);
@@ -320,7 +323,7 @@ impl DelaySumFormer {
         self.workers = workers;
     }
 
-    /// Some of the beams, tile by tile.
+    /// Sums some of the beams, tile by tile.
     fn sum_beams(
         &self,
         steering: &Steering,
@@ -331,8 +334,8 @@ impl DelaySumFormer {
     ) {
         let elements = self.x_m.len();
         let mut first_zone = 0;
-        for tile in (0..samples).step_by(WIDEST) {
-            let tile_end = (tile + WIDEST).min(samples);
+        for tile in (0..samples).step_by(MAX_SAMPLES) {
+            let tile_end = (tile + MAX_SAMPLES).min(samples);
             while self.zones[first_zone].end <= tile {
                 first_zone += 1;
             }
@@ -367,7 +370,7 @@ impl DelaySumFormer {
                             focus,
                             &self.x_m[block..block_end],
                             weights,
-                            Place { row, origin },
+                            GridLayout { row, origin },
                             &mut taps,
                         );
                         let (grid, count) = (&worker.grid, to - from);
@@ -383,11 +386,11 @@ impl DelaySumFormer {
         }
     }
 
-    /// The tile that begins at sample `tile`, of some elements at every fraction: `grid[element][fraction][part][margin + k]` is the row at
-    /// tile + k + fraction / [`FRACTIONS`].
+    /// Interpolates the tile at sample `tile` for some elements and all fractions: `grid[element][fraction][part][margin + k]` is the row
+    /// at tile + k + fraction / [`FRACTIONS`].
     fn interpolate(&self, tile: usize, elements: std::ops::Range<usize>, grid: &mut [f32]) {
         let row = grid_row(self.margin);
-        // Row sample of the grid's first: `margin` before the tile, in rows that begin `margin` + TAPS before sample 0.
+        // Row index of the grid's first sample: `margin` before the tile, in rows that begin `margin` + TAPS before sample 0.
         let first = tile + TAPS;
         for (i, e) in elements.enumerate() {
             let parts = &self.rows[e * 2 * self.row_length..][..2 * self.row_length];
@@ -400,12 +403,12 @@ impl DelaySumFormer {
     }
 }
 
-/// Samples of one row of a grid: a tile, margins, and what the kernel may read beyond.
+/// Row length of a grid: a tile, margins, and the samples that the kernel may read beyond.
 fn grid_row(margin: usize) -> usize {
-    (2 * margin + WIDEST + STEP).next_multiple_of(STEP)
+    (2 * margin + MAX_SAMPLES + STEP).next_multiple_of(STEP)
 }
 
-/// Windowed sincs for 0, 1/16 .. 15/16 of a sample, each with a response of 1 at the band's middle.
+/// Windowed sincs for 0, 1/16, ..., 15/16 of a sample, each with unit response at the middle of the band.
 fn interpolating_filters() -> [[f32; TAPS]; FRACTIONS] {
     let taper = Taper::new(INTERPOLATION);
     std::array::from_fn(|q| {
@@ -424,7 +427,7 @@ fn interpolating_filters() -> [[f32; TAPS]; FRACTIONS] {
     })
 }
 
-/// Of every fraction q a row: `to[2 q row + k] = sum_i filters[q][i] from[k + i]`, k below `row`; zero where `from` ends.
+/// Computes one row per fraction q: `to[2 q row + k] = sum_i filters[q][i] from[k + i]` for k below `row`; zero beyond the end of `from`.
 fn convolve(
     simd_level: SimdLevel,
     filters: &[[f32; TAPS]; FRACTIONS],
@@ -433,15 +436,15 @@ fn convolve(
     to: &mut [f32],
 ) {
     assert!(to.len() >= (2 * FRACTIONS - 1) * row);
-    // Rows end behind their margins: beyond is silence.
+    // Beyond its margin a row is zero.
     let filled = row.min((from.len() + 1).saturating_sub(TAPS));
     match simd_level {
         SimdLevel::Plain => convolve_plain(filters, from, row, filled, to),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
+        // SAFETY: `SimdLevel::best` checked that the processor has the features.
         SimdLevel::Avx2 => unsafe { convolve_avx2(filters, from, row, filled, to) },
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above; `filled` samples and the filters' length lie in `from`, every fraction's row in `to`.
+        // SAFETY: as above. `filled` samples plus the filters' length lie in `from`, and every fraction's row lies in `to`.
         SimdLevel::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
     }
 }
@@ -459,10 +462,10 @@ fn convolve_avx2(
     convolve_plain(filters, from, row, filled, to);
 }
 
-/// Sixteen samples of all fractions at once: what they are made of stays in registers.
+/// Processes sixteen samples of all fractions at once; the inputs stay in registers.
 ///
 /// # Safety
-/// The processor has AVX-512F; `from` holds `filled` + TAPS - 1 samples, `filled` is at most `row`, and `to` holds every fraction's row.
+/// The processor has AVX-512F. `from` holds `filled` + TAPS - 1 samples, `filled` is at most `row`, and `to` holds every fraction's row.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vl")]
 unsafe fn convolve_avx512(
@@ -482,7 +485,7 @@ unsafe fn convolve_avx512(
             *x = unsafe { _mm512_loadu_ps(from.as_ptr().add(first + i)) };
         }
         for (q, filter) in filters.iter().enumerate() {
-            // Two chains, so that neither waits for the other's last product.
+            // Two accumulator chains, so that neither waits for the other's last product.
             let (mut even, mut odd) = (_mm512_setzero_ps(), _mm512_setzero_ps());
             for i in (0..TAPS).step_by(2) {
                 even = _mm512_fmadd_ps(_mm512_set1_ps(filter[i]), x[i], even);
@@ -526,7 +529,7 @@ fn convolve_plain(
     finish_rows(filters, from, row, whole..filled, to);
 }
 
-/// The samples that fill no whole vector, and the silence behind.
+/// Computes the samples that do not fill a vector, and the zeros after them.
 fn finish_rows(
     filters: &[[f32; TAPS]; FRACTIONS],
     from: &[f32],
@@ -543,15 +546,15 @@ fn finish_rows(
     }
 }
 
-/// Where a tap's rows lie in the grid.
+/// Layout of a tap's rows in the grid.
 #[derive(Clone, Copy)]
-struct Place {
+struct GridLayout {
     row: usize,
-    /// Of the first sample to be summed.
+    /// Offset of the first sample to sum.
     origin: usize,
 }
 
-/// What steers the beams of one ping; pairs are along the line and along the boresight.
+/// Steering of the beams of one ping; pairs are components along the line and along the boresight.
 struct Steering {
     former: Former,
     transmit_m: [f64; 2],
@@ -561,7 +564,7 @@ struct Steering {
     rate_hz: f64,
 }
 
-/// One beam's focus: d = S - v t from the array's centre at reception.
+/// Focus of one beam: d = S - v t from the array's centre at reception.
 #[derive(Clone, Copy, Debug, Default)]
 struct Focus {
     d_m: [f32; 2],
@@ -571,7 +574,7 @@ struct Focus {
 }
 
 impl Steering {
-    /// The point that a beam hears at `time_s`.
+    /// The point in focus of a beam at `time_s`.
     fn focus(&self, sine: f64, time_s: f64) -> Focus {
         if self.former != Former::DynamicFocus {
             return Focus {
@@ -584,18 +587,18 @@ impl Steering {
         let [vx, vz] = self.velocity_m_per_s;
         let (moved_x, moved_z) = (vx * time_s, vz * time_s);
         let path_m = self.c * time_s;
-        // Newton on |S - p_T| + |S - v t| = c t, which is nearly straight in R.
+        // Newton's method on |S - p_T| + |S - v t| = c t, which is nearly linear in R.
         let mut range_m = 0.5 * path_m;
         for _ in 0..3 {
             let leg = |x: f64, z: f64| {
                 let (x, z) = (range_m * toward[0] - x, range_m * toward[1] - z);
-                let length = (x * x + z * z).sqrt().max(NEAREST_M);
+                let length = (x * x + z * z).sqrt().max(MIN_DISTANCE_M);
                 (length, (x * toward[0] + z * toward[1]) / length)
             };
             let (out_m, out_slope) = leg(self.transmit_m[0], self.transmit_m[1]);
             let (back_m, back_slope) = leg(moved_x, moved_z);
             let slope = (out_slope + back_slope).max(0.5);
-            range_m = (range_m - (out_m + back_m - path_m) / slope).max(NEAREST_M);
+            range_m = (range_m - (out_m + back_m - path_m) / slope).max(MIN_DISTANCE_M);
         }
         let d = [range_m * toward[0] - moved_x, range_m * toward[1] - moved_z];
         Focus {
@@ -612,35 +615,35 @@ impl Steering {
         focus: &Focus,
         x_m: &[f32],
         weights: &[f32],
-        place: Place,
+        layout: GridLayout,
         taps: &mut Taps,
     ) {
         match simd_level {
-            SimdLevel::Plain => self.steer_plain(focus, x_m, weights, place, taps),
+            SimdLevel::Plain => self.steer_plain(focus, x_m, weights, layout, taps),
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
-            SimdLevel::Avx2 => unsafe { self.steer_avx2(focus, x_m, weights, place, taps) },
+            // SAFETY: `SimdLevel::best` checked that the processor has the features.
+            SimdLevel::Avx2 => unsafe { self.steer_avx2(focus, x_m, weights, layout, taps) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: as above.
-            SimdLevel::Avx512 => unsafe { self.steer_avx512(focus, x_m, weights, place, taps) },
+            SimdLevel::Avx512 => unsafe { self.steer_avx512(focus, x_m, weights, layout, taps) },
         }
     }
 
     /// The same arithmetic, compiled for wider registers.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn steer_avx2(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
-        self.steer_plain(f, x_m, w, place, taps);
+    fn steer_avx2(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
+        self.steer_plain(f, x_m, w, layout, taps);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512vl")]
-    fn steer_avx512(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
-        self.steer_plain(f, x_m, w, place, taps);
+    fn steer_avx512(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
+        self.steer_plain(f, x_m, w, layout, taps);
     }
 
     #[inline(always)]
-    fn steer_plain(&self, f: &Focus, x_m: &[f32], w: &[f32], place: Place, taps: &mut Taps) {
+    fn steer_plain(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
         let cycles_per_m = (self.carrier_hz / self.c) as f32;
         let steps_per_m = match self.former {
             Former::Phase => 0.0,
@@ -661,8 +664,8 @@ impl Steering {
                 -x * f.sine
             };
         }
-        let element_rows = (FRACTIONS * 2 * place.row) as i32;
-        let (row, origin) = (2 * place.row as i32, place.origin as i32);
+        let element_rows = (FRACTIONS * 2 * layout.row) as i32;
+        let (row, origin) = (2 * layout.row as i32, layout.origin as i32);
         for i in 0..n {
             let (sin, cos) = turn(late_m[i] * cycles_per_m);
             let step = whole_number(late_m[i] * steps_per_m);
@@ -676,25 +679,25 @@ impl Steering {
     }
 }
 
-/// 1.5 * 2^23: what is added to it loses what lies behind the point.
+/// 1.5 * 2^23: adding it removes the fractional part of an f32.
 const SHIFT: f32 = 12_582_912.0;
 
-/// The nearest whole number, as an integer: what the addition leaves in the last bits.
+/// The nearest integer, from the last bits of the shifted value.
 #[inline(always)]
 fn whole_number(x: f32) -> i32 {
     (x + SHIFT).to_bits() as i32 - SHIFT.to_bits() as i32
 }
 
-/// To the nearest whole number (halves to even) of what lies within 2^22: without a call, so that loops vectorise.
+/// Rounds a value within 2^22 to the nearest integer (halves to even) without a function call, so that loops vectorise.
 #[inline(always)]
 fn round(x: f32) -> f32 {
     (x + SHIFT) - SHIFT
 }
 
-/// Sine and cosine of a number of cycles, to 3e-7.
+/// Sine and cosine of a number of cycles, with an error of 3e-7.
 #[inline(always)]
 fn turn(cycles: f32) -> (f32, f32) {
-    // To a quarter turn, then Taylor over an eighth to either side.
+    // Reduces to a quarter turn, then uses a Taylor series over an eighth of a turn to either side.
     let quarter = round(4.0 * cycles);
     let a = (cycles - 0.25 * quarter) * std::f32::consts::TAU;
     let a2 = a * a;

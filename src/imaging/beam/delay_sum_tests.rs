@@ -1,4 +1,4 @@
-//! Beams by delay and sum against closed forms and exact element sums.
+//! Compares delay-and-sum beams with closed forms and exact element sums.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,7 +17,7 @@ const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
 const LAMBDA_M: f64 = C / CARRIER_HZ;
 const RATE_HZ: f64 = 40e3;
-/// Samples that hold one echo, on its way along any of these lines.
+/// Samples that hold one echo while it crosses any of these lines.
 const AROUND: usize = 240;
 
 fn transmitter(at_m: DVec3) -> TransmitArray {
@@ -50,7 +50,7 @@ fn single(sine: f64, former: Former) -> FanSpec {
     fan
 }
 
-/// Tapered, so that no sample falls on a jump.
+/// Tapered, so that no sample falls on a discontinuity.
 fn sweep(duration_s: f64) -> Pulse {
     Pulse {
         kind: PulseKind::LfmUp,
@@ -70,7 +70,7 @@ struct Rig {
 }
 
 impl Rig {
-    /// Fore and aft, looking down, at rest.
+    /// Fore and aft, pointing down, at rest.
     fn new(elements: usize, spacing_m: f64, samples: usize) -> Self {
         Self {
             array: array(elements, spacing_m, 0.0),
@@ -117,7 +117,7 @@ impl Rig {
         out
     }
 
-    /// Exact two-way delay of a point at a place along the moving line: bisection in f64, no closed form shared with the former.
+    /// Exact two-way delay of a point at a position along the moving line: bisection in f64, independent of the former's closed form.
     fn delay_s(&self, point_m: DVec3, x_m: f64) -> f64 {
         let out_m = point_m.distance(self.transmit_m);
         let late = |u: f64| {
@@ -140,7 +140,7 @@ impl Rig {
         DVec3::new(range_m * sine, 0.0, range_m * (1.0 - sine * sine).sqrt())
     }
 
-    /// The point near `range_m` whose echo meets the array's centre on a sample, and that sample.
+    /// The point near `range_m` whose echo arrives at the array's centre on a sample, and that sample.
     fn on_a_sample(&self, sine: f64, range_m: f64) -> (DVec3, usize) {
         let sample = (self.delay_s(Self::point(sine, range_m), 0.0) * RATE_HZ).round();
         let (mut low, mut high) = (0.5 * range_m, 2.0 * range_m + 1.0);
@@ -155,7 +155,8 @@ impl Rig {
         (Self::point(sine, 0.5 * (low + high)), sample as usize)
     }
 
-    /// The echo of a point and the samples around `sample`, where it meets the array's centre, alone; the plan that says so; where `sample` is.
+    /// The echo of a point in a window about its arrival sample at the array's centre, the matching plan, and the index of `sample` in the
+    /// window.
     fn around(
         &self,
         point_m: DVec3,
@@ -173,7 +174,7 @@ impl Rig {
         (frame, plan, sample - first)
     }
 
-    /// Each element hears the point with unit amplitude.
+    /// Every element receives the point with unit amplitude.
     fn echo(&self, point_m: DVec3) -> ElementFrame {
         elements_of_plane_wave(&self.array, RATE_HZ, self.samples, |e| {
             (self.pulse, self.delay_s(point_m, self.array.element_x_m(e)))
@@ -193,7 +194,7 @@ fn tone_level(former: &mut DelaySumFormer, rig: &Rig, hz: f64, sine: f64) -> f64
     out.beam(0)[rig.samples / 2].norm()
 }
 
-/// A long CW: a narrow band, so that the envelope plays no part.
+/// A long CW: narrow-band, so that the envelope has no effect.
 fn narrow(elements: usize, spacing_wavelengths: f64) -> Rig {
     Rig {
         pulse: Pulse {
@@ -239,7 +240,7 @@ fn side_lobes_are_within_0p2_db_of_the_exact_pattern_for_every_shading() {
             for step in -60..=60 {
                 let sine = beam_sine + f64::from(step) * 0.0101;
                 let want = array_response(&weights, 0.5, sine - beam_sine);
-                // Between the side lobes everything is small: 50 dB down nobody measures.
+                // Levels more than 50 dB down are not compared.
                 if want < 10f64.powf(-50.0 / 20.0) {
                     continue;
                 }
@@ -273,12 +274,12 @@ fn beam_widths_are_those_of_the_exact_pattern_within_1_percent() {
         };
         let (above, below) = (half(1.0), half(-1.0));
         let got = (sine + above).asin() - (sine - below).asin();
-        let told = rig
+        let reported = rig
             .beams(&spec, &tone(&rig.array, 600, CARRIER_HZ, sine, C))
             .width_rad[0];
         assert!(
-            (got / told - 1.0).abs() < 0.01,
-            "{elements}: measured {got:.5}, told {told:.5}"
+            (got / reported - 1.0).abs() < 0.01,
+            "{elements}: measured {got:.5}, reported {reported:.5}"
         );
         if elements >= 16 && sine == 0.0 {
             let closed = 0.886 / (elements as f64 * spacing);
@@ -288,7 +289,7 @@ fn beam_widths_are_those_of_the_exact_pattern_within_1_percent() {
 }
 
 #[test]
-fn grating_lobes_stand_where_the_spacing_puts_them() {
+fn grating_lobes_are_where_the_spacing_predicts() {
     let rig = narrow(16, 1.6);
     let mut beams = rig.former(&single(0.1, Former::TimeDelay));
     for order in [-1.0, 0.0, 1.0] {
@@ -301,9 +302,9 @@ fn grating_lobes_stand_where_the_spacing_puts_them() {
     }
 }
 
-/// Off the middle of the band too: true time delays do not squint, phases do.
+/// Also off the middle of the band: true time delays do not squint, phases do.
 #[test]
-fn time_delays_keep_the_beam_at_the_edges_of_the_band_where_phases_squint() {
+fn time_delays_do_not_squint_at_the_band_edges_and_phases_do() {
     let rig = Rig {
         pulse: Pulse {
             center_frequency_hz: CARRIER_HZ,
@@ -324,7 +325,7 @@ fn time_delays_keep_the_beam_at_the_edges_of_the_band_where_phases_squint() {
         db(phased)
     );
     assert!(db(delayed).abs() < 0.1, "{:.3} dB", db(delayed));
-    // The echo lasts 8 samples along the line, the compressed pulse 1.2.
+    // The echo spans 8 samples along the line, the compressed pulse 1.2.
     assert!(db(phased) < -8.0, "{:.2} dB", db(phased));
 }
 
@@ -356,7 +357,7 @@ fn focusing_gain_is_within_0p1_db_of_the_exact_element_sum_from_2_m_to_the_far_f
 }
 
 #[test]
-fn unfocused_beams_lose_in_the_near_field_what_the_exact_element_sum_loses() {
+fn unfocused_beams_have_the_near_field_loss_of_the_exact_element_sum() {
     let rig = Rig {
         pulse: narrow(2, 0.5).pulse,
         ..Rig::new(64, 0.01, 2000)
@@ -410,16 +411,16 @@ fn steering_follows_the_moving_receiver_and_both_legs() {
                     let still = out.beam(0)[at - 4..at + 5]
                         .iter()
                         .fold(0.0_f64, |m, y| m.max(y.norm()));
-                    assert!(db(still) < -3.0, "motion left out: {:.2} dB", db(still));
+                    assert!(db(still) < -3.0, "without motion: {:.2} dB", db(still));
                 }
             }
         }
     }
 }
 
-/// Every sample's delays against those of its zone's focus, exactly.
+/// Delays of every sample compared exactly with those of its zone's focus.
 #[test]
-fn zones_err_by_no_more_than_the_phase_asked_for() {
+fn zone_phase_errors_are_within_the_configured_limit() {
     for error_rad in [0.05, 0.2] {
         let rig = Rig::new(128, 0.01, 4000);
         let mut spec = single(0.0, Former::DynamicFocus);
@@ -436,7 +437,7 @@ fn zones_err_by_no_more_than_the_phase_asked_for() {
         }
         for zone in &former.zones {
             for sample in [zone.first, zone.end - 1] {
-                let range_m = (0.5 * C * sample as f64 / RATE_HZ).max(NEAREST_M);
+                let range_m = (0.5 * C * sample as f64 / RATE_HZ).max(MIN_DISTANCE_M);
                 let at_m = 0.5 * C * zone.time_s;
                 let x = former.half_aperture_m(range_m);
                 let late = |r: f64| r.hypot(x) - r;
@@ -450,14 +451,14 @@ fn zones_err_by_no_more_than_the_phase_asked_for() {
         assert!(worst <= error_rad * 1.001, "{worst}");
         assert!(
             worst > 0.3 * error_rad,
-            "zones shorter than they need be: {worst}"
+            "zones shorter than necessary: {worst}"
         );
     }
 }
 
-/// Along-track width of a point: lambda r / L, and from a range on where the aperture grows with it, the same at every range.
+/// Along-track width of a point: lambda r / L, and constant beyond the range from which the aperture grows with range.
 #[test]
-fn a_dynamic_aperture_keeps_the_width_until_the_line_is_used_up() {
+fn a_dynamic_aperture_keeps_the_width_until_the_whole_line_is_in_use() {
     let rig = Rig::new(128, 0.01, 8000);
     let f_number = 40.0;
     for range_m in [12.0, 24.0, 40.0, 100.0] {
@@ -486,7 +487,7 @@ fn a_dynamic_aperture_keeps_the_width_until_the_line_is_used_up() {
             width_m * 1e3,
             want_m * 1e3
         );
-        // Whole elements: the aperture comes in steps of a centimetre, and zones let it lag by a twentieth.
+        // Whole elements: the aperture changes in steps of a centimetre, and zones let it lag by 5 %.
         assert!(
             (width_m / want_m - 1.0).abs() < 0.08,
             "{range_m} m: {width_m} want {want_m}"
@@ -495,7 +496,7 @@ fn a_dynamic_aperture_keeps_the_width_until_the_line_is_used_up() {
 }
 
 #[test]
-fn beams_are_the_same_bits_on_one_thread_and_on_five_and_ping_after_ping() {
+fn beams_are_bit_identical_on_one_thread_and_on_five_and_ping_after_ping() {
     let rig = Rig::new(40, 0.01, 3000);
     let spec = fan(23, 0.6, Shading::Hann, Former::DynamicFocus);
     let frame = rig.echo(Rig::point(0.1, 20.0));
@@ -515,7 +516,7 @@ fn beams_are_the_same_bits_on_one_thread_and_on_five_and_ping_after_ping() {
 }
 
 #[test]
-fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
+fn scalar_and_simd_beams_agree_to_f32() {
     let rig = Rig::new(40, 0.01, 1500);
     let spec = fan(9, 0.6, Shading::Hann, Former::DynamicFocus);
     let frame = rig.echo(Rig::point(0.1, 15.0));
@@ -534,13 +535,13 @@ fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
         .fold(0.0_f64, |w, (a, b)| w.max((a - b).norm()));
     assert!(
         worst < 2e-4,
-        "{worst:.1e}: a row's nearest fraction may differ by rounding"
+        "{worst:.1e}: the nearest fraction of a row may differ by rounding"
     );
 }
 
-/// Equi-distant beams meet a flat bottom at equal steps, stabilised ones look to the same place whatever the roll.
+/// Equi-distant beams meet a flat bottom in equal steps; stabilised beams keep their direction for any roll.
 #[test]
-fn spacings_and_roll_stabilisation_point_the_beams_where_they_say() {
+fn spacings_and_roll_stabilisation_set_the_beam_directions() {
     let mut rig = Rig::new(16, 0.01, 10);
     rig.array = array(16, 0.01, 90.0);
     let frame = ElementFrame {
@@ -578,7 +579,7 @@ fn spacings_and_roll_stabilisation_point_the_beams_where_they_say() {
 }
 
 #[test]
-fn sines_and_cosines_of_many_turns_are_right_to_f32() {
+fn sines_and_cosines_of_many_turns_have_f32_accuracy() {
     for step in -20_000..20_000 {
         let cycles = step as f32 * 0.003_7;
         let (sin, cos) = turn(cycles);

@@ -1,4 +1,4 @@
-//! Where the beams of a fan look: their angles, and the sines towards the array's +x that steer them.
+//! Directions of the beams of a fan: their angles, and their sines towards the array's +x, which steer them.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -7,19 +7,19 @@ use glam::DVec3;
 use echotank_config::spec::{BeamSpacing, FanSpec};
 use echotank_core::flow::{ArrayGeometry, PingPlan};
 
-/// Equi-distant beams stay this far from the horizontal, where the distance on the bottom has no end.
-const STEEPEST_RAD: f64 = 1.55;
+/// Limit on the angle of equi-distant beams, because the distance on the bottom is unbounded towards the horizontal.
+const MAX_ANGLE_RAD: f64 = 1.55;
 
-/// The directions of one fan.
+/// Directions of one fan.
 pub(super) struct Directions {
-    /// As configured; while the fan is roll-stabilised, from the vertical.
+    /// Configured angles; relative to the vertical if the fan is roll-stabilised.
     set_rad: Vec<f64>,
     roll_stabilised: bool,
     towards_x: f64,
     roll_rad: f64,
-    /// Per beam, from the boresight, positive to starboard (or, on an array that lies fore and aft, towards its +x).
+    /// Angle of each beam from the boresight, positive to starboard (on a fore-and-aft array: towards its +x).
     pub(super) angle_rad: Vec<f64>,
-    /// Per beam: sine of its angle towards the array's +x.
+    /// Sine of each beam's angle towards the array's +x.
     pub(super) sine: Vec<f64>,
 }
 
@@ -38,8 +38,8 @@ impl Directions {
         directions
     }
 
-    /// The directions of this ping; whether they are others than before. A platform rolled to starboard looks to port with its boresight, so
-    /// that stabilised beams are steered back by the roll.
+    /// Updates the directions for this ping. Returns true if they changed. With starboard roll the boresight turns to port, so that
+    /// stabilised beams are steered back by the roll.
     pub(super) fn aim(&mut self, plan: &PingPlan) -> bool {
         if !self.roll_stabilised || plan.nav.roll_rad == self.roll_rad {
             return false;
@@ -62,7 +62,7 @@ impl Directions {
     }
 }
 
-/// Beam 0 at the sector's port end; a single beam looks along its middle.
+/// Beam 0 is at the sector's port end; a single beam is at its centre.
 fn beam_angle_rad(fan: &FanSpec, beam: usize) -> f64 {
     let middle = fan.form.center_rad;
     if fan.beams == 1 {
@@ -74,7 +74,7 @@ fn beam_angle_rad(fan: &FanSpec, beam: usize) -> f64 {
     match fan.form.spacing {
         BeamSpacing::EquiAngle => middle + fan.sector_rad * (share - 0.5),
         BeamSpacing::EquiDistant => {
-            let [a, b] = ends.map(|end| end.clamp(-STEEPEST_RAD, STEEPEST_RAD).tan());
+            let [a, b] = ends.map(|end| end.clamp(-MAX_ANGLE_RAD, MAX_ANGLE_RAD).tan());
             between(a, b).atan()
         }
         BeamSpacing::EquiSine => {
@@ -84,7 +84,7 @@ fn beam_angle_rad(fan: &FanSpec, beam: usize) -> f64 {
     }
 }
 
-/// -3 dB width of every beam, radians: a line array's response has the same width in sine wherever it is steered.
+/// -3 dB width of every beam, radians. The response of a line array has the same width in sine for every steering angle.
 pub(super) fn widths_rad(
     weights: &[f64],
     spacing_wavelengths: f64,
@@ -101,10 +101,10 @@ pub(super) fn widths_rad(
     }
 }
 
-/// Offset in sine at which a line array's response has fallen by half its power; infinite where it never does (one element).
+/// Offset in sine at which the response of a line array falls to half its power; infinite if it never does (one element).
 fn half_power_sine(weights: &[f64], spacing_wavelengths: f64) -> f64 {
     let middle = (weights.len() as f64 - 1.0) / 2.0;
-    // Symmetrical weights: the response is real.
+    // The weights are symmetrical, so that the response is real.
     let response = |sine: f64| -> f64 {
         weights
             .iter()
@@ -117,7 +117,7 @@ fn half_power_sine(weights: &[f64], spacing_wavelengths: f64) -> f64 {
     let mut inside = 0.0;
     while response(inside + step) > threshold {
         inside += step;
-        // Two is the widest offset between real directions.
+        // Two is the largest offset between real directions.
         if inside > 2.0 {
             return f64::INFINITY;
         }

@@ -1,4 +1,4 @@
-//! The fan of one receive array, by whichever former its configuration names.
+//! The fan of one receive array, formed by the method that its configuration selects.
 
 use super::RowLimits;
 use super::conventional::FanFormer;
@@ -7,18 +7,18 @@ use super::fast::FastFan;
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
-/// A fan's former.
+/// Beamformer of a fan.
 pub enum Fan {
-    /// In the frequency domain, f64.
+    /// Frequency domain, f64.
     Exact(Box<FanFormer>),
-    /// In the frequency domain, f32.
+    /// Frequency domain, f32.
     Fast(Box<FastFan>),
-    /// In the time domain, f32.
+    /// Time domain, f32.
     DelaySum(Box<DelaySumFormer>),
 }
 
 impl Fan {
-    /// As [`DelaySumFormer::new`].
+    /// Parameters and panics as [`DelaySumFormer::new`].
     pub fn new(
         array: &ArrayGeometry,
         transmit: &TransmitArray,
@@ -45,7 +45,7 @@ impl Fan {
         }
     }
 
-    /// Index of the receive array it belongs to.
+    /// Index of the fan's receive array.
     pub fn array(&self) -> usize {
         match self {
             Self::Exact(former) => former.array(),
@@ -54,7 +54,7 @@ impl Fan {
         }
     }
 
-    /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
+    /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
         match self {
             Self::Exact(former) => former.form(plan, frame, out),

@@ -1,21 +1,22 @@
-//! A far-field fan of a line array by fast transforms, over time and over the line, in f32: what `exact` computes, at a fraction of its cost.
+//! Far-field fan of a line array by FFTs over time and over the line, in f32. It computes the same beams as `exact` at a fraction of the
+//! cost.
 //!
-//! At every frequency of the record the fan is one sum over equally spaced elements,
+//! At every frequency of the record, each beam is one sum over equally spaced elements,
 //!
 //! ```text
 //! Y_b(f) = sum_e w_e X_e(f) exp(-j 2pi u_b (e - (E-1)/2)),    u_b = (f + f_c) d sin(theta_b)/c cycles per element
 //! ```
 //!
-//! whose directions u_b lie anywhere: equal steps of angle, of distance, of sine, stabilised. (A chirp-z transform gives equal steps of sine
-//! alone, with two transforms of E + B points; this takes one of 2 E, and the steps are free.) So: a transform of the elements onto a grid of
-//! at least 2 E directions, and for each beam [`TAPS`] of its values, weighted with a kernel whose own transform has been divided out of the
-//! elements' weights (a nonuniform transform of type 2; Kaiser-Bessel kernel, Fessler and Sutton 2003). Directions repeat with the period 1 of
-//! u: sparse arrays (subarrays with grating lobes) need no more than dense ones.
+//! The directions u_b are arbitrary: equal steps of angle, of distance or of sine, with or without roll stabilisation. (A chirp-z transform
+//! supports equal steps of sine only and needs two transforms of E + B points; this method needs one of 2 E.) The elements are transformed
+//! onto a grid of at least 2 E directions. Each beam is interpolated from [`TAPS`] grid values with a kernel whose transform has been
+//! divided out of the element weights. This is a nonuniform FFT of type 2 with a Kaiser-Bessel kernel (Fessler and Sutton 2003). Directions
+//! are periodic in u with period 1, so that sparse arrays (subarrays with grating lobes) need no special treatment.
 //!
-//! Rows are transformed and matched-filtered in f64; the sum over elements and the way back to time are f32: rounding lies about 140 dB below
-//! the loudest sample of a beam. Work is split by element, by frequency and by beam: no sum crosses threads.
+//! Rows are transformed and matched-filtered in f64. The sum over elements and the inverse transform use f32, with rounding about 140 dB
+//! below the largest sample of a beam. Work is split by element, by frequency and by beam; no sum crosses threads.
 //!
-//! Not modelled: near-field focus, motion, element patterns (they are in the samples).
+//! Not modelled: near-field focus, motion. The samples contain the element patterns.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -25,70 +26,72 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::aimed::Aimed;
 use super::kernel::SimdLevel;
+use super::steered::SteeredArray;
 use super::weights;
 use echotank_config::spec::{FanSpec, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
 
-/// Width of the interpolating kernel in steps of the grid of directions; with a grid twice as dense as need be its error is 1e-7.
+/// Width of the interpolation kernel in steps of the direction grid. With a grid oversampled by two, its error is 1e-7.
 const TAPS: usize = 8;
-/// Places between two steps at which the kernel is tabulated; linear between them, to 5e-7.
-const PLACES: usize = 512;
-/// Frequencies handled together: one line of a cache of every element.
+/// Number of tabulated kernel positions per grid step; linear interpolation between them has an error of 5e-7.
+const KERNEL_STEPS: usize = 512;
+/// Number of frequencies processed together: one cache line per element.
 const TILE: usize = 16;
-/// The fan of one receive array.
+/// Far-field fan of one receive array.
 pub struct FastFan {
-    aimed: Aimed,
-    /// The weights over the kernel's transform.
+    steered: SteeredArray,
+    /// Element weights divided by the kernel's transform.
     spread: Vec<f32>,
     inverse: Arc<dyn Fft<f32>>,
-    /// Over the elements.
+    /// Transform over the elements.
     line: Arc<dyn Fft<f32>>,
-    /// exp(-j pi k/N) over the unwrapped grid of an even number of elements, whose middle lies between two; ones for an odd number.
+    /// exp(-j pi k/N) over the unwrapped grid for an even number of elements, whose centre lies between two elements; ones for an odd
+    /// number.
     half_step: Vec<Complex32>,
     kernel: Vec<[f32; TAPS]>,
-    /// Element-major, f32, after the matched filter; a tile longer than the transform, so that elements do not fall on each other in the caches.
+    /// Element-major spectra in f32 after the matched filter. Rows are a tile longer than the transform, so that elements do not collide in
+    /// the caches.
     spectra: Vec<Complex32>,
     stride: usize,
-    /// By tiles of frequencies: beam by beam the tile's values.
+    /// Beam spectra by tiles of frequencies: for each beam the values of the tile.
     mixed: Vec<Complex32>,
     simd_level: SimdLevel,
     workers: Vec<Worker>,
 }
 
-/// What one share of the work needs for itself.
+/// Buffers of one share of the work.
 struct Worker {
     row: Vec<Complex64>,
     scratch: Vec<Complex64>,
     beam: Vec<Complex32>,
     beam_scratch: Vec<Complex32>,
-    /// One tile: frequency by frequency all elements, weighted.
+    /// One tile of weighted element values: all elements for each frequency.
     tile: Vec<Complex32>,
     line: Vec<Complex32>,
     line_scratch: Vec<Complex32>,
     grid: Grid,
-    places: Vec<Place>,
+    indices: Vec<GridIndex>,
 }
 
-/// One frequency's values over the directions from -1/2 to 1/2 and half a kernel beyond: real parts, imaginary parts.
+/// Values of one frequency over the directions from -1/2 to 1/2, extended by half a kernel on each side: real parts, imaginary parts.
 struct Grid {
     re: Vec<f32>,
     im: Vec<f32>,
 }
 
-/// Where one beam lies on the grid.
+/// Position of one beam on the direction grid.
 #[derive(Clone, Copy, Default)]
-struct Place {
+struct GridIndex {
     first: u32,
-    /// Into the table of the kernel: whole part, fraction.
+    /// Position in the kernel table: index and fraction.
     entry: u32,
     fraction: f32,
     sign: f32,
 }
 
 impl FastFan {
-    /// As [`FanFormer::new`](super::conventional::FanFormer::new).
+    /// Parameters and panics as [`FanFormer::new`](super::conventional::FanFormer::new).
     pub fn new(
         array: &ArrayGeometry,
         fan: &FanSpec,
@@ -98,15 +101,15 @@ impl FastFan {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let (elements, c) = (array.elements, sound_speed_m_per_s);
-        let silence = Aimed::far_field_silence(array, &limits, c);
-        let aimed = Aimed::new(array, fan, (limits, silence), pulse, weighting, c);
-        let correlator = &aimed.correlator;
+        let silence = SteeredArray::far_field_silence(array, &limits, c);
+        let steered = SteeredArray::new(array, fan, (limits, silence), pulse, weighting, c);
+        let correlator = &steered.correlator;
         let length = correlator.length();
         let grid = (2 * elements).next_power_of_two().max(2 * TAPS);
         let kernel = Kernel::new(grid as f64 / elements as f64);
-        let spread = aimed.weights.iter().enumerate().map(|(e, w)| {
-            let place = e as f64 - (elements / 2) as f64 + middle(elements);
-            (w / kernel.transform(place / grid as f64)) as f32
+        let spread = steered.weights.iter().enumerate().map(|(e, w)| {
+            let index = e as f64 - (elements / 2) as f64 + middle(elements);
+            (w / kernel.transform(index / grid as f64)) as f32
         });
         let (inverse, line) = (f32::plan_inverse(length), f32::plan_forward(grid));
         let zero = Complex32::new(0.0, 0.0);
@@ -122,7 +125,7 @@ impl FastFan {
                 re: vec![0.0; grid + TAPS + 1],
                 im: vec![0.0; grid + TAPS + 1],
             },
-            places: vec![Place::default(); fan.beams],
+            indices: vec![GridIndex::default(); fan.beams],
         };
         let half_step = (0..grid + TAPS + 1).map(|i| {
             let k = i as f64 - (grid / 2 + TAPS / 2) as f64;
@@ -140,20 +143,20 @@ impl FastFan {
             workers: (0..rayon::current_num_threads().max(1))
                 .map(|_| worker())
                 .collect(),
-            aimed,
+            steered,
             inverse,
             line,
         }
     }
 
-    /// Index of the receive array it belongs to.
+    /// Index of the fan's receive array.
     pub fn array(&self) -> usize {
-        self.aimed.array()
+        self.steered.array()
     }
 
-    /// Beams of one ping. `frame` is the frame of the fan's array; `out` grows once to the largest size and is reused.
+    /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        self.aimed.begin(plan, frame, out);
+        self.steered.begin(plan, frame, out);
         if frame.samples == 0 {
             return;
         }
@@ -163,8 +166,8 @@ impl FastFan {
     }
 
     fn transform_elements(&mut self, frame: &ElementFrame) {
-        let (correlator, stride) = (&self.aimed.correlator, self.stride);
-        let share = self.aimed.elements().div_ceil(self.workers.len());
+        let (correlator, stride) = (&self.steered.correlator, self.stride);
+        let share = self.steered.elements().div_ceil(self.workers.len());
         self.spectra
             .par_chunks_mut(share * stride)
             .zip(&mut self.workers)
@@ -182,9 +185,9 @@ impl FastFan {
             });
     }
 
-    /// All beams at every frequency.
+    /// Computes all beams at every frequency.
     fn mix(&mut self) {
-        let (beams, length) = (self.aimed.beams(), self.aimed.correlator.length());
+        let (beams, length) = (self.steered.beams(), self.steered.correlator.length());
         let share = (length / TILE).div_ceil(self.workers.len());
         let mut workers = std::mem::take(&mut self.workers);
         let mut mixed = std::mem::take(&mut self.mixed);
@@ -206,9 +209,9 @@ impl FastFan {
         self.mixed = mixed;
     }
 
-    /// The elements' values at a tile of frequencies, weighted.
+    /// Gathers the weighted element values for a tile of frequencies.
     fn gather(&self, first: usize, tile: &mut [Complex32]) {
-        let elements = self.aimed.elements();
+        let elements = self.steered.elements();
         for (e, w) in self.spread.iter().enumerate() {
             let from = &self.spectra[e * self.stride + first..][..TILE];
             for (i, x) in from.iter().enumerate() {
@@ -217,10 +220,10 @@ impl FastFan {
         }
     }
 
-    /// All beams at frequency `bin`, the `at`th of its tile.
+    /// Computes all beams at frequency `bin`, which has index `at` in its tile.
     fn mix_one(&self, bin: usize, at: usize, worker: &mut Worker, tile: &mut [Complex32]) {
-        let (elements, grid) = (self.aimed.elements(), worker.line.len());
-        // Element E/2 is the grid's zero; those before it lie at its far end.
+        let (elements, grid) = (self.steered.elements(), worker.line.len());
+        // Element E/2 is at index 0 of the grid; earlier elements are at its end.
         let values = &worker.tile[at * elements..][..elements];
         let (before, behind) = values.split_at(elements / 2);
         worker.line[..behind.len()].copy_from_slice(behind);
@@ -228,7 +231,7 @@ impl FastFan {
         worker.line[grid - before.len()..].copy_from_slice(before);
         self.line
             .process_with_scratch(&mut worker.line, &mut worker.line_scratch);
-        // From -1/2 cycle per element on, half a kernel earlier; positive u is the transform's positive index.
+        // The grid starts half a kernel before -1/2 cycle per element; positive u has positive transform indices.
         let start = grid - grid / 2 - TAPS / 2;
         for (i, turn) in self.half_step.iter().enumerate() {
             let y = worker.line[(start + i) & (grid - 1)] * turn;
@@ -236,19 +239,26 @@ impl FastFan {
             worker.grid.im[i] = y.im;
         }
         let band = Band {
-            per_sine: self.aimed.band().frequency_hz(bin) * self.aimed.spacing_m()
-                / self.aimed.sound_speed_m_per_s,
+            per_sine: self.steered.band().frequency_hz(bin) * self.steered.spacing_m()
+                / self.steered.sound_speed_m_per_s,
             grid: grid as f64,
             alternates: elements.is_multiple_of(2),
         };
-        let steering = (&band, &self.aimed.directions.sine[..]);
+        let steering = (&band, &self.steered.directions.sine[..]);
         let (kernel, out) = (&self.kernel[..], &mut tile[at..]);
-        let places = &mut worker.places[..];
-        interpolate(self.simd_level, kernel, &worker.grid, steering, places, out);
+        let indices = &mut worker.indices[..];
+        interpolate(
+            self.simd_level,
+            kernel,
+            &worker.grid,
+            steering,
+            indices,
+            out,
+        );
     }
 
     fn transform_beams(&mut self, samples: usize, out: &mut [Complex64]) {
-        let beams = self.aimed.beams();
+        let beams = self.steered.beams();
         let (mixed, inverse) = (&self.mixed, &self.inverse);
         let share = beams.div_ceil(self.workers.len());
         out.par_chunks_mut(share * samples)
@@ -273,7 +283,7 @@ impl FastFan {
     }
 }
 
-/// From the element that is counted from to the line's middle: half a step where the number is even.
+/// Offset from the reference element to the line's centre: half a step for an even number of elements.
 fn middle(elements: usize) -> f64 {
     match elements.is_multiple_of(2) {
         true => 0.5,
@@ -281,28 +291,28 @@ fn middle(elements: usize) -> f64 {
     }
 }
 
-/// How the directions of one frequency lie on the grid.
+/// Mapping from directions to the grid at one frequency.
 struct Band {
-    /// Cycles per element for a sine of 1.
+    /// Cycles per element at a sine of 1.
     per_sine: f64,
     grid: f64,
-    /// A whole cycle per element turns an even number of elements, counted from their middle, by half a cycle.
+    /// One cycle per element shifts an even number of elements, counted from their centre, by half a cycle.
     alternates: bool,
 }
 
 impl Band {
     #[inline(always)]
-    fn place(&self, sine: f64) -> Place {
-        // To the nearest whole number without a call, so that loops vectorise.
+    fn index(&self, sine: f64) -> GridIndex {
+        // Adding SHIFT rounds to the nearest integer without a function call, so that loops vectorise.
         const SHIFT: f64 = 6_755_399_441_055_744.0;
         let u = self.per_sine * sine;
         let whole = (u + SHIFT) - SHIFT;
-        // The kernel's first tap lies TAPS/2 - 1 steps before the direction's step, and the grid begins TAPS/2 before -1/2.
+        // The first tap of the kernel lies TAPS/2 - 1 steps before the direction's step; the grid begins TAPS/2 before -1/2.
         let at = (u - whole + 0.5) * self.grid + 1.0;
         let first = at as i32;
-        let entry = (at - f64::from(first)) * PLACES as f64;
+        let entry = (at - f64::from(first)) * KERNEL_STEPS as f64;
         let odd = (whole as i32) & 1 != 0;
-        Place {
+        GridIndex {
             first: first as u32,
             entry: entry as i32 as u32,
             fraction: (entry - f64::from(entry as i32)) as f32,
@@ -311,23 +321,23 @@ impl Band {
     }
 }
 
-/// Beam b's value into `out[b TILE]`. `places` is room.
+/// Writes the value of beam b to `out[b TILE]`. `indices` is a buffer.
 fn interpolate(
     simd_level: SimdLevel,
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     steering: (&Band, &[f64]),
-    places: &mut [Place],
+    indices: &mut [GridIndex],
     out: &mut [Complex32],
 ) {
     match simd_level {
-        SimdLevel::Plain => interpolate_plain(kernel, grid, steering, places, out),
+        SimdLevel::Plain => interpolate_plain(kernel, grid, steering, indices, out),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the SIMD level was made by `SimdLevel::best`, which asked for the features.
-        SimdLevel::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, places, out) },
+        // SAFETY: `SimdLevel::best` checked that the processor has the features.
+        SimdLevel::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, indices, out) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        SimdLevel::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, places, out) },
+        SimdLevel::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, indices, out) },
     }
 }
 
@@ -338,10 +348,10 @@ fn interpolate_avx2(
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     steering: (&Band, &[f64]),
-    places: &mut [Place],
+    indices: &mut [GridIndex],
     out: &mut [Complex32],
 ) {
-    interpolate_plain(kernel, grid, steering, places, out);
+    interpolate_plain(kernel, grid, steering, indices, out);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -350,10 +360,10 @@ fn interpolate_avx512(
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     steering: (&Band, &[f64]),
-    places: &mut [Place],
+    indices: &mut [GridIndex],
     out: &mut [Complex32],
 ) {
-    interpolate_plain(kernel, grid, steering, places, out);
+    interpolate_plain(kernel, grid, steering, indices, out);
 }
 
 #[inline(always)]
@@ -361,41 +371,41 @@ fn interpolate_plain(
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     (band, sines): (&Band, &[f64]),
-    places: &mut [Place],
+    indices: &mut [GridIndex],
     out: &mut [Complex32],
 ) {
-    for (place, sine) in places.iter_mut().zip(sines) {
-        *place = band.place(*sine);
+    for (index, sine) in indices.iter_mut().zip(sines) {
+        *index = band.index(*sine);
     }
-    for (place, out) in places.iter().zip(out.iter_mut().step_by(TILE)) {
-        let entry = place.entry as usize;
+    for (index, out) in indices.iter().zip(out.iter_mut().step_by(TILE)) {
+        let entry = index.entry as usize;
         let (near, next) = (&kernel[entry], &kernel[entry + 1]);
-        let first = place.first as usize;
+        let first = index.first as usize;
         let re: &[f32; TAPS] = grid.re[first..first + TAPS].try_into().expect("as long");
         let im: &[f32; TAPS] = grid.im[first..first + TAPS].try_into().expect("as long");
         let (mut a, mut b) = ([0.0f32; TAPS], [0.0f32; TAPS]);
         for i in 0..TAPS {
-            let w = near[i] + place.fraction * (next[i] - near[i]);
+            let w = near[i] + index.fraction * (next[i] - near[i]);
             a[i] = w * re[i];
             b[i] = w * im[i];
         }
-        *out = Complex32::new(sum(a) * place.sign, sum(b) * place.sign);
+        *out = Complex32::new(sum(a) * index.sign, sum(b) * index.sign);
     }
 }
 
-/// In a fixed order that adds side by side.
+/// Sums pairwise in a fixed order.
 #[inline(always)]
 fn sum(x: [f32; TAPS]) -> f32 {
     ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
 }
 
-/// Kaiser-Bessel: I0(beta sqrt(1 - (x / half)^2)).
+/// Kaiser-Bessel kernel: I0(beta sqrt(1 - (x / half)^2)).
 struct Kernel {
     beta: f64,
 }
 
 impl Kernel {
-    /// For a grid `oversampling` times as dense as the elements need (Beatty, Nishimura and Pauly 2005, Eq. 5).
+    /// Kernel for a grid with the given oversampling (Beatty, Nishimura and Pauly 2005, Eq. 5).
     fn new(oversampling: f64) -> Self {
         let s = oversampling;
         let width = TAPS as f64;
@@ -409,11 +419,11 @@ impl Kernel {
         weights::Taper::Kaiser(self.beta).at(0.5 * x / half)
     }
 
-    /// integral of kernel(x) exp(-j 2pi x xi) dx, scaled as [`Kernel::at`] is: 1 at its middle.
+    /// integral of kernel(x) exp(-j 2pi x xi) dx, with [`Kernel::at`] normalised to 1 at its centre.
     fn transform(&self, xi: f64) -> f64 {
         let half = 0.5 * TAPS as f64;
         let s2 = self.beta.powi(2) - (TAU * half * xi).powi(2);
-        // sinh(beta) and I0(beta) both grow as exp(beta): taken out.
+        // sinh(beta) and I0(beta) both grow as exp(beta), which is factored out.
         let scale = 2.0 * half * (-self.beta).exp() / scaled_i0(self.beta);
         match s2 > 0.0 {
             true => scale * s2.sqrt().sinh() / s2.sqrt(),
@@ -421,13 +431,13 @@ impl Kernel {
         }
     }
 
-    /// Weights of the taps at every place between two steps of the grid, one more than [`PLACES`].
+    /// Tap weights at every tabulated position of a grid step, one more than [`KERNEL_STEPS`].
     fn table(&self) -> Vec<[f32; TAPS]> {
-        (0..=PLACES)
+        (0..=KERNEL_STEPS)
             .map(|p| {
-                let place = p as f64 / PLACES as f64;
-                // Tap i lies i - (TAPS/2 - 1) - place from the direction.
-                std::array::from_fn(|i| self.at(i as f64 - (TAPS / 2 - 1) as f64 - place) as f32)
+                let index = p as f64 / KERNEL_STEPS as f64;
+                // Tap i lies i - (TAPS/2 - 1) - position from the direction.
+                std::array::from_fn(|i| self.at(i as f64 - (TAPS / 2 - 1) as f64 - index) as f32)
             })
             .collect()
     }

@@ -1,4 +1,4 @@
-//! The fast fan swept against the exact one.
+//! Compares the fast fan with the exact one over many cases.
 
 use glam::DVec3;
 
@@ -31,7 +31,7 @@ fn limits() -> RowLimits {
     }
 }
 
-/// Every sample of every element drawn by itself: no direction is empty, nothing cancels.
+/// Independent random samples for every element: energy from all directions, no cancellation.
 fn noise(elements: usize, samples: usize) -> ElementFrame {
     let mut state = 7u64;
     let mut draw = || {
@@ -65,7 +65,7 @@ fn fan(beams: usize, sector_rad: f64, spacing: BeamSpacing) -> FanSpec {
     }
 }
 
-/// rms of the differences over rms, and the greatest over the greatest.
+/// rms of the differences relative to the rms, and largest difference relative to the largest value.
 fn error(got: &BeamFrame, want: &BeamFrame) -> (f64, f64) {
     let (mut off, mut all, mut worst, mut most) = (0.0, 0.0, 0.0_f64, 0.0_f64);
     for (g, w) in got.iq.iter().zip(&want.iq) {
@@ -78,7 +78,8 @@ fn error(got: &BeamFrame, want: &BeamFrame) -> (f64, f64) {
     ((off / all).sqrt(), (worst / most).sqrt())
 }
 
-/// Dense and sparse lines, odd and even, few and many beams, every spacing: 1e-6 of the exact fan, half the band's frequencies off its middle.
+/// Dense and sparse lines, odd and even numbers of elements, few and many beams, every spacing, and frequencies half the bandwidth off the
+/// centre.
 #[test]
 fn equals_the_exact_fan_to_2e_minus_6_for_any_line_and_any_directions() {
     for (elements, spacing_m, beams, sector_rad, spacing) in [
@@ -113,7 +114,7 @@ fn equals_the_exact_fan_to_2e_minus_6_for_any_line_and_any_directions() {
 }
 
 #[test]
-fn roll_shorter_rows_and_other_pulses_are_followed() {
+fn roll_shorter_rows_and_other_pulses_are_handled() {
     let array = array(16, 0.004, 90.0);
     let mut spec = fan(9, 1.0, BeamSpacing::EquiAngle);
     spec.form.roll_stabilised = true;
@@ -149,7 +150,7 @@ fn roll_shorter_rows_and_other_pulses_are_followed() {
 }
 
 #[test]
-fn beams_are_the_same_bits_on_one_thread_and_on_five() {
+fn beams_are_bit_identical_on_one_thread_and_on_five() {
     let array = array(40, 0.004, 90.0);
     let spec = fan(23, 2.0, BeamSpacing::EquiAngle);
     let frame = noise(40, SAMPLES);
@@ -169,7 +170,7 @@ fn beams_are_the_same_bits_on_one_thread_and_on_five() {
 }
 
 #[test]
-fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
+fn scalar_and_simd_beams_agree_to_f32() {
     let array = array(32, 0.004, 90.0);
     let spec = fan(33, 2.0, BeamSpacing::EquiAngle);
     let frame = noise(32, SAMPLES);
@@ -184,9 +185,9 @@ fn plain_and_wide_instructions_give_the_same_beams_to_f32() {
     assert!(rms < 1e-6 && worst < 1e-6, "{rms:.1e} {worst:.1e}");
 }
 
-/// As the configuration names it.
+/// Selected by the name in the configuration.
 #[test]
-fn the_fan_of_the_configuration_is_this_one() {
+fn the_configuration_selects_this_fan() {
     let array = array(8, 0.004, 90.0);
     let transmit = echotank_core::flow::TransmitArray {
         mounting: Mounting {

@@ -1,18 +1,18 @@
-//! The same fan from the two halves of a line: what the phase between them tells of a beam's direction.
+//! Forms the same fan from each half of a line; the phase between them gives the direction within a beam.
 
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
 
-/// Two fans about the whole line's centre, so that they agree in phase on the axis of every beam.
+/// Two fans that both refer to the whole line's centre, so that they agree in phase on the axis of every beam.
 pub struct HalvesFormer {
     formers: [DelaySumFormer; 2],
     frames: [BeamFrame; 2],
 }
 
 impl HalvesFormer {
-    /// As [`DelaySumFormer::new`]; a fan whose former is `exact` or `fft` is formed with time delays.
+    /// Parameters and panics as [`DelaySumFormer::new`]. A fan configured as `exact` or `fft` is formed with time delays.
     pub fn new(
         array: &ArrayGeometry,
         transmit: &TransmitArray,
@@ -37,7 +37,7 @@ impl HalvesFormer {
         }
     }
 
-    /// The beams of the half at the array's -x end, then those at its +x end.
+    /// Returns the beams of the half at the array's -x end, then those of the half at its +x end.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame) -> [&BeamFrame; 2] {
         for (former, out) in self.formers.iter_mut().zip(&mut self.frames) {
             former.form(plan, frame, out);

@@ -1,21 +1,21 @@
-//! The inner loops of [`delay_sum`](super::delay_sum): weighted sums of rows that begin at different samples, in f32.
+//! Inner loops of [`delay_sum`](super::delay_sum): weighted sums of rows that begin at different samples, in f32.
 //!
-//! A grid holds for every element and every fraction of a sample one row of real and one of imaginary parts. [`add_rows`] adds up to
-//! [`WIDEST`] samples of one such row per element, each times its complex weight; the sums stay in registers over a block of elements. AVX-512 and
-//! AVX2 are asked for at run time; the plain twin is the fall-back, and the tests compare them.
+//! A grid holds one row of real and one of imaginary parts for every element and every fraction of a sample. [`add_rows`] adds up to
+//! [`MAX_SAMPLES`] samples of one such row per element, each multiplied by its complex weight. The sums stay in registers over a block of
+//! elements. AVX-512 and AVX2 are detected at run time; the scalar version is the fall-back and the reference of the tests.
 
-/// Samples that one call sums at most.
-pub(super) const WIDEST: usize = 128;
-/// Elements that one call sums at most: their interpolated tile lies in the second cache.
+/// Maximum number of samples per call.
+pub(super) const MAX_SAMPLES: usize = 128;
+/// Maximum number of elements per call; their interpolated tile fits the second-level cache.
 pub(super) const BLOCK: usize = 32;
-/// Samples in one step of the widest kernel; rows must be readable to the end of a step.
+/// Samples per step of the widest kernel; rows must be readable to the end of a step.
 pub(super) const STEP: usize = 16;
 
-/// Which rows of the grid the elements give, and their weights; structure of arrays.
+/// Rows of the grid and weights, by element; structure of arrays.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Taps {
     pub(super) len: usize,
-    /// Where the real parts begin; the imaginary parts lie one row's length behind.
+    /// Start of the real parts; the imaginary parts follow one row length later.
     pub(super) start: [u32; BLOCK],
     pub(super) re: [f32; BLOCK],
     pub(super) im: [f32; BLOCK],
@@ -36,18 +36,18 @@ impl Taps {
 
 /// Sums of real and imaginary parts.
 pub(super) struct Sums {
-    pub(super) re: [f32; WIDEST],
-    pub(super) im: [f32; WIDEST],
+    pub(super) re: [f32; MAX_SAMPLES],
+    pub(super) im: [f32; MAX_SAMPLES],
 }
 
 impl Sums {
     pub(super) const ZERO: Self = Self {
-        re: [0.0; WIDEST],
-        im: [0.0; WIDEST],
+        re: [0.0; MAX_SAMPLES],
+        im: [0.0; MAX_SAMPLES],
     };
 }
 
-/// The widest instructions of this processor that there is a kernel for.
+/// Widest instruction set of this processor for which a kernel exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SimdLevel {
     Plain,
@@ -72,7 +72,7 @@ impl SimdLevel {
     }
 }
 
-/// Adds the sum of all taps' rows to `sums`, from place `at` on for `samples`. `imaginary`: length of a row.
+/// Adds the sum of all taps' rows to `sums`, for `samples` samples from offset `at`. `imaginary` is the length of a row.
 ///
 /// Panics if a tap's row, rounded up to whole steps, lies outside the grid.
 pub(super) fn add_rows(
@@ -84,19 +84,19 @@ pub(super) fn add_rows(
     samples: usize,
     sums: &mut Sums,
 ) {
-    assert!(at + samples <= WIDEST && taps.len <= BLOCK);
+    assert!(at + samples <= MAX_SAMPLES && taps.len <= BLOCK);
     let steps = samples.div_ceil(STEP);
     let reach = taps.start[..taps.len].iter().max().copied().unwrap_or(0) as usize;
     assert!(
         taps.len == 0 || reach + imaginary + STEP * steps <= grid.len(),
-        "a row outside the grid"
+        "row outside the grid"
     );
     let re = &mut sums.re[at..at + samples];
     let im = &mut sums.im[at..at + samples];
     match simd_level {
         SimdLevel::Plain => add_plain(grid, imaginary, taps, re, im),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the SIMD level was made by `SimdLevel::best` or a test that asked for the features; the rows were checked above.
+        // SAFETY: `SimdLevel::best` or the test checked that the processor has the features; the rows are checked above.
         SimdLevel::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
@@ -116,10 +116,10 @@ pub(super) fn add_rows(
     }
 }
 
-/// The same sums in the same order; without fused multiply-adds its last bits differ.
+/// The same sums in the same order. Without fused multiply-add, the last bits differ.
 fn add_plain(grid: &[f32], imaginary: usize, taps: &Taps, to_re: &mut [f32], to_im: &mut [f32]) {
     let samples = to_re.len();
-    let (mut sum_re, mut sum_im) = ([0.0f32; WIDEST], [0.0f32; WIDEST]);
+    let (mut sum_re, mut sum_im) = ([0.0f32; MAX_SAMPLES], [0.0f32; MAX_SAMPLES]);
     for (start, w_re, w_im) in taps.iter() {
         let re = &grid[start..][..samples];
         let im = &grid[start + imaginary..][..samples];
@@ -135,8 +135,8 @@ fn add_plain(grid: &[f32], imaginary: usize, taps: &Taps, to_re: &mut [f32], to_
 }
 
 /// # Safety
-/// The processor has AVX-512F; every tap's rows of 16 `V` samples lie in the grid; `to_re` and `to_im` are as long, more than 16 (V - 1) and at
-/// most 16 V.
+/// The processor has AVX-512F. Every tap's rows of 16 `V` samples lie in the grid. `to_re` and `to_im` have equal lengths, more than 16 (V
+/// - 1) and at most 16 V.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
 unsafe fn add_avx512<const V: usize>(
@@ -151,7 +151,7 @@ unsafe fn add_avx512<const V: usize>(
     let mut im = [_mm512_setzero_ps(); V];
     for (start, w_re, w_im) in taps.iter() {
         let (w_re, w_im) = (_mm512_set1_ps(w_re), _mm512_set1_ps(w_im));
-        // SAFETY: the caller vouches for the rows.
+        // SAFETY: the caller guarantees the rows.
         unsafe {
             let row = grid.as_ptr().add(start);
             for v in 0..V {
@@ -171,7 +171,7 @@ unsafe fn add_avx512<const V: usize>(
         } else {
             (1 << left) - 1
         };
-        // SAFETY: the mask keeps within the slices.
+        // SAFETY: the mask excludes samples beyond the slices.
         unsafe {
             for (to, sum) in [
                 (to_re.as_mut_ptr().add(16 * v), re[v]),
@@ -185,7 +185,7 @@ unsafe fn add_avx512<const V: usize>(
 }
 
 /// # Safety
-/// The processor has AVX2 and FMA; every tap's rows, rounded up to 16 samples, lie in the grid; `to_re` and `to_im` are as long.
+/// The processor has AVX2 and FMA. Every tap's rows, rounded up to 16 samples, lie in the grid. `to_re` and `to_im` have equal lengths.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 unsafe fn add_avx2(
@@ -196,7 +196,7 @@ unsafe fn add_avx2(
     to_im: &mut [f32],
 ) {
     use std::arch::x86_64::*;
-    /// Vectors of 8 that stay in the 16 registers.
+    /// Number of vectors of 8 that fit the 16 registers.
     const V: usize = 2;
     for (first, (to_re, to_im)) in (0..)
         .step_by(8 * V)
@@ -206,7 +206,7 @@ unsafe fn add_avx2(
         let mut im = [_mm256_setzero_ps(); V];
         for (start, w_re, w_im) in taps.iter() {
             let (w_re, w_im) = (_mm256_set1_ps(w_re), _mm256_set1_ps(w_im));
-            // SAFETY: the caller vouches for the rows.
+            // SAFETY: the caller guarantees the rows.
             unsafe {
                 let row = grid.as_ptr().add(start + first);
                 for v in 0..V {
@@ -241,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_dialect_sums_what_the_plain_twin_sums_and_touches_nothing_beside() {
+    fn every_simd_level_equals_the_scalar_sum_and_writes_nothing_outside() {
         let row = 200;
         let mut state = 1u32;
         let mut draw = || {
@@ -277,7 +277,7 @@ mod tests {
                 want.re.fill(0.25);
                 add_rows(SimdLevel::Plain, &grid, row, &taps, at, samples, &mut want);
                 add_rows(simd_level, &grid, row, &taps, at, samples, &mut got);
-                for k in 0..WIDEST {
+                for k in 0..MAX_SAMPLES {
                     let off = (got.re[k] - want.re[k])
                         .abs()
                         .max((got.im[k] - want.im[k]).abs());
@@ -294,7 +294,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "outside the grid")]
-    fn a_row_outside_the_grid_is_refused() {
+    fn a_row_outside_the_grid_panics() {
         let mut taps = Taps::NONE;
         taps.len = 1;
         taps.start[0] = 90;

@@ -4,10 +4,11 @@
 //! y[k] = sum_n x[k+n] w[n] conj(a[n]) / sum_n w[n] |a[n]|^2,    n over the pulse's samples
 //! ```
 //!
-//! An echo of unit amplitude whose leading edge lies on sample k peaks there at magnitude 1, and sample k of y is a leading edge at the time of sample k of x.
+//! An echo of unit amplitude whose leading edge lies on sample k has a peak of magnitude 1 there. Sample k of y is a leading edge at the
+//! time of sample k of x.
 //!
-//! Computed with one transform pair of a length that holds the longest row and the longest pulse, so that nothing wraps around. An echo cut
-//! off by the end of the row gives the part of its peak that was heard.
+//! The transform length holds the longest row plus the longest pulse, so that nothing wraps around. An echo cut off by the end of the row
+//! gives the received part of its peak.
 
 use std::sync::Arc;
 
@@ -21,16 +22,16 @@ use echotank_core::flow::Pulse;
 
 /// Transform lengths are multiples of this, so that the fan's tiles divide them.
 const LENGTH_STEP: usize = 16;
-/// A pulse that ends within this fraction of a sample after a sample keeps that sample.
+/// A pulse that ends within this fraction of a sample after a sample includes that sample.
 const EDGE_SAMPLES: f64 = 1e-9;
 
-/// Samples that a pulse of `duration_s` covers, its first at time 0 and its end included.
+/// Number of samples that a pulse of `duration_s` covers; the first is at time 0 and the end is included.
 pub(super) fn pulse_samples(duration_s: f64, sample_rate_hz: f64) -> usize {
     (duration_s * sample_rate_hz + EDGE_SAMPLES).floor() as usize + 1
 }
 
-/// The smallest multiple of [`LENGTH_STEP`] at or above `least` with no prime factor above 5: fast for the transform.
-fn fft_length(least: usize) -> usize {
+/// Smallest multiple of [`LENGTH_STEP`] at or above `min_length` without a prime factor above 5, for a fast transform.
+fn fft_length(min_length: usize) -> usize {
     let smooth = |mut n: usize| {
         for p in [2, 3, 5] {
             while n.is_multiple_of(p) {
@@ -39,27 +40,27 @@ fn fft_length(least: usize) -> usize {
         }
         n == 1
     };
-    let mut length = least.div_ceil(LENGTH_STEP).max(1) * LENGTH_STEP;
+    let mut length = min_length.div_ceil(LENGTH_STEP).max(1) * LENGTH_STEP;
     while !smooth(length) {
         length += LENGTH_STEP;
     }
     length
 }
 
-/// The pulse's spectrum and the transforms: what all rows of one array share.
+/// Pulse spectrum and transforms that all rows of one array share.
 pub(super) struct Correlator {
     limits: RowLimits,
     window: Shading,
     pulse: Pulse,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
-    /// conj of the replica's transform over its energy and the transform length: multiply, transform back, done.
+    /// Conjugate transform of the replica, divided by its energy and the transform length.
     spectrum: Vec<Complex64>,
     scratch: Vec<Complex64>,
 }
 
 impl Correlator {
-    /// `guard` samples of silence are kept beyond row and pulse, for formers that shift rows.
+    /// `guard` zeros follow row and pulse, for formers that shift rows.
     pub(super) fn new(pulse: &Pulse, limits: RowLimits, guard: usize, window: Shading) -> Self {
         assert!(
             limits.samples > 0 && limits.sample_rate_hz > 0.0,
@@ -103,11 +104,11 @@ impl Correlator {
         let samples = pulse_samples(pulse.duration_s, rate_hz);
         self.spectrum.fill(Complex64::ZERO);
         let taper = Taper::new(self.window);
-        // Each sample stands for an interval, and the weighting is even about the middle of the pulse: that keeps the group delay exact.
+        // Each sample represents an interval, and the weighting is even about the middle of the pulse; this keeps the group delay exact.
         let interval_s = 1.0 / rate_hz;
         let mut energy = 0.0;
         for (n, out) in self.spectrum[..samples].iter_mut().enumerate() {
-            // The last sample may lie past the end by the rounding that `pulse_samples` forgives.
+            // The last sample may lie past the end by the rounding that `pulse_samples` accepts.
             let a = pulse.envelope((n as f64 / rate_hz).min(pulse.duration_s));
             let middle_s = n as f64 * interval_s - 0.5 * pulse.duration_s;
             let weight = taper.at(middle_s / (pulse.duration_s + interval_s));
@@ -136,7 +137,7 @@ impl Correlator {
         self.scratch.clone()
     }
 
-    /// `buffer` holds a row followed by zeros; becomes the correlated row's spectrum.
+    /// Replaces a row followed by zeros in `buffer` by the spectrum of the correlated row.
     pub(super) fn forward(&self, buffer: &mut [Complex64], scratch: &mut [Complex64]) {
         self.forward.process_with_scratch(buffer, scratch);
         for (x, s) in buffer.iter_mut().zip(&self.spectrum) {
@@ -144,7 +145,7 @@ impl Correlator {
         }
     }
 
-    /// A correlated spectrum becomes the correlated row, in `buffer`'s first samples.
+    /// Replaces a correlated spectrum by the correlated row, in the first samples of `buffer`.
     pub(super) fn inverse(&self, buffer: &mut [Complex64], scratch: &mut [Complex64]) {
         self.inverse.process_with_scratch(buffer, scratch);
     }
@@ -158,9 +159,9 @@ pub struct MatchedFilter {
 }
 
 impl MatchedFilter {
-    /// `window` weights the replica along the pulse: for an LFM this is a weighting over frequency (lower side lobes, wider peak).
+    /// `window` weights the replica along the pulse. For an LFM this is a weighting over frequency (lower side lobes, wider peak).
     ///
-    /// Panics if `limits` is empty or the pulse is longer than `limits.pulse_s`: limits come from a checked configuration.
+    /// Panics if `limits` is empty or the pulse is longer than `limits.pulse_s`; a checked configuration prevents both.
     pub fn new(pulse: &Pulse, limits: RowLimits, window: Shading) -> Self {
         let correlator = Correlator::new(pulse, limits, 0, window);
         Self {
@@ -170,12 +171,12 @@ impl MatchedFilter {
         }
     }
 
-    /// From now on correlate with this pulse. Costs one transform if it is a new one. Panics beyond `limits.pulse_s`.
+    /// Sets the pulse to correlate with; a new pulse costs one transform. Panics if it exceeds `limits.pulse_s`.
     pub fn set_pulse(&mut self, pulse: &Pulse) {
         self.correlator.set_pulse(pulse);
     }
 
-    /// Correlates a row in place: `row[k]` becomes the echo whose leading edge is at sample k. Panics beyond `limits.samples`.
+    /// Correlates a row in place: `row[k]` becomes the echo whose leading edge is at sample k. Panics if the row exceeds `limits.samples`.
     pub fn apply(&mut self, row: &mut [Complex64]) {
         assert!(
             row.len() <= self.correlator.limits().samples,
@@ -228,7 +229,7 @@ mod tests {
             .collect()
     }
 
-    /// Magnitudes around an echo's peak, and the peak's index.
+    /// Magnitudes around an echo's peak, and the index of the peak.
     fn compressed(pulse: &Pulse, rate_hz: f64, window: Shading) -> (Vec<f64>, usize) {
         let n = pulse_samples(pulse.duration_s, rate_hz);
         let edge = n;
@@ -237,7 +238,7 @@ mod tests {
         (row.iter().map(|y| y.norm()).collect(), edge)
     }
 
-    /// Full -3 dB width in seconds, crossings interpolated linearly.
+    /// Full -3 dB width in seconds; crossings are interpolated linearly.
     fn width_s(level: &[f64], peak: usize, rate_hz: f64) -> f64 {
         let half = level[peak] * 0.5_f64.sqrt();
         let crossing = |mut k: usize, step: isize| {
@@ -251,7 +252,7 @@ mod tests {
         (crossing(peak, 1) + crossing(peak, -1)) / rate_hz
     }
 
-    /// Level of the first local maximum beyond the first minimum, dB under the peak.
+    /// Level of the first local maximum beyond the first minimum, dB relative to the peak.
     fn first_side_lobe_db(level: &[f64], peak: usize) -> f64 {
         let mut k = peak;
         while level[k + 1] < level[k] {
@@ -279,7 +280,7 @@ mod tests {
             let phase = Complex64::from_polar(1.0, 1.234);
             let mut row = echo(&pulse, rate_hz, samples, edge as f64 / rate_hz);
             row.iter_mut().for_each(|x| *x *= phase);
-            row[5] += 0.3; // something else in the water
+            row[5] += 0.3; // an unrelated echo
             let x = row.clone();
             let mut mf = filter(&pulse, rate_hz, samples, Shading::Uniform);
             mf.apply(&mut row);
@@ -341,7 +342,7 @@ mod tests {
         assert!(lobe_db < -30.0, "side lobe {lobe_db:.2} dB");
     }
 
-    /// A CW's correlation is the triangle 1 - |t|/T.
+    /// The correlation of a CW pulse is the triangle 1 - |t|/T.
     #[test]
     fn compressed_cw_is_a_triangle_of_twice_its_length() {
         let (rate_hz, duration_s) = (1e6, 1e-3);
@@ -366,7 +367,7 @@ mod tests {
         Complex64::from_polar(radius, TAU * uniform(rng.next_u64()))
     }
 
-    /// Noise of density N_0 has N_0 B in the band and N_0/T behind the filter, while the echo keeps its level.
+    /// Noise of density N_0 has power N_0 B in the band and N_0/T after the filter, while the echo keeps its level.
     #[test]
     fn signal_to_noise_gain_is_bt_for_noise_in_the_band() {
         let mut rng = ChaCha12Rng::seed_from_u64(7);
@@ -386,12 +387,12 @@ mod tests {
                 "BT {}: gain {gain:.1}, off by {error_db:.3} dB",
                 bandwidth_hz * duration_s
             );
-            // 160 000 independent cells: 0.011 dB standard deviation; the 188th sample of the pulse is 0.02 dB.
+            // 160 000 independent cells give 0.011 dB standard deviation; the 188th sample of the pulse contributes 0.02 dB.
             assert!(error_db.abs() < 0.1, "off by {error_db:.3} dB");
         }
     }
 
-    /// -3 dB width (in 1/B) and greatest side lobe of a compressed LFM, which is the transform of its weighting.
+    /// -3 dB width (in 1/B) and largest side lobe of a compressed LFM, which is the transform of its weighting.
     #[test]
     fn weightings_give_the_widths_and_side_lobes_of_their_transforms() {
         let (bandwidth_hz, duration_s) = (60e3, 20e-3);
@@ -412,7 +413,7 @@ mod tests {
                 level[peak]
             );
             let width = width_s(&level, peak, rate_hz) * bandwidth_hz;
-            let lobe_db = greatest_side_lobe_db(&level, peak);
+            let lobe_db = largest_side_lobe_db(&level, peak);
             println!(
                 "{window:?}: width {width:.3}/B ({width_want}), {lobe_db:.2} dB ({lobe_want_db})"
             );
@@ -420,7 +421,7 @@ mod tests {
                 (width / width_want - 1.0).abs() < 0.02,
                 "{window:?}: {width:.4}/B"
             );
-            // At BT = 1200 Fresnel ripples of the sweep's ends lift the lowest lobes.
+            // At BT = 1200, Fresnel ripples at the sweep's ends raise the lowest lobes.
             assert!(
                 (lobe_db - lobe_want_db).abs() < 1.2,
                 "{window:?}: {lobe_db:.2} dB"
@@ -428,7 +429,7 @@ mod tests {
         }
     }
 
-    fn greatest_side_lobe_db(level: &[f64], peak: usize) -> f64 {
+    fn largest_side_lobe_db(level: &[f64], peak: usize) -> f64 {
         let mut k = peak;
         while level[k + 1] < level[k] {
             k += 1;
@@ -437,14 +438,14 @@ mod tests {
         20.0 * (most / level[peak]).log10()
     }
 
-    /// Where a parabola through the greatest sample and its neighbours has its top, in samples.
+    /// Vertex of a parabola through the largest sample and its neighbours, in samples.
     fn top(level: &[f64]) -> f64 {
         let k = (1..level.len() - 1).fold(1, |b, k| if level[k] > level[b] { k } else { b });
         let (a, b, c) = (level[k - 1], level[k], level[k + 1]);
         k as f64 + 0.5 * (a - c) / (a - 2.0 * b + c)
     }
 
-    /// Pulses whose length is no whole number of samples, echoes between samples: the peak lies on the leading edge.
+    /// Pulses with a fractional number of samples and echoes between samples: the peak lies on the leading edge.
     #[test]
     fn group_delay_is_exact_for_every_weighting_and_any_length_of_pulse() {
         let rate_hz = 400e3;
@@ -508,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn a_changed_pulse_gives_the_same_bits_as_a_new_filter() {
+    fn a_changed_pulse_gives_bit_identical_results_to_a_new_filter() {
         let rate_hz = 40e3;
         let limits = RowLimits {
             sample_rate_hz: rate_hz,
@@ -533,19 +534,19 @@ mod tests {
         let pulse = lfm(PulseKind::LfmUp, 30e3, 5e-3);
         let samples = 1000;
         let mut row = vec![Complex64::ZERO; samples];
-        row[..150].fill(Complex64::ONE); // the tail of something that began before the record
+        row[..150].fill(Complex64::ONE); // the tail of an echo that began before the record
         filter(&pulse, rate_hz, samples, Shading::Uniform).apply(&mut row);
         let far = row[150..].iter().fold(0.0_f64, |m, y| m.max(y.norm()));
-        assert!(far < 1e-13, "{far:.2e} where no energy is");
+        assert!(far < 1e-13, "{far:.2e} without energy");
     }
 
     #[test]
-    fn transform_lengths_are_smooth_and_not_wasteful() {
-        for least in [1, 17, 1000, 12_345, 40_000, 65_537] {
-            let length = fft_length(least);
+    fn transform_lengths_have_small_factors_and_little_excess() {
+        for min_length in [1, 17, 1000, 12_345, 40_000, 65_537] {
+            let length = fft_length(min_length);
             assert!(
-                length >= least && length as f64 <= 1.1 * least as f64 + 16.0,
-                "{least} -> {length}"
+                length >= min_length && length as f64 <= 1.1 * min_length as f64 + 16.0,
+                "{min_length} -> {length}"
             );
             assert_eq!(length % LENGTH_STEP, 0);
         }

@@ -1,22 +1,20 @@
-//! Element samples to beams: [`ElementFrame`](echotank_core::flow::ElementFrame) in, [`BeamFrame`](echotank_core::flow::BeamFrame) or
+//! Beamforming: [`ElementFrame`](echotank_core::flow::ElementFrame) in, [`BeamFrame`](echotank_core::flow::BeamFrame) or
 //! [`Line`](echotank_core::flow::Line) out.
 //!
 //! - [`matched`]: correlation of a row of samples with the transmitted pulse.
-//! - [`block`]: the same on a stream of blocks. [`weights`]: weightings along pulses and apertures.
-//! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's whole band, f64.
-//! - [`fast`]: the same fan by fast transforms over time and line, f32.
-//! - [`delay_sum`]: far-field and dynamically focused beams in the time domain, f32, with the widest instructions at hand.
-//! - [`fan`]: whichever of these a configuration names.
-//! - [`halves`]: two fans of the halves of a line, for bottom detection. [`backproject`]: synthetic aperture over many pings.
-//! - [`sidescan`]: the whole aperture as one beam, one line per side, focused or not.
+//! - [`weights`]: weightings along pulses and apertures.
+//! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's bandwidth, f64.
+//! - [`fast`]: the same fan by FFTs over time and line, f32.
+//! - [`delay_sum`]: far-field and dynamically focused beams in the time domain, f32, with SIMD.
+//! - [`fan`]: the former that a configuration selects.
+//! - [`halves`]: two fans from the halves of a line, for bottom detection. [`backproject`]: synthetic aperture over many pings.
+//! - [`sidescan`]: the whole aperture as one beam, one line per side, with or without focus.
 //!
-//! Every former belongs to one array, is sized once from [`RowLimits`], and allocates nothing afterwards. Work is split by element and
-//! by beam, so that the samples are the same bits for any number of threads.
+//! Every former belongs to one array, is sized once from [`RowLimits`], and does not allocate afterwards. Work is split by element and by
+//! beam, so that the samples are bit-identical for any number of threads.
 //!
-//! Not modelled: turning of the platform during the echo in the steering delays.
-mod aimed;
+//! Not modelled: rotation of the platform during the echo in the steering delays.
 pub mod backproject;
-pub mod block;
 pub mod conventional;
 pub(crate) mod delay_sum;
 mod directions;
@@ -28,15 +26,17 @@ pub mod matched;
 #[cfg(test)]
 mod point_images;
 pub mod sidescan;
+mod steered;
 #[cfg(test)]
 mod test_rig;
 pub mod weights;
 
-/// The largest row a former will meet; its buffers and transforms are sized from it.
+/// Largest row of samples that a former must process; it determines buffer and transform sizes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowLimits {
+    /// Sample rate of the rows.
     pub sample_rate_hz: f64,
-    /// Samples of the longest listening window.
+    /// Number of samples of the longest reception window.
     pub samples: usize,
     /// Duration of the longest pulse, seconds.
     pub pulse_s: f64,

@@ -1,9 +1,9 @@
-//! Images of single points by a side-scan line that moves at 10 knots, 5 to 200 m away, against the patterns that make them.
+//! Images of single points by a side-scan line at 10 knots, at 5 to 200 m, compared with the patterns that produce them.
 //!
-//! The image along the track is the level of the beam at broadside while the platform passes the point. By the far-field patterns it is the
-//! product of the transmitter's, about where it was at the pulse, and the receiver's: the pattern of the elements in use about their focus times
-//! one element's own about where that is at reception, 2 r v/c ahead. The echoes are those of the whole model: every element at its
-//! own place, with its own delay and hearing.
+//! The image along the track is the level of the broadside beam while the platform passes the point. In the far field it is the product of
+//! the transmit and receive patterns. The transmit pattern is centred on the transmitter's position at the pulse. The receive pattern is
+//! that of the elements in use about their focus, times one element's own pattern about the position at reception, 2 r v/c ahead. The
+//! echoes come from the full model: every element has its own position, delay and pattern.
 
 use std::f64::consts::PI;
 
@@ -27,16 +27,16 @@ const RATE_HZ: f64 = 40e3;
 /// 10 knots.
 const SPEED_M_PER_S: f64 = 5.144;
 const SAMPLES: usize = 120;
-/// Samples ahead of the echo.
+/// Number of samples before the echo.
 const LEAD: usize = 40;
 
 struct Rig {
     array: ArrayGeometry,
-    /// Of the transmitter and of one element, along the track.
+    /// Along-track lengths of the transmitter and of one element.
     transmit_m: f64,
     element_m: f64,
     f_number: Option<f64>,
-    /// Of the beam.
+    /// Sine of the beam's direction.
     sine: f64,
 }
 
@@ -104,7 +104,7 @@ impl Rig {
         plan
     }
 
-    /// The echo of a point `along_m` ahead of the platform at the pulse, as the sample `first` and those after it hold it.
+    /// Echo of a point `along_m` ahead of the platform at the pulse, from sample `first` on.
     fn echo(&self, range_m: f64, along_m: f64, first: usize) -> ElementFrame {
         let out_m = along_m.hypot(range_m);
         let sent = sinc(self.transmit_m * along_m / out_m / LAMBDA_M);
@@ -134,7 +134,7 @@ impl Rig {
         ((2.0 * range_m / C * RATE_HZ) as usize).saturating_sub(LEAD)
     }
 
-    /// Elements in use at a range.
+    /// Number of elements in use at a range.
     fn used(&self, range_m: f64) -> usize {
         let whole_m = 0.5 * self.array.spacing_m * self.array.elements as f64;
         let half_m = self
@@ -159,7 +159,7 @@ impl Rig {
             .collect()
     }
 
-    /// The same by the product of the far-field patterns.
+    /// The same as the product of the far-field patterns.
     fn product(&self, range_m: f64, along_m: f64) -> f64 {
         let ahead_m = along_m - SPEED_M_PER_S * 2.0 * range_m / C;
         let sine = |y: f64| y / y.hypot(range_m);
@@ -169,7 +169,7 @@ impl Rig {
             * line_array_response(self.used(range_m), spacing, sine(along_m) - self.sine)
     }
 
-    /// The same with every element's own hearing at its own place, in phase on the focus.
+    /// The same with every element's own pattern at its own position, in phase at the focus.
     fn element_sum(&self, range_m: f64, along_m: f64) -> f64 {
         let travelled_m = SPEED_M_PER_S * 2.0 * range_m / C;
         let used = self.used(range_m);
@@ -189,7 +189,7 @@ impl Rig {
     }
 }
 
-/// Full -3 dB width of what is sampled at `at`, straight lines between.
+/// Full -3 dB width of a curve sampled at `at`, interpolated linearly.
 fn width(at: &[f64], level: &[f64]) -> f64 {
     let peak = (0..level.len()).fold(0, |b, k| if level[k] > level[b] { k } else { b });
     let half = level[peak] * 0.5_f64.sqrt();
@@ -204,8 +204,8 @@ fn width(at: &[f64], level: &[f64]) -> f64 {
     crossing(1) - crossing(-1)
 }
 
-/// Places along the track about the beam, as fine as a fortieth of the narrowest width there may be.
-fn places(rig: &Rig, range_m: f64) -> Vec<f64> {
+/// Positions along the track about the beam, in steps of a fortieth of the smallest possible width.
+fn positions(rig: &Rig, range_m: f64) -> Vec<f64> {
     let used_m = rig.used(range_m) as f64 * rig.array.spacing_m;
     let scale_m = LAMBDA_M * range_m / used_m.max(rig.transmit_m);
     let about_m = rig.sine * range_m;
@@ -214,12 +214,12 @@ fn places(rig: &Rig, range_m: f64) -> Vec<f64> {
         .collect()
 }
 
-/// At 10 m two more elements join, and a zone of the former begins before it.
+/// At 10 m two more elements join, and a zone of the former begins before that.
 const RANGES_M: [f64; 9] = [5.0, 10.4, 20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0];
 
-/// A line of 64 elements whose length in use grows with range to 1.28 m: at every range the image is as wide as the patterns say.
+/// A line of 64 elements whose length in use grows with range to 1.28 m. At every range the image width follows from the patterns.
 #[test]
-fn focused_points_at_10_knots_are_as_wide_as_the_product_of_the_patterns_within_5_percent() {
+fn focused_points_at_10_knots_have_the_width_of_the_pattern_product_within_5_percent() {
     let rig = Rig {
         array: array(64, 0.02, 0.0),
         transmit_m: 0.4,
@@ -228,7 +228,7 @@ fn focused_points_at_10_knots_are_as_wide_as_the_product_of_the_patterns_within_
         sine: 0.0,
     };
     for range_m in RANGES_M {
-        let at = places(&rig, range_m);
+        let at = positions(&rig, range_m);
         let got = width(&at, &rig.image(range_m, &at));
         let product: Vec<f64> = at.iter().map(|y| rig.product(range_m, *y)).collect();
         let want = width(&at, &product);
@@ -245,10 +245,11 @@ fn focused_points_at_10_knots_are_as_wide_as_the_product_of_the_patterns_within_
     }
 }
 
-/// Five subarrays of 0.2 m hear a point off the axis unevenly, the more the nearer: the outer ones, 2 r v/c ahead, look past it. So the image is wider than
-/// the product, by what the sum over the elements says; from 75 m on the product is right within 5 percent.
+/// Five subarrays of 0.2 m receive an off-axis point with unequal levels, increasingly so at short range: the outer ones, 2 r v/c ahead,
+/// point past it. The image is then wider than the product of patterns, by the amount that the element sum predicts. From 75 m on, the
+/// product is correct within 5 %.
 #[test]
-fn long_subarrays_widen_near_images_by_their_uneven_hearing_and_by_nothing_else() {
+fn long_subarrays_widen_near_images_only_by_their_unequal_levels() {
     let rig = Rig {
         array: array(5, 0.2, 0.0),
         transmit_m: 0.2,
@@ -257,7 +258,7 @@ fn long_subarrays_widen_near_images_by_their_uneven_hearing_and_by_nothing_else(
         sine: SPEED_M_PER_S / C,
     };
     for range_m in [35.0, 50.0, 75.0, 100.0, 150.0, 200.0] {
-        let at = places(&rig, range_m);
+        let at = positions(&rig, range_m);
         let got = width(&at, &rig.image(range_m, &at));
         let [sum, product] = [true, false].map(|elements| {
             let level: Vec<f64> = at
@@ -285,9 +286,9 @@ fn long_subarrays_widen_near_images_by_their_uneven_hearing_and_by_nothing_else(
     }
 }
 
-/// Greatest level of a fan beside one point, from 1.5 widths of the focused beam on, under the fan's own peak: what looks like other targets.
+/// Largest level of a fan beside one point, at 1.5 widths of the focused beam or more, relative to the fan's peak: a false target.
 #[test]
-fn near_by_conventional_beams_show_false_alarms_that_focused_ones_do_not() {
+fn conventional_beams_show_false_alarms_at_short_range_and_focused_ones_do_not() {
     let rig = Rig {
         array: array(64, 0.02, 0.0),
         transmit_m: 0.0,
@@ -315,7 +316,7 @@ fn near_by_conventional_beams_show_false_alarms_that_focused_ones_do_not() {
         let (far, focused) = (level_db(Former::TimeDelay), level_db(Former::DynamicFocus));
         println!("{range_m} m: false alarm {far:.1} dB conventional, {focused:.1} dB focused");
         assert!(far > conventional_above_db, "{range_m} m: {far:.1} dB");
-        // The first side lobe of an unshaded line.
+        // First side lobe of an unshaded line.
         assert!(focused < -12.5, "{range_m} m: {focused:.1} dB");
     }
 }

@@ -1,4 +1,4 @@
-//! Single-beam side-scan: the whole aperture of one side as one broadside beam, one line per ping.
+//! Single-beam side-scan: the whole aperture of one side forms one broadside beam, one line per ping.
 
 use num_complex::Complex64;
 
@@ -10,9 +10,9 @@ use echotank_core::flow::{
     ArrayGeometry, BeamFrame, ElementFrame, Line, PingPlan, Pulse, Side, TransmitArray,
 };
 
-/// The line of one side: mean of the elements, matched filter, envelope.
+/// Forms the line of one side: mean of the elements, matched filter, envelope.
 ///
-/// A unit plane wave from broadside gives a line that peaks at 1 where its leading edge meets the array's centre.
+/// A unit plane wave from broadside peaks at 1 where its leading edge meets the array's centre.
 pub struct LineFormer {
     side: Side,
     array: usize,
@@ -22,19 +22,20 @@ pub struct LineFormer {
     focus: Option<Focused>,
 }
 
-/// The one beam at broadside, refocused along range.
+/// One broadside beam with dynamic focus along range.
 struct Focused {
     former: DelaySumFormer,
     beam: BeamFrame,
 }
 
 impl LineFormer {
-    /// Panics if the pulse is beyond `limits`: they come from a checked configuration.
+    /// Panics if the pulse exceeds `limits`; a checked configuration prevents this.
     pub fn new(line: &LineSpec, limits: RowLimits, pulse: &Pulse) -> Self {
         Self::weighted(line, limits, pulse, Shading::Uniform)
     }
 
     /// With a weighting along the pulse.
+    /// `weighting` is applied along the pulse. Panics as [`LineFormer::new`].
     pub fn weighted(line: &LineSpec, limits: RowLimits, pulse: &Pulse, weighting: Shading) -> Self {
         Self {
             side: line.side,
@@ -46,7 +47,7 @@ impl LineFormer {
         }
     }
 
-    /// The same, refocused along range with the receiver's motion: `array` is the line's, `transmit` the one it listens to.
+    /// Forms the line with dynamic focus, including the receiver's motion. `array` is the line's receive array, `transmit` its transmitter.
     pub fn focused(
         line: &LineSpec,
         array: &ArrayGeometry,
@@ -79,21 +80,25 @@ impl LineFormer {
         }
     }
 
+    /// Side of the line.
     pub fn side(&self) -> Side {
         self.side
     }
 
-    /// Index of the receive array it belongs to.
+    /// Index of the line's receive array.
     pub fn array(&self) -> usize {
         self.array
     }
 
-    /// The line of one ping. `frame` is the frame of the line's array; `out` grows once and is reused.
+    /// Forms the line of one ping. `frame` holds the samples of the line's array; `out` grows once and is reused.
     ///
-    /// A line's sample 0 is the start of the pulse: where the element samples begin later, zeros come first, and what they hold from before it
-    /// is left out (to the nearest sample).
+    /// Sample 0 of a line is the start of the pulse, to the nearest sample. If the element samples begin later, the line begins with zeros;
+    /// element samples before the pulse are dropped.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut Line) {
-        assert_eq!(frame.array, self.array, "elements of another array");
+        assert_eq!(
+            frame.array, self.array,
+            "the frame belongs to another array"
+        );
         assert!(
             frame.samples <= self.limits.samples,
             "row of {} samples, sized for {}",
@@ -173,7 +178,7 @@ mod tests {
         let mut line = empty();
         former(Side::Starboard, 1200).form(&plan(&pulse(), 1000, C), &frame, &mut line);
         assert_eq!((line.side, line.amplitude.len()), (Side::Starboard, 1000));
-        // Rounding may put the pulse's last sample, one of 201, outside it.
+        // Rounding may exclude the last of the pulse's 201 samples.
         assert!((line.amplitude[500] - 1.0).abs() < 0.006);
         assert!(
             line.amplitude
@@ -184,8 +189,8 @@ mod tests {
     }
 
     #[test]
-    fn the_aperture_hears_an_echo_off_broadside_as_the_dirichlet_kernel_says() {
-        // 0.2 m: the first side lobe's null and flank, narrow-band at 0.1 % of relative bandwidth.
+    fn an_echo_off_broadside_has_the_level_of_the_dirichlet_kernel() {
+        // 0.2 m: null and flank of the first side lobe, narrow-band at a relative bandwidth of 0.1 %.
         let array = array(20, 0.01, 0.0);
         let cw = Pulse {
             kind: PulseKind::Cw,
@@ -200,13 +205,13 @@ mod tests {
             former(Side::Port, 1000).form(&plan(&cw, 1000, C), &frame, &mut line);
             let want = crate::beam::conventional::line_array_response(20, 0.01 / (C / 400e3), sine);
             let got = f64::from(line.amplitude[500]);
-            // An echo that leaves its sample by a hair loses one of the pulse's 201 samples.
+            // An echo slightly off its sample loses one of the pulse's 201 samples.
             assert!((got - want).abs() < 0.006, "sine {sine}: {got} want {want}");
         }
     }
 
     #[test]
-    fn sample_zero_is_the_start_of_the_pulse_even_when_listening_begins_later() {
+    fn sample_zero_is_the_start_of_the_pulse_even_when_reception_begins_later() {
         let array = array(4, 0.01, 0.0);
         let frame = elements_of_plane_wave(&array, 40e3, 600, |_| (pulse(), 100.0 / 40e3));
         let mut later = plan(&pulse(), 600, C);

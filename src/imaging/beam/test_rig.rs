@@ -1,4 +1,4 @@
-//! Arrays, plans and plane waves for the tests of this stage.
+//! Arrays, plans and plane waves for the tests of beamforming.
 
 use std::f64::consts::TAU;
 
@@ -8,8 +8,8 @@ use num_complex::Complex64;
 use echotank_core::flow::{ArrayGeometry, ElementFrame, Mounting, Pattern, Pulse};
 use echotank_core::frames::rotation_from_angles;
 
-/// A line array in the body's origin, looking down, turned by `yaw_deg` (0: fore and aft, 90: x to starboard).
-pub fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {
+/// A line array at the body's origin, pointing down, rotated by `yaw_deg` (0: fore and aft, 90: x to starboard).
+pub(crate) fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {
     ArrayGeometry {
         mounting: Mounting {
             position_m: DVec3::ZERO,
@@ -23,7 +23,7 @@ pub fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {
     }
 }
 
-/// Each element hears the pulse that `echo` gives it, with its leading edge's delay: exp(-j 2pi f_c u) a(t - u).
+/// Every element receives the pulse of `echo` with its leading edge's delay: exp(-j 2pi f_c u) a(t - u).
 pub(crate) fn elements_of_plane_wave(
     array: &ArrayGeometry,
     rate_hz: f64,
@@ -46,7 +46,7 @@ pub(crate) fn elements_of_plane_wave(
 }
 
 /// An endless tone from `sine` towards the array's +x.
-pub fn tone(
+pub(crate) fn tone(
     array: &ArrayGeometry,
     samples: usize,
     frequency_hz: f64,

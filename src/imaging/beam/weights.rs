@@ -1,25 +1,25 @@
 //! Weightings along an aperture (shading) or along a pulse (side lobes of the compressed pulse).
 //!
-//! A weighting is a function of the place x along the aperture, -1/2 to 1/2, even in x; [`fill`] samples it at mid-interval, so that no
-//! element is lost. Dolph-Chebyshev's is made for a number of elements and is no function of x: along a pulse the Taylor weighting of the
-//! same side lobes, its continuous relative, stands in for it.
+//! A weighting is an even function of the position x along the aperture, from -1/2 to 1/2. [`fill`] samples it at the centres of equal
+//! intervals, so that every element has a non-zero weight. The Dolph-Chebyshev weighting is defined for a number of elements and is not a
+//! function of x. Along a pulse, the Taylor weighting with equal side lobes, its continuous counterpart, replaces it.
 //!
-//! Sources: Taylor 1955 (n-bar from his condition that the main lobe be continuous), Dolph 1946, Kaiser 1974.
+//! Sources: Taylor 1955 (n-bar from his condition of a continuous main lobe), Dolph 1946, Kaiser 1974.
 
 use std::f64::consts::{PI, TAU};
 
 use echotank_config::spec::Shading;
 
-/// Terms a Taylor weighting may need: 80 dB of side lobes ask for 20.
+/// Maximum number of terms of a Taylor weighting; side lobes of 80 dB need 20.
 const MAX_TERMS: usize = 32;
-/// Fewest near-in side lobes a Taylor weighting levels.
+/// Minimum number of near-in side lobes that a Taylor weighting levels.
 const MIN_NBAR: usize = 4;
 
-/// A weighting as a function of place.
+/// A weighting as a function of position.
 #[derive(Clone, Copy, Debug)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "lives for one loop on the stack, and the ping path must not allocate"
+    reason = "short-lived on the stack, and the ping path must not allocate"
 )]
 pub(super) enum Taper {
     Uniform,
@@ -43,7 +43,7 @@ impl Taper {
         }
     }
 
-    /// At `x` from -1/2 to 1/2; held at the ends' values outside.
+    /// Weight at `x` from -1/2 to 1/2; outside, the weight at the nearer end.
     pub(super) fn at(&self, x: f64) -> f64 {
         let x = x.clamp(-0.5, 0.5);
         match self {
@@ -60,7 +60,7 @@ impl Taper {
     }
 }
 
-/// Weights of equally spaced elements, not normalised.
+/// Fills `weights` for equally spaced elements, without normalisation.
 pub fn fill(shading: Shading, weights: &mut [f64]) {
     if let Shading::Chebyshev { side_lobe_db } = shading {
         return chebyshev(side_lobe_db, weights);
@@ -72,7 +72,7 @@ pub fn fill(shading: Shading, weights: &mut [f64]) {
     }
 }
 
-/// Equal side lobes `side_lobe_db` (positive) below the main lobe: the inverse transform of a Chebyshev polynomial.
+/// Equal side lobes `side_lobe_db` (positive) below the main lobe: inverse transform of a Chebyshev polynomial.
 fn chebyshev(side_lobe_db: f64, weights: &mut [f64]) {
     let n = weights.len();
     if n < 2 {
@@ -114,7 +114,7 @@ fn taylor_terms(side_lobe_db: f64) -> [f64; MAX_TERMS] {
     terms
 }
 
-/// Modified Bessel function of the first kind, order 0, by its series (all terms positive: no digits are lost).
+/// Modified Bessel function of the first kind, order 0, by its power series (all terms are positive, so that no digits are lost).
 pub(super) fn bessel_i0(x: f64) -> f64 {
     let quarter = 0.25 * x * x;
     let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
@@ -130,7 +130,7 @@ pub(super) fn bessel_i0(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Response of elements half a wavelength apart, in dB under its greatest, at `sine`.
+    /// Response of elements half a wavelength apart at `sine`, in dB relative to its maximum.
     fn pattern_db(weights: &[f64], sine: f64) -> f64 {
         let middle = (weights.len() as f64 - 1.0) / 2.0;
         let sum: f64 = weights
@@ -141,7 +141,7 @@ mod tests {
         20.0 * (sum.abs() / weights.iter().sum::<f64>()).log10()
     }
 
-    /// Levels of the local maxima outside the main lobe, from the inside out.
+    /// Levels of the local maxima outside the main lobe, from the main lobe outwards.
     fn side_lobes_db(weights: &[f64]) -> Vec<f64> {
         let steps = 400 * weights.len();
         let level: Vec<_> = (0..=steps)
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn chebyshev_side_lobes_all_have_the_level_asked_for() {
+    fn chebyshev_side_lobes_all_have_the_specified_level() {
         for (n, side_lobe_db) in [(8, 20.0), (16, 30.0), (33, 35.0), (128, 40.0)] {
             let lobes = side_lobes_db(&weights(Shading::Chebyshev { side_lobe_db }, n));
             assert!(lobes.len() + 2 >= n / 2, "{n}: {} lobes", lobes.len());
@@ -173,10 +173,10 @@ mod tests {
     }
 
     #[test]
-    fn taylor_side_lobes_begin_at_the_level_asked_for_and_fall() {
+    fn taylor_side_lobes_begin_at_the_specified_level_and_fall() {
         for side_lobe_db in [25.0, 30.0, 35.0, 40.0] {
             let lobes = side_lobes_db(&weights(Shading::Taylor { side_lobe_db }, 256));
-            // Taylor's zeros are moved, not the lobes' levels: the first lies within half a decibel.
+            // Taylor's method moves zeros, not lobe levels: the first lobe lies within 0.5 dB.
             assert!(
                 (lobes[0] + side_lobe_db).abs() < 0.6,
                 "{side_lobe_db}: {lobes:?}"
@@ -185,7 +185,7 @@ mod tests {
         }
     }
 
-    /// Transform of the Kaiser window: sinh(s)/s, s = sqrt(beta^2 - (pi u)^2), u in side lobes of a line of that length.
+    /// Transform of the Kaiser window: sinh(s)/s, s = sqrt(beta^2 - (pi u)^2), with u in side-lobe widths of a line of that length.
     #[test]
     fn kaiser_pattern_is_its_closed_form() {
         for beta in [3.0, 6.0, 9.0_f64] {
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn hamming_s_greatest_side_lobe_is_42p7_db_down() {
+    fn the_largest_hamming_side_lobe_is_42p7_db_down() {
         let greatest = side_lobes_db(&weights(Shading::Hamming, 256))
             .into_iter()
             .fold(f64::NEG_INFINITY, f64::max);

@@ -1,38 +1,38 @@
-//! Bottom detection: where each beam of a fan meets the bottom.
+//! Bottom detection: the time at which each beam of a fan meets the bottom.
 //!
-//! Two beams of the same direction are made of the two halves of the line. Where the bottom crosses a beam, the phase between the halves goes
-//! through zero: a straight line through the phases about there gives the instant (outer beams). Where the bottom lies flat under a beam the
-//! echo is short, and the centre of its energy gives it (inner beams). Of the two the one with the smaller predicted error is taken.
+//! Each half of the line forms a beam of the same direction. Where the bottom crosses a beam, the phase between the halves passes through
+//! zero. A straight line through the phases near the crossing gives the time (outer beams). Where the bottom is flat under a beam, the echo
+//! is short and the centre of its energy gives the time (inner beams). The method with the smaller predicted error is used.
 //!
 //! Sources: Lurton 2010, An Introduction to Underwater Acoustics, 8.3 (both methods); Ladroit, Lurton, Sintes and Garello 2012 (quality
-//! factors). The predicted errors are ours: of the phase, the scatter of its residuals through the straight line; of the amplitude, the rms
-//! length of the echo over the root of the independent samples in it.
+//! factors). The predicted errors are specific to Echotank. For phase it is the scatter of the residuals about the straight line. For
+//! amplitude it is the rms length of the echo divided by the root of its number of independent samples.
 //!
-//! A beam is searched from `first_sample_s` on for its strongest stretch; nothing is known of the neighbours. Not modelled: several bottoms
-//! in one beam, refraction, gates from other sounders.
+//! The search starts at `first_sample_s` and takes the strongest interval of each beam; neighbouring beams are not used. Not modelled:
+//! several bottoms in one beam, refraction, gates from other sounders.
 
 use num_complex::Complex64;
 
 use echotank_core::flow::{BeamFrame, Detection, Sounding};
 
-/// Beams whose greatest smoothed level is not this far above the median of the beam have no bottom.
+/// A beam has a bottom only if its largest smoothed level exceeds its median by this much.
 const MIN_ABOVE_MEDIAN_DB: f64 = 6.0;
-/// The energy's centre is taken over samples within this of the greatest.
+/// The energy centre uses samples within this fraction of the maximum.
 const AMPLITUDE_FLOOR: f64 = 0.25;
-/// Phases beyond this belong to the ambiguity, not to the crossing, radians.
+/// Phases beyond this limit belong to the next ambiguity, radians.
 const PHASE_REACH_RAD: f64 = 2.2;
-/// Fewest samples of a straight line.
+/// Minimum number of samples in a straight-line fit.
 const MIN_LINE: usize = 8;
-/// Beams are taken for no flatter than this.
-const STEEPEST_RAD: f64 = 1.45;
-/// A footprint's centre of energy lies off its axis by this share of it, about: level falls with range and incidence.
+/// Limit on the beam angle in the footprint estimate.
+const MAX_ANGLE_RAD: f64 = 1.45;
+/// Approximate offset of a footprint's energy centre from its axis, as a fraction of the footprint: level falls with range and incidence.
 const CENTRE_SHARE: f64 = 0.1;
-/// A crossing is one only where the smoothed level is above this share of the greatest.
+/// A crossing requires a smoothed level above this fraction of the maximum.
 const CROSSING_FLOOR: f64 = 0.3;
-/// Rounds of looking again about the crossing.
+/// Number of iterations about the crossing.
 const ROUNDS: usize = 3;
 
-/// Detects with buffers of its own.
+/// Bottom detector with its own buffers.
 pub struct BottomDetector {
     sample_rate_hz: f64,
     bandwidth_hz: f64,
@@ -42,15 +42,15 @@ pub struct BottomDetector {
     sorted: Vec<f64>,
 }
 
-/// What one method found.
+/// Result of one method.
 #[derive(Clone, Copy, Debug)]
-struct Found {
+struct Estimate {
     sample: f64,
     error_samples: f64,
 }
 
 impl BottomDetector {
-    /// `bandwidth_hz` of the compressed pulse: samples closer than its inverse are not independent.
+    /// `bandwidth_hz` is that of the compressed pulse: samples closer than its inverse are not independent. `samples` sizes the buffers.
     pub fn new(sample_rate_hz: f64, bandwidth_hz: f64, samples: usize) -> Self {
         Self {
             sample_rate_hz,
@@ -62,8 +62,8 @@ impl BottomDetector {
         }
     }
 
-    /// One sounding for each beam that has a bottom. `halves` are the fans of the line's two halves, of the same beams and samples, whose sample k
-    /// lies at `first_sample_s` + k / rate; no bottom is looked for before `min_s`.
+    /// Returns one sounding for each beam with a bottom. `halves` are the fans of the line's two halves, with equal beams and samples;
+    /// sample k lies at `first_sample_s` + k / rate. Soundings before `min_s` are not considered.
     pub fn detect(
         &mut self,
         halves: [&BeamFrame; 2],
@@ -75,8 +75,8 @@ impl BottomDetector {
         let [a, b] = halves;
         let first = ((min_s - first_sample_s) * self.sample_rate_hz).max(0.0) as usize;
         for beam in 0..a.beams {
-            // How long a flat bottom stays in the whole line's beam, over how long its echo has been under way.
-            let stay = 0.5 * a.width_rad[beam] * a.angle_rad[beam].abs().min(STEEPEST_RAD).tan();
+            // Time that a flat bottom stays in the whole line's beam, relative to the travel time of its echo.
+            let stay = 0.5 * a.width_rad[beam] * a.angle_rad[beam].abs().min(MAX_ANGLE_RAD).tan();
             let delayed = first_sample_s * self.sample_rate_hz;
             let row = (a.beam(beam), b.beam(beam));
             let found = self.one(row, first.min(a.samples), delayed, stay);
@@ -100,7 +100,7 @@ impl BottomDetector {
         first: usize,
         delayed: f64,
         stay: f64,
-    ) -> Option<(Detection, Found, f64)> {
+    ) -> Option<(Detection, Estimate, f64)> {
         let (a, b) = (&a[first..], &b[first..]);
         if a.len() < MIN_LINE {
             return None;
@@ -111,17 +111,17 @@ impl BottomDetector {
         self.cross.clear();
         self.cross
             .extend(a.iter().zip(b).map(|(a, b)| a * b.conj()));
-        // Over about four resolution cells: speckle alone must not be the greatest.
+        // Averaged over about four resolution cells, so that speckle alone is not the maximum.
         let cell = (self.sample_rate_hz / self.bandwidth_hz).max(1.0);
         let window = (4.0 * cell).ceil() as usize | 1;
         running_mean(&self.intensity, window, &mut self.smooth);
-        let (rough, _) = greatest(&self.smooth)?;
-        // Then over half of the time that a flat bottom there would stay in the beam: one bright spot is not the whole echo.
+        let (rough, _) = largest(&self.smooth)?;
+        // Then averaged over half the time that a flat bottom stays in the beam, so that one bright spot is not taken for the whole echo.
         let footprint = stay * ((rough + first) as f64 + delayed);
         let window = window.max((0.5 * footprint).ceil() as usize | 1);
         let window = window.min(a.len() | 1);
         running_mean(&self.intensity, window, &mut self.smooth);
-        let (peak, level) = greatest(&self.smooth)?;
+        let (peak, level) = largest(&self.smooth)?;
         self.sorted.clear();
         self.sorted.extend_from_slice(&self.smooth);
         let middle = self.sorted.len() / 2;
@@ -140,15 +140,15 @@ impl BottomDetector {
             }
             _ => (Detection::Amplitude, amplitude),
         };
-        let found = Found {
+        let found = Estimate {
             sample: found.sample + first as f64,
             ..found
         };
         Some((detection, found, level))
     }
 
-    /// Centre of the energy of the stretch about the peak.
-    fn by_amplitude(&self, peak: usize, level: f64, footprint: f64, cell: f64) -> Found {
+    /// Centre of the energy in the interval about the peak.
+    fn by_amplitude(&self, peak: usize, level: f64, footprint: f64, cell: f64) -> Estimate {
         let (from, to) = self.stretch(peak, level * AMPLITUDE_FLOOR);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
         for (k, i) in self.intensity[from..to].iter().enumerate() {
@@ -160,9 +160,9 @@ impl BottomDetector {
         let mean = first / sum;
         let variance = (second / sum - mean * mean).max(0.0);
         let independent = ((to - from) as f64 / cell).max(1.0);
-        Found {
+        Estimate {
             sample: peak as f64 + mean,
-            // Not below what one cell allows, nor what the slope of level over a beam's footprint does to its centre.
+            // The error is at least that of one cell, and at least the shift of the centre by the slope of the level over the footprint.
             error_samples: (variance / independent)
                 .sqrt()
                 .max(0.1 * cell)
@@ -170,7 +170,7 @@ impl BottomDetector {
         }
     }
 
-    /// Ends of the stretch about `peak` in which the smoothed intensity stays above `floor`.
+    /// Ends of the interval about `peak` in which the smoothed intensity exceeds `floor`.
     fn stretch(&self, peak: usize, floor: f64) -> (usize, usize) {
         let mut from = peak;
         while from > 0 && self.smooth[from - 1] > floor {
@@ -183,9 +183,9 @@ impl BottomDetector {
         (from, to)
     }
 
-    /// A straight line through the phases about their crossing of zero, each weighted with its energy: first about `centre`, then about the
-    /// crossing, over no more than the `footprint` of the beam, in which the phase is not ambiguous.
-    fn by_phase(&self, centre: f64, level: f64, footprint: f64, cell: f64) -> Option<Found> {
+    /// Fits an energy-weighted straight line to the phases about their zero crossing: first about `centre`, then about the crossing. The
+    /// interval is at most the beam's `footprint`, within which the phase is unambiguous.
+    fn by_phase(&self, centre: f64, level: f64, footprint: f64, cell: f64) -> Option<Estimate> {
         if footprint < MIN_LINE as f64 {
             return None;
         }
@@ -198,7 +198,7 @@ impl BottomDetector {
             let mut line = Line::default();
             for k in from..to {
                 let z = self.cross[k];
-                // Beyond lies the ambiguity, or noise.
+                // Larger phases are the next ambiguity, or noise.
                 if z.arg().abs() <= PHASE_REACH_RAD {
                     line.add(k as f64, z.arg(), z.norm());
                 }
@@ -208,22 +208,22 @@ impl BottomDetector {
                 return None;
             }
             crossing = zero;
-            // At the next ambiguity the line as a whole hears nothing.
-            let heard = self.smooth.get(zero.max(0.0) as usize);
-            if heard.is_none_or(|heard| *heard < CROSSING_FLOOR * level) {
+            // At the next ambiguity the whole line receives nothing.
+            let level_there = self.smooth.get(zero.max(0.0) as usize);
+            if level_there.is_none_or(|level_there| *level_there < CROSSING_FLOOR * level) {
                 return None;
             }
             let independent = (line.count as f64 / cell - 1.0).max(1.0);
             error_samples = line.residual_rad() / slope.abs() / independent.sqrt();
         }
-        Some(Found {
+        Some(Estimate {
             sample: crossing,
             error_samples: error_samples.max(0.02 * cell),
         })
     }
 }
 
-/// Weighted sums of a straight line.
+/// Weighted sums of a straight-line fit.
 #[derive(Clone, Copy, Default)]
 struct Line {
     count: usize,
@@ -262,7 +262,7 @@ impl Line {
         (xx > 0.0).then_some((x, y, xx, xy, yy))
     }
 
-    /// Slope and where it crosses zero.
+    /// Slope and zero crossing.
     fn fit(&self) -> Option<(f64, f64)> {
         let (x, y, xx, xy, _) = self.moments()?;
         let slope = xy / xx;
@@ -276,12 +276,12 @@ impl Line {
     }
 }
 
-fn greatest(levels: &[f64]) -> Option<(usize, f64)> {
+fn largest(levels: &[f64]) -> Option<(usize, f64)> {
     let levels = levels.iter().copied().enumerate();
     levels.max_by(|x, y| x.1.total_cmp(&y.1))
 }
 
-/// Mean over `window` (odd) samples about each.
+/// Mean over `window` (odd) samples centred on each sample.
 fn running_mean(from: &[f64], window: usize, out: &mut Vec<f64>) {
     out.clear();
     let half = window / 2;
@@ -311,7 +311,7 @@ mod tests {
     const LINE_WAVELENGTHS: f64 = 64.0;
     const SEEDS: usize = 6;
 
-    /// Half beams of a line straight over a bottom z = depth + slope y of point scatterers with random strengths, Lambert's law and spreading.
+    /// Half beams of a line above a bottom z = depth + slope y of point scatterers with random strengths, Lambert's law and spreading.
     fn halves(slope: f64, angles: &[f64], seed: u64) -> [BeamFrame; 2] {
         let samples = 4500;
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
@@ -344,7 +344,7 @@ mod tests {
             );
             for (b, angle) in angles.iter().enumerate() {
                 let off = y / r - angle.sin();
-                // The pattern of a half of a uniform line; far side lobes are left out.
+                // Pattern of half a uniform line, without far side lobes.
                 let u = 0.5 * LINE_WAVELENGTHS * off;
                 if u.abs() > 12.0 {
                     continue;
@@ -357,7 +357,7 @@ mod tests {
                     for k in first..(first + 13).min(samples) {
                         let t = (k as f64 - place) / RATE_HZ;
                         let at = t * BANDWIDTH_HZ;
-                        // A compressed pulse with Hann's side lobes.
+                        // A compressed pulse with the side lobes of a Hann weighting.
                         let level = sinc(at) + 0.5 * (sinc(at - 1.0) + sinc(at + 1.0));
                         frame.iq[b * samples + k] += echo * level;
                     }
@@ -368,12 +368,12 @@ mod tests {
     }
 
     #[test]
-    fn flat_and_sloping_bottoms_are_sounded_within_a_percent_of_the_depth_at_every_angle() {
+    fn soundings_of_flat_and_sloping_bottoms_are_within_a_percent_of_the_depth() {
         let angles: Vec<f64> = (-6..=6)
             .map(|i| f64::from(i) * 10f64.to_radians())
             .collect();
         for slope in [0.0, 0.15, -0.25] {
-            // Per beam, over the seeds: depth errors where the sounding lies, against the truth there.
+            // Depth errors of each beam over the seeds, against the true depth at the sounding.
             let mut errors = vec![Vec::new(); angles.len()];
             let mut by_phase = vec![0; angles.len()];
             let mut detector = BottomDetector::new(RATE_HZ, BANDWIDTH_HZ, 4500);
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_of_nothing_or_of_even_noise_have_no_bottom() {
+    fn empty_beams_and_stationary_noise_have_no_bottom() {
         let mut rng = ChaCha12Rng::seed_from_u64(3);
         let mut frame = BeamFrame {
             beams: 2,

@@ -1,4 +1,4 @@
-//! Colour maps that sonar people use.
+//! Colour maps in common use for sonar pictures.
 
 use echotank_config::spec::ColourMap;
 
@@ -17,10 +17,10 @@ fn stops(map: ColourMap) -> &'static [[u8; 3]] {
     }
 }
 
-/// Red, green and blue of a brightness from 0 to 1; clamped outside.
+/// Red, green and blue for a brightness from 0 to 1; values outside are clamped.
 pub fn rgb(map: ColourMap, brightness: f32) -> [u8; 3] {
     let stops = stops(map);
-    // What is no number is darkest.
+    // NaN becomes the darkest colour.
     let share = match brightness.is_nan() {
         true => 0.0,
         false => brightness.clamp(0.0, 1.0),
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_map_grows_brighter_but_the_rainbow_and_holds_its_ends() {
+    fn every_map_but_the_rainbow_grows_brighter_and_clamps_at_its_ends() {
         for map in [
             ColourMap::Grey,
             ColourMap::Copper,

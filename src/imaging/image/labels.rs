@@ -1,4 +1,4 @@
-//! Numbers in pictures: digits of three by five pixels, doubled.
+//! Numbers in pictures: digits of three by five pixels, drawn at double size.
 
 /// Rows of three bits from the top.
 const DIGITS: [[u8; 5]; 10] = [
@@ -18,11 +18,12 @@ const MINUS: [u8; 5] = [0, 0, 7, 0, 0];
 const METRE: [u8; 5] = [0, 0, 7, 7, 5];
 const DEGREE: [u8; 5] = [6, 6, 0, 0, 0];
 const SCALE: usize = 2;
-/// Of one character with its gap, and of a line.
+/// Width of a character with its gap, and height of a line, pixels.
 pub(crate) const ADVANCE: usize = 4 * SCALE;
 pub(super) const HEIGHT: usize = 5 * SCALE;
 
-/// Pixels (x, y) of `text` from its upper left corner: digits, point, minus, `m`, degree sign; anything else is a blank.
+/// Pixels (x, y) of `text` relative to its upper left corner. It supports digits, point, minus, `m` and the degree sign; other characters
+/// are blank.
 pub(super) fn pixels(text: &str) -> impl Iterator<Item = (usize, usize)> + '_ {
     text.chars().enumerate().flat_map(|(place, letter)| {
         let rows = match letter {
@@ -41,7 +42,7 @@ pub(super) fn pixels(text: &str) -> impl Iterator<Item = (usize, usize)> + '_ {
     })
 }
 
-/// A step of 1, 2 or 5 times a power of ten of which about `wanted` fit into `length`.
+/// The step of 1, 2 or 5 times a power of ten that divides `length` into about `wanted` intervals.
 pub(crate) fn round_step(length: f64, wanted: f64) -> f64 {
     let raw = (length / wanted).max(f64::MIN_POSITIVE);
     let power = 10f64.powf(raw.log10().floor());

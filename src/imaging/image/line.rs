@@ -1,42 +1,47 @@
-//! The slant-range axis of a side-scan line: sample k is an echo of two-way time k / f_s, hence of slant range c k / (2 f_s).
+//! Slant-range axis of a side-scan line: sample k is an echo of two-way time k / f_s, so its slant range is c k / (2 f_s).
 
 use std::ops::Range;
 
 use echotank_core::flow::Line;
 
-/// Slant range (one way, metres) of the samples of a line.
+/// Mapping between the samples of a line and slant range (one way, metres).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeAxis {
+    /// Slant range between samples.
     pub metres_per_sample: f64,
 }
 
 impl RangeAxis {
+    /// Axis for a sound speed and the receiver's sample rate.
     pub fn new(sound_speed_m_per_s: f64, sample_rate_hz: f64) -> Self {
         Self {
             metres_per_sample: 0.5 * sound_speed_m_per_s / sample_rate_hz,
         }
     }
+    /// Slant range of a sample, metres.
     pub fn slant_range_m(&self, sample: usize) -> f64 {
         sample as f64 * self.metres_per_sample
     }
-    /// The nearest sample.
+    /// Index of the nearest sample.
     pub fn sample(&self, slant_range_m: f64) -> usize {
         (slant_range_m / self.metres_per_sample).round().max(0.0) as usize
     }
 }
 
-/// How slant ranges lie across a picture.
+/// Projection of slant ranges onto the columns of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
+    /// Columns are slant range.
     Slant,
-    /// On a flat bottom this far below the sonar: sqrt(r^2 - h^2).
+    /// Columns are ground range on a flat bottom: sqrt(r^2 - h^2).
     Ground {
+        /// Height h of the sonar above the bottom.
         altitude_m: f64,
     },
 }
 
 impl Projection {
-    /// Slant range of what lies `across_m` from the middle of the picture.
+    /// Slant range of a point `across_m` from the centre of the picture.
     pub fn slant_range_m(self, across_m: f64) -> f64 {
         match self {
             Self::Slant => across_m,
@@ -44,7 +49,7 @@ impl Projection {
         }
     }
 
-    /// The reverse; none for what lies nearer than the bottom.
+    /// Inverse of [`Projection::slant_range_m`]; none for ranges shorter than the altitude.
     pub fn across_m(self, slant_range_m: f64) -> Option<f64> {
         match self {
             Self::Slant => Some(slant_range_m),
@@ -53,10 +58,10 @@ impl Projection {
         }
     }
 
-    /// Samples of cell `cell` of a picture of cells of `metres_per_cell`: those within its edges or, where it falls between two, the nearest.
+    /// Samples of cell number `cell`: those between its edges or, if it lies between two samples, the nearest.
     pub fn samples(self, axis: RangeAxis, metres_per_cell: f64, cell: usize) -> Range<usize> {
         let at = |cell: f64| self.slant_range_m(cell * metres_per_cell) / axis.metres_per_sample;
-        // A whisker below the sample: ranges are products and quotients, and cell edges often lie on samples.
+        // The small offset absorbs rounding, because cell edges often coincide with samples.
         let edge = |cell: usize| (at(cell as f64) - 1e-6).ceil().max(0.0) as usize;
         let (first, end) = (edge(cell), edge(cell + 1));
         if first < end {
@@ -67,21 +72,22 @@ impl Projection {
     }
 }
 
-/// Slant range of the first echo of the bottom, from both sides of a line; none where nothing stands out.
+/// Slant range of the first bottom return over all lines, metres; none without sufficient contrast.
 ///
-/// A stretch of a quarter of a metre is there first within 12 dB of the line's loud tenth: above the side lobes that a compressed pulse sends
-/// ahead of itself. Where the line's quiet fiftieth is not so far down, half way (in dB) between the two.
+/// The first return is the first interval of 0.25 m whose level is within 12 dB of the line's 90th percentile. This threshold is above the
+/// side lobes that precede a compressed pulse. If the 2nd percentile is less than 24 dB lower, the threshold is half way (in dB) between
+/// the two percentiles.
 pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
-    const STRETCH_M: f64 = 0.25;
+    const INTERVAL_M: f64 = 0.25;
     const UNDER_LOUD_DB: f64 = 12.0;
     const MIN_CONTRAST_DB: f64 = 10.0;
-    let stretch = (STRETCH_M / axis.metres_per_sample).ceil().max(1.0) as usize;
+    let interval = (INTERVAL_M / axis.metres_per_sample).ceil().max(1.0) as usize;
     let each = lines.iter().filter_map(|line| {
         let levels: Vec<f64> = line
             .amplitude
-            .chunks_exact(stretch)
+            .chunks_exact(interval)
             .map(|s| s.iter().map(|&a| f64::from(a) * f64::from(a)).sum::<f64>())
-            .map(|sum| 10.0 * (sum / stretch as f64 + f64::MIN_POSITIVE).log10())
+            .map(|sum| 10.0 * (sum / interval as f64 + f64::MIN_POSITIVE).log10())
             .collect();
         let mut sorted: Vec<f64> = levels.iter().copied().filter(|l| *l > -3000.0).collect();
         sorted.sort_by(f64::total_cmp);
@@ -90,17 +96,17 @@ pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
         if loud - quiet < MIN_CONTRAST_DB {
             return None;
         }
-        let least = (loud - UNDER_LOUD_DB).max(0.5 * (quiet + loud));
-        let first = levels.iter().position(|l| *l > least)?;
-        Some(axis.slant_range_m(first * stretch + stretch / 2))
+        let threshold = (loud - UNDER_LOUD_DB).max(0.5 * (quiet + loud));
+        let first = levels.iter().position(|l| *l > threshold)?;
+        Some(axis.slant_range_m(first * interval + interval / 2))
     });
     each.min_by(f64::total_cmp)
 }
 
-/// Mean intensity (amplitude squared) of a line in cells of `metres_per_cell`, cell i over [i, i+1) cells of slant range.
+/// Mean intensity (amplitude squared) of a line in cells of `metres_per_cell`; cell i covers i to i + 1 cells of slant range.
 ///
-/// The mean, not the maximum: it keeps the mean level whatever the cell size, where a maximum brightens speckle by its logarithm.
-/// A cell that falls between two samples takes the nearest; a cell beyond the line is NaN.
+/// The mean keeps the mean level for any cell size, whereas a maximum brightens speckle with the logarithm of the cell size. A cell between
+/// two samples takes the nearest; a cell beyond the line is NaN.
 pub fn mean_intensity(amplitude: &[f32], axis: RangeAxis, metres_per_cell: f64, cells: &mut [f32]) {
     cell_intensity(
         amplitude,
@@ -112,7 +118,7 @@ pub fn mean_intensity(amplitude: &[f32], axis: RangeAxis, metres_per_cell: f64, 
     );
 }
 
-/// The same for any projection. Samples nearer than `min_m` of slant range are left out: NaN.
+/// The same for any projection. Cells nearer than `min_m` of slant range are NaN.
 pub(crate) fn cell_intensity(
     amplitude: &[f32],
     axis: RangeAxis,
@@ -140,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sample_and_its_range_are_each_other_s_inverse() {
+    fn sample_and_slant_range_are_inverse_functions() {
         let axis = RangeAxis::new(1500.0, 40e3);
         assert_eq!(axis.metres_per_sample, 0.01875);
         for k in [0, 1, 17, 10_000] {
@@ -150,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_keep_the_mean_intensity_and_every_sample_counts_once() {
+    fn cells_keep_the_mean_intensity_and_use_every_sample_once() {
         let amplitude: Vec<f32> = (0..1000).map(|k| 1.0 + (k % 7) as f32).collect();
         let mean = |v: &[f32]| v.iter().map(|&x| f64::from(x)).sum::<f64>() / v.len() as f64;
         let want = mean(&amplitude.iter().map(|a| a * a).collect::<Vec<_>>());
@@ -166,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_lights_the_cell_of_its_slant_range_for_any_cell_size() {
+    fn an_echo_appears_in_the_cell_of_its_slant_range_for_any_cell_size() {
         let axis = RangeAxis::new(1480.0, 37e3);
         let mut amplitude = vec![0.0_f32; 4000];
         amplitude[2345] = 1.0;
@@ -174,19 +180,18 @@ mod tests {
         for metres_per_cell in [0.003, 0.02, 0.05, 0.33, 2.0] {
             let mut cells = vec![0.0; (80.0 / metres_per_cell) as usize];
             mean_intensity(&amplitude, axis, metres_per_cell, &mut cells);
-            let lit: Vec<_> = (0..cells.len()).filter(|&i| cells[i] > 0.0).collect();
+            let bright: Vec<_> = (0..cells.len()).filter(|&i| cells[i] > 0.0).collect();
             let want = (range_m / metres_per_cell + 1e-9) as usize;
             assert!(
-                lit.contains(&want),
-                "{metres_per_cell} m: {lit:?} want {want}"
+                bright.contains(&want),
+                "{metres_per_cell} m: {bright:?} want {want}"
             );
-            assert!(lit.len() <= 1 + (axis.metres_per_sample / metres_per_cell).ceil() as usize);
+            assert!(bright.len() <= 1 + (axis.metres_per_sample / metres_per_cell).ceil() as usize);
         }
     }
 
     #[test]
-    fn ground_cells_are_slant_cells_by_pythagoras_and_every_sample_beyond_the_altitude_counts_once()
-    {
+    fn ground_cells_follow_pythagoras_and_use_every_sample_beyond_the_altitude_once() {
         let axis = RangeAxis {
             metres_per_sample: 0.02,
         };
@@ -197,7 +202,7 @@ mod tests {
             assert!((back - across_m).abs() < 1e-6, "{back} want {across_m}");
         }
         assert_eq!(ground.across_m(11.9), None);
-        // Far out, cells of 0.25 m hold about 12 samples; each belongs to one cell.
+        // Far out, cells of 0.25 m hold about 12 samples; each sample belongs to one cell.
         let mut next = ground.samples(axis, 0.25, 40).start;
         for cell in 40..200 {
             let samples = ground.samples(axis, 0.25, cell);
@@ -207,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_return_is_found_within_its_stretch_whatever_the_level_and_nothing_in_silence() {
+    fn the_first_return_is_found_at_any_level_and_none_in_silence() {
         let axis = RangeAxis {
             metres_per_sample: 0.02,
         };
@@ -243,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_beyond_the_line_hold_nothing() {
+    fn cells_beyond_the_line_are_nan() {
         let axis = RangeAxis {
             metres_per_sample: 0.1,
         };

@@ -1,34 +1,36 @@
-//! Masks: what each pixel of a picture shows, by the scene's own knowledge. Target, shadow and depth, pixel for pixel with the picture.
+//! Ground-truth masks: target, shadow and depth for each pixel of a picture.
 //!
-//! A pixel belongs to a target where the target's echoes hold more energy than all else in it. It is shadow where the ground at its range on
-//! the beam's axis is there and none of it is heard, and no target is either. Its depth is that of the ground on the axis, shadow included.
+//! A pixel belongs to a target if more than half of its energy comes from the target. It is shadow if the ground at its range on the beam's
+//! axis exists but returns no echo, and no target does. Its depth is that of the ground on the axis, including shadow.
 
 use echotank_core::flow::{GroundSeen, LineTruth, PingPlan, Side};
 
 use super::line::{Projection, RangeAxis};
 
-/// What one pixel shows.
+/// Ground truth of one pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mask {
-    /// 1 is the scene's first target; 0 none.
+    /// Number of the target: 1 is the scene's first target, 0 is none.
     pub target: u16,
+    /// True if the ground is hidden and no target covers the pixel.
     pub shadow: bool,
-    /// Depth of the seabed, world, metres; NaN where the pixel shows none.
+    /// Depth of the seabed in world coordinates, metres, positive down; NaN if the pixel shows none.
     pub down_m: f32,
 }
 
 impl Mask {
-    pub const NOTHING: Self = Self {
+    /// A pixel without data.
+    pub const EMPTY: Self = Self {
         target: 0,
         shadow: false,
         down_m: f32::NAN,
     };
 }
 
-/// Targets that are told apart in one pixel.
+/// Maximum number of targets distinguished in one pixel.
 const TARGETS_PER_PIXEL: usize = 8;
 
-/// The masks of a line's cells, the same cells as [`super::line::cell_intensity`] makes of its samples.
+/// Computes the masks of a line's cells, which are the cells of [`super::line::cell_intensity`].
 pub(crate) fn cell_masks(
     truth: &LineTruth,
     axis: RangeAxis,
@@ -43,7 +45,7 @@ pub(crate) fn cell_masks(
     }
 }
 
-/// What these samples of a line or a beam show together.
+/// Mask of a range of samples of a line or a beam.
 pub(super) fn mask_of(truth: &LineTruth, samples: std::ops::Range<usize>) -> Mask {
     let mut energies = [(0u16, 0.0f64); TARGETS_PER_PIXEL];
     let mut total = 0.0;
@@ -81,7 +83,7 @@ pub(super) fn mask_of(truth: &LineTruth, samples: std::ops::Range<usize>) -> Mas
     }
 }
 
-/// The masks of a waterfall: pushed with the same pings, of the same size.
+/// Masks of a waterfall; they are filled with the same pings and have the same size.
 pub struct WaterfallMasks {
     metres_per_pixel: f64,
     rows_per_ping: usize,
@@ -94,6 +96,7 @@ pub struct WaterfallMasks {
 }
 
 impl WaterfallMasks {
+    /// Masks with the geometry of `waterfall`.
     pub fn of(waterfall: &super::waterfall::Waterfall, sample_rate_hz: f64) -> Self {
         let spec = waterfall.spec();
         Self {
@@ -107,6 +110,7 @@ impl WaterfallMasks {
         }
     }
 
+    /// Adds one ping; `truths` has one entry per line. Without a projection, the ping's row stays empty.
     pub fn push(&mut self, plan: &PingPlan, truths: &[LineTruth], projection: Option<Projection>) {
         let first = *self.first_ping.get_or_insert(plan.ping_number);
         let place = plan.ping_number.checked_sub(first).map(|p| p as usize);
@@ -116,7 +120,7 @@ impl WaterfallMasks {
         let width = self.width();
         let end = (place + 1) * width;
         if self.rows.len() < end {
-            self.rows.resize(end, Mask::NOTHING);
+            self.rows.resize(end, Mask::EMPTY);
         }
         let (port, starboard) = self.rows[place * width..end].split_at_mut(self.columns_per_side);
         let axis = RangeAxis::new(plan.sound_speed_m_per_s, self.sample_rate_hz);
@@ -135,15 +139,17 @@ impl WaterfallMasks {
         }
     }
 
+    /// Width in pixels.
     pub fn width(&self) -> usize {
         2 * self.columns_per_side
     }
 
+    /// Height in pixels.
     pub fn height(&self) -> usize {
         self.rows.len() / self.width() * self.rows_per_ping
     }
 
-    /// Row-major from the top, as the picture's pixels.
+    /// Masks row-major from the top, in the order of the picture's pixels.
     pub fn pixels(&self) -> impl Iterator<Item = Mask> + '_ {
         let rows = self.rows.chunks_exact(self.width()).rev();
         rows.flat_map(|row| std::iter::repeat_n(row, self.rows_per_ping))
@@ -168,12 +174,12 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_is_a_target_s_where_it_holds_more_energy_than_all_else() {
+    fn a_pixel_belongs_to_the_target_with_more_than_half_of_its_energy() {
         let mut truth = truth(8);
         (truth.target[1], truth.target_energy[1]) = (3, 3.9);
         (truth.target[5], truth.target_energy[5]) = (3, 4.1);
-        // Two targets and neither more than the other and the ground.
-        let mut cells = [Mask::NOTHING; 2];
+        // Two targets, neither of which exceeds the sum of the other and the ground.
+        let mut cells = [Mask::EMPTY; 2];
         let axis = RangeAxis {
             metres_per_sample: 0.25,
         };
@@ -185,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn shadow_is_ground_of_which_nothing_is_heard_and_no_target_either() {
+    fn shadow_is_hidden_ground_without_a_target() {
         let mut truth = truth(16);
         truth.ground[4..12].fill(GroundSeen::Hidden);
         truth.ground[12..].fill(GroundSeen::None);
@@ -194,7 +200,7 @@ mod tests {
         let axis = RangeAxis {
             metres_per_sample: 0.25,
         };
-        let mut cells = [Mask::NOTHING; 5];
+        let mut cells = [Mask::EMPTY; 5];
         cell_masks(&truth, axis, Projection::Slant, 1.0, &mut cells);
         assert_eq!(cells.map(|c| c.shadow), [false, false, true, false, false]);
         assert_eq!(

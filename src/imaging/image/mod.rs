@@ -1,10 +1,11 @@
-//! Side-scan lines to pictures: [`Line`](echotank_core::flow::Line)s in, rows of coloured pixels out. Files belong to `io::record`.
+//! Pictures from side-scan lines and beams: [`Line`](echotank_core::flow::Line)s in, rows of coloured pixels out. The runtime crate writes
+//! the files.
 //!
-//! - [`mod@line`]: the slant-range axis of a line and its gathering into cells.
+//! - [`mod@line`]: the slant-range axis of a line and its division into cells.
 //! - [`waterfall`]: lines stacked into a picture. [`colour`]: colour maps.
-//! - [`masks`]: what each pixel shows, beside every picture. [`water_column`]: pictures of a fan.
-//! - [`mosaic`]: lines laid on the ground, in metres of a UTM zone ([`utm`]), as GeoTIFF and PNG.
-//! - [`bottom`]: soundings of a fan's beams.
+//! - [`masks`]: ground truth for each pixel of a picture. [`water_column`]: pictures of a fan.
+//! - [`mosaic`]: lines projected onto a map in metres of a UTM zone, as GeoTIFF and PNG.
+//! - [`bottom`]: soundings from a fan's beams.
 pub mod bottom;
 pub mod colour;
 mod labels;

@@ -1,15 +1,15 @@
-//! The mosaic: side-scan lines laid on the ground, in metres of the UTM zone of the survey, north up.
+//! The mosaic: side-scan lines projected onto a map in the survey's UTM zone, north up.
 //!
-//! A sample of slant range r lies at ground range sqrt(r^2 - h^2) to its side, h the altitude (flat bottom across the ping). Each ping covers
-//! the stretch of track half way to its neighbours, so that no gap opens while the track bends; where a pixel is met more than once,
-//! [`Overlap`] decides. The water column is left out, and with `nadir_rad` what lies under the sonar, where resolution is poor: other lines may
-//! fill it. A towed body lies `layback_m` behind the navigation's reference, along the heading. Pitch carries the beam ahead of the sonar, and so
-//! does its way during the echo. With [`LineTruth`]s the map has [`Mask`]s, pixel for pixel.
+//! A sample of slant range r lies at ground range sqrt(r^2 - h^2) to its side, where h is the altitude (flat bottom across the ping). Each
+//! ping covers the track half way to its neighbours, so that no gap opens on curves. [`Overlap`] resolves pixels that several pings cover.
+//! The water column is omitted. `nadir_rad` also omits the area below the sonar, where resolution is poor and other lines may fill in. A
+//! towed body is `layback_m` behind the navigation's reference point, along the heading. Pitch and the sonar's motion during the echo shift
+//! the beam forwards. With [`LineTruth`]s the map has a [`Mask`] for each pixel.
 //!
-//! Pictures go north up, a row of pixels per row of cells; [`Mosaic::write_geotiff`] writes intensity in dB as 32-bit floats with the
-//! coordinate system, [`Mosaic::write_png`] the same in a colour map.
+//! Rows of pixels run from north to south. [`Mosaic::write_geotiff`] writes intensity in dB as 32-bit floats with the coordinate system.
+//! [`Mosaic::write_png`] writes it with a colour map.
 //!
-//! Not modelled: slope of the bottom across the ping, refraction, beam width (a pixel takes the line's value, however wide the beam is there).
+//! Not modelled: slope of the bottom across the ping, refraction, beam width (a pixel takes the line's value for any beam width).
 
 use std::io::{self, Seek, Write};
 
@@ -25,16 +25,20 @@ use echotank_config::spec::{ColourMap, Contrast};
 use echotank_core::flow::{Line, LineTruth, Side};
 use echotank_core::utm::UtmZone;
 
+/// Settings of a mosaic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicSpec {
+    /// Pixel size, metres of the UTM grid.
     pub metres_per_pixel: f64,
+    /// Rule for pixels that several pings cover.
     pub overlap: Overlap,
+    /// Maximum ground range on each side.
     pub range_m: f64,
-    /// Directions nearer to the vertical than this are left out.
+    /// Directions closer to the vertical than this are omitted.
     pub nadir_rad: f64,
-    /// How far behind the reference the sonar lies.
+    /// Distance of the sonar behind the reference point.
     pub layback_m: f64,
-    /// Pixels at most, in the whole picture.
+    /// Maximum number of pixels of the whole picture.
     pub max_pixels: usize,
 }
 
@@ -51,25 +55,27 @@ impl Default for MosaicSpec {
     }
 }
 
-/// One ping's place.
+/// Position and attitude of the sonar at one ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct SonarPose {
+    /// WGS 84 latitude, positive north.
     pub latitude_rad: f64,
+    /// WGS 84 longitude, positive east.
     pub longitude_rad: f64,
     /// Clockwise from true north.
     pub heading_rad: f64,
-    /// Over the bottom.
+    /// Height above the bottom.
     pub altitude_m: f64,
-    /// Bow up.
+    /// Positive bow up.
     pub pitch_rad: f64,
-    /// Speed ahead over the speed of sound: the beam's middle lies so many metres ahead for a metre of range.
+    /// Forward speed divided by sound speed: forward shift of the beam centre per metre of range.
     pub drift: f64,
-    /// Where the arrays sit, to starboard of the place: port and starboard.
+    /// Lateral positions of the port and the starboard array, positive to starboard.
     pub starboard_m: [f64; 2],
 }
 
-impl Place {
-    /// Of a level sonar at rest in the place itself.
+impl SonarPose {
+    /// Pose of a level sonar at rest at the given position.
     pub fn level(latitude_rad: f64, longitude_rad: f64, heading_rad: f64, altitude_m: f64) -> Self {
         Self {
             latitude_rad,
@@ -83,23 +89,23 @@ impl Place {
     }
 }
 
-/// One ping, kept until the next tells how far it reaches.
+/// One ping, kept until the next determines its along-track extent.
 struct Ping {
-    /// East, north: metres of the zone.
+    /// East and north in the zone, metres.
     at_m: DVec2,
     ahead: DVec2,
     altitude_m: f64,
     pitch_tan: f64,
     drift: f64,
     starboard_m: [f64; 2],
-    /// Intensity in cells of half a pixel of ground range, port and starboard; NaN is nothing.
+    /// Intensity in cells of half a pixel of ground range, port and starboard; NaN without data.
     sides: [Vec<f32>; 2],
-    /// What they show; empty where nobody said.
+    /// Ground truth of the cells; empty without labels.
     masks: [Vec<Mask>; 2],
 }
 
 impl Ping {
-    /// Where a place `across_m` to one side (0 port, 1 starboard) lies: east, north.
+    /// Map position (east, north) of a point `across_m` to one side (0 port, 1 starboard).
     fn at_m(&self, side: usize, across_m: f64) -> DVec2 {
         let ahead_m =
             self.altitude_m * self.pitch_tan + self.drift * across_m.hypot(self.altitude_m);
@@ -111,24 +117,37 @@ impl Ping {
     }
 }
 
+/// Errors of making or writing a mosaic.
 #[derive(Debug, thiserror::Error)]
 pub enum MosaicError {
-    #[error("nothing was laid")]
+    /// No ping was added.
+    #[error("no ping in the mosaic area")]
     Empty,
-    #[error("{pixels} pixels, {most} allowed: larger pixels, or less of the survey")]
-    TooLarge { pixels: usize, most: usize },
+    /// The mosaic exceeds [`MosaicSpec::max_pixels`].
+    #[error(
+        "the mosaic has {pixels} pixels, at most {max} are allowed: use larger pixels or fewer pings"
+    )]
+    TooLarge {
+        /// Number of pixels required.
+        pixels: usize,
+        /// Number of pixels allowed.
+        max: usize,
+    },
+    /// Writing failed.
     #[error(transparent)]
     Io(#[from] io::Error),
+    /// The TIFF encoder failed.
     #[error("TIFF: {0}")]
     Tiff(#[from] tiff::TiffError),
+    /// The PNG encoder failed.
     #[error("PNG: {0}")]
     Png(#[from] png::EncodingError),
 }
 
-/// Ranges within this of each other are equally near: pings of one pass.
-const NEARER: f32 = 0.98;
+/// Ranges whose ratio is above this count as equal: pings of one pass.
+const SAME_RANGE_RATIO: f32 = 0.98;
 
-/// What was laid on one pixel.
+/// Accumulated values of one pixel.
 #[derive(Clone, Copy)]
 struct Pixel {
     sum: f32,
@@ -137,7 +156,7 @@ struct Pixel {
 }
 
 impl Pixel {
-    const NOTHING: Self = Self {
+    const EMPTY: Self = Self {
         sum: 0.0,
         weight: 0.0,
         nearest_m: f32::INFINITY,
@@ -151,7 +170,7 @@ impl Pixel {
     }
 }
 
-/// Pings in, a map out.
+/// Accumulates pings and makes the map.
 pub struct MosaicBuilder {
     spec: MosaicSpec,
     zone: Option<UtmZone>,
@@ -160,20 +179,26 @@ pub struct MosaicBuilder {
 
 /// Mean intensities on a grid, north up.
 pub struct Mosaic {
+    /// UTM zone of the coordinates.
     pub zone: UtmZone,
+    /// Pixel size, metres of the UTM grid.
     pub metres_per_pixel: f64,
-    /// Easting and northing of the picture's north-west corner.
+    /// Easting of the western edge of the picture.
     pub west_m: f64,
+    /// Northing of the northern edge of the picture.
     pub north_m: f64,
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
-    /// Row-major from the north; NaN is nothing.
+    /// Mean intensities, row-major from the north; NaN without data.
     pub intensity: Vec<f32>,
-    /// The same pixels' masks; empty where no ping was labelled.
+    /// Masks of the same pixels; empty if no ping has labels.
     pub masks: Vec<Mask>,
 }
 
 impl MosaicBuilder {
+    /// An empty mosaic.
     pub fn new(spec: MosaicSpec) -> Self {
         Self {
             spec,
@@ -182,37 +207,37 @@ impl MosaicBuilder {
         }
     }
 
-    /// One ping's lines (envelopes). The zone is that of the first ping.
-    pub fn push(&mut self, place: &Place, axis: RangeAxis, lines: &[Line]) {
-        self.push_labelled(place, axis, lines, &[]);
+    /// Adds one ping's lines (envelopes). The first ping sets the zone.
+    pub fn push(&mut self, pose: &SonarPose, axis: RangeAxis, lines: &[Line]) {
+        self.push_labelled(pose, axis, lines, &[]);
     }
 
-    /// The same with what the lines show.
+    /// Adds one ping's lines with their ground truth.
     pub fn push_labelled(
         &mut self,
-        place: &Place,
+        pose: &SonarPose,
         axis: RangeAxis,
         lines: &[Line],
         truths: &[LineTruth],
     ) {
         let zone = *self
             .zone
-            .get_or_insert_with(|| UtmZone::of(place.latitude_rad, place.longitude_rad));
-        let (east_m, north_m) = zone.project_m(place.latitude_rad, place.longitude_rad);
-        // The map's own direction of heading: a metre ahead, projected (grid convergence and scale are in it).
-        let (sin, cos) = place.heading_rad.sin_cos();
+            .get_or_insert_with(|| UtmZone::of(pose.latitude_rad, pose.longitude_rad));
+        let (east_m, north_m) = zone.project_m(pose.latitude_rad, pose.longitude_rad);
+        // Heading in the map: one metre ahead, projected, which includes grid convergence and scale.
+        let (sin, cos) = pose.heading_rad.sin_cos();
         const METRE_RAD: f64 = 1e-6;
         let (e1, n1) = zone.project_m(
-            place.latitude_rad + METRE_RAD * cos,
-            place.longitude_rad + METRE_RAD * sin / place.latitude_rad.cos(),
+            pose.latitude_rad + METRE_RAD * cos,
+            pose.longitude_rad + METRE_RAD * sin / pose.latitude_rad.cos(),
         );
         let ahead = DVec2::new(e1 - east_m, n1 - north_m).normalize_or(DVec2::new(sin, cos));
         let cell_m = 0.5 * self.spec.metres_per_pixel;
         let cells = (self.spec.range_m / cell_m).ceil() as usize;
         let projection = Projection::Ground {
-            altitude_m: place.altitude_m,
+            altitude_m: pose.altitude_m,
         };
-        let min_m = place.altitude_m / self.spec.nadir_rad.cos();
+        let min_m = pose.altitude_m / self.spec.nadir_rad.cos();
         let mut sides = [vec![f32::NAN; cells], vec![f32::NAN; cells]];
         for line in lines {
             let side = &mut sides[usize::from(line.side == Side::Starboard)];
@@ -221,22 +246,22 @@ impl MosaicBuilder {
         let mut masks = [Vec::new(), Vec::new()];
         for truth in truths {
             let side = &mut masks[usize::from(truth.side == Side::Starboard)];
-            side.resize(cells, Mask::NOTHING);
+            side.resize(cells, Mask::EMPTY);
             cell_masks(truth, axis, projection, cell_m, side);
         }
         self.pings.push(Ping {
             at_m: DVec2::new(east_m, north_m) - ahead * self.spec.layback_m,
             ahead,
-            altitude_m: place.altitude_m,
-            pitch_tan: place.pitch_rad.tan(),
-            drift: place.drift,
-            starboard_m: place.starboard_m,
+            altitude_m: pose.altitude_m,
+            pitch_tan: pose.pitch_rad.tan(),
+            drift: pose.drift,
+            starboard_m: pose.starboard_m,
             sides,
             masks,
         });
     }
 
-    /// Lays all pings.
+    /// Projects all pings and returns the map. Returns an error without pings or beyond the maximum size.
     pub fn finish(self) -> Result<Mosaic, MosaicError> {
         let (Some(zone), false) = (self.zone, self.pings.is_empty()) else {
             return Err(MosaicError::Empty);
@@ -251,39 +276,39 @@ impl MosaicBuilder {
                 high = high.max(at_m + reach);
             }
         }
-        // Whole multiples of a pixel, so that maps of one survey fit each other.
+        // The origin is a multiple of the pixel size, so that maps of one survey align.
         let low = (low / cell_m).floor() * cell_m;
         let size = ((high - low) / cell_m).ceil();
         let area = size.x * size.y;
         if area.is_nan() || area > self.spec.max_pixels as f64 {
             return Err(MosaicError::TooLarge {
                 pixels: area as usize,
-                most: self.spec.max_pixels,
+                max: self.spec.max_pixels,
             });
         }
         let (width, height) = (size.x as usize, size.y as usize);
         let north_m = low.y + height as f64 * cell_m;
-        let mut pixels = vec![Pixel::NOTHING; width * height];
+        let mut pixels = vec![Pixel::EMPTY; width * height];
         let labelled = self
             .pings
             .iter()
             .flat_map(|p| &p.masks)
             .any(|m| !m.is_empty());
         let mut masks = match labelled {
-            true => vec![Mask::NOTHING; width * height],
+            true => vec![Mask::EMPTY; width * height],
             false => Vec::new(),
         };
         for i in 0..self.pings.len() {
-            self.lay(i, |at, value, range_m, mask| {
+            self.project_ping(i, |at, value, range_m, mask| {
                 let x = (at.x - low.x) / cell_m;
                 let y = (north_m - at.y) / cell_m;
                 if x < 0.0 || y < 0.0 || x >= width as f64 || y >= height as f64 {
                     return;
                 }
                 let p = y as usize * width + x as usize;
-                let met = self.meet(value, range_m, &mut pixels[p]);
+                let update = self.update_pixel(value, range_m, &mut pixels[p]);
                 if let (Some(mask), Some(there)) = (mask, masks.get_mut(p)) {
-                    met.label(*mask, there);
+                    update.label(*mask, there);
                 }
             });
         }
@@ -300,11 +325,12 @@ impl MosaicBuilder {
         })
     }
 
-    /// One ping's strip, half way to its neighbours, in steps of half a pixel: place, intensity, range and mask of every step.
-    fn lay(&self, i: usize, mut put: impl FnMut(DVec2, f32, f32, Option<&Mask>)) {
+    /// Passes the points of one ping's strip to `put`, half way to its neighbours, in steps of half a pixel: position, intensity, range and
+    /// mask.
+    fn project_ping(&self, i: usize, mut put: impl FnMut(DVec2, f32, f32, Option<&Mask>)) {
         let ping = &self.pings[i];
         let step_m = 0.5 * self.spec.metres_per_pixel;
-        // A jump of the track is no stretch to be filled.
+        // A jump of the track is not filled.
         let longest_m = 50.0 * self.spec.metres_per_pixel;
         let neighbours = [
             i.checked_sub(1).map(|k| &self.pings[k]),
@@ -313,7 +339,7 @@ impl MosaicBuilder {
         for (side, cells) in ping.sides.iter().enumerate() {
             for (k, value) in cells.iter().enumerate().filter(|c| !c.1.is_nan()) {
                 let across_m = (k as f64 + 0.5) * step_m;
-                // What lies between the two sides' arrays is the bottom's first echo.
+                // The points between the two arrays show the first bottom echo.
                 if k == 0 {
                     let inward = ping.starboard_m[side] * [-1.0, 1.0][side];
                     for back in 0..(inward / step_m).ceil().max(0.0) as usize {
@@ -345,7 +371,7 @@ impl MosaicBuilder {
         }
     }
 
-    fn meet(&self, value: f32, range_m: f32, pixel: &mut Pixel) -> Met {
+    fn update_pixel(&self, value: f32, range_m: f32, pixel: &mut Pixel) -> PixelUpdate {
         let Pixel {
             sum,
             weight,
@@ -356,38 +382,38 @@ impl MosaicBuilder {
                 *sum += value;
                 *weight += 1.0;
                 match *weight > 1.0 {
-                    true => Met::Added,
-                    false => Met::Replaced,
+                    true => PixelUpdate::Added,
+                    false => PixelUpdate::Replaced,
                 }
             }
             Overlap::Last => {
                 (*sum, *weight) = (value, 1.0);
-                Met::Replaced
+                PixelUpdate::Replaced
             }
-            Overlap::Nearest if range_m < *nearest_m * NEARER => {
+            Overlap::Nearest if range_m < *nearest_m * SAME_RANGE_RATIO => {
                 (*sum, *weight, *nearest_m) = (value, 1.0, range_m);
-                Met::Replaced
+                PixelUpdate::Replaced
             }
-            Overlap::Nearest if range_m * NEARER <= *nearest_m => {
+            Overlap::Nearest if range_m * SAME_RANGE_RATIO <= *nearest_m => {
                 *sum += value;
                 *weight += 1.0;
-                Met::Added
+                PixelUpdate::Added
             }
-            Overlap::Nearest => Met::Passed,
+            Overlap::Nearest => PixelUpdate::Passed,
         }
     }
 }
 
-/// What became of what a pixel met.
+/// Effect of a value on a pixel.
 #[derive(Clone, Copy)]
-enum Met {
+enum PixelUpdate {
     Replaced,
     Added,
     Passed,
 }
 
-impl Met {
-    /// A mean over pings shows a target that any of them shows, and shadow where all of them do.
+impl PixelUpdate {
+    /// In a mean over pings, a target in any ping labels the pixel; shadow requires that all pings show it.
     fn label(self, mask: Mask, there: &mut Mask) {
         match self {
             Self::Replaced => *there = mask,
@@ -405,7 +431,7 @@ impl Met {
     }
 }
 
-/// GeoTIFF's keys (OGC 19-008r4): model projected, raster pixel is area, the projected system by its EPSG number, metres.
+/// GeoTIFF keys (OGC 19-008r4): projected model, area pixels, the projected system by its EPSG number, metres.
 const MODEL_TYPE: u16 = 1024;
 const RASTER_TYPE: u16 = 1025;
 const PROJECTED_CRS: u16 = 3072;
@@ -413,7 +439,7 @@ const LINEAR_UNITS: u16 = 3076;
 const METRE: u16 = 9001;
 
 impl Mosaic {
-    /// Pixel (column, row) of an easting and a northing; none outside.
+    /// Pixel (column, row) at an easting and a northing; none outside the map.
     pub fn pixel(&self, east_m: f64, north_m: f64) -> Option<(usize, usize)> {
         let x = (east_m - self.west_m) / self.metres_per_pixel;
         let y = (self.north_m - north_m) / self.metres_per_pixel;
@@ -425,7 +451,7 @@ impl Mosaic {
         self.intensity.iter().map(|i| 10.0 * i.log10())
     }
 
-    /// Intensity in dB, 32-bit floats, with its coordinate system; NaN where nothing is.
+    /// Writes the intensity in dB as 32-bit floats, with the coordinate system; NaN without data.
     pub fn write_geotiff(&self, to: impl Write + Seek) -> Result<(), MosaicError> {
         let mut encoder = TiffEncoder::new(to)?;
         let mut image =
@@ -451,7 +477,7 @@ impl Mosaic {
         Ok(())
     }
 
-    /// The same as a picture; transparent where nothing is.
+    /// Writes the intensity as a colour picture, transparent without data.
     pub fn write_png(
         &self,
         to: impl Write,
@@ -496,7 +522,7 @@ mod tests {
         metres_per_sample: 0.02,
     };
 
-    /// A straight line at 40 degrees over a flat bottom 12 m down, with a bright point; and back on the same track.
+    /// A straight line at 40 degrees above a flat bottom at 12 m with a bright point, and the same track in the opposite direction.
     fn survey(spec: MosaicSpec, ways: &[f64]) -> (Mosaic, (f64, f64)) {
         let plane = LocalTangentPlane::new(0.6, -1.2);
         let mut builder = MosaicBuilder::new(spec);
@@ -519,14 +545,14 @@ mod tests {
                 });
                 let fish = at + ahead * spec.layback_m;
                 let (latitude_rad, longitude_rad) = plane.geodetic_rad(fish.x, fish.y);
-                let place = Place::level(latitude_rad, longitude_rad, heading, altitude_m);
-                builder.push(&place, AXIS, &lines);
+                let pose = SonarPose::level(latitude_rad, longitude_rad, heading, altitude_m);
+                builder.push(&pose, AXIS, &lines);
             }
         }
         let (latitude, longitude) = plane.geodetic_rad(target.x, target.y);
         let mosaic = builder.finish().expect("a map");
-        let place = mosaic.zone.project_m(latitude, longitude);
-        (mosaic, place)
+        let pose = mosaic.zone.project_m(latitude, longitude);
+        (mosaic, pose)
     }
 
     fn brightest(mosaic: &Mosaic) -> (usize, usize) {
@@ -538,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_lies_within_a_pixel_of_its_place_with_layback_and_from_both_ways() {
+    fn a_target_lies_within_a_pixel_with_layback_and_from_both_directions() {
         use std::f64::consts::PI;
         for (layback_m, ways) in [
             (0.0, &[0.0][..]),
@@ -562,9 +588,9 @@ mod tests {
         }
     }
 
-    /// A pitching, moving body with its arrays off its middle: the target is heard by the ping whose beam, not whose place, passes it.
+    /// A pitching, moving body with off-centre arrays: the ping whose beam passes the target receives it, not the ping abeam of it.
     #[test]
-    fn pitch_drift_arms_and_masks_put_a_target_where_it_is() {
+    fn pitch_drift_and_lever_arms_place_target_and_mask_correctly() {
         let plane = LocalTangentPlane::new(0.6, -1.2);
         let altitude_m = 20.0;
         let spec = MosaicSpec {
@@ -572,7 +598,7 @@ mod tests {
             ..MosaicSpec::default()
         };
         let mut builder = MosaicBuilder::new(spec);
-        // Due north; the target 30 m to starboard of the track.
+        // Due north; the target is 30 m to starboard of the track.
         let (target_north, target_east) = (41.2, 30.3);
         for ping in 0..400 {
             let north = 0.2 * f64::from(ping);
@@ -597,17 +623,17 @@ mod tests {
                 (truth.target[k], truth.target_energy[k]) = (7, 900.0);
             }
             let (latitude_rad, longitude_rad) = plane.geodetic_rad(north, 0.0);
-            let place = Place {
+            let pose = SonarPose {
                 pitch_rad,
                 drift,
                 starboard_m,
-                ..Place::level(latitude_rad, longitude_rad, 0.0, altitude_m)
+                ..SonarPose::level(latitude_rad, longitude_rad, 0.0, altitude_m)
             };
             let line = Line {
                 side: Side::Starboard,
                 amplitude,
             };
-            builder.push_labelled(&place, AXIS, &[line], &[truth]);
+            builder.push_labelled(&pose, AXIS, &[line], &[truth]);
         }
         let (latitude, longitude) = plane.geodetic_rad(target_north, target_east);
         let mosaic = builder.finish().expect("a map");
@@ -629,14 +655,14 @@ mod tests {
                 "labelled {x} {y}, want {want:?}"
             );
         }
-        // Ground where there is a picture, and nothing where there is none.
+        // Masks have ground exactly where the picture has data.
         for (mask, intensity) in mosaic.masks.iter().zip(&mosaic.intensity) {
             assert_eq!(mask.down_m.is_nan(), intensity.is_nan());
         }
     }
 
     #[test]
-    fn no_gap_opens_inside_the_swath_and_the_nadir_is_left_out_where_asked() {
+    fn the_swath_has_no_gaps_and_the_nadir_is_omitted_on_request() {
         for nadir_deg in [0.0, 30.0_f64] {
             let spec = MosaicSpec {
                 range_m: 60.0,
@@ -657,7 +683,7 @@ mod tests {
     }
 
     #[test]
-    fn the_geotiff_is_read_back_with_its_place_and_values() {
+    fn the_geotiff_reads_back_with_its_position_and_values() {
         let (mosaic, _) = survey(
             MosaicSpec {
                 range_m: 30.0,
@@ -687,7 +713,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_pixels_and_no_pings_are_refused() {
+    fn too_many_pixels_and_no_pings_are_errors() {
         let none = MosaicBuilder::new(MosaicSpec::default()).finish();
         assert!(matches!(none, Err(MosaicError::Empty)));
         let spec = MosaicSpec {
@@ -695,8 +721,8 @@ mod tests {
             ..MosaicSpec::default()
         };
         let mut builder = MosaicBuilder::new(spec);
-        let place = Place::level(0.5, 0.1, 0.0, 5.0);
-        builder.push(&place, AXIS, &[]);
+        let pose = SonarPose::level(0.5, 0.1, 0.0, 5.0);
+        builder.push(&pose, AXIS, &[]);
         assert!(matches!(
             builder.finish(),
             Err(MosaicError::TooLarge { .. })

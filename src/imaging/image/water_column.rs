@@ -1,11 +1,11 @@
 //! Pictures of a fan of beams: the polar fan of one ping, and all pings stacked along the track.
 //!
-//! The fan lies in the plane of its array: boresight down, starboard right, ranges and angles marked. A pixel takes the mean intensity of its
-//! samples of the beam nearest in angle; soundings are dots. The stack has a column per ping and slant range downwards; a pixel takes the strongest
-//! beam at its range, so that what hangs in the water stands above the bottom. Masks are made of the same samples as the pixels ([`polar_masks`],
-//! [`Stack::masks`]).
+//! The polar fan lies in the plane of its array, with the boresight down, starboard right, and ranges and angles marked. A pixel takes the
+//! mean intensity of its samples in the beam nearest in angle; soundings are dots. The stack has a column per ping, with slant range
+//! downwards. A pixel takes the strongest beam at its range, so that targets in the water column stay visible above the bottom. Masks use
+//! the same samples as the pixels ([`polar_masks`], [`Stack::masks`]).
 //!
-//! Not modelled: refraction; the picture is not turned with the roll.
+//! Not modelled: refraction. The picture is not rotated with the roll.
 
 use std::ops::Range;
 
@@ -16,22 +16,25 @@ use echotank_core::flow::{BeamFrame, LineTruth, PingPlan, Sounding};
 use super::labels;
 use super::masks::{Mask, mask_of};
 
-/// Of the longest range of a fan, and of a stack's.
+/// Pixels along the longest range of a fan or stack.
 const PIXELS: usize = 480;
-/// Room for the labels.
+/// Margin for the labels, pixels.
 const MARGIN: usize = 40;
-/// A stack's, for its labels and marks.
+/// Left margin of a stack, for its labels and marks, pixels.
 const LEFT: usize = MARGIN + 16;
-const NOTHING: [u8; 3] = [0, 0, 0];
+const BACKGROUND: [u8; 3] = [0, 0, 0];
 const MARK: [u8; 3] = [150, 150, 150];
 const SOUNDING: [u8; 3] = [255, 64, 32];
-/// The weakest and strongest that is told apart where the picture chooses by itself.
+/// Dynamic range of automatic contrast.
 const SPAN_DB: f64 = 60.0;
 
-/// Red-green-blue pixels, row-major from the top.
+/// Red-green-blue picture.
 pub struct Picture {
+    /// Width in pixels.
     pub width: usize,
+    /// Height in pixels.
     pub height: usize,
+    /// Three bytes per pixel, row-major from the top.
     pub rgb: Vec<u8>,
 }
 
@@ -40,7 +43,7 @@ impl Picture {
         Self {
             width,
             height,
-            rgb: NOTHING.repeat(width * height),
+            rgb: BACKGROUND.repeat(width * height),
         }
     }
 
@@ -58,23 +61,23 @@ impl Picture {
     }
 }
 
-/// Levels of darkest and brightest, dB.
-fn span_db(contrast: Contrast, greatest: f64) -> (f64, f64) {
+/// Levels of the darkest and the brightest colour, dB.
+fn span_db(contrast: Contrast, largest: f64) -> (f64, f64) {
     match contrast {
         Contrast::Fixed { low_db, high_db } => (low_db, high_db),
         Contrast::Percentiles { .. } => {
-            let high_db = 10.0 * greatest.max(1e-300).log10();
+            let high_db = 10.0 * largest.max(1e-300).log10();
             (high_db - SPAN_DB, high_db)
         }
     }
 }
 
-/// Sample of a slant range.
+/// Sample index (fractional) of a slant range.
 fn sample_of(plan: &PingPlan, rate_hz: f64, range_m: f64) -> f64 {
     (2.0 * range_m / plan.sound_speed_m_per_s - plan.first_sample_s) * rate_hz
 }
 
-/// The samples of a beam from one slant range to another; the nearest where there are none.
+/// Samples of a beam between two sample positions, or the nearest if there are none between; none beyond the beam.
 fn samples_between(fan: &BeamFrame, from: f64, to: f64) -> Option<Range<usize>> {
     if to < 0.0 {
         return None;
@@ -88,14 +91,14 @@ fn samples_between(fan: &BeamFrame, from: f64, to: f64) -> Option<Range<usize>> 
     (first < end).then_some(first..end)
 }
 
-/// Mean intensity of those samples.
+/// Mean intensity of these samples.
 fn intensity(fan: &BeamFrame, beam: usize, samples: Range<usize>) -> f64 {
     let count = samples.len() as f64;
     let inside = fan.beam(beam)[samples].iter();
     inside.map(|y| y.norm_sqr()).sum::<f64>() / count
 }
 
-/// The beam nearest to an angle; none beyond half a step outside the fan.
+/// The beam nearest to an angle; none more than half a step outside the fan.
 pub fn beam_at(angle_rad: &[f64], angle: f64) -> Option<usize> {
     let (first, last) = (angle_rad.first()?, angle_rad.last()?);
     let edge = half_step(angle_rad);
@@ -110,7 +113,7 @@ pub fn beam_at(angle_rad: &[f64], angle: f64) -> Option<usize> {
     })
 }
 
-/// Half of a fan's mean step.
+/// Half of a fan's mean angular step.
 fn half_step(angle_rad: &[f64]) -> f64 {
     match (angle_rad.first(), angle_rad.last()) {
         (Some(first), Some(last)) => {
@@ -120,14 +123,14 @@ fn half_step(angle_rad: &[f64]) -> f64 {
     }
 }
 
-/// Which samples lie where in a fan's picture.
+/// Mapping from the pixels of a fan's picture to its samples.
 struct Polar<'a> {
     plan: &'a PingPlan,
     fan: &'a BeamFrame,
     rate_hz: f64,
-    /// Of a pixel.
+    /// Size of a pixel, metres.
     metres: f64,
-    /// Columns to either side of the sonar.
+    /// Number of columns on each side of the sonar.
     half: usize,
     /// Row of the sonar.
     top: usize,
@@ -169,7 +172,7 @@ impl<'a> Polar<'a> {
         Some((beam, samples))
     }
 
-    /// Pixel of a place.
+    /// Pixel at a distance (in pixels) and an angle from the sonar.
     fn place(&self, pixels: f64, angle: f64) -> (usize, usize) {
         let x = self.half as f64 + pixels * angle.sin();
         let y = self.top as f64 + pixels * angle.cos();
@@ -177,7 +180,7 @@ impl<'a> Polar<'a> {
     }
 }
 
-/// The masks of [`polar`]'s picture, row-major from the top, and its size. `truths`: one for each beam.
+/// Masks and size of the picture by [`polar`], row-major from the top. `truths` has one entry per beam.
 pub fn polar_masks(
     plan: &PingPlan,
     fan: &BeamFrame,
@@ -188,14 +191,14 @@ pub fn polar_masks(
     let (width, height) = polar.size();
     let masks = (0..width * height).map(|p| {
         let found = polar.samples(p % width, p / width);
-        found.map_or(Mask::NOTHING, |(beam, samples)| {
+        found.map_or(Mask::EMPTY, |(beam, samples)| {
             mask_of(&truths[beam], samples)
         })
     });
     ((width, height), masks.collect())
 }
 
-/// The fan of one ping. `percentiles` contrast: 60 dB down from the brightest pixel.
+/// Draws the fan of one ping. With `percentiles` contrast, the scale spans 60 dB down from the brightest pixel.
 pub fn polar(
     plan: &PingPlan,
     fan: &BeamFrame,
@@ -213,14 +216,14 @@ pub fn polar(
     let mut picture = Picture::new(width, height);
     let edge = half_step(&fan.angle_rad);
     let mut levels = vec![f64::NAN; width * height];
-    let mut greatest = 0.0_f64;
+    let mut largest = 0.0_f64;
     for (p, into) in levels.iter_mut().enumerate() {
         if let Some((beam, samples)) = polar.samples(p % width, p / width) {
             *into = intensity(fan, beam, samples);
-            greatest = greatest.max(*into);
+            largest = largest.max(*into);
         }
     }
-    let (low_db, high_db) = span_db(contrast, greatest);
+    let (low_db, high_db) = span_db(contrast, largest);
     for y in 0..picture.height {
         for x in 0..picture.width {
             let level = levels[y * picture.width + x];
@@ -231,7 +234,7 @@ pub fn polar(
         }
     }
     let place = |pixels, angle| polar.place(pixels, angle);
-    // Arcs of range, dotted, with their numbers at the starboard end.
+    // Dotted range arcs, with their ranges at the starboard end.
     let step_m = labels::round_step(range_m, 5.0);
     let mut mark_m = step_m;
     while mark_m <= range_m * 1.000_001 {
@@ -250,7 +253,7 @@ pub fn polar(
         );
         mark_m += step_m;
     }
-    // Rays of angle from half way outwards.
+    // Rays of angle over the outer half of the range.
     let mut angle_deg = (first.to_degrees() / 30.0).ceil() * 30.0;
     while angle_deg.to_radians() <= last {
         for pixels in (PIXELS / 2..PIXELS).step_by(4) {
@@ -277,14 +280,14 @@ pub struct Stack {
     rate_hz: f64,
     first_ping: Option<u32>,
     max_pings: usize,
-    /// A column of [`PIXELS`] intensities for each ping; NaN is nothing.
+    /// A column of [`PIXELS`] intensities per ping; NaN without data.
     columns: Vec<f32>,
-    /// What each of them shows; empty where no truth was given.
+    /// Ground truth of the intensities; empty without truths.
     masks: Vec<Mask>,
 }
 
 impl Stack {
-    /// Down to `range_m`; pings beyond `max_pings` are left out.
+    /// A stack down to `range_m`. Pings beyond `max_pings` are omitted.
     pub fn new(range_m: f64, rate_hz: f64, max_pings: usize) -> Self {
         Self {
             range_m,
@@ -296,7 +299,7 @@ impl Stack {
         }
     }
 
-    /// `truths`: one for each beam, or none.
+    /// Adds a ping. `truths` has one entry per beam, or is empty.
     pub fn push(&mut self, plan: &PingPlan, fan: &BeamFrame, truths: &[LineTruth]) {
         let first = *self.first_ping.get_or_insert(plan.ping_number);
         let place = plan.ping_number.checked_sub(first).map(|p| p as usize);
@@ -308,7 +311,7 @@ impl Stack {
             self.columns.resize(end, f32::NAN);
         }
         if !truths.is_empty() && self.masks.len() < end {
-            self.masks.resize(end, Mask::NOTHING);
+            self.masks.resize(end, Mask::EMPTY);
         }
         let metres = self.range_m / PIXELS as f64;
         let at = |y: usize| sample_of(plan, self.rate_hz, y as f64 * metres);
@@ -327,11 +330,12 @@ impl Stack {
         }
     }
 
+    /// Number of pings.
     pub fn pings(&self) -> usize {
         self.columns.len() / PIXELS
     }
 
-    /// Columns of a ping: a few are not to be a thread.
+    /// Columns per ping: a few pings are widened.
     fn wide(&self) -> usize {
         (PIXELS / 2).div_ceil(self.pings().max(1)).max(1)
     }
@@ -340,7 +344,8 @@ impl Stack {
         (LEFT + self.pings() * self.wide(), PIXELS)
     }
 
-    /// The masks of [`Stack::picture`], row-major from the top, and its size: each pixel's of the beam that it shows. None where no truth was given.
+    /// Masks and size of [`Stack::picture`], row-major from the top; each pixel has the mask of the beam that it shows. None without
+    /// truths.
     pub fn masks(&self) -> Option<((usize, usize), Vec<Mask>)> {
         if self.masks.is_empty() {
             return None;
@@ -351,17 +356,17 @@ impl Stack {
             let ping = x.checked_sub(LEFT)? / wide;
             self.masks.get(ping * PIXELS + y).copied()
         };
-        let masks = (0..width * height).map(|p| of(p).unwrap_or(Mask::NOTHING));
+        let masks = (0..width * height).map(|p| of(p).unwrap_or(Mask::EMPTY));
         Some(((width, height), masks.collect()))
     }
 
-    /// The oldest ping on the left; slant range downwards, with marks on the left.
+    /// Draws the stack: oldest ping on the left, slant range downwards, with marks on the left.
     pub fn picture(&self, contrast: Contrast) -> Picture {
         let wide = self.wide();
         let (width, height) = self.size();
         let mut picture = Picture::new(width, height);
-        let greatest = self.columns.iter().copied().filter(|l| l.is_finite());
-        let (low_db, high_db) = span_db(contrast, f64::from(greatest.fold(0.0, f32::max)));
+        let largest = self.columns.iter().copied().filter(|l| l.is_finite());
+        let (low_db, high_db) = span_db(contrast, f64::from(largest.fold(0.0, f32::max)));
         for (ping, column) in self.columns.chunks_exact(PIXELS).enumerate() {
             for (y, level) in column.iter().enumerate().filter(|c| !c.1.is_nan()) {
                 let db = 10.0 * f64::from(*level).log10();
@@ -428,8 +433,8 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_is_brightest_at_its_range_and_angle_and_a_sounding_a_dot_there() {
-        // Beam 50 looks 40 degrees to starboard; sample 600 is 30 m away: 0.1 m a pixel.
+    fn an_echo_is_brightest_and_its_sounding_a_dot_at_its_range_and_angle() {
+        // Beam 50 points 40 degrees to starboard; sample 600 is at 30 m, with 0.1 m per pixel.
         let mut picture = polar(
             &plan(),
             &fan((50, 600)),
@@ -486,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn the_stack_shows_an_echo_in_its_ping_at_its_range_and_pings_that_never_came_as_nothing() {
+    fn the_stack_shows_an_echo_at_its_ping_and_range_and_missing_pings_empty() {
         let mut stack = Stack::new(48.0, RATE_HZ, 100);
         for (ping, sample) in [(3, 300), (5, 700)] {
             let plan = PingPlan {
@@ -507,15 +512,15 @@ mod tests {
             let rgb = picture.rgb[k..k + 3].iter();
             rgb.map(|c| u32::from(*c)).sum::<u32>()
         };
-        // 15 m and 35 m at 0.1 m a pixel.
-        // An echo on the edge of a pixel may share it with a neighbour: 3 dB of the 60.
+        // 15 m and 35 m at 0.1 m per pixel.
+        // An echo on the edge of a pixel may be shared with a neighbour: 3 dB of the 60.
         assert!(at(0, 150) > 700 && at(2, 350) > 700);
         assert!(at(0, 350) < 100, "{}", at(0, 350));
         assert_eq!(at(1, 150), 0);
     }
 
     #[test]
-    fn masks_lie_pixel_for_pixel_where_the_picture_shows_their_samples() {
+    fn masks_match_the_picture_pixel_for_pixel() {
         let fan = fan((50, 600));
         let blank = LineTruth {
             side: echotank_core::flow::Side::Starboard,
@@ -536,7 +541,7 @@ mod tests {
         let picture = polar(&plan(), &fan, &[], RATE_HZ, contrast);
         let (size, masks) = polar_masks(&plan(), &fan, &truths, RATE_HZ);
         assert_eq!(size, (picture.width, picture.height));
-        // The echo's pixels are white, but where marks lie over them; they are the target's.
+        // The echo's pixels are white except under marks, and belong to the target.
         let pixels = picture.rgb.chunks_exact(3);
         let white: Vec<bool> = pixels.map(|p| p == [255, 255, 255]).collect();
         let own: Vec<bool> = masks.iter().map(|m| m.target == 7).collect();
@@ -560,14 +565,14 @@ mod tests {
         assert_eq!(size, (picture.width, picture.height));
         for (p, mask) in masks.iter().enumerate() {
             let (x, y) = (p % size.0, p / size.0);
-            // Sample 600 is 30 m away.
+            // Sample 600 is at 30 m.
             let at_echo = x >= LEFT && y == 300;
             assert_eq!(mask.target == 7, at_echo, "{x} {y}");
         }
     }
 
     #[test]
-    fn fans_of_nothing_are_drawn_without_panic() {
+    fn empty_fans_are_drawn_without_panic() {
         for fan in [
             BeamFrame::default(),
             BeamFrame {

@@ -1,10 +1,10 @@
-//! The waterfall: side-scan lines stacked into a picture, in slant range or on the ground.
+//! The waterfall: side-scan lines stacked into a picture, in slant range or ground range.
 //!
 //! Port is on the left and mirrored, starboard on the right, so that the start of the pulse lies in the middle. The newest ping is at the
-//! top: the picture lies like a chart with the ship heading up. A ping number that never came keeps its place, in the colour of nothing.
+//! top, as on a chart with the ship's heading up. A missing ping number keeps its rows, in the background colour.
 //!
-//! Memory: one f32 per column and ping, 4 (2 range / metres-per-pixel) bytes a ping (16 kB for 200 m at 0.1 m), at most
-//! [`WaterfallSpec::max_pings`] of them; pings beyond that are counted and left out.
+//! Memory: one f32 per column and ping, or 4 (2 range / metres-per-pixel) bytes per ping (16 kB for 200 m at 0.1 m). At most
+//! [`WaterfallSpec::max_pings`] pings are stored; further pings are counted and omitted.
 
 use echotank_core::flow::{Line, PingPlan, Side};
 
@@ -13,20 +13,24 @@ use crate::image::colour;
 use echotank_config::spec::ColourMap;
 pub use echotank_config::spec::Contrast as Scale;
 
-/// How a waterfall looks.
+/// Settings of a waterfall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WaterfallSpec {
-    /// Largest range shown on each side, as the columns count it.
+    /// Maximum range on each side, in the columns' projection.
     pub range_m: f64,
+    /// Width of a column.
     pub metres_per_pixel: f64,
-    /// Picture rows of one ping; see [`rows_that_keep_the_aspect`].
+    /// Picture rows per ping; see [`rows_that_keep_the_aspect`].
     pub rows_per_ping: u32,
+    /// Mapping from level to brightness.
     pub scale: Scale,
+    /// Colour map.
     pub colours: ColourMap,
-    /// Divide out the mean level at each range (a moving mean in dB, over all pings, for each side), as survey viewers do.
+    /// Divides out the mean level at each range (a moving mean in dB over all pings, for each side), as survey viewers do.
     pub normalise_range: bool,
-    /// Faint lines every so many metres of range.
+    /// Distance between faint range lines.
     pub range_ticks_m: Option<f64>,
+    /// Maximum number of stored pings.
     pub max_pings: usize,
 }
 
@@ -53,33 +57,34 @@ pub fn rows_that_keep_the_aspect(advance_m: f64, metres_per_pixel: f64) -> u32 {
     (advance_m / metres_per_pixel).round().clamp(1.0, 1000.0) as u32
 }
 
-/// Half the width, in pixels, of the moving mean that makes the level at a range: wide enough that one strong target does not
-/// dim its own surroundings, narrow enough for the first bottom return.
+/// Half the width, in pixels, of the moving mean that determines the level at a range. It is wide enough that one strong target does not
+/// dim its surroundings, and narrow enough for the first bottom return.
 const NORMALISE_HALF_WIDTH: usize = 8;
-/// A picture's scale spans at least this much, dB, so that an even seabed is not stretched into snow.
+/// Minimum span of a picture's scale, dB, so that an even seabed is not stretched into noise.
 const MIN_SPAN_DB: f64 = 12.0;
-/// How much of a range tick's pixel is white.
+/// Opacity of a range line.
 const TICK_SHARE: f64 = 0.25;
-/// Where there is no data.
-const NOTHING: [u8; 3] = [16, 24, 48];
+/// Colour of pixels without data.
+const BACKGROUND: [u8; 3] = [16, 24, 48];
 
-/// Histogram of levels for the percentiles: finer than anyone sees, wider than any receiver.
+/// Histogram of levels for the percentiles: finer than visible steps and wider than any receiver's range.
 const HISTOGRAM_LOW_DB: f64 = -400.0;
 const HISTOGRAM_STEP_DB: f64 = 0.1;
 const HISTOGRAM_BINS: usize = 8000;
 
-/// Lines in, a picture out.
+/// Accumulates lines and draws the picture.
 pub struct Waterfall {
     spec: WaterfallSpec,
     sample_rate_hz: f64,
     columns_per_side: usize,
     first_ping: Option<u32>,
-    /// Intensities, row-major, oldest ping first; NaN is nothing.
+    /// Intensities, row-major, oldest ping first; NaN without data.
     rows: Vec<f32>,
     left_out: u64,
 }
 
 impl Waterfall {
+    /// An empty waterfall; `sample_rate_hz` is that of the lines.
     pub fn new(spec: WaterfallSpec, sample_rate_hz: f64) -> Self {
         let columns = (spec.range_m / spec.metres_per_pixel - 1e-9).ceil();
         Self {
@@ -92,12 +97,12 @@ impl Waterfall {
         }
     }
 
-    /// Adds one ping's lines in slant range. Of two lines of one side the later wins.
+    /// Adds one ping's lines in slant range. Of two lines of one side, the later is used.
     pub fn push(&mut self, plan: &PingPlan, lines: &[Line]) {
         self.push_with(plan, lines, Some(Projection::Slant));
     }
 
-    /// The same with columns of any projection; without one, the ping keeps its place and shows nothing.
+    /// Adds one ping's lines in any projection. Without a projection, the ping's rows stay empty.
     pub fn push_with(&mut self, plan: &PingPlan, lines: &[Line], projection: Option<Projection>) {
         let ping_number = plan.ping_number;
         let first = *self.first_ping.get_or_insert(ping_number);
@@ -133,55 +138,33 @@ impl Waterfall {
         }
     }
 
+    /// Settings of the waterfall.
     pub fn spec(&self) -> &WaterfallSpec {
         &self.spec
     }
 
-    /// Pings that came before the first or beyond [`WaterfallSpec::max_pings`].
+    /// Number of pings omitted: before the first or beyond [`WaterfallSpec::max_pings`].
     pub fn left_out(&self) -> u64 {
         self.left_out
     }
 
-    /// Pings in the picture, those that never came included.
+    /// Number of pings in the picture, including missing ones.
     pub fn pings(&self) -> usize {
         self.rows.len() / self.width()
     }
 
-    /// Pixels across.
+    /// Width in pixels.
     pub fn width(&self) -> usize {
         2 * self.columns_per_side
     }
 
-    /// Pixels down.
+    /// Height in pixels.
     pub fn height(&self) -> usize {
         self.pings() * self.spec.rows_per_ping.max(1) as usize
     }
 
-    /// Where an echo at `range_m` (as the columns count it) of a ping lies in the picture as it is now: column, and the uppermost of the ping's rows.
-    /// None outside the picture.
-    pub(crate) fn pixel_of(
-        &self,
-        side: Side,
-        range_m: f64,
-        ping_number: u32,
-    ) -> Option<(u32, u32)> {
-        // A range that is a multiple of the pixel belongs to the pixel it begins, whatever the quotient's last digit.
-        let column = (range_m / self.spec.metres_per_pixel + 1e-9).floor();
-        if !(column >= 0.0 && column < self.columns_per_side as f64) {
-            return None;
-        }
-        let column = column as usize;
-        let x = match side {
-            Side::Port => self.columns_per_side - 1 - column,
-            Side::Starboard => self.columns_per_side + column,
-        };
-        let place = ping_number.checked_sub(self.first_ping?)? as usize;
-        let from_newest = self.pings().checked_sub(place + 1)?;
-        let y = from_newest * self.spec.rows_per_ping.max(1) as usize;
-        Some((x as u32, y as u32))
-    }
-
-    /// Draws the picture: every row once, top to bottom, `width() * 3` bytes red-green-blue. Stops at the first error.
+    /// Draws the picture from top to bottom. `row_out` receives each row once, as `width() * 3` bytes red-green-blue; its first error stops
+    /// the drawing.
     pub fn render<E>(&self, mut row_out: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
         let width = self.width();
         let level_db = self.column_levels_db();
@@ -191,7 +174,7 @@ impl Waterfall {
         for row in self.rows.chunks_exact(width).rev() {
             for x in 0..width {
                 let mut color = if row[x].is_nan() {
-                    NOTHING
+                    BACKGROUND
                 } else {
                     let db = decibels(row[x]) - level_db[x];
                     colour::rgb(
@@ -212,7 +195,7 @@ impl Waterfall {
         Ok(())
     }
 
-    /// What is subtracted from every pixel of a column; zero unless the range is normalised.
+    /// Level subtracted from every pixel of a column, dB; zero without range normalisation.
     fn column_levels_db(&self) -> Vec<f64> {
         let width = self.width();
         if !self.spec.normalise_range {
@@ -354,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_is_the_brightest_pixel_where_pixel_of_says() {
+    fn an_echo_is_the_brightest_pixel_at_its_range_and_ping() {
         let axis = RangeAxis::new(C, RATE_HZ);
         let mut w = Waterfall::new(
             WaterfallSpec {
@@ -381,9 +364,8 @@ mod tests {
         }
         let rows = picture(&w);
         assert_eq!((rows.len(), rows[0].len()), (33, 3 * 800));
-        let (x, y) = w.pixel_of(Side::Port, echo_m, echo_ping).expect("inside");
-        // Eight pings newer, three rows each, above it; 249 columns left of the middle.
-        assert_eq!((x, y), (399 - 249, 24));
+        // Eight newer pings of three rows each are above it; it is 249 columns left of the middle.
+        let (x, y) = (399 - 249, 24);
         let peak = brightness(&rows, x, y);
         for (py, row) in rows.iter().enumerate() {
             for px in 0..row.len() / 3 {
@@ -395,10 +377,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(w.pixel_of(Side::Port, 60.1, 12), None);
-        assert_eq!(w.pixel_of(Side::Port, -0.1, 12), None);
-        assert_eq!(w.pixel_of(Side::Starboard, 1.0, 21), None);
-        assert_eq!(w.pixel_of(Side::Starboard, 1.0, 9), None);
     }
 
     #[test]
@@ -419,17 +397,17 @@ mod tests {
     }
 
     #[test]
-    fn missing_pings_and_missing_sides_keep_their_place() {
+    fn missing_pings_and_missing_sides_stay_empty() {
         let mut w = Waterfall::new(spec(), RATE_HZ);
         w.push(&plan(5), &[line(Side::Port, vec![1.0; 3200])]);
         w.push(&plan(8), &[line(Side::Port, vec![1.0; 3200])]);
         let rows = picture(&w);
         assert_eq!(rows.len(), 4);
         for y in [1, 2] {
-            assert_eq!(rows[y][..3], NOTHING, "ping {} never came", 8 - y);
+            assert_eq!(rows[y][..3], BACKGROUND, "ping {} is missing", 8 - y);
         }
-        assert_eq!(rows[0][3 * 500..][..3], NOTHING, "starboard has no line");
-        assert_ne!(rows[0][..3], NOTHING);
+        assert_eq!(rows[0][3 * 500..][..3], BACKGROUND, "starboard has no line");
+        assert_ne!(rows[0][..3], BACKGROUND);
     }
 
     #[test]
@@ -480,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_nothing_silence_or_nonsense_are_drawn_without_panic() {
+    fn empty_silent_and_invalid_pictures_are_drawn_without_panic() {
         for amplitude in [
             vec![],
             vec![0.0; 100],

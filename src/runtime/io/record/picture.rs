@@ -147,7 +147,7 @@ mod tests {
                 shadow: false,
                 down_m: 12.345,
             },
-            Mask::NOTHING,
+            Mask::EMPTY,
             Mask {
                 target: 0,
                 shadow: true,

@@ -1,4 +1,4 @@
-//! A line array aimed at the directions of a fan: what every former of a fan has in common.
+//! A line array steered to the directions of a fan: the part that all fan formers share.
 
 use num_complex::Complex64;
 
@@ -9,14 +9,15 @@ use super::weights;
 use echotank_config::spec::{FanSpec, Shading};
 use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
 
-/// Silence between row ends, over twice the travel time along the array, in samples: room for the tails of delays made in the frequency domain.
+/// Zeros between row ends beyond twice the travel time along the array, samples: room for the tails of delays applied in the frequency
+/// domain.
 const GUARD_SAMPLES: usize = 32;
 
-/// Pulse, water and directions of the ping at hand.
-pub(super) struct Aimed {
+/// Pulse, sound speed and directions of the current ping.
+pub(super) struct SteeredArray {
     array: usize,
     spacing_m: f64,
-    /// Over elements, sum 1.
+    /// Element weights; their sum is 1.
     pub(super) weights: Vec<f64>,
     pub(super) directions: Directions,
     width_rad: Vec<f64>,
@@ -24,10 +25,10 @@ pub(super) struct Aimed {
     pub(super) correlator: Correlator,
 }
 
-impl Aimed {
-    /// `array` is the receive array that `fan` names; `silence` samples behind each row.
+impl SteeredArray {
+    /// `array` is the receive array that `fan` names. Each row is followed by `silence` zeros.
     ///
-    /// Panics on an empty fan or array or a pulse beyond `limits`: they come from a checked configuration.
+    /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
     pub(super) fn new(
         array: &ArrayGeometry,
         fan: &FanSpec,
@@ -43,7 +44,7 @@ impl Aimed {
         let mut weights = vec![0.0; array.elements];
         weights::fill(fan.shading, &mut weights);
         normalise(&mut weights);
-        let mut aimed = Self {
+        let mut steered = Self {
             array: fan.array,
             spacing_m: array.spacing_m,
             weights,
@@ -52,11 +53,11 @@ impl Aimed {
             sound_speed_m_per_s,
             correlator: Correlator::new(pulse, limits, silence, weighting),
         };
-        aimed.measure_widths();
-        aimed
+        steered.measure_widths();
+        steered
     }
 
-    /// Silence for delays that are made in the frequency domain: what leaves a row at one end does not come in at the other.
+    /// Number of zeros that delays in the frequency domain need, so that samples shifted past one end of a row do not wrap to the other.
     pub(super) fn far_field_silence(
         array: &ArrayGeometry,
         limits: &RowLimits,
@@ -67,8 +68,8 @@ impl Aimed {
         2 * travel + GUARD_SAMPLES
     }
 
-    /// Only these elements, about the whole line's centre.
-    pub(super) fn hear_with(&mut self, part: &std::ops::Range<usize>) {
+    /// Uses these elements only. Delays still refer to the whole line's centre.
+    pub(super) fn select_elements(&mut self, part: &std::ops::Range<usize>) {
         for (e, w) in self.weights.iter_mut().enumerate() {
             if !part.contains(&e) {
                 *w = 0.0;
@@ -98,18 +99,18 @@ impl Aimed {
         self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz
     }
 
-    /// Takes over the ping's pulse, sound speed and roll, and makes room for its beams; `out` grows once to the largest size.
+    /// Sets the ping's pulse, sound speed and roll and sizes `out`, which grows once to its maximum size.
     ///
-    /// Panics on the elements of another array or more samples than the limits allow.
+    /// Panics on a frame of another array or on more samples than the limits allow.
     pub(super) fn begin(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
         assert!(
             frame.array == self.array && frame.elements == self.elements(),
-            "elements of another array"
+            "the frame belongs to another array"
         );
-        let most = self.correlator.limits().samples;
+        let max_samples = self.correlator.limits().samples;
         assert!(
-            frame.samples <= most,
-            "row of {} samples, sized for {most}",
+            frame.samples <= max_samples,
+            "row of {} samples, sized for {max_samples}",
             frame.samples
         );
         let tuned_hz = self.correlator.pulse().center_frequency_hz;
@@ -128,7 +129,7 @@ impl Aimed {
         out.angle_rad.clone_from(&self.directions.angle_rad);
         out.width_rad.clone_from(&self.width_rad);
         out.iq
-            .reserve_exact((beams * most).saturating_sub(out.iq.len()));
+            .reserve_exact((beams * max_samples).saturating_sub(out.iq.len()));
         out.iq.resize(beams * frame.samples, Complex64::ZERO);
     }
 
@@ -148,7 +149,7 @@ impl Aimed {
     }
 }
 
-/// The frequencies of the rows' transform.
+/// Frequencies of the rows' transform.
 pub(super) struct Band {
     pub(super) length: usize,
     pub(super) center_hz: f64,
@@ -156,7 +157,7 @@ pub(super) struct Band {
 }
 
 impl Band {
-    /// In the water, for bin `k`; the upper half of the bins lies below the centre.
+    /// Acoustic frequency of bin `k`; the upper half of the bins lies below the centre frequency.
     pub(super) fn frequency_hz(&self, k: usize) -> f64 {
         let bin = match k < self.length / 2 {
             true => k as f64,
