@@ -1,46 +1,49 @@
-//! The only clock reads: the machine's clocks, a clock that runs faster or slower or stands, and one for replays and tests.
+//! All clock reads of the program: the system clock, a scaled clock that can be paused, and a virtual clock for replays and tests.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use echotank_core::time::{MonoNs, UtcNs};
 
-/// Where the house reads time and waits. `run` holds the system clock, `replay` and the tests a virtual one.
+/// A source of time on which threads wait. `run` uses a [`PacedClock`]; `replay` and the tests use a [`VirtualClock`].
 pub trait Clock: Send + Sync {
+    /// Monotonic time since the clock's start.
     fn mono(&self) -> MonoNs;
-    /// The host's own idea of UTC.
+    /// UTC as the host's clock shows it.
     fn host_utc(&self) -> UtcNs;
-    /// Returns at or after `deadline`, an absolute instant: waiting never drifts.
+    /// Returns at or after `deadline`. The deadline is an absolute instant, so repeated waits do not drift.
     fn sleep_until(&self, deadline: MonoNs);
-    /// As [`Clock::sleep_until`], but returns as soon as `wake_up` has been level, too.
+    /// Waits as [`Clock::sleep_until`] does, but returns early once `wake_up` is notified.
     fn wait_until(&self, deadline: MonoNs, _wake_up: &WakeUp) {
         self.sleep_until(deadline);
     }
-    /// Whoever dozes looks at its bell.
+    /// Makes every thread in [`Clock::wait_until`] check its wake-up.
     fn wake(&self) {}
 }
 
-/// Wakes one who dozes on a clock. A ring is kept until it is heard.
+/// Wakes one thread that waits on a clock. A notification is kept until the thread takes it.
 #[derive(Debug, Default)]
 pub struct WakeUp(std::sync::atomic::AtomicBool);
 
 impl WakeUp {
-    pub fn ring(&self, clock: &dyn Clock) {
+    /// Wakes the thread that waits on `clock` with this wake-up, or makes its next wait return at once.
+    pub fn notify(&self, clock: &dyn Clock) {
         self.0.store(true, std::sync::atomic::Ordering::Release);
         clock.wake();
     }
 
-    /// Whether it was level since this was last asked.
-    fn heard(&self) -> bool {
+    /// Takes the pending notification, if there is one.
+    fn take(&self) -> bool {
         self.0.swap(false, std::sync::atomic::Ordering::AcqRel)
     }
 }
 
-/// The machine's clocks.
+/// The operating system's monotonic and UTC clocks.
 pub struct SystemClock {
     start: Instant,
 }
 
 impl SystemClock {
+    /// A clock whose monotonic time starts at zero now.
     pub fn new() -> Self {
         Self {
             start: Instant::now(),
@@ -75,7 +78,7 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that stands still until it is told: for `replay` and tests.
+/// A clock that advances only when a thread sleeps on it: for `replay` and tests.
 #[derive(Default)]
 pub struct VirtualClock {
     mono_ns: std::sync::atomic::AtomicI64,
@@ -83,7 +86,7 @@ pub struct VirtualClock {
 }
 
 impl VirtualClock {
-    /// Mono starts at zero, when the host's clock shows `host_utc`.
+    /// A clock whose monotonic time is zero when the host's clock shows `host_utc`.
     pub fn starting_at(host_utc: UtcNs) -> Self {
         Self {
             mono_ns: 0.into(),
@@ -99,21 +102,23 @@ impl Clock for VirtualClock {
     fn host_utc(&self) -> UtcNs {
         UtcNs(self.mono().0.saturating_add(self.host_minus_mono_ns))
     }
-    /// Time passes at once.
+    /// Advances the clock to `deadline` and returns at once.
     fn sleep_until(&self, deadline: MonoNs) {
         self.mono_ns
             .fetch_max(deadline.0, std::sync::atomic::Ordering::AcqRel);
     }
 }
 
-/// The machine's clock made faster, slower, or stopped: `realtime` and `scaled` run on it, and pause stops it.
+/// The system clock scaled by a rate, which can be paused. The `realtime` and `scaled` modes use it.
 pub struct PacedClock {
     machine: SystemClock,
     pace: std::sync::Mutex<Pace>,
     changed: std::sync::Condvar,
 }
 
-/// This clock showed `mono_ns` when the machine's showed `machine_ns`, and has gone at `rate` since, or stood.
+/// The linear map from system time to this clock's time, valid since `machine_ns`.
+///
+/// The clock shows `mono_ns` at the system's `machine_ns` and then runs at `rate`, unless it is stopped.
 #[derive(Clone, Copy)]
 struct Pace {
     machine_ns: i64,
@@ -128,7 +133,7 @@ impl Pace {
             return MonoNs(self.mono_ns);
         }
         let gone_ns = machine.0 - self.machine_ns;
-        // At rate 1 not through f64: after 104 days it would lose nanoseconds.
+        // An f64 holds whole nanoseconds for 104 days only, so rate 1 stays in integers.
         let shown_ns = if self.rate == 1.0 {
             gone_ns
         } else {
@@ -139,7 +144,7 @@ impl Pace {
 }
 
 impl PacedClock {
-    /// Goes `rate` times as fast as the machine's; 1 is real time.
+    /// A clock that runs `rate` times as fast as the system's; 1 is real time.
     pub(crate) fn at_rate(rate: f64) -> Self {
         Self {
             machine: SystemClock::new(),
@@ -153,12 +158,12 @@ impl PacedClock {
         }
     }
 
-    /// Stands still from now on; who sleeps sleeps on.
+    /// Stops the clock. Sleeping threads continue to sleep.
     pub fn stop(&self) {
         self.set(true);
     }
 
-    /// Goes on from where it stood.
+    /// Restarts the clock from the time at which it stopped.
     pub fn go(&self) {
         self.set(false);
     }
@@ -167,13 +172,17 @@ impl PacedClock {
         self.lock().stopped
     }
 
+    /// Clock seconds per system second.
     pub fn rate(&self) -> f64 {
         self.lock().rate
     }
 
-    /// Goes at another rate from now on, without a jump.
+    /// Changes the rate without a jump in time. Panics unless `rate` is positive and finite.
     pub fn set_rate(&self, rate: f64) {
-        assert!(rate > 0.0 && rate.is_finite(), "a rate of {rate}");
+        assert!(
+            rate > 0.0 && rate.is_finite(),
+            "clock rate {rate}: must be positive and finite"
+        );
         self.change(|pace| pace.rate = rate);
     }
 
@@ -190,7 +199,7 @@ impl PacedClock {
         self.changed.notify_all();
     }
 
-    /// A pace is written in one go, with nothing in between that panics.
+    /// Ignores poisoning: no code panics while a [`Pace`] is partly written.
     fn lock(&self) -> std::sync::MutexGuard<'_, Pace> {
         self.pace
             .lock()
@@ -202,7 +211,7 @@ impl Clock for PacedClock {
     fn mono(&self) -> MonoNs {
         self.lock().at(self.machine.mono())
     }
-    /// The host's UTC, off by as much as this clock is off the machine's.
+    /// The host's UTC plus this clock's offset from the system's monotonic clock.
     fn host_utc(&self) -> UtcNs {
         let off_ns = self.mono().0 - self.machine.mono().0;
         self.machine.host_utc().plus_ns(off_ns)
@@ -214,7 +223,7 @@ impl Clock for PacedClock {
         self.sleep(deadline, Some(wake_up));
     }
     fn wake(&self) {
-        // With the lock: a sleeper that has just looked at its bell is asleep before it is woken.
+        // The lock ensures that a thread which has just checked its wake-up is asleep before the notification.
         let _pace = self.lock();
         self.changed.notify_all();
     }
@@ -225,10 +234,10 @@ impl PacedClock {
         let mut pace = self.lock();
         loop {
             let left_ns = deadline.0 - pace.at(self.machine.mono()).0;
-            if left_ns <= 0 || wake_up.is_some_and(WakeUp::heard) {
+            if left_ns <= 0 || wake_up.is_some_and(WakeUp::take) {
                 return;
             }
-            // What is left is worked out anew from absolute instants after every waking, so waiting never drifts.
+            // The remaining time is computed from absolute instants after every wake-up, so waiting does not drift.
             pace = if pace.stopped {
                 self.changed
                     .wait(pace)
@@ -251,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scaled_clock_shows_so_many_times_what_the_machine_shows() {
+    fn a_scaled_clock_multiplies_elapsed_system_time_by_its_rate() {
         let pace = Pace {
             machine_ns: 5,
             mono_ns: 100,
@@ -267,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_clock_stands_and_goes_on_from_where_it_stood() {
+    fn a_stopped_clock_resumes_from_the_time_at_which_it_stopped() {
         let clock = PacedClock::at_rate(1000.0);
         clock.stop();
         let stood = clock.mono();
@@ -276,7 +285,7 @@ mod tests {
         std::thread::scope(|scope| {
             let sleeper = scope.spawn(|| clock.sleep_until(stood.plus_ns(NS_PER_S)));
             std::thread::sleep(Duration::from_millis(3));
-            assert!(!sleeper.is_finished(), "a second of a clock that stands");
+            assert!(!sleeper.is_finished(), "the clock is stopped");
             clock.go();
             sleeper.join().expect("woken");
         });
@@ -284,23 +293,23 @@ mod tests {
     }
 
     #[test]
-    fn a_bell_wakes_who_dozes_even_while_time_stands_and_is_kept_until_it_is_heard() {
+    fn a_wake_up_ends_a_wait_on_a_stopped_clock_and_is_kept_until_taken() {
         let clock = PacedClock::at_rate(1.0);
         clock.stop();
         let wake_up = WakeUp::default();
         let far = clock.mono().plus_ns(3600 * NS_PER_S);
-        wake_up.ring(&clock);
+        wake_up.notify(&clock);
         clock.wait_until(far, &wake_up);
         std::thread::scope(|scope| {
             let sleeper = scope.spawn(|| clock.wait_until(far, &wake_up));
-            wake_up.ring(&clock);
+            wake_up.notify(&clock);
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() < far);
     }
 
     #[test]
-    fn another_rate_holds_from_now_on_and_wakes_who_sleeps() {
+    fn a_new_rate_applies_at_once_and_shortens_running_sleeps() {
         let clock = PacedClock::at_rate(1e-3);
         let before = clock.mono();
         std::thread::scope(|scope| {
@@ -317,14 +326,14 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_at_rate_one_keeps_the_machines_nanoseconds() {
+    fn a_clock_at_rate_one_is_exact_to_the_nanosecond() {
         let pace = Pace {
             machine_ns: 0,
             mono_ns: 0,
             rate: 1.0,
             stopped: false,
         };
-        // A year, beyond the whole numbers of f64.
+        // A year in nanoseconds exceeds 2^53.
         let late = MonoNs(31_536_000 * NS_PER_S + 1);
         assert_eq!(pace.at(late), late);
     }

@@ -1,4 +1,4 @@
-//! A rig on recorded navigation, taken ping by ping as fast as whoever asks goes.
+//! A rig on recorded navigation, advanced ping by ping at the caller's speed.
 
 use std::sync::Arc;
 
@@ -17,32 +17,39 @@ use echotank_ping::beats::{Beats, InForce};
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::Rig;
 
+/// Why a recorded rig cannot be opened.
 #[derive(Debug, Error)]
 pub enum RecordedError {
+    /// The rig or a navigation file.
     #[error(transparent)]
     Rig(#[from] OpenError),
+    /// The configuration has no source of kind `log` or `csv`.
     #[error(
         "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
     )]
     NoLog,
+    /// The recording lacks a quantity that every ping needs; the text names it.
     #[error(
-        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+        "the recorded navigation lacks a quantity that every ping needs: {0}; list in `provides` only what a source sends"
     )]
     NoNav(String),
 }
 
+/// A rig, its recorded navigation and its ping schedule.
 pub struct RecordedRig {
+    /// The rig under replay.
     pub rig: Rig,
+    /// The recorded sources, read as far as the pings so far need.
     pub inputs: NavInputs,
     beats: Beats,
-    /// Of the first ping.
+    /// UTC of the first ping.
     pub first: UtcNs,
-    /// Of each sonar: it follows another; whoever waits for a trigger from outside pings on its own beat.
+    /// Per sonar: whether another sonar triggers it. A sonar with an external trigger uses its own schedule.
     follows: Vec<bool>,
 }
 
 impl RecordedRig {
-    /// Reads on until the first ping's navigation is there. To be called inside the pool that will run it.
+    /// Opens the rig and reads navigation up to the first usable ping. Call it inside the thread pool that computes the rig's pings.
     pub fn open(spec: &RigSpec) -> Result<Self, RecordedError> {
         let mut rig = crate::rig::open(spec)?;
         let mut inputs = NavInputs::open(&spec.nav, Arc::new(VirtualClock::default()))
@@ -61,9 +68,9 @@ impl RecordedRig {
             }
             inputs.pull_next(&mut rig.history);
         };
-        // Known for long enough to foresee it.
+        // Prediction needs navigation from before the ping.
         let first = first.plus_ns(spec.run.ahead_ns());
-        // Plans read ahead: a scenario strikes what they read as it does in a daemon.
+        // Planning reads navigation ahead; injected faults must already apply to it, as in the daemon.
         rig.faults.begin(first);
         crate::rig::plan_all(&mut rig, &mut inputs, first);
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
@@ -78,7 +85,7 @@ impl RecordedRig {
         })
     }
 
-    /// The next ping in time over all sonars, or none when every one has made the ping number `last`.
+    /// The sonar index and order of the next ping in time, or `None` once every sonar has reached ping number `last`.
     pub fn next_order(&mut self, last: u32) -> Option<(usize, PingOrder)> {
         loop {
             let (beats, follows) = (&self.beats, &self.follows);
@@ -89,7 +96,7 @@ impl RecordedRig {
             let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
             let in_force = |sonar: usize, _| InForce {
                 settings: SonarSettings {
-                    // Nobody is there to send "start".
+                    // A replay has no client that sends "start".
                     pinging: !follows[sonar] && !done[sonar],
                     ..sonars[sonar].spec.settings
                 },
@@ -104,7 +111,7 @@ impl RecordedRig {
         }
     }
 
-    /// The order's pulse went out: no fault kept it from that. One that has the sonar triggered twice does so.
+    /// Records that the order's pulse was transmitted. An injected double-trigger fault schedules a second pulse.
     pub fn pulsed(&mut self, sonar: usize, order: &PingOrder) {
         if !self.beats.is_second(sonar)
             && let Some(after_s) = self.rig.faults.trigger_double_s(PingMark::of(sonar, order))
@@ -114,7 +121,7 @@ impl RecordedRig {
         self.beats.pulsed(sonar, order.transmit_utc);
     }
 
-    /// Reads on until the navigation covers the ping; false when the log has ended before.
+    /// Reads on until the navigation covers the ping. Returns false if the log ends first.
     pub fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
         crate::rig::read_on(&mut self.rig, &mut self.inputs, sonar, order)
     }

@@ -1,4 +1,6 @@
-//! The same pipeline offline: recorded navigation in, files out, the same bytes every time and for any number of threads.
+//! Offline replay: recorded navigation in, files out.
+//!
+//! The output bytes depend on neither the run nor the number of threads.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -16,38 +18,59 @@ use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::{PingSlot, pool};
 
+/// Why a replay cannot start or continue.
 #[derive(Debug, Error)]
 pub enum ReplayError {
+    /// The rig or its recorded navigation.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
+    /// An output file.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// A requested format needs element samples, but the sonar synthesises beams directly.
     #[error(
-        "sonar {sonar}: sonar.model.output = \"beams\": {format} holds elements, and none are made"
+        "sonar {sonar}: sonar.model.output = \"beams\" makes no element samples, which {format} needs"
     )]
-    Beams { sonar: String, format: &'static str },
+    Beams {
+        /// The configured name of the sonar.
+        sonar: String,
+        /// The file format, by its extension.
+        format: &'static str,
+    },
+    /// The compute thread pool.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
+/// The file formats that a replay writes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Formats {
+    /// Teledyne RESON 7k records.
     pub s7k: bool,
+    /// EdgeTech JSF messages.
     pub jsf: bool,
+    /// Triton XTF packets.
     pub xtf: bool,
+    /// NumPy archives of element samples, one per ping.
     pub npz: bool,
+    /// Side-scan waterfall pictures.
     pub png: bool,
-    /// Synthetic aperture, of the sonars that have one configured.
+    /// Synthetic-aperture images, for the sonars with a synthetic aperture configured.
     pub sas: bool,
+    /// Fan pictures of the first ping's beams.
     pub fan: bool,
+    /// Side-scan mosaics.
     pub mosaic: bool,
+    /// Target and shadow masks beside the waterfall.
     pub masks: bool,
+    /// SigMF recordings of element samples.
     pub sigmf: bool,
+    /// WAV recordings of element samples.
     pub wav: bool,
 }
 
 impl Formats {
-    /// The first of those asked for that holds elements, or is made of them.
+    /// The name of the first requested format that needs element samples.
     fn of_elements(&self) -> Option<&'static str> {
         let all = [
             (self.s7k, "s7k"),
@@ -63,7 +86,7 @@ impl Formats {
     }
 }
 
-/// Files of elements need elements, whatever the configuration's outputs need.
+/// Makes every sonar keep its element samples if a requested format needs them.
 fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayError> {
     let Some(format) = formats.of_elements() else {
         return Ok(());
@@ -76,22 +99,27 @@ fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayErro
         sonar
             .synthesis
             .elements_for
-            .get_or_insert("a file of this replay holds them");
+            .get_or_insert("a file of this replay holds element samples");
     }
     Ok(())
 }
 
+/// What a replay computes and writes.
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
+    /// The folder of the output files.
     pub out: PathBuf,
+    /// The file formats to write.
     pub formats: Formats,
-    /// Samples in `.npz` as complex128.
+    /// Writes `.npz` samples as complex128 instead of complex64.
     pub f64: bool,
-    /// First and last ping; the log is then looped if the configuration loops it.
+    /// First and last ping number, both included. `None` replays the whole log once, even if the configuration loops it.
     pub pings: Option<(u32, u32)>,
+    /// Compute threads; 0 means one per core.
     pub threads: usize,
 }
 
+/// A replay that is open and has not run yet.
 pub struct Replay {
     pool: Arc<rayon::ThreadPool>,
     recorded: RecordedRig,
@@ -101,7 +129,7 @@ pub struct Replay {
     counters: Vec<PingCounters>,
 }
 
-/// What a replay did.
+/// The result of a replay. Displays one line of counters per sonar and one line per file.
 pub struct Summary {
     pub(crate) pings_made: u64,
     text: String,
@@ -114,8 +142,9 @@ impl fmt::Display for Summary {
 }
 
 impl Replay {
+    /// Opens the rig, its recorded navigation and the output files.
     pub fn open(mut spec: RigSpec, options: ReplayOptions) -> Result<Self, ReplayError> {
-        // A whole replay of a looped log would never end: the loop is for those who name the last ping.
+        // A looped log never ends, so it needs an explicit last ping.
         spec.nav.loop_log &= options.pings.is_some();
         keep_elements(&mut spec, &options.formats)?;
         let pool = pool(options.threads)?;
@@ -136,7 +165,7 @@ impl Replay {
         })
     }
 
-    /// How many pings there will be, as far as the length of the log tells.
+    /// The expected number of pings over all sonars. `None` if the end of the log is unknown.
     pub fn pings_expected(&self) -> Option<u64> {
         let (first, last) = self.pings;
         if last < u32::MAX {
@@ -150,7 +179,7 @@ impl Replay {
                 .sonars
                 .iter()
                 .map(|unit| {
-                    // Of a sonar that follows another: as often as that one.
+                    // A sonar triggered by another pings at that sonar's rate.
                     let leader = match unit.spec.trigger.from {
                         TriggerFrom::Sonar { sonar, .. } => &self.recorded.rig.sonars[sonar],
                         _ => unit,
@@ -163,7 +192,7 @@ impl Replay {
         )
     }
 
-    /// Pings to the end; `progress` is told every ping made or skipped.
+    /// Computes and writes all pings. Calls `progress` with the number of every ping made or skipped.
     pub fn run(mut self, mut progress: impl FnMut(u32) + Send) -> Result<Summary, ReplayError> {
         let pool = self.pool.clone();
         pool.install(move || {

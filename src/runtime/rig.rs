@@ -1,4 +1,4 @@
-//! A rig with its files: opened from a specification, fed from recorded navigation, computed by threads of its own.
+//! Opens a rig from its specification, feeds it recorded navigation and builds its compute thread pool.
 
 use std::path::Path;
 
@@ -18,17 +18,26 @@ use crate::io::{priority, text_of};
 /// Why a rig cannot be opened.
 #[derive(Debug, Error)]
 pub enum OpenError {
+    /// The rig itself: scene, sonars or method selection.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// A navigation source.
     #[error("navigation: {0}")]
     Nav(#[from] NavOpenError),
+    /// The file of `run.costs` cannot be read.
     #[error("run.costs: {path}: {why}")]
-    ReadCosts { path: String, why: std::io::Error },
+    ReadCosts {
+        /// The file as configured.
+        path: String,
+        /// The cause.
+        why: std::io::Error,
+    },
+    /// The file of `run.costs` is not a valid cost table.
     #[error("run.costs: {0}")]
     Costs(#[from] CostsError),
 }
 
-/// Opens the rig of `spec`. To be called inside the pool that will run it.
+/// Opens the rig of `spec`. Call it inside the thread pool that computes the rig's pings.
 pub fn open(spec: &RigSpec) -> Result<Rig, OpenError> {
     Ok(Rig::open(
         spec,
@@ -37,7 +46,7 @@ pub fn open(spec: &RigSpec) -> Result<Rig, OpenError> {
     )?)
 }
 
-/// The table of costs in a file, or without one the committed table.
+/// Reads the cost table of method selection from `path`. Without a path, returns the built-in table.
 pub fn costs_of(path: Option<&Path>) -> Result<Costs, OpenError> {
     let Some(path) = path else {
         return Ok(Costs::committed());
@@ -50,7 +59,9 @@ pub fn costs_of(path: Option<&Path>) -> Result<Costs, OpenError> {
     Ok(Costs::parse(&text, &name)?)
 }
 
-/// Reads recorded navigation as far as a ping needs it, whatever the time is; false when the log has ended before.
+/// Reads recorded navigation up to what `order` needs, without waiting for a clock.
+///
+/// Returns false if the log ends first.
 pub(crate) fn read_on(
     rig: &mut Rig,
     inputs: &mut NavInputs,
@@ -60,7 +71,7 @@ pub(crate) fn read_on(
     let from = order.transmit_utc;
     let to = from.plus_s(rig.window_s(sonar, order));
     match rig.spec.nav.mode {
-        // As it would have been known when the ping had to be foreseen.
+        // Only the samples that a live rig would have when it predicts the ping.
         NavMode::Predict => {
             let known = from.plus_ns(-rig.spec.run.ahead_ns());
             inputs.pull(known, &mut rig.history);
@@ -77,7 +88,7 @@ pub(crate) fn read_on(
     }
 }
 
-/// As [`Rig::plan_first`], of every sonar of a rig whose navigation is recorded and begins at `first`; reads on as far as that needs.
+/// Calls [`Rig::plan_first`] for every sonar with a planner, for a ping at `first`. Reads the recorded navigation that this needs.
 pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
     for sonar in 0..rig.sonars.len() {
         let order = PingOrder {
@@ -95,7 +106,9 @@ pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
     }
 }
 
-/// The threads that compute pings; 0 means as many as there are cores. Their nice value where the system allows it; 0: as whoever makes them.
+/// Builds the thread pool that computes pings.
+///
+/// `threads` = 0 means one per core. A negative `nice` value is applied to each thread; 0 keeps the parent's.
 pub(crate) fn pool_of(
     threads: usize,
     nice: i8,
@@ -105,7 +118,7 @@ pub(crate) fn pool_of(
         .thread_name(|k| format!("ping {k}"))
         .start_handler(move |_| {
             if nice < 0 {
-                // What is not allowed was said when the daemon started.
+                // The daemon has already warned if the system does not allow it.
                 let _ = priority::nice(nice);
             }
         })

@@ -1,9 +1,11 @@
-//! The one checked path by which anything changes the sonar.
+//! The settings of a sonar. Every change passes through this module.
 //!
-//! In: a [`SettingChange`] from any protocol, page or command. Out: the settings that the next scheduled ping obeys, or a refusal that names
-//! key, value and rule and changes nothing. A change is in the store before its acknowledgement is written, so a ping whose settings are
-//! read after the acknowledgement obeys it. Settings that a device has and the model does not use are kept and reported. Every change has a
-//! line in a journal, with who asked, from which the other protocols report it. Not modelled: a settling time of the hardware.
+//! A [`SettingChange`] comes from a protocol, the page or a command. The store applies it to the next scheduled ping, or refuses it. A
+//! refusal names key, value and rule, and changes nothing.
+//!
+//! The store applies a change before its acknowledgement is written. A ping whose settings are read after the acknowledgement obeys the
+//! change. Device settings that the model does not use are stored and reported. A journal lists every change with its requester; the
+//! other protocols report changes from it. The settling time of the hardware is not modelled.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,25 +20,26 @@ use echotank_core::flow::{
 use echotank_core::time::MonoNs;
 use echotank_ping::beats::InForce;
 
-/// Changes kept for the operator and the other protocols to look at; older ones are only counted.
+/// Changes kept for the operator and the other protocols; older ones are only counted.
 pub(crate) const RECENT_CHANGES: usize = 64;
 
-/// Settings that are only kept, at most: no device has nearly as many, and a client cannot fill the memory.
+/// Most settings stored without effect on the model. Devices have far fewer; the bound keeps a client from exhausting memory.
 pub const MAX_KEPT: usize = 4096;
 
-/// Pings that may be asked for by number, at most.
+/// Most pings in one request for a number of pings.
 const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
 
-/// Relative. A limit of 0.1 ms, sent as f32, comes back 2.5e-8 of itself too small: what is outside by no more than an f32 can tell is the
-/// limit itself.
+/// Relative tolerance of the limits. A limit of 0.1 ms becomes smaller by 2.5e-8 of its value when sent as f32.
+///
+/// A value outside a limit by no more than the precision of an f32 counts as the limit.
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 
-/// The settings of one sonar. Shared by every thread that reads or changes them.
+/// The settings of one sonar, shared by all threads that read or change them.
 pub struct SettingsStore {
     limits: LimitsSpec,
     /// Dates the changes.
     clock: Arc<dyn Clock>,
-    /// Of `state`, readable without the lock.
+    /// Version of `state`, readable without the lock.
     version: AtomicU64,
     state: Mutex<State>,
 }
@@ -47,17 +50,17 @@ struct State {
     counts: SettingCounts,
     recent: VecDeque<RecentChange>,
     journal: VecDeque<JournalEntry>,
-    /// What held from when on, oldest first; the first entry stands for all time before.
+    /// Settings with the instant from which they apply, oldest first. The first entry also covers all earlier time.
     past: VecDeque<(MonoNs, InForce)>,
 }
 
-/// What was asked of the sonar, whatever comes of it.
+/// The requested settings, before the rules of [`AskedFor::effective`].
 #[derive(Clone, Copy)]
 struct AskedFor {
-    /// `pinging` here is what was asked with start and stop, whatever rate and trigger are.
+    /// `pinging` is the last start or stop request, regardless of rate and trigger.
     settings: SonarSettings,
     trigger: TriggerSource,
-    /// Pings that are still owed to somebody who asked for a number of them.
+    /// Pings left of a request for a number of pings.
     owed: u32,
 }
 
@@ -70,7 +73,7 @@ impl AskedFor {
         }
     }
 
-    /// A rate of 0, or a trigger that is somebody else's, keeps a started sonar from pinging.
+    /// The settings that pings obey. A rate of 0 or an external trigger stops the internal schedule of a started sonar.
     fn effective(&self) -> SonarSettings {
         let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
         SonarSettings {
@@ -80,28 +83,33 @@ impl AskedFor {
     }
 }
 
+/// Counts of setting changes since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SettingCounts {
+    /// Changes obeyed, including settings stored without effect.
     pub applied: u64,
+    /// Changes refused.
     pub refused: u64,
 }
 
-/// One line of the list of recent changes.
+/// One entry of the list of recent changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecentChange {
+    /// When the change was requested, and by whom.
     pub asked: Asked,
+    /// The requested change.
     pub change: SettingChange,
-    /// The version that obeys it, or why it was refused.
+    /// The first version that contains the change, or the reason for the refusal.
     pub outcome: Result<u64, SettingRefused>,
 }
 
 impl SettingsStore {
-    /// `start` comes from the checked configuration, and lies within `limits`.
+    /// A store with an internal trigger. `start` must come from the checked configuration and lie within `limits`.
     pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
         Self::triggered(start, TriggerSource::Internal, limits, clock)
     }
 
-    /// As [`SettingsStore::new`], with what starts its pings at first.
+    /// Like [`SettingsStore::new`], with the initial trigger source.
     pub fn triggered(
         start: SonarSettings,
         trigger: TriggerSource,
@@ -130,7 +138,7 @@ impl SettingsStore {
         }
     }
 
-    /// What a ping scheduled now obeys, and the version of it. Where `pinging` is true, `max_ping_rate_hz` is above 0.
+    /// The settings of a ping scheduled now, and their version. Where `pinging` is true, `max_ping_rate_hz` is above 0.
     pub fn snapshot(&self) -> (SonarSettings, u64) {
         let state = self.lock();
         (
@@ -139,13 +147,14 @@ impl SettingsStore {
         )
     }
 
-    /// What held at an instant, for a ping whose order is written a little late. A change holds from just after its acknowledgement on:
-    /// only a pulse later than it obeys it.
+    /// The settings at an instant, for a ping whose order is written shortly after its pulse.
+    ///
+    /// A change applies only to pulses after its acknowledgement.
     pub fn at(&self, instant: MonoNs) -> SonarSettings {
         self.in_force(instant).settings
     }
 
-    /// As [`SettingsStore::at`], with whether triggers were obeyed then.
+    /// Like [`SettingsStore::at`], with whether external triggers were obeyed at that instant.
     pub fn in_force(&self, instant: MonoNs) -> InForce {
         let state = self.lock();
         let held = state
@@ -157,8 +166,8 @@ impl SettingsStore {
         held.map_or(state.asked.in_force(), |&(_, in_force)| in_force)
     }
 
-    /// Takes note of a ping that goes out at `instant`: one less is owed to whoever asked for a number of them, and after the last there is
-    /// none.
+    /// Records a ping transmitted at `instant`. Decrements the remaining pings of a request for a number of pings; the last one stops
+    /// pinging.
     pub fn pinged(&self, instant: MonoNs) {
         let mut state = self.lock();
         if state.asked.owed == 0 {
@@ -172,16 +181,17 @@ impl SettingsStore {
         }
     }
 
-    /// Changes whenever the settings do: a plan made from an older version is out of date.
+    /// A number that increases with every change. A ping plan made from an older version is out of date.
     pub fn version(&self) -> u64 {
         self.version.load(Ordering::Acquire)
     }
 
+    /// The configured limits of the settings.
     pub fn limits(&self) -> &LimitsSpec {
         &self.limits
     }
 
-    /// Obeys or refuses one change, and counts it. `asked` goes into the journal and the list of recent changes.
+    /// Applies or refuses one change, and counts it. `asked` goes into the journal and the list of recent changes.
     pub fn apply(
         &self,
         change: SettingChange,
@@ -225,6 +235,7 @@ impl SettingsStore {
         outcome
     }
 
+    /// Applied and refused changes so far.
     pub fn counts(&self) -> SettingCounts {
         self.lock().counts
     }
@@ -234,14 +245,14 @@ impl SettingsStore {
         self.lock().recent.iter().copied().collect()
     }
 
-    /// To be called with `state` locked.
+    /// Increments the version. Call it with `state` locked.
     fn next_version(&self) -> u64 {
         let version = self.version.load(Ordering::Acquire) + 1;
         self.version.store(version, Ordering::Release);
         version
     }
 
-    /// A thread that panicked with the lock held leaves whole settings: each is written in one assignment.
+    /// Ignores poisoning: settings are written in one assignment, so they are never partly updated.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -351,7 +362,7 @@ fn changed(
     Ok(asked)
 }
 
-/// `value` where it lies within the limits, both included, to the precision of an f32.
+/// Returns `value` clamped to the limits, or refuses it if it is outside by more than the precision of an f32.
 fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, SettingRefused> {
     let refused = |rule| Err(SettingRefused { key, value, rule });
     if !value.is_finite() {
@@ -453,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_survive_the_way_through_an_f32() {
+    fn limits_sent_as_f32_are_accepted_and_clamped() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         for value in [f64::from(1e-4_f32), f64::from(1e-2_f32)] {
             let applied = store
@@ -473,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_of_zero_holds_the_sonar_until_the_rate_returns() {
+    fn a_rate_of_zero_stops_pinging_until_a_positive_rate() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         let held = store.apply(SettingChange::MaxPingRateHz(0.0), NOW).unwrap();
         assert!(!held.settings.pinging && held.settings.max_ping_rate_hz == 0.0);
@@ -486,11 +497,11 @@ mod tests {
         assert!(going.settings.pinging && going.settings.max_ping_rate_hz == 4.0);
         store.apply(SettingChange::Stop, NOW).unwrap();
         let stopped = store.apply(SettingChange::MaxPingRateHz(5.0), NOW).unwrap();
-        assert!(!stopped.settings.pinging, "a stop outlives a rate");
+        assert!(!stopped.settings.pinging, "a rate does not cancel a stop");
     }
 
     #[test]
-    fn recent_changes_are_bounded_and_the_newest_stay() {
+    fn recent_changes_are_bounded_and_the_newest_are_kept() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         for k in 0..(RECENT_CHANGES + 10) {
             let _ = store.apply(SettingChange::GainDb(k as f64), NOW.plus_ns(k as i64));
@@ -512,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn every_change_of_many_threads_is_counted_once() {
+    fn changes_from_many_threads_are_each_counted_once() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         std::thread::scope(|scope| {
             for _ in 0..4 {
@@ -536,7 +547,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_asked_the_settings_stay_within_their_limits(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
+        fn settings_stay_within_their_limits_after_any_change(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
             let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
             for (kind, value) in values {
                 let change = match kind {
@@ -560,7 +571,7 @@ mod tests {
     }
 
     #[test]
-    fn pings_asked_for_by_number_end_by_themselves_and_a_start_forgets_them() {
+    fn a_request_for_a_number_of_pings_ends_after_the_last_and_a_start_cancels_it() {
         let clock = Arc::new(VirtualClock::default());
         let store = SettingsStore::new(START, LIMITS, clock.clone());
         store.apply(SettingChange::PingTimes(2), NOW).unwrap();
@@ -584,7 +595,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_trigger_holds_the_beat_but_not_pings_asked_for() {
+    fn an_external_trigger_stops_the_schedule_but_not_a_request_for_pings() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         let external = SettingChange::Trigger(TriggerSource::External);
         assert!(!store.apply(external, NOW).unwrap().settings.pinging);
@@ -596,7 +607,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_model_does_not_use_is_kept_journaled_and_bounded() {
+    fn settings_that_the_model_does_not_use_are_kept_journaled_and_bounded() {
         let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
         let key = |place| KeptKey {
             via: "jsf",
@@ -623,7 +634,7 @@ mod tests {
         };
         assert_eq!(newest, [want]);
         assert_eq!(store.changes_since(0).len(), RECENT_CHANGES, "bounded");
-        assert_eq!(store.snapshot().0, START, "no ping knows of it");
+        assert_eq!(store.snapshot().0, START, "pings are unaffected");
     }
 
     #[test]
@@ -636,7 +647,7 @@ mod tests {
         store
             .apply(SettingChange::RangeM(range_m), UtcNs(0))
             .unwrap();
-        // The order of a ping that went out before may be written after.
+        // The order of an earlier ping may be written after the change.
         assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
         assert_eq!(store.at(acknowledged).range_m, START.range_m);
         assert_eq!(store.at(acknowledged.plus_ns(1)).range_m, range_m);

@@ -341,7 +341,7 @@ impl Beat {
                     self.backlog.done(sonar);
                     add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
                 }
-                self.coming.wake_up.ring(&*self.clock);
+                self.coming.wake_up.notify(&*self.clock);
             }
             self.watch(utc);
             let next = self.beats.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
@@ -392,7 +392,7 @@ pub(super) struct BeatThread {
 impl Drop for BeatThread {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
-        self.wake_up.ring(&*self.clock);
+        self.wake_up.notify(&*self.clock);
         if let Some(thread) = self.thread.take() {
             // A panic in it was printed where it happened.
             let _ = thread.join();

@@ -69,7 +69,7 @@ impl Triggers {
                     if sender.try_send(Came { sonar, at, number }).is_err() {
                         add(&counts.dropped, 1);
                     }
-                    wake_up.ring(&*clock);
+                    wake_up.notify(&*clock);
                 })
             };
             let listener = TriggerListener::open(&spec_of.trigger.from, sink)?;

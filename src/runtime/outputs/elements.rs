@@ -1,4 +1,4 @@
-//! The plain stream of element samples: a TCP server, and datagrams to fixed addresses.
+//! Element samples without a device protocol: a TCP server and datagrams to fixed addresses.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::ops::Range;
@@ -16,7 +16,7 @@ use echotank_emit::element_stream::{ElementStreamEmitter, ElementsProtocol};
 use echotank_emit::packets::Packets;
 use echotank_ping::rig::PingSlot;
 
-/// A frame over TCP is a block, or so long: a client's buffer need not be longer.
+/// Longest TCP frame, bytes. It bounds a client's receive buffer.
 const TCP_FRAME_BYTES: usize = 256 * 1024;
 
 pub(super) struct Elements {
@@ -24,16 +24,16 @@ pub(super) struct Elements {
     send_to: Vec<SocketAddr>,
     server: Arc<SonarServer>,
     spread: Spread,
-    ways: Vec<Way>,
+    transports: Vec<Transport>,
     saturated: Arc<AtomicU64>,
 }
 
-/// One of the two ways out, with frames of its own length.
-struct Way {
+/// TCP or UDP, each with its own frame length.
+struct Transport {
     emitter: ElementStreamEmitter,
     sender: DatagramSender,
     is_tcp: bool,
-    /// The ping that waits for its deadline, and over how many seconds it then leaves.
+    /// The packets of the encoded ping, and the seconds over which they are sent after the deadline.
     pending: Option<(Packets, f64)>,
 }
 
@@ -58,7 +58,7 @@ impl Elements {
             source,
         })?;
         if spread.streaming.is_some() {
-            // Below those that hand it their frames.
+            // One below the delivery threads that feed the server.
             server.hurry(opening.sending.priority.saturating_sub(1));
         }
         let server = Arc::new(server);
@@ -79,7 +79,7 @@ impl Elements {
             let sender = DatagramSender::open(route, clock(), sending());
             senders.push((sender, output.max_packet, false));
         }
-        let mut ways = Vec::new();
+        let mut transports = Vec::new();
         for (sender, max_frame_bytes, is_tcp) in senders {
             let block_s = spread.block_s();
             let sender = sender.map_err(|source| OutputError::Sender {
@@ -87,7 +87,7 @@ impl Elements {
                 source,
             })?;
             sender.set_line(opening.line(Shape::ELEMENTS));
-            ways.push(Way {
+            transports.push(Transport {
                 emitter: ElementStreamEmitter::new(output, &unit.spec, max_frame_bytes, block_s),
                 sender,
                 is_tcp,
@@ -99,28 +99,31 @@ impl Elements {
             send_to: output.send_to.clone(),
             server,
             spread,
-            ways,
+            transports,
             saturated: Arc::default(),
         })
     }
 
     fn emit(&mut self, slot: &PingSlot, samples: Range<usize>) {
         let nobody = self.server.wanted().is_empty();
-        for way in &mut self.ways {
-            if way.is_tcp && nobody {
+        for transport in &mut self.transports {
+            if transport.is_tcp && nobody {
                 continue;
             }
-            let mut packets = match way.pending.take() {
+            let mut packets = match transport.pending.take() {
                 Some((packets, _)) => packets,
-                None => way.sender.buffer(),
+                None => transport.sender.buffer(),
             };
-            let saturated =
-                way.emitter
-                    .emit_rows(&slot.plan, &slot.output, samples.clone(), &mut packets);
+            let saturated = transport.emitter.emit_rows(
+                &slot.plan,
+                &slot.output,
+                samples.clone(),
+                &mut packets,
+            );
             if samples.end == slot.plan.sample_count {
                 self.saturated.fetch_add(saturated, Ordering::Relaxed);
             }
-            way.pending = Some((packets, self.spread.over_s(&slot.plan)));
+            transport.pending = Some((packets, self.spread.over_s(&slot.plan)));
         }
     }
 }
@@ -134,12 +137,12 @@ impl Output for Elements {
     }
 
     fn report(&self) -> Arc<dyn Report> {
-        let counts = self.ways.iter();
+        let counts = self.transports.iter();
         Arc::new(ElementsReport {
             name: self.name.clone(),
             server: Arc::clone(&self.server),
             counts: counts
-                .map(|way| (way.is_tcp, Arc::clone(way.sender.counts())))
+                .map(|transport| (transport.is_tcp, Arc::clone(transport.sender.counts())))
                 .collect(),
             saturated: Arc::clone(&self.saturated),
         })
@@ -150,10 +153,10 @@ impl Output for Elements {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        for way in &mut self.ways {
-            if let Some((packets, over_s)) = way.pending.take() {
-                // What finds the queue full is counted there.
-                way.sender.send(packets, Leaving::Over(over_s));
+        for transport in &mut self.transports {
+            if let Some((packets, over_s)) = transport.pending.take() {
+                // The sender counts packets that find its queue full.
+                transport.sender.send(packets, Leaving::Over(over_s));
             }
         }
         Ok(())
@@ -165,9 +168,9 @@ impl Output for Elements {
 
     fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         self.emit(slot, samples);
-        for way in &mut self.ways {
-            if let Some((packets, _)) = way.pending.take() {
-                way.sender.send(packets, self.spread.leaving(pulse));
+        for transport in &mut self.transports {
+            if let Some((packets, _)) = transport.pending.take() {
+                transport.sender.send(packets, self.spread.leaving(pulse));
             }
         }
     }
@@ -189,9 +192,9 @@ impl Report for ElementsReport {
         let mut lines = server_lines("elements", &self.name, &self.server.report());
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
         lines.extend(self.counts.iter().map(|(is_tcp, counts)| {
-            let way = if *is_tcp { "TCP" } else { "UDP" };
+            let transport = if *is_tcp { "TCP" } else { "UDP" };
             format!(
-                "  {way}: {} frames, {} failed, {} pings dropped",
+                "  {transport}: {} frames, {} failed, {} pings dropped",
                 counts.packets(),
                 counts.failed(),
                 read(&counts.dropped_pings),

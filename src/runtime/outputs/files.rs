@@ -1,4 +1,4 @@
-//! Recordings of element samples beside the protocols: SigMF and WAV. A ping is written when it is encoded, while it waits for its deadline.
+//! SigMF and WAV recordings of element samples. A ping is written when it is encoded, before its deadline.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::io::record::{RecordError, make_folder};
 use echotank_config::spec::{SigmfSpec, SonarSpec, WavSpec};
 use echotank_ping::rig::PingSlot;
 
-/// Where recordings go; the configuration has a folder wherever it has one of these.
+/// The path of a new recording. The configuration check ensures that the folder is set.
 fn path(opening: &Opening, extension: &str) -> Result<PathBuf, RecordError> {
     let folder = opening
         .spec
@@ -22,9 +22,9 @@ fn path(opening: &Opening, extension: &str) -> Result<PathBuf, RecordError> {
     Ok(folder.join(opening.file_name((opening.rig_time)(), extension)))
 }
 
-/// Either recorder.
+/// A SigMF or WAV recorder.
 trait Recorder: Send {
-    /// Values that did not fit.
+    /// Writes a ping. Returns the number of values clipped at full scale.
     fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError>;
     fn close(self: Box<Self>) -> Result<(), RecordError>;
 }
@@ -47,12 +47,12 @@ impl Recorder for WavRecorder {
     }
 }
 
-/// A recording of one sonar.
+/// A recording of one sonar's element samples.
 pub(super) struct Recording {
     name: String,
     kind: &'static str,
     path: PathBuf,
-    /// None after an error; what was written is closed and kept.
+    /// `None` after an error. The file is then closed and kept.
     recorder: Option<Box<dyn Recorder>>,
     outcome: Result<(), RecordError>,
     counts: Arc<Counts>,
@@ -103,7 +103,7 @@ impl Recording {
 /// Opens the SigMF recording of a sonar.
 pub(super) fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputError> {
     let sonar = &opening.unit.spec;
-    // The recorder adds what its two files are called by.
+    // The recorder adds the extensions of its two files.
     let stem = path(opening, "sigmf")?.with_extension("");
     let recorder = SigmfRecorder::create(&stem, &output.arrays, sonar)?;
     Ok(Recording::of("sigmf", sonar, stem, Box::new(recorder)))

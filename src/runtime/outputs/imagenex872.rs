@@ -1,4 +1,4 @@
-//! Imagenex 872: a server that answers switch commands.
+//! Imagenex 872: a TCP server that answers switch commands with echo data.
 
 use std::sync::Arc;
 
@@ -14,10 +14,10 @@ use echotank_ping::rig::PingSlot;
 pub(super) struct Imagenex872 {
     name: String,
     head: Arc<Head>,
-    /// Rate and full scale of the samples.
+    /// Sample rate, Hz, and full scale, V.
     scale: (f64, f64),
     server: Arc<SonarServer>,
-    /// Answers of the ping that waits for its deadline.
+    /// Answers of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
 }
 

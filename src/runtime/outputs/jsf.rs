@@ -1,4 +1,4 @@
-//! JSF: a server for commands, one for data, and the `.jsf` recorder behind them.
+//! EdgeTech JSF: a command server, a data server and a `.jsf` recorder.
 
 use std::sync::Arc;
 
@@ -26,14 +26,14 @@ pub(super) struct Jsf {
     settings: Arc<SettingsStore>,
     recorder: Option<StreamRecorder>,
     rig_time: RigTime,
-    /// Messages of the ping that waits for its deadline.
+    /// Messages of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
-    /// The pending ping leaves over so many seconds.
+    /// Seconds over which the pending ping is sent.
     over_s: f64,
 }
 
-/// The matched filter that samples of formats 0 and 1 have behind them.
+/// The matched filter applied to the samples of JSF data formats 0 and 1.
 pub(crate) fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
     let limits = RowLimits {
         sample_rate_hz: sonar.receiver.sample_rate_hz,
@@ -91,7 +91,7 @@ impl Jsf {
             ServerTimes::default(),
         )
         .map_err(failed)?;
-        opening.lay(&data, Shape::JSF);
+        opening.configure(&data, Shape::JSF);
         let recorder = match &spec.record {
             Some(record) if output.record => {
                 make_folder(&record.directory)?;

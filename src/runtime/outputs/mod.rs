@@ -1,4 +1,4 @@
-//! What leaves the house live: the configured outputs of one sonar, one file per family, all fed by the same pings.
+//! The live outputs of one sonar: one module per protocol family, all fed with the same pings.
 
 mod elements;
 mod files;
@@ -22,7 +22,7 @@ use crate::clock::Clock;
 use crate::faults::link::{Line, LineMark, Shape};
 use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
-use crate::io::line::Line as Passage;
+use crate::io::line::Line as LinkFilter;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime, SonarServer};
@@ -37,59 +37,75 @@ pub use page::PageOpening;
 
 pub(super) use jsf::row_filter;
 
+/// Why an output cannot be opened, or its recorder has stopped.
 #[derive(Debug, Error)]
 pub enum OutputError {
+    /// A server cannot listen.
     #[error("output {name}: {source}")]
-    Server { name: String, source: OpenError },
+    Server {
+        /// The configured name of the sonar.
+        name: String,
+        /// The cause.
+        source: OpenError,
+    },
+    /// A datagram socket cannot be opened.
     #[error("output {name}: cannot send: {source}")]
     Sender {
+        /// The configured name of the sonar.
         name: String,
+        /// The cause.
         source: std::io::Error,
     },
+    /// A serial port cannot be opened.
     #[error("output {name}: serial line {path}: {source}")]
     Line {
+        /// The configured name of the sonar.
         name: String,
+        /// The device file of the port.
         path: String,
+        /// The cause.
         source: std::io::Error,
     },
+    /// A recording cannot be written.
     #[error(transparent)]
     Record(#[from] RecordError),
 }
 
-/// One configured output. It belongs to its sonar's delivery thread; what its clients do never holds that thread up.
+/// One configured output, owned by its sonar's delivery thread. Slow clients never block that thread.
 trait Output: Send {
-    /// Where it listens or sends to, `FAMILY NAME TRANSPORT ADDRESS`, a line each.
+    /// The addresses it listens on or sends to, one line each: `FAMILY NAME TRANSPORT ADDRESS`.
     fn addresses(&self) -> Vec<String>;
-    /// Its counters, to be read from another thread.
+    /// Its counters, readable from another thread.
     fn report(&self) -> Arc<dyn Report>;
-    /// Makes the records of a ping that somebody wants. The ping waits for its deadline meanwhile.
+    /// Makes the records of a ping that a client or recorder wants, before the ping's deadline.
     fn encode(&mut self, slot: &PingSlot);
-    /// Hands over what [`Self::encode`] made, at the deadline. The clients get theirs whatever becomes of a recorder.
+    /// Sends the records of [`Self::encode`] at the deadline. Clients receive them even if the recorder fails.
     fn deliver(&mut self) -> Result<(), OutputError>;
-    /// It leaves by itself, as its samples would be heard: [`Self::stream`] is called, and neither `encode` nor `deliver`.
+    /// Whether the output sends samples while the ping is received: [`Self::stream`] then replaces `encode` and `deliver`.
     fn is_stream(&self) -> bool {
         false
     }
-    /// Makes the packets of some of a ping's samples, and lets them leave each at its time. The pulse begins at this instant of the rig's clock;
-    /// none: all leave at once.
+    /// Makes the packets of a range of a ping's samples and schedules each at its time.
+    ///
+    /// `pulse` is the start of the pulse on the rig's clock; `None` sends all packets at once.
     fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         let _ = (slot, samples, pulse);
     }
-    /// Closes its recorder. A server closes when its last handle goes.
+    /// Closes its recorder. A server closes when its last handle is dropped.
     fn close(self: Box<Self>) -> Result<(), OutputError>;
 }
 
-/// The counters of one output as text.
+/// The counters of one output.
 pub trait Report: Send + Sync {
-    /// A line for the output, and one for every client.
+    /// Text: one line for the output and one per client.
     fn lines(&self) -> Vec<String>;
-    /// The same of every client in numbers.
+    /// The counters of every client.
     fn streams(&self) -> Vec<StreamCounts> {
         Vec::new()
     }
 }
 
-/// Writes with the recorder, if there is one. What a recorder that fails has written is kept, and nothing more is tried.
+/// Writes with the recorder, if there is one. After an error the recorder is closed and its file is kept.
 fn record<R>(
     recorder: &mut Option<R>,
     write: impl FnOnce(&mut R) -> Result<(), RecordError>,
@@ -101,21 +117,26 @@ fn record<R>(
     Ok(outcome?)
 }
 
-/// What one client has had.
+/// The counters of one client or datagram receiver.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct StreamCounts {
+    /// The protocol family, for example `7k` or `jsf-data`.
     pub family: &'static str,
-    /// `TCP 127.0.0.1:51234`.
+    /// Transport and address, for example `TCP 127.0.0.1:51234`.
     pub peer: String,
-    /// What it subscribed to, where the family has names for it.
+    /// The subscribed record types, for families with subscriptions.
     pub(crate) receives: String,
+    /// Bytes sent so far.
     pub bytes_sent: u64,
+    /// Records or packets sent so far.
     pub records_sent: u64,
+    /// Records dropped because the queue was full, or packets that failed.
     pub records_dropped: u64,
+    /// Bytes waiting in the client's queue.
     pub queued_bytes: u64,
 }
 
-/// What an output is opened with.
+/// The context in which an output is opened.
 struct Opening<'a> {
     spec: &'a RigSpec,
     unit: &'a SonarUnit,
@@ -127,12 +148,12 @@ struct Opening<'a> {
     mark: Arc<LineMark>,
 }
 
-/// How a ping's datagrams are spread.
+/// How a ping's datagrams are spread over time.
 #[derive(Clone, Copy)]
 struct Spread {
-    /// Machine time per rig time, times the configured share; 0: not at all.
+    /// System time per ping period over which datagrams are spread, as a fraction of the rig's period; 0 sends at once.
     share: f64,
-    /// Length of the blocks of those that stream, and how long after its end each leaves, seconds.
+    /// Block length and latency after the block's end of streaming outputs, seconds.
     streaming: Option<(f64, f64)>,
 }
 
@@ -141,7 +162,7 @@ impl Spread {
         let machine_per_rig = match run.clock {
             ClockSpec::RealTime => 1.0,
             ClockSpec::Scaled(rate) => 1.0 / rate,
-            // The next ping comes when it comes.
+            // These clocks have no fixed ping period.
             ClockSpec::Fast | ClockSpec::Lockstep => 0.0,
         };
         Self {
@@ -157,7 +178,7 @@ impl Spread {
         self.streaming.map(|(block_s, _)| block_s)
     }
 
-    /// When the blocks of a ping leave whose pulse begins then.
+    /// When the blocks of a ping with this pulse start are sent.
     fn leaving(self, pulse: Option<MonoNs>) -> Leaving {
         match (self.streaming, pulse) {
             (Some((_, latency_s)), Some(pulse)) => Leaving::AsHeard { pulse, latency_s },
@@ -165,7 +186,7 @@ impl Spread {
         }
     }
 
-    /// Seconds of the machine's time over which this ping's datagrams leave; 0: at once.
+    /// Seconds of system time over which this ping's datagrams are sent; 0 sends at once.
     fn over_s(self, plan: &PingPlan) -> f64 {
         match plan.ping_rate_hz > 0.0 {
             true => self.share / plan.ping_rate_hz,
@@ -174,11 +195,29 @@ impl Spread {
     }
 }
 
-/// Tiles of a ping that wait to leave, at most: each is twice as long as the one before.
+/// Most tiles of a ping in the send queue. Each tile is twice as long as the one before.
 const MAX_TILES: usize = 16;
 
 impl Opening<'_> {
-    /// Pings, or tiles of pings, that may wait to be sent.
+    /// Opens one configured output.
+    fn output(&self, output: &OutputSpec) -> Result<Box<dyn Output>, OutputError> {
+        Ok(match output {
+            OutputSpec::SevenK(output) => Box::new(sevenk::SevenK::open(output, self)?),
+            OutputSpec::Jsf(output) => Box::new(jsf::Jsf::open(output, self)?),
+            OutputSpec::Xtf(output) => Box::new(xtf::Xtf::open(output, self)?),
+            OutputSpec::Imagenex872(output) => {
+                Box::new(imagenex872::Imagenex872::open(output, self)?)
+            }
+            OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, self)?),
+            OutputSpec::Elements(output) => Box::new(elements::Elements::open(output, self)?),
+            OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, self)?),
+            OutputSpec::Ping(output) => Box::new(ping_protocol::PingProtocol::open(output, self)?),
+            OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, self)?),
+            OutputSpec::Wav(output) => Box::new(files::wav(output, self)?),
+        })
+    }
+
+    /// Capacity of the send queue, in pings or tiles of pings.
     fn queue(&self) -> usize {
         let tiles = if self.spec.run.stream_tiles {
             MAX_TILES
@@ -188,20 +227,20 @@ impl Opening<'_> {
         tiles * self.spec.run.queue_pings
     }
 
-    /// What everything that this output hands over passes on its way.
-    fn line(&self, shape: Shape) -> Box<dyn Passage> {
+    /// The link on which faults are injected into this output's records.
+    fn line(&self, shape: Shape) -> Box<dyn LinkFilter> {
         let faults = Arc::clone(&self.unit.faults);
         Box::new(Line::new(faults, shape, Arc::clone(&self.mark)))
     }
 
-    /// What a server's records pass on their way, and how they are spread.
-    fn lay(&self, server: &SonarServer, shape: Shape) {
+    /// Sets a server's link faults and its pacing.
+    fn configure(&self, server: &SonarServer, shape: Shape) {
         server.set_line(self.line(shape));
         server.set_sending(self.sending.clone());
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// `NAME-20140801T000010.EXTENSION`: one run's recording does not overwrite another's.
+    /// The file name `NAME-20140801T000010.EXTENSION`. The start time keeps runs from overwriting each other.
     fn file_name(&self, utc: UtcNs, extension: &str) -> String {
         let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
         format!("{}-{stamp}.{extension}", self.unit.spec.name)
@@ -210,11 +249,11 @@ impl Opening<'_> {
 
 /// The outputs of one sonar.
 pub(crate) struct Outputs {
-    all: Vec<Marked>,
+    all: Vec<MarkedOutput>,
 }
 
-/// An output, and which ping it is at: what its lines strike.
-struct Marked {
+/// An output and its current ping, which its link faults refer to.
+struct MarkedOutput {
     output: Box<dyn Output>,
     mark: Arc<LineMark>,
 }
@@ -225,6 +264,7 @@ pub struct OutputReports {
 }
 
 impl Outputs {
+    /// Opens every configured output of `unit`, and the page's if there is one.
     pub(crate) fn open(
         spec: &RigSpec,
         unit: &SonarUnit,
@@ -247,7 +287,7 @@ impl Outputs {
             .spec
             .outputs
             .iter()
-            .map(|output| -> Result<Marked, OutputError> {
+            .map(|output| -> Result<MarkedOutput, OutputError> {
                 let opening = Opening {
                     spec,
                     unit,
@@ -258,40 +298,21 @@ impl Outputs {
                     spread: Spread::of(&spec.run),
                     mark: Arc::default(),
                 };
-                let output: Box<dyn Output> = match output {
-                    OutputSpec::SevenK(output) => Box::new(sevenk::SevenK::open(output, &opening)?),
-                    OutputSpec::Jsf(output) => Box::new(jsf::Jsf::open(output, &opening)?),
-                    OutputSpec::Xtf(output) => Box::new(xtf::Xtf::open(output, &opening)?),
-                    OutputSpec::Imagenex872(output) => {
-                        Box::new(imagenex872::Imagenex872::open(output, &opening)?)
-                    }
-                    OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, &opening)?),
-                    OutputSpec::Elements(output) => {
-                        Box::new(elements::Elements::open(output, &opening)?)
-                    }
-                    OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, &opening)?),
-                    OutputSpec::Ping(output) => {
-                        Box::new(ping_protocol::PingProtocol::open(output, &opening)?)
-                    }
-                    OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, &opening)?),
-                    OutputSpec::Wav(output) => Box::new(files::wav(output, &opening)?),
-                };
-                Ok(Marked {
-                    output,
+                Ok(MarkedOutput {
+                    output: opening.output(output)?,
                     mark: opening.mark,
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        // Last, after everything that a topside waits for.
-        // Nothing of it passes a line.
-        all.extend(page.map(|page| Marked {
+        // The page is last: it must not delay the sonar's clients. It has no link faults.
+        all.extend(page.map(|page| MarkedOutput {
             output: Box::new(Page::new(&unit.spec, page)),
             mark: Arc::default(),
         }));
         Ok(Self { all })
     }
 
-    /// Where each output listens or sends to.
+    /// The addresses each output listens on or sends to.
     pub(crate) fn addresses(&self) -> Vec<String> {
         self.all
             .iter()
@@ -305,7 +326,7 @@ impl Outputs {
         }
     }
 
-    /// Those that leave at the end of a ping, and those that stream.
+    /// Splits into outputs sent at the end of a ping and streaming outputs.
     pub(crate) fn split(self) -> (Self, Self) {
         let (streams, rest) = self.all.into_iter().partition(|out| out.output.is_stream());
         (Self { all: rest }, Self { all: streams })
@@ -315,7 +336,7 @@ impl Outputs {
         self.all.is_empty()
     }
 
-    /// Lets some of a ping's samples leave as they would be heard.
+    /// Streams a range of a ping's samples, each at its time of reception.
     pub(crate) fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         for out in &mut self.all {
             out.mark.set(&slot.plan);
@@ -323,7 +344,7 @@ impl Outputs {
         }
     }
 
-    /// Makes the records of a ping that somebody wants.
+    /// Makes the records of a ping that a client or recorder wants.
     pub(crate) fn encode(&mut self, slot: &PingSlot) {
         for out in &mut self.all {
             out.mark.set(&slot.plan);
@@ -331,7 +352,7 @@ impl Outputs {
         }
     }
 
-    /// Hands over what [`Self::encode`] made, every output its own; `failed` is told of each recorder that stops.
+    /// Sends the records of [`Self::encode`]. Calls `failed` for each recorder that stops.
     pub(crate) fn deliver(&mut self, mut failed: impl FnMut(OutputError)) {
         for out in &mut self.all {
             if let Err(error) = out.output.deliver() {
@@ -352,12 +373,12 @@ impl Outputs {
 }
 
 impl OutputReports {
-    /// A line per output and client.
+    /// One line per output and per client.
     pub fn lines(&self) -> Vec<String> {
         self.all.iter().flat_map(|report| report.lines()).collect()
     }
 
-    /// Every client of every output.
+    /// The counters of every client of every output.
     pub fn streams(&self) -> Vec<StreamCounts> {
         let reports = self.all.iter();
         reports.flat_map(|report| report.streams()).collect()

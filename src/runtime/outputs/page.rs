@@ -1,7 +1,7 @@
-//! The operator's page: decimated copies of what a ping made, for [`Feed`].
+//! The operator's page: decimated copies of each ping's outputs, for [`Feed`].
 //!
-//! In: a ping. Out: frames, made while the ping waits for its deadline and handed over after everything else. Without an open page one line
-//! a ping is kept for the history, and nothing else is done.
+//! Frames are made before the ping's deadline and published after all other outputs. Without an open page, each ping makes only one line
+//! frame, for the history.
 
 use std::sync::Arc;
 
@@ -18,36 +18,40 @@ use echotank_core::frames::angles_from_rotation;
 use echotank_ping::rig::PingSlot;
 use echotank_ping::world::Placed;
 
-/// Of a line's side: more than a screen shows.
+/// Most pixels per side of a waterfall line; more than a screen shows.
 const MAX_PIXELS: usize = 1000;
-/// Of a fan.
+/// Most beams in a fan frame.
 const MAX_BEAMS: usize = 256;
+/// Most range bins per beam in a fan frame.
 const MAX_BINS: usize = 500;
-/// Samples of one row that a page gets at once: a spectrum of 16384.
+/// Most samples in a scope frame: the page computes spectra of up to 16384 points.
 const MAX_SAMPLES: usize = 16_384;
-/// Targets told of a ping, those nearest to broadside.
+/// Most expected targets in a line frame. The targets nearest to broadside are kept.
 const MAX_EXPECTED: usize = 24;
-/// Targets farther from broadside than this are of no concern to a line.
-const FARTHEST_OFF_RAD: f64 = 0.35;
+/// Largest angle from broadside of an expected target, radians.
+const MAX_OFF_BROADSIDE_RAD: f64 = 0.35;
 
-/// What the page's output is opened with.
+/// The context of one sonar's page output.
 pub struct PageOpening {
+    /// Receives the frames of all sonars.
     pub feed: Arc<Feed>,
-    /// Its place in the configuration.
+    /// Index of the sonar in the configuration.
     pub sonar: u16,
+    /// The targets and terrain, once they are placed.
     pub world: Placed,
 }
 
-/// The page's share of one sonar.
+/// The page output of one sonar.
 pub(super) struct Page {
     spec: SonarSpec,
     feed: Arc<Feed>,
     sonar: u16,
     world: Placed,
-    /// Of the ping that waits for its deadline.
+    /// Frames of the encoded ping, published at its deadline.
     pending: Vec<Frame>,
-    /// Scratch.
+    /// Scratch: squared amplitudes of the current frame.
     power: Vec<f32>,
+    /// Scratch: array bytes of the current frame.
     bytes: Vec<u8>,
 }
 
@@ -134,8 +138,10 @@ impl Page {
         })
     }
 
-    /// Where targets should be: name, side, two-way time of the leading edge (from the start of the pulse), angle from broadside (positive
-    /// ahead), strength.
+    /// The targets near broadside within the window, as rows of the following five values:
+    ///
+    /// name, side (0 port, 1 starboard), two-way time of the leading edge from the start of the pulse (s), angle from broadside (degrees,
+    /// positive ahead), target strength (dB).
     fn expected(&self, plan: &PingPlan) -> Value {
         let Some(world) = self.world.get() else {
             return json!([]);
@@ -146,7 +152,7 @@ impl Page {
         let farthest_m = 0.5 * plan.sound_speed_m_per_s * window_s;
         let mut expected = Vec::new();
         for target in &world.targets {
-            if target.position_m.distance(pose.position_m) > farthest_m + REACH_M {
+            if target.position_m.distance(pose.position_m) > farthest_m + MAX_LEVER_ARM_M {
                 continue;
             }
             let body_m = pose.world_from_body.inverse() * (target.position_m - pose.position_m);
@@ -154,15 +160,15 @@ impl Page {
             let mounting = &self.spec.receive[array].mounting;
             let from_m = body_m - mounting.position_m;
             let broadside = mounting.body_from_array * DVec3::X;
-            // Ahead is positive, however the array's axis points.
+            // Ahead is positive, whichever way the array's axis points.
             let sign = if broadside.x < 0.0 { -1.0 } else { 1.0 };
-            // A fan lies across the ship: what a line sees of it is what is abeam.
+            // A fan lies across the ship, so its expected targets are those abeam.
             let along = match broadside.x.abs() > broadside.y.abs() {
                 true => sign * from_m.dot(broadside),
                 false => from_m.x,
             };
             let off_rad = (along / from_m.length().max(1e-9)).clamp(-1.0, 1.0).asin();
-            if off_rad.abs() > FARTHEST_OFF_RAD {
+            if off_rad.abs() > MAX_OFF_BROADSIDE_RAD {
                 continue;
             }
             let delay_s = echo_delay_s(&self.spec, plan, array, target.position_m);
@@ -188,7 +194,7 @@ impl Page {
         rows.collect()
     }
 
-    /// The side of a place in body axes, and the array that hears that side.
+    /// The side of a point in body axes, and the index of the receive array of that side.
     fn array_of(&self, body_m: DVec3) -> (Side, usize) {
         let side = match body_m.y < 0.0 {
             true => Side::Port,
@@ -314,16 +320,17 @@ impl Page {
     }
 }
 
-/// Arrays and ships are no longer than this, metres.
-const REACH_M: f64 = 500.0;
+/// Upper bound of the distance from the reference point to an array, metres.
+const MAX_LEVER_ARM_M: f64 = 500.0;
 
-/// Where the picture's lines come from.
+/// The data from which the waterfall lines are made.
 #[derive(Clone, Copy)]
 enum LineSource {
+    /// Side-scan lines.
     Lines,
-    /// A sonar without side-scan lines: the loudest beam of either side.
+    /// Without side-scan lines: the maximum over the beams of each side.
     Fan,
-    /// Nor a fan: the loudest element of the first array, to starboard.
+    /// Without beams: the maximum over the elements of the first array, shown to starboard.
     Elements,
 }
 
@@ -346,7 +353,7 @@ impl LineSource {
         }
     }
 
-    /// Powers of one side; samples of the row and pixels filled.
+    /// Writes the powers of one side into `into`. Returns the sample count of the row and the number of pixels filled.
     fn side(self, output: &PingOutput, side: Side, into: &mut [f32]) -> (usize, usize) {
         match self {
             Self::Lines => {
@@ -359,12 +366,12 @@ impl LineSource {
                 let beams = &output.beams[0];
                 let of_side = |beam: &usize| (beams.angle_rad[*beam] < 0.0) == (side == Side::Port);
                 let rows = (0..beams.beams).filter(of_side);
-                loudest(rows.map(|beam| beams.beam(beam)), beams.samples, into)
+                max_power(rows.map(|beam| beams.beam(beam)), beams.samples, into)
             }
             Self::Elements => match (side, output.elements.first()) {
                 (Side::Starboard, Some(array)) => {
                     let rows = (0..array.elements).map(|element| array.element(element));
-                    loudest(rows, array.samples, into)
+                    max_power(rows, array.samples, into)
                 }
                 _ => (0, 0),
             },
@@ -378,8 +385,8 @@ fn powers(row: &Samples) -> impl ExactSizeIterator<Item = f32> + '_ {
     row.iter().map(|x| x.norm_sqr() as f32)
 }
 
-/// The loudest of several rows, pixel by pixel.
-fn loudest<'a>(
+/// The maximum power over several rows, per pixel.
+fn max_power<'a>(
     rows: impl Iterator<Item = &'a Samples>,
     samples: usize,
     into: &mut [f32],
@@ -396,7 +403,7 @@ fn loudest<'a>(
     (samples, pixels)
 }
 
-/// How the ping was computed, and from how much.
+/// The selected methods of the ping and the size of its scene.
 fn model(plan: &PingPlan, output: &PingOutput) -> Value {
     let error_check = output.error_check.map(|c| {
         json!({ "error": c.error, "low": c.low, "high": c.high, "tolerance": c.tolerance, "fault": c.fault })
@@ -452,7 +459,7 @@ impl Output for Page {
     }
 }
 
-/// The feed is counted for all sonars together.
+/// Empty: the feed counts the frames of all sonars together.
 struct PageReport;
 
 impl Report for PageReport {
@@ -492,7 +499,7 @@ mod tests {
         (Page::new(&sonar(), opening), feed)
     }
 
-    /// Text and arrays.
+    /// The JSON text and the array bytes of a frame.
     fn parts(frame: &Frame) -> (Value, Vec<u8>) {
         let length = |at| {
             let bytes: [u8; 4] = frame.bytes[at..at + 4].try_into().expect("four");
@@ -505,16 +512,16 @@ mod tests {
     }
 
     #[test]
-    fn without_a_page_there_is_a_line_for_the_history_and_nothing_else() {
+    fn without_an_open_page_a_ping_makes_one_line_frame() {
         let (mut page, feed) = page(Vec::new());
         page.encode(&slot(3));
-        assert_eq!(feed.counts().frames, 0, "not before its deadline");
+        assert_eq!(feed.counts().frames, 0, "not before the deadline");
         page.deliver().expect("cannot fail");
         assert_eq!(feed.counts().frames, 1);
     }
 
     #[test]
-    fn a_line_holds_every_sample_of_either_side_within_half_a_step() {
+    fn line_levels_match_both_sides_within_half_a_quantisation_step() {
         let (mut page, _) = page(Vec::new());
         let slot = slot(3);
         page.encode(&slot);
@@ -536,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_get_what_they_look_at() {
+    fn open_pages_receive_the_frames_they_request() {
         let (mut page, feed) = page(Vec::new());
         let scope = |of, array, index| {
             Some(Scope {
@@ -556,7 +563,7 @@ mod tests {
             scope(ScopeOf::Element, 1, 2),
             scope(ScopeOf::Beam, 0, 1),
             scope(ScopeOf::Line, 1, 0),
-            // There is no such element.
+            // An element that does not exist.
             scope(ScopeOf::Element, 9, 9),
         ];
         let _open: Vec<_> = wants
@@ -618,7 +625,7 @@ mod tests {
         let of = |name: &str| expected.iter().find(|row| row[0] == name).expect(name);
         assert_eq!(expected.len(), 2, "{expected:?}");
         assert_eq!((&of("-0.5")[1], &of("0.25")[1]), (&json!(0), &json!(1)));
-        // Both legs by Pythagoras, the ship all but still meanwhile.
+        // Both legs by Pythagoras; the motion of the ship during the echo is negligible.
         let delay_s = of("0.25")[2].as_f64().expect("a number");
         let from_m = DVec3::new(0.0, 0.25 + 0.3, 0.1).length();
         let to_m = DVec3::new(0.0, 0.25 - 0.3, 0.1).length();

@@ -1,4 +1,4 @@
-//! The Ping protocol: one device over TCP and UDP, on a serial line if there is one, and the `.svlog` recorder behind it.
+//! Blue Robotics Ping protocol: one device over TCP, UDP and an optional serial port, with a `.svlog` recorder.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -23,10 +23,10 @@ pub(super) struct PingProtocol {
     server: Arc<SonarServer>,
     line: Option<SerialLine>,
     recorder: Option<SvlogRecorder>,
-    /// Frames of the ping that waits for its deadline.
+    /// Frames of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
-    /// Over which its datagrams leave.
+    /// Seconds over which the pending ping is sent.
     over_s: f64,
 }
 
@@ -63,7 +63,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
-        opening.lay(&server, Shape::PING);
+        opening.configure(&server, Shape::PING);
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {

@@ -3,7 +3,7 @@
 use super::StreamCounts;
 use crate::io::sonar::ServerReport;
 
-/// A line for a server and those of its clients that have gone, and one per client.
+/// One line of a server's totals, including departed clients, and one line per client.
 pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
     let totals = report.totals();
     let mut lines = vec![format!(
@@ -30,7 +30,7 @@ pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> V
     lines
 }
 
-/// What each client of a server was sent.
+/// The counters of each client of a server.
 pub(crate) fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
     let clients = report.clients.iter();
     let counts = clients.map(|client| StreamCounts {

@@ -1,4 +1,4 @@
-//! 7k: a server on one TCP and UDP port, and the `.s7k` recorder behind it.
+//! Teledyne RESON 7k: a server on one TCP and UDP port, and a `.s7k` recorder.
 
 use std::sync::Arc;
 
@@ -23,12 +23,12 @@ pub(super) struct SevenK {
     server: Arc<SonarServer>,
     recorder: Option<S7kRecorder>,
     settings: Arc<SettingsStore>,
-    /// Of the settings that the emitter reports.
+    /// Version of the settings that the emitter reports.
     kept_version: Option<u64>,
-    /// Records of the ping that waits for its deadline.
+    /// Records of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
-    /// Over which its datagrams leave.
+    /// Seconds over which the pending ping is sent.
     over_s: f64,
 }
 
@@ -55,7 +55,7 @@ impl SevenK {
                     source,
                 }
             })?;
-        opening.lay(&server, Shape::SEVENK);
+        opening.configure(&server, Shape::SEVENK);
         let recorder = match &spec.record {
             None => None,
             Some(record) => {
@@ -114,8 +114,7 @@ impl Output for SevenK {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        let passed = &self.pending;
-        self.server.deliver_over(passed, self.over_s);
+        self.server.deliver_over(&self.pending, self.over_s);
         let mut pending = self.pending.drain(..);
         record(&mut self.recorder, |recorder| {
             pending.try_for_each(|record| recorder.write(&record.bytes))

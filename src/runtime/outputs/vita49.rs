@@ -1,4 +1,4 @@
-//! VITA 49.2: element samples to boards, sent whether or not anybody listens.
+//! VITA 49.2: element samples sent as datagrams to fixed addresses.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,9 +20,9 @@ pub(super) struct Vita49 {
     sender: DatagramSender,
     saturated: Arc<AtomicU64>,
     spread: Spread,
-    /// The ping that waits for its deadline, and over how many seconds it then leaves.
+    /// The packets of the encoded ping, and the seconds over which they are sent after the deadline.
     pending: Option<(Packets, f64)>,
-    /// Pings before the next one were not sent.
+    /// The previous ping was dropped.
     lost: bool,
 }
 
@@ -120,7 +120,7 @@ struct Vita49Report {
 }
 
 impl Report for Vita49Report {
-    /// The sonar's, and one for each receiver.
+    /// One line for the sonar and one per receiver.
     fn lines(&self) -> Vec<String> {
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let mut lines = vec![format!(

@@ -1,4 +1,4 @@
-//! NORBIT WBMS: four TCP servers.
+//! NORBIT WBMS: one TCP server for control and three for data.
 
 use std::sync::Arc;
 
@@ -13,17 +13,17 @@ use echotank_emit::wbms::control::{ControlPort, DataPort};
 use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
 use echotank_ping::rig::PingSlot;
 
-/// In the order of their ports.
+/// Names of the servers, in the order of their ports.
 const SERVERS: [&str; 4] = ["control", "bathymetry", "water column", "side-scan"];
 
 pub(super) struct Wbms {
     name: String,
     emitter: WbmsEmitter,
-    /// As [`SERVERS`].
+    /// In the order of [`SERVERS`].
     servers: Arc<[SonarServer]>,
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
-    /// The pending ping leaves over so many seconds.
+    /// Seconds over which the pending ping is sent.
     over_s: f64,
 }
 
@@ -72,7 +72,7 @@ impl Wbms {
             })
             .collect::<Result<Arc<[_]>, _>>()?;
         for server in servers.iter().skip(1) {
-            opening.lay(server, Shape::WBMS);
+            opening.configure(server, Shape::WBMS);
         }
         Ok(Self {
             name,

@@ -1,4 +1,4 @@
-//! XTF: a file.
+//! Triton XTF: a file recorder.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,7 +13,7 @@ use echotank_ping::rig::PingSlot;
 pub(super) struct Xtf {
     emitter: XtfEmitter,
     recorder: Option<StreamRecorder>,
-    /// Packets of the ping that waits for its deadline.
+    /// Packets of the encoded ping, written at its deadline.
     pending: Vec<u8>,
     report: Arc<XtfReport>,
 }
@@ -22,7 +22,7 @@ impl Xtf {
     pub(super) fn open(output: &XtfSpec, opening: &Opening) -> Result<Self, OutputError> {
         let c = opening.spec.medium.sound_speed_m_per_s;
         let emitter = XtfEmitter::new(output, &opening.unit.spec, c);
-        // The configuration has the folder.
+        // The configuration check ensures that the folder is set.
         let recorder = match &opening.spec.record {
             None => None,
             Some(record) => {
