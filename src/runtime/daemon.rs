@@ -35,7 +35,7 @@ use thiserror::Error;
 use crate::clock::{Clock, PacedClock, SystemClock, VirtualClock};
 use crate::control::{RunControl, SonarControl};
 use crate::counters::{PingCounters, add, worst};
-use crate::faults::nav::NavSpoiler;
+use crate::faults::nav::NavFaults;
 use crate::gate::Gate;
 use crate::histograms::Histograms;
 use crate::io::control::feed::Feed;
@@ -304,8 +304,8 @@ impl Daemon {
             Ok::<_, OpenError>(rig)
         })?;
         let mut inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(OpenError::Nav)?;
-        let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(spoiler));
+        let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
+        inputs.spoil_with(Box::new(nav_faults));
         let settings: Vec<_> = spec
             .sonars
             .iter()

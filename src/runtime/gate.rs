@@ -1,18 +1,19 @@
-//! Pause and step: whether the next ping may leave.
+//! Pause and step control: decides whether the next ping may be sent.
 //!
-//! Paused, a rig whose time is the machine's stands still in the middle of whatever it does ([`PacedClock::stop`]); a rig that makes its own
-//! time (`fast`, `lockstep`) orders no ping. A step lets one more ping out and pauses again. `lockstep` begins paused and stays so.
+//! With a `realtime` or `scaled` clock, pausing stops the clock ([`PacedClock::stop`]). With a `fast` or `lockstep` clock, pausing orders
+//! no more pings. A step allows one more ping and pauses again. `lockstep` starts paused.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use crate::clock::PacedClock;
 
-/// Waiting threads look this often whether the daemon stops.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval at which waiting threads check whether the daemon stops.
+const POLL: Duration = Duration::from_millis(50);
 
+/// The pause state of a rig, shared by the pacing, delivery and control threads.
 pub struct Gate {
-    /// Time that can be stopped; none where the rig makes its own.
+    /// The pausable clock; `None` with a `fast` or `lockstep` clock.
     clock: Option<Arc<PacedClock>>,
     state: Mutex<State>,
     changed: Condvar,
@@ -21,11 +22,11 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct State {
     paused: bool,
-    /// Pings that may still leave while paused.
+    /// Pings still allowed while paused.
     steps: u64,
-    /// Pings that have left.
+    /// Pings sent so far.
     delivered: u64,
-    /// The daemon stops: everything passes.
+    /// The daemon is stopping; no thread waits any more.
     closed: bool,
 }
 
@@ -36,6 +37,7 @@ impl State {
 }
 
 impl Gate {
+    /// A gate that stops `clock` while paused. Pass `None` with a `fast` or `lockstep` clock.
     pub fn new(clock: Option<Arc<PacedClock>>, paused: bool) -> Self {
         let gate = Self {
             clock,
@@ -49,6 +51,7 @@ impl Gate {
         gate
     }
 
+    /// Pauses and cancels the remaining steps.
     pub fn pause(&self) {
         self.change(|state| {
             state.paused = true;
@@ -56,11 +59,12 @@ impl Gate {
         });
     }
 
+    /// Ends a pause.
     pub fn resume(&self) {
         self.change(|state| state.paused = false);
     }
 
-    /// Lets so many more pings out, and pauses.
+    /// Allows `pings` more pings, then pauses.
     pub fn step(&self, pings: u64) {
         self.change(|state| {
             state.paused = true;
@@ -68,7 +72,7 @@ impl Gate {
         });
     }
 
-    /// A ping has left.
+    /// Counts a ping sent to the outputs.
     pub fn delivered(&self) {
         self.change(|state| {
             state.delivered += 1;
@@ -76,22 +80,22 @@ impl Gate {
         });
     }
 
-    /// The daemon stops: nobody waits any more.
+    /// Releases all waiting threads because the daemon stops.
     pub fn close(&self) {
         self.change(|state| state.closed = true);
     }
 
-    /// Nothing may leave now.
+    /// Whether no ping may be sent now.
     pub(crate) fn is_held(&self) -> bool {
         self.lock().holds()
     }
 
-    /// How many times as fast as the machine's its time goes; none where the rig makes its own.
+    /// Rig seconds per system second; `None` with a `fast` or `lockstep` clock.
     pub fn rate(&self) -> Option<f64> {
         self.clock.as_ref().map(|clock| clock.rate())
     }
 
-    /// Lets time go at another rate; false where the rig makes its own.
+    /// Changes the clock's rate. Returns false with a `fast` or `lockstep` clock.
     pub fn set_rate(&self, rate: f64) -> bool {
         match &self.clock {
             Some(clock) => clock.set_rate(rate),
@@ -104,11 +108,12 @@ impl Gate {
         self.lock().paused
     }
 
+    /// Pings sent to the outputs so far.
     pub fn pings_delivered(&self) -> u64 {
         self.lock().delivered
     }
 
-    /// Waits until a ping may be made; false when the daemon stops.
+    /// Waits until a ping may be sent. Returns false when the daemon stops.
     pub(crate) fn wait_open(&self) -> bool {
         let mut state = self.lock();
         while state.holds() {
@@ -117,7 +122,7 @@ impl Gate {
         !state.closed
     }
 
-    /// Waits until so many pings have left; false when the daemon stops.
+    /// Waits until `pings` pings have been sent since the start. Returns false when the daemon stops.
     pub fn wait_delivered(&self, pings: u64) -> bool {
         let mut state = self.lock();
         while state.delivered < pings && !state.closed {
@@ -128,7 +133,7 @@ impl Gate {
 
     fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
         self.changed
-            .wait_timeout(state, LOOK)
+            .wait_timeout(state, POLL)
             .unwrap_or_else(PoisonError::into_inner)
             .0
     }
@@ -156,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_lets_one_ping_out_and_time_stands_again() {
+    fn the_clock_stops_again_after_the_allowed_steps() {
         let clock = Arc::new(PacedClock::at_rate(1.0));
         let gate = Gate::new(Some(clock.clone()), false);
         assert!(!clock.is_stopped());
@@ -165,19 +170,19 @@ mod tests {
         gate.step(2);
         assert!(!clock.is_stopped());
         gate.delivered();
-        assert!(!clock.is_stopped(), "one more may leave");
+        assert!(!clock.is_stopped(), "one step remains");
         gate.delivered();
         assert!(clock.is_stopped() && gate.is_paused());
         gate.resume();
         assert!(!clock.is_stopped());
         gate.pause();
         gate.close();
-        assert!(!clock.is_stopped(), "what stops does not stand");
+        assert!(!clock.is_stopped(), "a closed gate lets the clock run");
         assert!(!gate.wait_open());
     }
 
     #[test]
-    fn who_waits_at_the_gate_passes_with_a_step() {
+    fn a_step_releases_a_waiting_thread() {
         let gate = Gate::new(None, true);
         std::thread::scope(|scope| {
             let waiter = scope.spawn(|| gate.wait_open());

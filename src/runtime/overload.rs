@@ -1,84 +1,89 @@
-//! When pings are too much for the machine: what one costs, whether the next can be ready in time, and what is then done (`run.overload`).
+//! Overload control (`run.overload`): estimates the compute time of pings and acts when the next ping cannot be ready in time.
 //!
-//! `skip`: a ping that had to wait for others and cannot be ready by its instant any more is not made. `degrade`: it is made with a looser
-//! tolerance ([`DegradationLevels`]). `stretch`: the next pulse waits until its ping can be ready ([`Backlog`]), so that the rate falls to what can be
-//! kept. Whatever is chosen, what cannot be ready even so is skipped. A ping that waited for no other is made, late or not: skipping it would
-//! help nobody, and it tells what pings cost; so is one whose sonar's last was skipped.
+//! - `skip`: a ping that waited for another and cannot meet its deadline is not computed.
+//! - `degrade`: such a ping is computed with a looser tolerance ([`DegradationLevels`]).
+//! - `stretch`: the next pulse is delayed until its ping can be ready ([`Backlog`]). This lowers the ping rate to a sustainable one.
 //!
-//! Every decision rests on how long pings took: under overload which pings are made, when, and with which tolerance depends on the machine,
-//! and each that differs says so ([`echotank_core::flow::OverloadState`]). Where pings keep up nothing is decided here, and where time is the pipeline's own
-//! nothing is ever late: the bits stay the same.
+//! With every policy, a ping that still cannot meet its deadline is skipped. Two pings are computed even if late: one that waited for no
+//! other ping, and one whose predecessor on the same sonar was skipped. They keep the cost estimate current.
+//!
+//! The decisions depend on measured compute times. Under overload, the pings computed, their times and their tolerances depend on the
+//! machine. Each affected ping reports this ([`echotank_core::flow::OverloadState`]). Without overload the output is deterministic, and
+//! with a `fast` or `lockstep` clock no ping is late.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-/// Pings whose median is what one costs: two slow ones in a row are the machine's hiccup, three of five are a cost.
-const REMEMBERED: usize = 5;
-/// After a finer setting was found too dear without being tried, it is believed to cost so much less: it must be tried again some time.
-const FORGIVEN: f64 = 0.8;
-/// A looser setting that has not been tried is believed to cost this share of the one before.
+/// Pings in the median of the cost estimate. Two slow pings in a row do not change the median; three of five do.
+const MEDIAN_PINGS: usize = 5;
+/// Factor on the cost estimate of a finer level that is rejected without a trial. The estimate falls until the level is tried again.
+const ESTIMATE_DECAY: f64 = 0.8;
+/// Assumed cost of an untried looser level, relative to the next finer one.
 const CHEAPER: f64 = 0.6;
-/// Pings in time before a finer setting is tried again, ...
+/// Consecutive pings in time before a finer level is tried.
 const GOOD_PINGS: u32 = 20;
-/// ... and at most, where finer ones have failed again and again: a minute at 20 pings a second.
+/// Upper bound of the same after repeated failures: a minute at 20 pings a second.
 const MAX_GOOD_PINGS: u32 = 1280;
-/// A finer setting that had to be left before so many pings was taken too early.
-const REGRETTED: u32 = 100;
-/// A finer setting is tried where there is so many times its cost until the ping must be ready.
-const ROOM: f64 = 1.5;
-/// A pulse goes out where so many times what must be computed before its ping fits: costs scatter.
-const RESERVE: f64 = 1.25;
-/// Lines that wait to be written down; what is beyond is only counted.
+/// Pings on a finer level after which the trial counts as a success.
+const TRIAL_PINGS: u32 = 100;
+/// Margin for trying a finer level: time left over estimated cost.
+const TRIAL_MARGIN: f64 = 1.5;
+/// Margin on the estimated cost of the backlog, because costs vary.
+const BACKLOG_MARGIN: f64 = 1.25;
+/// Most log records waiting to be written; further records are only counted.
 const MAX_LINES: usize = 4096;
 
-/// What a ping has cost lately, nanoseconds of rig time.
+/// The recent compute times of a sonar's pings, nanoseconds of rig time.
 #[derive(Clone, Debug, Default)]
 pub struct Cost {
-    took_ns: [i64; REMEMBERED],
+    took_ns: [i64; MEDIAN_PINGS],
     count: usize,
-    /// The first ping fills buffers and says nothing of the others.
+    /// The first ping, which fills buffers, has been left out.
     is_warm: bool,
 }
 
 impl Cost {
+    /// Adds the compute time of one ping, nanoseconds. The first ping is ignored.
     pub fn note(&mut self, took_ns: i64) {
         if std::mem::replace(&mut self.is_warm, true) {
-            self.took_ns[self.count % REMEMBERED] = took_ns;
+            self.took_ns[self.count % MEDIAN_PINGS] = took_ns;
             self.count += 1;
         }
     }
 
-    /// The median; none before the second ping.
+    /// The median compute time, nanoseconds; `None` before the second ping.
     pub fn ns(&self) -> Option<i64> {
         let mut known = self.took_ns;
-        let known = &mut known[..self.count.min(REMEMBERED)];
+        let known = &mut known[..self.count.min(MEDIAN_PINGS)];
         known.sort_unstable();
         known.get(known.len().saturating_sub(1) / 2).copied()
     }
 
-    fn forgive(&mut self) {
+    fn decay(&mut self) {
         for ns in &mut self.took_ns {
-            *ns = (*ns as f64 * FORGIVEN) as i64;
+            *ns = (*ns as f64 * ESTIMATE_DECAY) as i64;
         }
     }
 }
 
-/// Which setting the next ping has: down at once when it could not be ready, up again after so many that were, and more patiently each time
-/// that was too early.
+/// Selects the degradation level of the next ping.
+///
+/// The level becomes looser as soon as a ping would be late, and finer after a run of pings in time. Each failed trial of a finer level
+/// doubles the length of that run.
 #[derive(Clone, Debug)]
 pub(crate) struct DegradationLevels {
     costs: Vec<Cost>,
     level: usize,
     good: u32,
     wanted_good: u32,
-    /// Pings since the last step to a finer setting, while it may be regretted.
+    /// Pings since the last step to a finer level, until the trial succeeds.
     tried: Option<u32>,
 }
 
 impl DegradationLevels {
-    /// `levels`: settings, the finest first.
+    /// `levels`: number of levels; level 0 is the finest.
     pub(crate) fn new(levels: usize) -> Self {
         Self {
             costs: vec![Cost::default(); levels.max(1)],
@@ -89,7 +94,7 @@ impl DegradationLevels {
         }
     }
 
-    /// What a ping on a level will cost, as far as is known.
+    /// The estimated compute time of a ping on a level, nanoseconds; 0 while unknown.
     fn cost_ns(&self, level: usize) -> i64 {
         let known = self.costs[..=level].iter().enumerate().rev();
         let mut known = known.filter_map(|(at, cost)| Some((at, cost.ns()?)));
@@ -98,7 +103,7 @@ impl DegradationLevels {
         })
     }
 
-    /// The level of a ping that must be ready within `left_ns`; none where no level is quick enough, and it `waited` for another ping.
+    /// The level of a ping that must be ready within `left_ns`. `None` skips a ping that `waited` for another and fits on no level.
     pub(crate) fn choose(&mut self, left_ns: i64, waited: bool) -> Option<usize> {
         self.consider_finer(left_ns);
         let loosest = self.costs.len() - 1;
@@ -122,15 +127,15 @@ impl DegradationLevels {
             return;
         }
         self.good = 0;
-        if self.cost_ns(finer) as f64 * ROOM <= left_ns as f64 {
+        if self.cost_ns(finer) as f64 * TRIAL_MARGIN <= left_ns as f64 {
             (self.level, self.tried) = (finer, Some(0));
         } else {
-            // It was that dear under another load.
-            self.costs[finer].forgive();
+            // The estimate stems from another load.
+            self.costs[finer].decay();
         }
     }
 
-    /// A ping on the chosen level took so long, and was ready in time or not.
+    /// Adds the compute time of a ping on the chosen level, and whether it met its deadline.
     pub(crate) fn note(&mut self, took_ns: i64, in_time: bool) {
         self.costs[self.level].note(took_ns);
         self.good = match in_time {
@@ -138,29 +143,29 @@ impl DegradationLevels {
             false => 0,
         };
         self.tried = self.tried.map(|pings| pings + 1);
-        if self.tried == Some(REGRETTED) {
+        if self.tried == Some(TRIAL_PINGS) {
             (self.tried, self.wanted_good) = (None, GOOD_PINGS);
         }
     }
 
-    /// What the next ping will cost.
+    /// The estimated compute time of the next ping, nanoseconds.
     pub(crate) fn now_ns(&self) -> i64 {
         self.cost_ns(self.level)
     }
 }
 
-/// What the beat knows of the pipeline: how much is ordered and not yet made. One per rig.
+/// The pings ordered from the pipeline and not yet computed, with their estimated costs. One per rig.
 #[derive(Debug, Default)]
 pub(crate) struct Backlog {
-    sonars: Vec<Work>,
-    /// When the ping that is being made was begun, ns of the rig's clock; 0: none is.
+    sonars: Vec<PendingWork>,
+    /// Start of the current computation, ns of the rig's clock; 0 if idle.
     began_ns: AtomicI64,
 }
 
-/// Of one sonar.
+/// The pending pings of one sonar.
 #[derive(Debug, Default)]
-struct Work {
-    /// Pings ordered and neither made nor skipped.
+struct PendingWork {
+    /// Pings ordered and neither computed nor skipped.
     ordered: AtomicU64,
     cost_ns: AtomicI64,
 }
@@ -168,7 +173,7 @@ struct Work {
 impl Backlog {
     pub(crate) fn new(sonars: usize) -> Self {
         Self {
-            sonars: (0..sonars).map(|_| Work::default()).collect(),
+            sonars: (0..sonars).map(|_| PendingWork::default()).collect(),
             began_ns: AtomicI64::new(0),
         }
     }
@@ -181,7 +186,7 @@ impl Backlog {
         self.began_ns.store(now_ns, Relaxed);
     }
 
-    /// An order was obeyed or dropped.
+    /// Counts an order as computed or dropped.
     pub(crate) fn done(&self, sonar: usize) {
         self.began_ns.store(0, Relaxed);
         let less = |n: u64| Some(n.saturating_sub(1));
@@ -193,41 +198,46 @@ impl Backlog {
         self.sonars[sonar].cost_ns.store(ns, Relaxed);
     }
 
-    /// How much later a pulse of this sonar must be for its ping to be ready in time, where it would now have to be ready by `ready_by_ns`, ns.
-    /// Never later than the pipeline is free: waiting longer helps nobody.
+    /// The delay of this sonar's pulse that lets its ping meet its deadline, nanoseconds.
+    ///
+    /// `ready_by_ns` is the deadline without a delay. The delay never extends beyond the end of the backlog.
     pub(crate) fn put_off_ns(&self, sonar: usize, now_ns: i64, ready_by_ns: i64) -> i64 {
-        let dear = |ns: i64| (ns as f64 * RESERVE) as i64;
-        let load = |w: &Work| w.cost_ns.load(Relaxed) * w.ordered.load(Relaxed) as i64;
+        let with_margin = |ns: i64| (ns as f64 * BACKLOG_MARGIN) as i64;
+        let load = |w: &PendingWork| w.cost_ns.load(Relaxed) * w.ordered.load(Relaxed) as i64;
         let before: i64 = self.sonars.iter().map(load).sum();
         let gone = match self.began_ns.load(Relaxed) {
             0 => 0,
             began => (now_ns - began).max(0),
         };
         let before = (before - gone).max(0);
-        let ready_ns = now_ns + dear(before + self.sonars[sonar].cost_ns.load(Relaxed));
-        (ready_ns - ready_by_ns).clamp(0, dear(before))
+        let own = self.sonars[sonar].cost_ns.load(Relaxed);
+        let ready_ns = now_ns + with_margin(before + own);
+        (ready_ns - ready_by_ns).clamp(0, with_margin(before))
     }
 }
 
-/// One ping that was not as it should have been. A line of `overload-*.jsonl`, which `run` writes where `run.fault_directory` says, and with
-/// `degrade` and `stretch` beside the records.
+/// One ping affected by overload: a line of `overload-*.jsonl`.
+///
+/// `run` writes the file to `run.fault_directory`, and with `degrade` and `stretch` also beside the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct OverloadRecord {
-    /// `skipped`, `degraded`, `stretched`, `truncated` (its first samples streamed and the others could not), or `late`: delivered after its instant.
+    /// `skipped`, `degraded`, `stretched`, `truncated` (only the first samples were streamed) or `late` (delivered after its deadline).
     pub what: &'static str,
+    /// The configured name of the sonar.
     pub sonar: String,
+    /// Number of the ping, from 1.
     pub ping_number: u32,
-    /// Of the pulse, rig time.
+    /// UTC of the pulse, rig time.
     pub utc_ns: i64,
-    /// That its samples kept to.
+    /// Tolerance of a degraded ping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<f64>,
-    /// How much later than the beat the pulse went out.
+    /// Delay of a stretched pulse after its scheduled instant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) put_off_ms: Option<f64>,
 }
 
-/// Strained pings on their way to the file.
+/// The records waiting to be written to the overload log.
 #[derive(Debug, Default)]
 pub(crate) struct OverloadLog {
     waiting: Mutex<Vec<OverloadRecord>>,
@@ -244,12 +254,12 @@ impl OverloadLog {
         }
     }
 
-    /// What was noted since this was last asked.
+    /// Takes the records since the last call.
     pub(crate) fn take(&self) -> Vec<OverloadRecord> {
         std::mem::take(&mut *self.lock())
     }
 
-    /// Pings that the log has no line of.
+    /// Records dropped because too many were waiting.
     pub(crate) fn unwritten(&self) -> u64 {
         self.unwritten.load(Relaxed)
     }
@@ -266,7 +276,7 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     #[test]
-    fn two_slow_pings_are_no_cost_and_three_of_five_are() {
+    fn two_slow_pings_do_not_change_the_median_cost_and_three_of_five_do() {
         let mut cost = Cost::default();
         cost.note(9999 * MS);
         assert_eq!(cost.ns(), None, "the first fills buffers");
@@ -275,15 +285,12 @@ mod tests {
             assert_eq!(cost.ns(), Some(want * MS), "after {took}");
         }
         for _ in 0..20 {
-            cost.forgive();
+            cost.decay();
         }
-        assert!(
-            cost.ns() < Some(10 * MS),
-            "what was too dear is tried again"
-        );
+        assert!(cost.ns() < Some(10 * MS), "the estimate decays");
     }
 
-    /// What a machine makes of pings every 50 ms, each of which must be ready within 100 ms: the level of each, none where it was skipped.
+    /// Simulates pings every 50 ms with a deadline after 100 ms. Returns the level of each (`None` if skipped) and the number of late pings.
     fn made(pings: i64, costs_ms: impl Fn(i64) -> Vec<i64>) -> (Vec<Option<usize>>, usize) {
         let mut levels = DegradationLevels::new(costs_ms(0).len());
         let (mut free_ms, mut late) = (0, 0);
@@ -304,26 +311,26 @@ mod tests {
     }
 
     #[test]
-    fn where_pings_keep_up_nothing_is_skipped_and_nothing_loosened() {
+    fn without_overload_no_ping_is_skipped_or_degraded() {
         let (levels, late) = made(400, |k| vec![if k % 7 == 0 { 90 } else { 20 }, 15, 10]);
         assert!(levels.iter().all(|level| *level == Some(0)), "{levels:?}");
         assert_eq!(late, 0);
     }
 
     #[test]
-    fn under_load_pings_are_made_looser_and_hardly_any_is_skipped() {
+    fn under_load_pings_are_degraded_and_at_most_two_are_skipped() {
         let (levels, late) = made(400, |_| vec![90, 60, 20]);
-        // It takes two to know what one costs.
+        // The first cost estimate needs two pings.
         let skipped = levels.iter().filter(|level| level.is_none()).count();
         assert!(skipped <= 2 && late <= 3, "{skipped} {late}: {levels:?}");
         assert!(levels[10..].iter().filter(|r| **r == Some(2)).count() > 200);
-        // Finer ones come only after twenty good ones, and less and less often.
+        // A finer level needs twenty pings in time, and more after each failure.
         let finer = levels.windows(2).filter(|w| w[1] < w[0]).count();
         assert!((2..=400 / 20).contains(&finer), "{finer} times up");
     }
 
     #[test]
-    fn when_the_load_is_gone_the_finest_comes_back_and_stays() {
+    fn after_the_load_the_finest_level_returns_and_stays() {
         let load = |k| {
             if k < 50 {
                 vec![90, 60, 20]
@@ -337,12 +344,12 @@ mod tests {
     }
 
     #[test]
-    fn too_much_on_every_rung_is_made_in_time_as_often_as_it_can_be_and_the_rest_skipped() {
+    fn when_no_level_is_fast_enough_the_possible_pings_are_made_and_the_others_skipped() {
         let (levels, late) = made(400, |_| vec![80]);
         let count = levels.iter().flatten().count();
-        // What has waited 30 of its 100 ms is too late: every other one.
+        // A ping that has waited 30 of its 100 ms is too late, so every other one is skipped.
         assert!((198..=201).contains(&count) && late <= 1, "{count} {late}");
-        // What no skipping brings in time is made late all the same.
+        // If skipping does not help, pings are made late.
         let (levels, late) = made(400, |_| vec![180]);
         let count = levels.iter().flatten().count();
         assert!(
@@ -352,17 +359,17 @@ mod tests {
     }
 
     #[test]
-    fn a_pulse_waits_for_what_lies_before_it_and_no_longer() {
+    fn a_pulse_waits_for_the_backlog_and_no_longer() {
         let backlog = Backlog::new(2);
         let put_off = |ready_by| backlog.put_off_ns(0, 0, ready_by);
-        assert_eq!(put_off(5), 0, "nothing is known");
+        assert_eq!(put_off(5), 0, "no cost is known");
         backlog.costs(0, 100);
         backlog.costs(1, 1000);
-        assert_eq!(put_off(5), 0, "nothing lies before it: waiting is no help");
+        assert_eq!(put_off(5), 0, "the backlog is empty: waiting is no help");
         for sonar in [0, 0, 1] {
             backlog.ordered(sonar);
         }
-        // 1300 with its own, a quarter more: 1625.
+        // 1300 with its own cost, plus 25 %: 1625.
         assert_eq!(put_off(1700), 0);
         assert_eq!(put_off(1600), 25);
         assert_eq!(put_off(0), 1500);
@@ -374,8 +381,8 @@ mod tests {
     }
 
     #[test]
-    fn stretched_pulses_keep_the_rate_that_the_machine_keeps() {
-        // 60 ms a ping where 40 are asked for; each must be ready within 100.
+    fn stretching_lowers_the_rate_to_the_compute_rate() {
+        // A ping takes 60 ms, the requested period is 40 ms, and the deadline is after 100 ms.
         let backlog = Backlog::new(1);
         let (mut at, mut free, mut waiting) = (1, 0_i64, std::collections::VecDeque::new());
         let mut pulses = Vec::new();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::clock::VirtualClock;
-use crate::faults::nav::NavSpoiler;
+use crate::faults::nav::NavFaults;
 use crate::io::nav::NavInputs;
 use crate::rig::OpenError;
 use crate::waiting::lacking;
@@ -54,8 +54,8 @@ impl RecordedRig {
         let mut rig = crate::rig::open(spec)?;
         let mut inputs = NavInputs::open(&spec.nav, Arc::new(VirtualClock::default()))
             .map_err(OpenError::Nav)?;
-        let spoiler = NavSpoiler::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(spoiler));
+        let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
+        inputs.spoil_with(Box::new(nav_faults));
         if inputs.recorded_start().is_none() {
             return Err(RecordedError::NoLog);
         }

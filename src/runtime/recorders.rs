@@ -1,4 +1,4 @@
-//! The files of a replay: `truth.jsonl` always, the rest as asked.
+//! The files of a replay: always `truth.jsonl`, and the requested formats.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,25 +15,26 @@ use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::outputs::row_filter;
 use crate::pictures::Pictures;
-use crate::replay::{Formats, ReplayOptions};
+use crate::replay::ReplayOptions;
 use crate::synthetic_aperture::SyntheticAperture;
 use echotank_config::spec::{
-    JsfChannels, JsfFormat, JsfSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec, WavSpec, XtfSpec,
+    JsfChannels, JsfFormat, JsfSpec, MediumSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec,
+    WavSpec, XtfSpec,
 };
-use echotank_core::flow::{Datagram, Target};
+use echotank_core::flow::{Datagram, PingOutput, PingPlan, Target};
 use echotank_core::time::UtcNs;
 use echotank_emit::jsf::{JsfEmitter, JsfSheet, file_time};
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::xtf::XtfEmitter;
-use echotank_ping::rig::{PingSlot, Rig};
+use echotank_ping::rig::{PingSlot, Rig, SonarUnit};
 
-/// JSF counts channels in 8 bits.
+/// JSF channel numbers have 8 bits.
 const MAX_JSF_CHANNELS: usize = 256;
-/// 7k device identifier of a side-scan of no particular make.
+/// 7k device identifier of a generic side-scan.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
-/// Files of one sonar.
+/// The files of one sonar.
 struct SonarFiles {
     spec: SonarSpec,
     folder: PathBuf,
@@ -69,8 +70,9 @@ struct Xtf {
     packets: Vec<u8>,
 }
 
-/// Begins a `.s7k`: its header and the configuration, stamped with `utc`. Nothing in it comes from the host's clock or a random source, so
-/// that the same pings make the same file.
+/// Creates a `.s7k` file with its header and configuration record, stamped with `utc`.
+///
+/// The contents depend on neither the host's clock nor a random source, so the same pings make the same file.
 pub(crate) fn begin_s7k(
     path: &Path,
     sheet: &DeviceSheet,
@@ -100,7 +102,7 @@ pub(crate) fn begin_s7k(
     Ok(recorder)
 }
 
-/// The start of `text` that fits into `bytes`.
+/// The longest prefix of `text` that fits into `bytes` bytes of UTF-8.
 fn text_of(text: &str, bytes: usize) -> String {
     let end = (0..=bytes.min(text.len()))
         .rev()
@@ -109,6 +111,184 @@ fn text_of(text: &str, bytes: usize) -> String {
     text[..end].to_string()
 }
 
+impl S7k {
+    fn new(folder: &Path, unit: &SonarUnit, medium: &MediumSpec) -> Self {
+        let sonar = &unit.spec;
+        let sheet = DeviceSheet::new(
+            &sevenk_output(sonar),
+            sonar,
+            medium.sound_speed_m_per_s,
+            unit.absorption_db_per_m,
+        );
+        Self {
+            path: folder.join(format!("{}.s7k", sonar.name)),
+            emitter: SevenKEmitter::new(Arc::new(sheet), 1),
+            recorder: None,
+            records: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
+        self.records.clear();
+        let recorder = match &mut self.recorder {
+            Some(recorder) => recorder,
+            none => none.insert(begin_s7k(&self.path, self.emitter.sheet(), plan.stamp_utc)?),
+        };
+        self.emitter
+            .emit_ping(plan, output, RecordSet::ALL, &mut self.records);
+        for record in self.records.drain(..) {
+            recorder.write(&record.bytes)?;
+        }
+        Ok(())
+    }
+}
+
+impl Jsf {
+    fn new(folder: &Path, sonar: &SonarSpec, medium: &MediumSpec) -> Self {
+        let sheet = JsfSheet {
+            output: jsf_output(sonar),
+            sonar: sonar.clone(),
+        };
+        Self {
+            path: folder.join(format!("{}.jsf", sonar.name)),
+            emitter: JsfEmitter::new(Arc::new(sheet), row_filter(sonar, medium)),
+            recorder: None,
+            messages: Vec::new(),
+            last_utc: UtcNs(0),
+        }
+    }
+
+    fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
+        let recorder = match &mut self.recorder {
+            Some(recorder) => recorder,
+            none => {
+                let head = self.emitter.sheet().file_head(plan.stamp_utc);
+                none.insert(StreamRecorder::create(&self.path, &head)?)
+            }
+        };
+        self.last_utc = plan.stamp_utc;
+        self.emitter
+            .emit_ping(plan, output, |_, _| true, &mut self.messages);
+        for message in self.messages.drain(..) {
+            recorder.write(&message.bytes)?;
+        }
+        Ok(())
+    }
+}
+
+impl Xtf {
+    fn new(folder: &Path, sonar: &SonarSpec, medium: &MediumSpec) -> Self {
+        let c = medium.sound_speed_m_per_s;
+        Self {
+            path: folder.join(format!("{}.xtf", sonar.name)),
+            emitter: XtfEmitter::new(&xtf_output(sonar), sonar, c),
+            recorder: None,
+            packets: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
+        let recorder = match &mut self.recorder {
+            Some(recorder) => recorder,
+            none => {
+                let head = self.emitter.file_head();
+                none.insert(StreamRecorder::create(&self.path, &head)?)
+            }
+        };
+        self.packets.clear();
+        self.emitter.emit_ping(plan, output, &mut self.packets);
+        recorder.write(&self.packets)
+    }
+}
+
+impl SonarFiles {
+    fn create(
+        unit: &SonarUnit,
+        medium: &MediumSpec,
+        folder: PathBuf,
+        options: &ReplayOptions,
+    ) -> Result<Self, RecordError> {
+        make_folder(&folder)?;
+        let sonar = &unit.spec;
+        let formats = options.formats;
+        // XTF holds side-scan lines only.
+        let has_xtf = formats.xtf && !sonar.beams.lines.is_empty();
+        Ok(Self {
+            s7k: formats.s7k.then(|| S7k::new(&folder, unit, medium)),
+            jsf: formats.jsf.then(|| Jsf::new(&folder, sonar, medium)),
+            xtf: has_xtf.then(|| Xtf::new(&folder, sonar, medium)),
+            npz: match formats.npz {
+                true => Some(NpzRecorder::create(&folder, sonar, options.f64)?),
+                false => None,
+            },
+            sas: match formats.sas {
+                true => SyntheticAperture::new(sonar, medium.sound_speed_m_per_s),
+                false => None,
+            },
+            pictures: Pictures::create(sonar, &folder, formats)?,
+            sigmf: match formats.sigmf {
+                true => Some(begin_sigmf(&folder, sonar)?),
+                false => None,
+            },
+            wav: match formats.wav {
+                true => Some(begin_wav(&folder, sonar)?),
+                false => None,
+            },
+            spec: sonar.clone(),
+            folder,
+        })
+    }
+
+    /// Closes the files and adds the paths of those with contents to `written`.
+    fn finish(self, targets: &[Target], written: &mut Vec<PathBuf>) -> Result<(), RecordError> {
+        if let Some(S7k {
+            path,
+            recorder: Some(recorder),
+            ..
+        }) = self.s7k
+        {
+            recorder.close()?;
+            written.push(path);
+        }
+        if let Some(Jsf {
+            path,
+            recorder: Some(recorder),
+            last_utc,
+            ..
+        }) = self.jsf
+        {
+            recorder.close(&file_time(last_utc))?;
+            written.push(path);
+        }
+        if let Some(Xtf {
+            path,
+            recorder: Some(recorder),
+            ..
+        }) = self.xtf
+        {
+            recorder.close(&[])?;
+            written.push(path);
+        }
+        if let Some(npz) = self.npz {
+            written.extend(npz.finish()?);
+        }
+        if let Some(sigmf) = self.sigmf {
+            written.extend(sigmf.paths().map(Path::to_path_buf));
+            sigmf.close()?;
+        }
+        if let Some(wav) = self.wav {
+            written.push(wav.path().to_path_buf());
+            wav.close()?;
+        }
+        if let Some(patch) = self.sas.and_then(SyntheticAperture::finish) {
+            written.extend(patch.write(&self.folder)?);
+        }
+        written.extend(self.pictures.finish(targets)?);
+        Ok(())
+    }
+}
+
+/// All files of a replay.
 pub(crate) struct Recorders {
     truth: TruthRecorder,
     sonars: Vec<SonarFiles>,
@@ -120,87 +300,14 @@ impl Recorders {
         options: &ReplayOptions,
         rig: &Rig,
     ) -> Result<Self, RecordError> {
-        let Formats {
-            s7k,
-            jsf,
-            xtf,
-            npz,
-            sas,
-            sigmf,
-            wav,
-            ..
-        } = options.formats;
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
-            // One sonar's files lie in the folder itself; several sonars have a folder each.
-            let folder = if rig.sonars.len() == 1 {
-                options.out.clone()
-            } else {
-                options.out.join(&unit.spec.name)
+            // With several sonars, each has a folder.
+            let folder = match rig.sonars.len() {
+                1 => options.out.clone(),
+                _ => options.out.join(&unit.spec.name),
             };
-            make_folder(&folder)?;
-            let sevenk = || {
-                let sheet = DeviceSheet::new(
-                    &sevenk_output(&unit.spec),
-                    &unit.spec,
-                    spec.medium.sound_speed_m_per_s,
-                    unit.absorption_db_per_m,
-                );
-                S7k {
-                    path: folder.join(format!("{}.s7k", unit.spec.name)),
-                    emitter: SevenKEmitter::new(Arc::new(sheet), 1),
-                    recorder: None,
-                    records: Vec::new(),
-                }
-            };
-            sonars.push(SonarFiles {
-                s7k: s7k.then(sevenk),
-                jsf: jsf.then(|| {
-                    let sheet = JsfSheet {
-                        output: jsf_output(&unit.spec),
-                        sonar: unit.spec.clone(),
-                    };
-                    Jsf {
-                        path: folder.join(format!("{}.jsf", unit.spec.name)),
-                        emitter: JsfEmitter::new(
-                            Arc::new(sheet),
-                            row_filter(&unit.spec, &spec.medium),
-                        ),
-                        recorder: None,
-                        messages: Vec::new(),
-                        last_utc: UtcNs(0),
-                    }
-                }),
-                // A sonar without lines has no XTF.
-                xtf: (xtf && !unit.spec.beams.lines.is_empty()).then(|| {
-                    let c = spec.medium.sound_speed_m_per_s;
-                    Xtf {
-                        path: folder.join(format!("{}.xtf", unit.spec.name)),
-                        emitter: XtfEmitter::new(&xtf_output(&unit.spec), &unit.spec, c),
-                        recorder: None,
-                        packets: Vec::new(),
-                    }
-                }),
-                npz: if npz {
-                    Some(NpzRecorder::create(&folder, &unit.spec, options.f64)?)
-                } else {
-                    None
-                },
-                sas: sas
-                    .then(|| SyntheticAperture::new(&unit.spec, spec.medium.sound_speed_m_per_s))
-                    .flatten(),
-                pictures: Pictures::create(&unit.spec, &folder, options.formats)?,
-                sigmf: match sigmf {
-                    true => Some(begin_sigmf(&folder, &unit.spec)?),
-                    false => None,
-                },
-                wav: match wav {
-                    true => Some(begin_wav(&folder, &unit.spec)?),
-                    false => None,
-                },
-                spec: unit.spec.clone(),
-                folder,
-            });
+            sonars.push(SonarFiles::create(unit, &spec.medium, folder, options)?);
         }
         Ok(Self {
             truth: TruthRecorder::create(&options.out)?,
@@ -208,50 +315,19 @@ impl Recorders {
         })
     }
 
-    /// The ping that `rig` has just made.
+    /// Writes the ping that `rig` has just computed.
     pub(crate) fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
         self.truth.push(&files.spec, plan, output, rig.targets())?;
         if let Some(s7k) = &mut files.s7k {
-            s7k.records.clear();
-            let recorder = match &mut s7k.recorder {
-                Some(recorder) => recorder,
-                none => none.insert(begin_s7k(&s7k.path, s7k.emitter.sheet(), plan.stamp_utc)?),
-            };
-            s7k.emitter
-                .emit_ping(plan, output, RecordSet::ALL, &mut s7k.records);
-            for record in &s7k.records {
-                recorder.write(&record.bytes)?;
-            }
-            s7k.records.clear();
+            s7k.push(plan, output)?;
         }
         if let Some(jsf) = &mut files.jsf {
-            let recorder = match &mut jsf.recorder {
-                Some(recorder) => recorder,
-                none => {
-                    let head = jsf.emitter.sheet().file_head(plan.stamp_utc);
-                    none.insert(StreamRecorder::create(&jsf.path, &head)?)
-                }
-            };
-            jsf.last_utc = plan.stamp_utc;
-            jsf.emitter
-                .emit_ping(plan, output, |_, _| true, &mut jsf.messages);
-            for message in jsf.messages.drain(..) {
-                recorder.write(&message.bytes)?;
-            }
+            jsf.push(plan, output)?;
         }
         if let Some(xtf) = &mut files.xtf {
-            let recorder = match &mut xtf.recorder {
-                Some(recorder) => recorder,
-                none => {
-                    let head = xtf.emitter.file_head();
-                    none.insert(StreamRecorder::create(&xtf.path, &head)?)
-                }
-            };
-            xtf.packets.clear();
-            xtf.emitter.emit_ping(plan, output, &mut xtf.packets);
-            recorder.write(&xtf.packets)?;
+            xtf.push(plan, output)?;
         }
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
@@ -268,59 +344,17 @@ impl Recorders {
         files.pictures.push(slot, rig)
     }
 
-    /// Closes every file and names those that hold something.
+    /// Closes every file and returns the paths of those with contents.
     pub(crate) fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
-            if let Some(S7k {
-                path,
-                recorder: Some(recorder),
-                ..
-            }) = files.s7k
-            {
-                recorder.close()?;
-                written.push(path);
-            }
-            if let Some(Jsf {
-                path,
-                recorder: Some(recorder),
-                last_utc,
-                ..
-            }) = files.jsf
-            {
-                recorder.close(&file_time(last_utc))?;
-                written.push(path);
-            }
-            if let Some(Xtf {
-                path,
-                recorder: Some(recorder),
-                ..
-            }) = files.xtf
-            {
-                recorder.close(&[])?;
-                written.push(path);
-            }
-            if let Some(npz) = files.npz {
-                written.extend(npz.finish()?);
-            }
-            if let Some(sigmf) = files.sigmf {
-                written.extend(sigmf.paths().map(Path::to_path_buf));
-                sigmf.close()?;
-            }
-            if let Some(wav) = files.wav {
-                written.push(wav.path().to_path_buf());
-                wav.close()?;
-            }
-            if let Some(patch) = files.sas.and_then(SyntheticAperture::finish) {
-                written.extend(patch.write(&files.folder)?);
-            }
-            written.extend(files.pictures.finish(targets)?);
+            files.finish(targets, &mut written)?;
         }
         Ok(written)
     }
 }
 
-/// The 7k output whose device and arrays the file speaks for; a sonar without one gets all its arrays on a generic side-scan.
+/// The configured 7k output. Without one, all arrays on a generic side-scan.
 fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     let configured = spec.outputs.iter().find_map(|output| match output {
         OutputSpec::SevenK(sevenk) => Some(sevenk),
@@ -338,7 +372,7 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     })
 }
 
-/// The JSF output whose format the file has; a sonar without one gets its sides as envelopes, or where it has none its elements.
+/// The configured JSF output. Without one, the side-scan lines as envelopes, or the elements if the sonar has no side-scan lines.
 fn jsf_output(spec: &SonarSpec) -> JsfSpec {
     let configured = spec.outputs.iter().find_map(|output| match output {
         OutputSpec::Jsf(jsf) => Some(jsf),
@@ -371,7 +405,7 @@ fn jsf_output(spec: &SonarSpec) -> JsfSpec {
     })
 }
 
-/// As many arrays as JSF has channels for.
+/// The first arrays, as many as fit into the JSF channels.
 fn first_channels(spec: &SonarSpec) -> Vec<usize> {
     let mut elements = 0;
     let arrays = spec.receive.iter().take_while(|array| {
@@ -389,7 +423,7 @@ fn xtf_output(spec: &SonarSpec) -> XtfSpec {
     configured.unwrap_or(XtfSpec { is_float: false })
 }
 
-/// The arrays of the configured output, or all.
+/// Records the arrays of the configured output. Without one, all arrays.
 fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
     let configured = spec.outputs.iter().find_map(|output| match output {
         OutputSpec::Sigmf(sigmf) => Some(sigmf.arrays.clone()),
@@ -399,7 +433,7 @@ fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordE
     SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
 }
 
-/// The arrays and the rate of the configured output, or all and the usual rate.
+/// Records with the arrays and rate of the configured output. Without one, all arrays at the default rate.
 fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
     let configured = spec.outputs.iter().find_map(|output| match output {
         OutputSpec::Wav(wav) => Some(wav.clone()),

@@ -131,7 +131,6 @@ pub struct Replay {
 
 /// The result of a replay. Displays one line of counters per sonar and one line per file.
 pub struct Summary {
-    pub(crate) pings_made: u64,
     text: String,
 }
 
@@ -262,15 +261,13 @@ impl Replay {
     fn finish(self) -> Result<Summary, ReplayError> {
         let files = self.recorders.finish(self.recorded.rig.targets())?;
         let mut text = String::new();
-        let mut pings_made = 0;
         for (unit, counters) in self.recorded.rig.sonars.iter().zip(&self.counters) {
-            pings_made += counters.made.load(std::sync::atomic::Ordering::Relaxed);
             text += &format!("{}: {}\n", unit.spec.name, counters.replay_line());
         }
         for file in files {
             text += &format!("wrote {}\n", file.display());
         }
         text.truncate(text.trim_end().len());
-        Ok(Summary { pings_made, text })
+        Ok(Summary { text })
     }
 }

@@ -10,7 +10,7 @@ use echotank_nav::NavHistory;
 use echotank_nav::decoder::NavCounters;
 use echotank_ping::faults::Faults;
 use echotank_runtime::clock::SystemClock;
-use echotank_runtime::faults::nav::NavSpoiler;
+use echotank_runtime::faults::nav::NavFaults;
 use echotank_runtime::io::nav::NavInputs;
 
 use super::{PATIENCE, nav_spec, sentences, source, udp};
@@ -24,7 +24,7 @@ fn heard(fault: Option<&str>) -> (NavCounters, u64) {
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
     }
-    inputs.spoil_with(Box::new(NavSpoiler::new(faults.clone(), &spec.sources)));
+    inputs.spoil_with(Box::new(NavFaults::new(faults.clone(), &spec.sources)));
     let (_, address) = inputs.listening()[0].clone();
     let mut history = NavHistory::new(&spec);
     let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");

@@ -1,4 +1,4 @@
-//! Faults of the time that goes out: pulses that stay away, ZDA sentences that name the wrong second.
+//! Faults of the clock outputs: missing pulses per second and ZDA sentences with the wrong time.
 
 use echotank_config::spec::FaultKind;
 use echotank_core::time::UtcNs;

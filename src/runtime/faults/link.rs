@@ -1,13 +1,13 @@
-//! Faults of the line between an output and its clients: records and packets are lost, doubled, held back or spoiled on their way.
+//! Faults of the link between an output and its clients: records and packets are lost, duplicated, delayed or corrupted.
 //!
-//! One line for all families, which differ in where a record may be spoiled so that it is still found ([`Shape`]). What is recorded does not pass
-//! here.
+//! One implementation serves all protocol families. They differ in the bytes that may be corrupted so that a record is still found
+//! ([`RecordLayout`]). Recordings are not affected.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use echotank_protocols::{elements, ping_protocol, sevenk, wbms};
 
-use crate::io::line::{Connection, Line as Passage};
+use crate::io::line::{Connection, Line as LinkFilter};
 use crate::io::sonar::heard::ear as heard;
 use echotank_config::spec::{ConnectionFault, FaultKind, TransportFault};
 use echotank_core::flow::{Datagram, PingPlan};
@@ -15,73 +15,77 @@ use echotank_core::time::UtcNs;
 use echotank_emit::packets::Packets;
 use echotank_ping::faults::{Faults, PingMark, Place, unit};
 
-/// What a spoiled record keeps, and how it is known again.
+/// The bytes of a record that stay intact under corruption, and its checksum.
 #[derive(Clone, Copy, Debug)]
-pub struct Shape {
-    /// Of the family, in the log.
+pub struct RecordLayout {
+    /// Name of the family in the log.
     name: &'static str,
-    /// Where a packet says that it belongs.
+    /// Reads a packet's stream, frame number and time for the log.
     place: fn(&[u8]) -> Place,
-    /// At its start: the frame, and a ping number in the body.
+    /// Bytes intact at the start: the header, and a ping number in the body.
     kept_bytes: usize,
-    /// Of its length, however it is cut.
+    /// Shortest length after truncation.
     min_bytes: usize,
-    /// Behind the body: a checksum.
+    /// Length of the checksum after the body.
     tail_bytes: usize,
-    /// Makes the checksum fit; nothing where there is none.
-    mend: fn(&mut [u8]),
+    /// Recomputes the checksum, if the family has one.
+    update_checksum: fn(&mut [u8]),
 }
 
-fn mend_nothing(_: &mut [u8]) {}
+fn no_checksum(_: &mut [u8]) {}
 
-/// Its record type and its ping say it all.
+/// For families whose records are identified by type and ping number.
 fn no_place(_: &[u8]) -> Place {
     Place::default()
 }
 
-impl Shape {
+impl RecordLayout {
+    /// Teledyne RESON 7k records.
     pub const SEVENK: Self = Self {
         name: "7k",
         place: no_place,
         kept_bytes: 80,
-        // A packetiser takes no less for a record.
+        // The packetiser rejects shorter records.
         min_bytes: 68,
         tail_bytes: 4,
-        mend: |bytes| {
+        update_checksum: |bytes| {
             if let Some((body, tail)) = bytes.split_last_chunk_mut::<4>() {
                 *tail = sevenk::checksum(body).to_le_bytes();
             }
         },
     };
-    /// The message's header, and the ping number of a sonar message.
+    /// EdgeTech JSF messages; the header and the ping number of a sonar message stay intact.
     pub const JSF: Self = Self::plain("jsf", 32);
+    /// NORBIT WBMS packets.
     pub const WBMS: Self = Self {
-        mend: |bytes| {
+        update_checksum: |bytes| {
             if let Some((head, body)) = bytes.split_first_chunk_mut::<24>() {
                 head[20..].copy_from_slice(&wbms::crc32(body).to_le_bytes());
             }
         },
         ..Self::plain("wbms", 32)
     };
+    /// Ping protocol frames over TCP and UDP.
     pub const PING: Self = Self {
         name: "ping",
         place: no_place,
         kept_bytes: 12,
         min_bytes: ping_protocol::HEADER_BYTES,
         tail_bytes: ping_protocol::CHECKSUM_BYTES,
-        mend: |bytes| {
+        update_checksum: |bytes| {
             if let Some((body, tail)) = bytes.split_last_chunk_mut::<2>() {
                 *tail = ping_protocol::checksum(body).to_le_bytes();
             }
         },
     };
-    /// The same on a serial line.
+    /// Ping protocol frames on a serial port.
     pub(crate) const PING_SERIAL: Self = Self {
         name: "ping-serial",
         ..Self::PING
     };
+    /// Imagenex 872 answers.
     pub const IMAGENEX872: Self = Self::plain("imagenex872", 12);
-    /// Header, stream, class and time of a packet.
+    /// VITA 49.2 packets; header, stream, class and time stay intact.
     pub const VITA49: Self = Self {
         place: |bytes| {
             let place = heard::place_of(bytes);
@@ -94,6 +98,7 @@ impl Shape {
         },
         ..Self::plain("vita49", 28)
     };
+    /// Frames of the element stream.
     pub const ELEMENTS: Self = Self {
         place: |bytes| {
             let frame = elements::Frame::parse(bytes).ok();
@@ -112,11 +117,13 @@ impl Shape {
             kept_bytes,
             min_bytes: kept_bytes,
             tail_bytes: 0,
-            mend: mend_nothing,
+            update_checksum: no_checksum,
         }
     }
 
-    /// Changes a byte of the body; of one too short for a body the last before the checksum.
+    /// Changes a byte of the body, or the last byte before the checksum if there is no body.
+    ///
+    /// `mended` recomputes the checksum afterwards.
     fn corrupt(&self, bytes: &mut [u8], mended: bool) {
         let end = bytes.len().saturating_sub(self.tail_bytes);
         let at = match end > self.kept_bytes {
@@ -128,11 +135,11 @@ impl Shape {
         };
         *byte ^= 0x55;
         if mended {
-            (self.mend)(bytes);
+            (self.update_checksum)(bytes);
         }
     }
 
-    /// How long it is when its second half is missing.
+    /// The length of a record of `bytes` bytes without its second half.
     fn cut_bytes(&self, bytes: usize) -> usize {
         let half = self.kept_bytes.max(bytes / 2);
         half.min(bytes.saturating_sub(1))
@@ -140,15 +147,15 @@ impl Shape {
     }
 }
 
-/// Keeps the draws of how late a record comes apart from all others.
+/// Separates the random stream of jitter from all others.
 const JITTER_TAG: [u8; 8] = *b"faultjit";
 
-/// What becomes of the connections to the clients at this ping.
-fn connection(faults: &Faults, ping: PingMark, line: &'static str) -> Connection {
+/// Draws the state of the connections at this ping.
+fn connection(faults: &Faults, ping: PingMark, link: &'static str) -> Connection {
     let mut connection = Connection::Up;
     let of_connection = |kind: &FaultKind| matches!(kind, FaultKind::Connection(_));
     faults.inject(ping, 0, of_connection, |spec, _, injection| {
-        injection.line = Some(line);
+        injection.line = Some(link);
         connection = match spec.kind {
             FaultKind::Connection(ConnectionFault::Reset) => Connection::Reset,
             _ => Connection::Mute,
@@ -157,21 +164,21 @@ fn connection(faults: &Faults, ping: PingMark, line: &'static str) -> Connection
     connection
 }
 
-/// What becomes of one record on the line.
+/// Draws the faults of one record and passes each to `apply`, with a uniform draw in [0, 1) for jitter.
 fn record(
     faults: &Faults,
     ping: PingMark,
     record_type: u32,
-    line: &'static str,
+    link: &'static str,
     place: impl Fn() -> Place,
-    mut strike: impl FnMut(TransportFault, f64),
+    mut apply: impl FnMut(TransportFault, f64),
 ) {
-    let of_line = |kind: &FaultKind| matches!(kind, FaultKind::Transport(_));
-    faults.inject(ping, record_type, of_line, |spec, _, injection| {
-        injection.line = Some(line);
+    let of_link = |kind: &FaultKind| matches!(kind, FaultKind::Transport(_));
+    faults.inject(ping, record_type, of_link, |spec, _, injection| {
+        injection.line = Some(link);
         injection.place = place();
         if let FaultKind::Transport(fault) = spec.kind {
-            // Another draw than whether it strikes.
+            // Independent of the draw that decides on the injection.
             let part = || {
                 unit(
                     spec.seed,
@@ -181,7 +188,7 @@ fn record(
                     JITTER_TAG,
                 )
             };
-            strike(
+            apply(
                 fault,
                 if matches!(fault, TransportFault::Jitter { .. }) {
                     part()
@@ -193,11 +200,11 @@ fn record(
     });
 }
 
-/// Of which ping the records are that an output hands over; shared with all its lines.
+/// The ping whose records an output currently sends, shared with all its links.
 #[derive(Debug)]
-pub struct LineMark(Mutex<PingMark>);
+pub struct LinkMark(Mutex<PingMark>);
 
-impl Default for LineMark {
+impl Default for LinkMark {
     fn default() -> Self {
         let none = PingMark {
             sonar: 0,
@@ -208,8 +215,8 @@ impl Default for LineMark {
     }
 }
 
-impl LineMark {
-    /// What is handed over from now on is of this ping.
+impl LinkMark {
+    /// Sets the ping of the records sent from now on.
     pub fn set(&self, plan: &PingPlan) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = PingMark {
             sonar: plan.sonar,
@@ -223,25 +230,26 @@ impl LineMark {
     }
 }
 
-/// The line of one server or sender.
-pub struct Line {
+/// The link of one server or sender, with fault injection.
+pub struct FaultyLink {
     faults: Arc<Faults>,
-    shape: Shape,
-    mark: Arc<LineMark>,
-    /// Held back, with when they may go.
+    layout: RecordLayout,
+    mark: Arc<LinkMark>,
+    /// Delayed records with their release times.
     held: Vec<(UtcNs, Arc<Datagram>)>,
     out: Vec<Arc<Datagram>>,
     held_packets: Vec<(UtcNs, Vec<u8>)>,
     packets: Packets,
-    /// The last ping that was asked how connections stand, and how they did.
+    /// The newest ping with a drawn connection state, and that state.
     connected: Option<(u32, Connection)>,
 }
 
-impl Line {
-    pub fn new(faults: Arc<Faults>, shape: Shape, mark: Arc<LineMark>) -> Self {
+impl FaultyLink {
+    /// A link for records of `layout` that injects `faults` into the ping of `mark`.
+    pub fn new(faults: Arc<Faults>, layout: RecordLayout, mark: Arc<LinkMark>) -> Self {
         Self {
             faults,
-            shape,
+            layout,
             mark,
             held: Vec::new(),
             out: Vec::new(),
@@ -251,79 +259,79 @@ impl Line {
         }
     }
 
-    /// How many of it leave, until when they are held back, and how it is spoiled.
-    fn fate(
+    /// Draws the faults of one record: the number of copies, their release time, and corruptions, which are passed to `corrupt`.
+    fn draw(
         &self,
         ping: PingMark,
         record_type: u32,
         bytes: &[u8],
-        spoil: &mut dyn FnMut(Spoiling),
-    ) -> Fate {
-        let mut fate = Fate {
+        corrupt: &mut dyn FnMut(Corruption),
+    ) -> Delivery {
+        let mut delivery = Delivery {
             copies: 1,
             until: None,
         };
-        let place = || (self.shape.place)(bytes);
-        let strike = |fault, part: f64| match fault {
-            TransportFault::Drop | TransportFault::LinkDown => fate.copies = 0,
-            TransportFault::Duplicate => fate.copies *= 2,
-            // Until the next ping's delivery, which is later.
-            TransportFault::Reorder => fate.until = Some(ping.utc.plus_ns(1)),
-            TransportFault::Delay { s } => fate.until = Some(ping.utc.plus_s(s)),
-            TransportFault::Jitter { s } => fate.until = Some(ping.utc.plus_s(s * part).plus_ns(1)),
-            TransportFault::Corrupt { mended } => spoil(Spoiling::Corrupt { mended }),
-            TransportFault::Truncate => spoil(Spoiling::Truncate),
+        let place = || (self.layout.place)(bytes);
+        let apply = |fault, part: f64| match fault {
+            TransportFault::Drop | TransportFault::LinkDown => delivery.copies = 0,
+            TransportFault::Duplicate => delivery.copies *= 2,
+            // The next ping's delivery is later, so it releases the record.
+            TransportFault::Reorder => delivery.until = Some(ping.utc.plus_ns(1)),
+            TransportFault::Delay { s } => delivery.until = Some(ping.utc.plus_s(s)),
+            TransportFault::Jitter { s } => {
+                delivery.until = Some(ping.utc.plus_s(s * part).plus_ns(1));
+            }
+            TransportFault::Corrupt { mended } => corrupt(Corruption::Change { mended }),
+            TransportFault::Truncate => corrupt(Corruption::Truncate),
         };
         record(
             &self.faults,
             ping,
             record_type,
-            self.shape.name,
+            self.layout.name,
             place,
-            strike,
+            apply,
         );
-        fate
+        delivery
     }
 
-    fn spoil(shape: Shape, spoiling: Spoiling, bytes: &mut Vec<u8>) {
-        match spoiling {
-            Spoiling::Corrupt { mended } => shape.corrupt(bytes, mended),
-            Spoiling::Truncate => bytes.truncate(shape.cut_bytes(bytes.len())),
+    fn corrupt(layout: RecordLayout, corruption: Corruption, bytes: &mut Vec<u8>) {
+        match corruption {
+            Corruption::Change { mended } => layout.corrupt(bytes, mended),
+            Corruption::Truncate => bytes.truncate(layout.cut_bytes(bytes.len())),
         }
     }
 
     fn record(&mut self, ping: PingMark, record: &Arc<Datagram>) {
-        let mut spoiled: Option<Datagram> = None;
-        let shape = self.shape;
-        let fate = self.fate(ping, record.record_type, &record.bytes, &mut |spoiling| {
-            let whole = || (**record).clone();
-            Self::spoil(
-                shape,
-                spoiling,
-                &mut spoiled.get_or_insert_with(whole).bytes,
-            );
-        });
-        let record = match spoiled {
-            Some(spoiled) => Arc::new(spoiled),
+        let mut corrupted: Option<Datagram> = None;
+        let layout = self.layout;
+        let mut corrupt = |corruption| {
+            let intact = || (**record).clone();
+            let bytes = &mut corrupted.get_or_insert_with(intact).bytes;
+            Self::corrupt(layout, corruption, bytes);
+        };
+        let delivery = self.draw(ping, record.record_type, &record.bytes, &mut corrupt);
+        let record = match corrupted {
+            Some(corrupted) => Arc::new(corrupted),
             None => record.clone(),
         };
-        for _ in 0..fate.copies {
-            match fate.until {
+        for _ in 0..delivery.copies {
+            match delivery.until {
                 Some(due) => self.held.push((due, record.clone())),
                 None => self.out.push(record.clone()),
             }
         }
     }
 
-    /// `number`: of the packet within its ping, from 1.
+    /// `number`: number of the packet within its ping, from 1.
     fn packet(&mut self, ping: PingMark, number: u32, packet: &[u8]) {
         let mut bytes = packet.to_vec();
-        let shape = self.shape;
-        let fate = self.fate(ping, number, packet, &mut |spoiling| {
-            Self::spoil(shape, spoiling, &mut bytes);
+        let layout = self.layout;
+        let delivery = self.draw(ping, number, packet, &mut |corruption| {
+            Self::corrupt(layout, corruption, &mut bytes);
         });
-        for _ in 0..fate.copies {
-            match fate.until {
+        for _ in 0..delivery.copies {
+            match delivery.until {
                 Some(due) => self.held_packets.push((due, bytes.clone())),
                 None => self.packets.push(&bytes),
             }
@@ -331,26 +339,31 @@ impl Line {
     }
 }
 
-struct Fate {
+/// How often and when a record is delivered.
+struct Delivery {
     copies: u32,
+    /// Release time of a delayed record.
     until: Option<UtcNs>,
 }
 
-enum Spoiling {
-    Corrupt { mended: bool },
+enum Corruption {
+    /// A changed byte; `mended`: with a valid checksum.
+    Change {
+        mended: bool,
+    },
     Truncate,
 }
 
-impl Passage for Line {
+impl LinkFilter for FaultyLink {
     fn connection(&mut self) -> Connection {
         let ping = self.mark.now();
         let before = self.connected.filter(|(number, _)| *number == ping.number);
         match before {
-            // Of one ping one reset is enough.
+            // One reset per ping.
             Some((_, Connection::Reset)) => Connection::Up,
             Some((_, connection)) => connection,
             None => {
-                let connection = connection(&self.faults, ping, self.shape.name);
+                let connection = connection(&self.faults, ping, self.layout.name);
                 self.connected = Some((ping.number, connection));
                 connection
             }
@@ -383,13 +396,13 @@ impl Passage for Line {
         }
         let ping = self.mark.now();
         self.packets.clear();
-        for (block, heard_s) in packets.blocks() {
+        for (block, end_s) in packets.blocks() {
             for number in block {
-                // Far fewer packets than 2^32 make a ping.
+                // A ping has far fewer than 2^32 packets.
                 self.packet(ping, number as u32 + 1, packets.packet(number));
             }
-            if let Some(heard_s) = heard_s {
-                self.packets.end_block(heard_s);
+            if let Some(end_s) = end_s {
+                self.packets.end_block(end_s);
             }
         }
         let out = &mut self.packets;
@@ -409,17 +422,17 @@ mod tests {
     use super::*;
     use echotank_config::spec::FaultRequest;
 
-    const SHAPES: [(&str, Shape); 7] = [
-        ("7k", Shape::SEVENK),
-        ("jsf", Shape::JSF),
-        ("wbms", Shape::WBMS),
-        ("ping", Shape::PING),
-        ("872", Shape::IMAGENEX872),
-        ("vita49", Shape::VITA49),
-        ("elements", Shape::ELEMENTS),
+    const SHAPES: [(&str, RecordLayout); 7] = [
+        ("7k", RecordLayout::SEVENK),
+        ("jsf", RecordLayout::JSF),
+        ("wbms", RecordLayout::WBMS),
+        ("ping", RecordLayout::PING),
+        ("872", RecordLayout::IMAGENEX872),
+        ("vita49", RecordLayout::VITA49),
+        ("elements", RecordLayout::ELEMENTS),
     ];
 
-    /// Ping `number`'s packets: its number and their own, again and again.
+    /// Packets of ping `number`, filled with the ping and packet numbers.
     fn packets(number: u32) -> Packets {
         let mut packets = Packets::default();
         for k in 0..5 {
@@ -431,27 +444,27 @@ mod tests {
         packets
     }
 
-    fn line(shape: Shape, json: &str) -> (Line, Arc<Faults>) {
+    fn link(layout: RecordLayout, json: &str) -> (FaultyLink, Arc<Faults>) {
         let faults = Arc::new(super::super::testing::faults());
         faults.begin(UtcNs(0));
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
-        let mark = Arc::new(LineMark::default());
-        (Line::new(faults.clone(), shape, mark), faults)
+        let mark = Arc::new(LinkMark::default());
+        (FaultyLink::new(faults.clone(), layout, mark), faults)
     }
 
-    /// What comes of twenty pings, a tenth of a second apart: ping and packet of each, and whether it is whole.
-    fn passed(shape: Shape, json: &str) -> (Vec<(u8, u8, bool)>, usize) {
-        let (mut line, faults) = line(shape, json);
+    /// Sends twenty pings, 0.1 s apart. Returns ping number, packet number and integrity of each packet received, and the injection count.
+    fn passed(layout: RecordLayout, json: &str) -> (Vec<(u8, u8, bool)>, usize) {
+        let (mut link, faults) = link(layout, json);
         let mut came = Vec::new();
         for number in 1..=20 {
-            *line.mark.0.lock().expect("whole") = PingMark {
+            *link.mark.0.lock().expect("whole") = PingMark {
                 sonar: 0,
                 number,
                 utc: UtcNs(i64::from(number) * 100_000_000),
             };
             let mut sent = packets(number);
-            line.packets(&mut sent);
+            link.packets(&mut sent);
             came.extend(sent.iter().map(|packet| {
                 let (ping, k) = (packet[0], packet[1]);
                 let whole = *packet == [ping, k, 0, 0].repeat(50)[..];
@@ -462,11 +475,11 @@ mod tests {
     }
 
     #[test]
-    fn packets_of_every_family_are_struck_as_often_as_the_log_says() {
-        for (name, shape) in SHAPES {
+    fn packets_of_every_family_have_as_many_faults_as_the_log() {
+        for (name, layout) in SHAPES {
             let all = |kind| {
                 passed(
-                    shape,
+                    layout,
                     &format!(r#"{{"kind": "{kind}", "probability": 0.4, "seed": 7}}"#),
                 )
             };
@@ -482,10 +495,10 @@ mod tests {
             assert_eq!(doubled, injected, "the same draws");
             assert_eq!((came.len(), whole(&came)), (100 + injected, 100 + injected));
             for kind in ["corrupt", "corrupt-mended", "truncate"] {
-                let (came, spoiled) = all(kind);
+                let (came, corrupted) = all(kind);
                 assert_eq!(
                     (came.len(), whole(&came)),
-                    (100, 100 - spoiled),
+                    (100, 100 - corrupted),
                     "{name} {kind}"
                 );
             }
@@ -503,59 +516,66 @@ mod tests {
 
     #[test]
     fn blocks_keep_their_times() {
-        let (mut line, _) = line(Shape::VITA49, r#"{"kind": "duplicate"}"#);
+        let (mut link, _) = link(RecordLayout::VITA49, r#"{"kind": "duplicate"}"#);
         let mut sent = packets(1);
-        line.packets(&mut sent);
+        link.packets(&mut sent);
         let blocks: Vec<_> = sent.blocks().collect();
         assert_eq!(blocks, [(0..4, Some(0.5)), (4..10, None)]);
     }
 
     #[test]
-    fn a_mended_record_passes_its_familys_own_check_and_a_corrupt_one_does_not() {
+    fn a_mended_record_passes_the_familys_checksum_and_a_corrupt_one_does_not() {
         let mut ping = vec![b'B', b'R', 90, 0, 1, 0, 0, 0];
         ping.extend((0..90).map(|k| k as u8));
         ping.extend([0, 0]);
-        (Shape::PING.mend)(&mut ping);
+        (RecordLayout::PING.update_checksum)(&mut ping);
         let ping_sum = |bytes: &[u8]| {
             let (body, sum) = bytes.split_last_chunk::<2>().expect("long");
             ping_protocol::checksum(body) == u16::from_le_bytes(*sum)
         };
         let mut packet = vec![7; 200];
-        (Shape::WBMS.mend)(&mut packet);
+        (RecordLayout::WBMS.update_checksum)(&mut packet);
         let crc = |bytes: &[u8]| {
             u32::from_le_bytes(bytes[20..24].try_into().expect("four")) == wbms::crc32(&bytes[24..])
         };
         let mut record = vec![9; 200];
-        (Shape::SEVENK.mend)(&mut record);
+        (RecordLayout::SEVENK.update_checksum)(&mut record);
         let sum = |bytes: &[u8]| {
             let (body, sum) = bytes.split_last_chunk::<4>().expect("long");
             sevenk::checksum(body) == u32::from_le_bytes(*sum)
         };
-        for (shape, bytes, check) in [
-            (Shape::PING, &ping, &ping_sum as &dyn Fn(&[u8]) -> bool),
-            (Shape::WBMS, &packet, &crc),
-            (Shape::SEVENK, &record, &sum),
+        for (layout, bytes, check) in [
+            (
+                RecordLayout::PING,
+                &ping,
+                &ping_sum as &dyn Fn(&[u8]) -> bool,
+            ),
+            (RecordLayout::WBMS, &packet, &crc),
+            (RecordLayout::SEVENK, &record, &sum),
         ] {
             assert!(check(bytes));
             for mended in [false, true] {
-                let mut spoiled = bytes.clone();
-                shape.corrupt(&mut spoiled, mended);
-                assert!(spoiled != *bytes && check(&spoiled) == mended, "{shape:?}");
+                let mut corrupted = bytes.clone();
+                layout.corrupt(&mut corrupted, mended);
+                assert!(
+                    corrupted != *bytes && check(&corrupted) == mended,
+                    "{layout:?}"
+                );
                 assert_eq!(
-                    spoiled[..shape.kept_bytes.min(20)],
-                    bytes[..shape.kept_bytes.min(20)]
+                    corrupted[..layout.kept_bytes.min(20)],
+                    bytes[..layout.kept_bytes.min(20)]
                 );
             }
         }
     }
 
     #[test]
-    fn no_record_is_too_short_to_be_spoiled() {
-        for (_, shape) in SHAPES {
+    fn records_of_any_length_can_be_corrupted_and_truncated() {
+        for (_, layout) in SHAPES {
             for len in 0..200 {
                 let mut bytes = vec![1; len];
-                shape.corrupt(&mut bytes, true);
-                assert!(shape.cut_bytes(len) <= len, "{len} {shape:?}");
+                layout.corrupt(&mut bytes, true);
+                assert!(layout.cut_bytes(len) <= len, "{len} {layout:?}");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Faults outside the ping: of the link to the clients ([`link`]), of navigation ([`nav`]) and of the clock.
+//! Fault injection outside the ping: on the link to the clients ([`link`]), in navigation ([`nav`]) and in the clock outputs.
 
 mod clock;
 pub mod link;
@@ -12,7 +12,7 @@ mod testing {
     use echotank_config::spec::NavInputSpec;
     use echotank_ping::faults::Faults;
 
-    /// Of one sonar and two sources of navigation: the live "gnss" and the recorded "mru".
+    /// Faults of a rig with one sonar and two navigation sources: the live "gnss" and the recorded "mru".
     pub(super) fn faults() -> Faults {
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
         let rig =

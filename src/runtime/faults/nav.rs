@@ -1,7 +1,7 @@
-//! Faults of navigation: samples that stay away, stick, lie, or come late.
+//! Faults of navigation samples: missing, stuck, wrong or late samples.
 //!
-//! They strike samples, as decoded: what a sensor that has gone wrong says in sound sentences ([`super::nav_bytes`] strikes the sentences). Each source and quantity counts its own samples
-//! while any fault stands, and its draws depend on that number alone.
+//! They alter decoded samples, as from a faulty sensor with correct sentences. [`super::nav_bytes`] alters the sentences. Each source and
+//! quantity counts its own samples while any fault is active. Random draws depend on that count alone.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,66 +9,84 @@ use std::sync::Arc;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::nav_bytes::ByteSpoiler;
+use super::nav_bytes::NavByteFaults;
 use echotank_config::spec::{FaultKind, NavChannel, NavFault, NavSourceSpec, TimePolicy};
 use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::spoil::Spoil;
 use echotank_ping::faults::{Faults, Moment, Standing};
 
-/// To a millionth of an earth: how far north a latitude is.
+/// Mean radius of the earth, for offsets of latitude.
 const MEAN_RADIUS_M: f64 = 6_371_000.0;
-/// Samples that may be held back; more are lost, as in a device whose buffer is full.
+/// Most delayed samples; further samples are lost, as in a device with a full buffer.
 const MAX_HELD: usize = 100_000;
-/// Keeps these draws apart from all others.
+/// Separates this random stream from all others.
 const TAG: [u8; 8] = *b"faultnav";
 
-pub struct NavSpoiler {
+/// Injects the navigation faults of all sources.
+pub struct NavFaults {
     faults: Arc<Faults>,
-    /// Of each source: its samples hold when they come.
+    /// Per source: samples are valid at their arrival.
     by_arrival: Vec<bool>,
-    lanes: Vec<Lane>,
-    /// With when they come; earliest first.
+    channels: Vec<ChannelState>,
+    /// Delayed samples with their new arrival, earliest first.
     held: VecDeque<(UtcNs, NavSample)>,
-    bytes: ByteSpoiler,
+    bytes: NavByteFaults,
 }
 
-/// One quantity of one source.
-struct Lane {
+/// The state of one quantity of one source.
+struct ChannelState {
     source: u16,
     channel: NavChannel,
     samples: u32,
-    /// What a stuck one says.
+    /// The value repeated by a stuck channel.
     stuck: Option<NavQuantity>,
 }
 
-impl NavSpoiler {
+impl NavFaults {
+    /// An injector of `faults` for `sources`, in the order of their indices.
     pub fn new(faults: Arc<Faults>, sources: &[NavSourceSpec]) -> Self {
         let by_arrival = |s: &NavSourceSpec| matches!(s.time, TimePolicy::Arrival { .. });
         Self {
             by_arrival: sources.iter().map(by_arrival).collect(),
-            lanes: Vec::new(),
+            channels: Vec::new(),
             held: VecDeque::new(),
-            bytes: ByteSpoiler::new(faults.clone(), sources.len()),
+            bytes: NavByteFaults::new(faults.clone(), sources.len()),
             faults,
         }
     }
 
-    fn lane(&mut self, source: u16, channel: NavChannel) -> usize {
-        let its = |lane: &Lane| lane.source == source && lane.channel == channel;
-        self.lanes.iter().position(its).unwrap_or_else(|| {
-            self.lanes.push(Lane {
+    fn channel(&mut self, source: u16, channel: NavChannel) -> &mut ChannelState {
+        let same = |state: &ChannelState| state.source == source && state.channel == channel;
+        let at = self.channels.iter().position(same).unwrap_or_else(|| {
+            self.channels.push(ChannelState {
                 source,
                 channel,
                 samples: 0,
                 stuck: None,
             });
-            self.lanes.len() - 1
-        })
+            self.channels.len() - 1
+        });
+        &mut self.channels[at]
+    }
+
+    /// Delays a sample by `late_s`.
+    fn hold(&mut self, mut sample: NavSample, late_s: f64) {
+        let by_arrival = self.by_arrival.get(usize::from(sample.source));
+        if by_arrival == Some(&true) {
+            sample.valid_utc = sample.valid_utc.plus_s(late_s);
+        }
+        sample.arrival_utc = sample.arrival_utc.plus_s(late_s);
+        if self.held.len() < MAX_HELD {
+            let due = sample.arrival_utc;
+            let at = self.held.partition_point(|(other, _)| *other <= due);
+            self.held.insert(at, (due, sample));
+        }
     }
 }
 
-fn channel(quantity: &NavQuantity) -> (NavChannel, &'static str) {
+/// The channel of a quantity, and its name in the log.
+fn channel_of(quantity: &NavQuantity) -> (NavChannel, &'static str) {
     match quantity {
         NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => {
             (NavChannel::Position, "position")
@@ -81,28 +99,28 @@ fn channel(quantity: &NavQuantity) -> (NavChannel, &'static str) {
     }
 }
 
-impl Spoil for NavSpoiler {
+impl Spoil for NavFaults {
     fn bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
-        self.bytes.spoil(source, arrival, bytes);
+        self.bytes.inject(source, arrival, bytes);
     }
 
     fn sample(&mut self, sample: NavSample) -> Option<NavSample> {
         if self.faults.standing() == 0 {
-            self.lanes.clear();
+            self.channels.clear();
             return Some(sample);
         }
-        let (channel, name) = channel(&sample.quantity);
+        let (channel, name) = channel_of(&sample.quantity);
         let source = usize::from(sample.source);
-        let at = self.lane(sample.source, channel);
-        let lane = &mut self.lanes[at];
-        lane.samples += 1;
+        let faults = Arc::clone(&self.faults);
+        let state = self.channel(sample.source, channel);
+        state.samples += 1;
         let moment = Moment {
             utc: sample.arrival_utc,
-            number: lane.samples,
+            number: state.samples,
             key: u32::from(sample.source) << 8 | channel as u32,
         };
         let (mut passes, mut late_s, mut is_stuck) = (true, 0.0, false);
-        let mut said = sample;
+        let mut altered = sample;
         let wanted = |standing: &Standing| match standing.spec.kind {
             FaultKind::Nav { quantity, .. } => {
                 standing.source.is_none_or(|wanted| wanted == source)
@@ -110,7 +128,6 @@ impl Spoil for NavSpoiler {
             }
             _ => false,
         };
-        let faults = &self.faults;
         faults.each(moment, wanted, |standing, age_s, strength| {
             let FaultKind::Nav { fault, .. } = standing.spec.kind else {
                 return;
@@ -119,11 +136,13 @@ impl Spoil for NavSpoiler {
                 NavFault::Off => passes = false,
                 NavFault::Stuck => {
                     is_stuck = true;
-                    said.quantity = *lane.stuck.get_or_insert(said.quantity);
+                    altered.quantity = *state.stuck.get_or_insert(altered.quantity);
                 }
-                NavFault::Garbage => said.quantity = garbage(said.quantity, standing, moment),
-                NavFault::Wrong { by } => said.quantity = wrong(said.quantity, by * strength),
-                NavFault::Slow { one_in } if lane.samples.is_multiple_of(one_in) => return,
+                NavFault::Garbage => altered.quantity = garbage(altered.quantity, standing, moment),
+                NavFault::Wrong { by } => {
+                    altered.quantity = offset(altered.quantity, by * strength)
+                }
+                NavFault::Slow { one_in } if state.samples.is_multiple_of(one_in) => return,
                 NavFault::Slow { .. } => passes = false,
                 NavFault::Delayed { s } => late_s += s * strength,
                 NavFault::Intermittent { s } if (age_s / s) as u64 % 2 == 1 => return,
@@ -135,24 +154,16 @@ impl Spoil for NavSpoiler {
             faults.log(standing, injection);
         });
         if !is_stuck {
-            lane.stuck = None;
+            state.stuck = None;
         }
-        if !passes {
-            return None;
+        match (passes, late_s == 0.0) {
+            (false, _) => None,
+            (true, true) => Some(altered),
+            (true, false) => {
+                self.hold(altered, late_s);
+                None
+            }
         }
-        if late_s == 0.0 {
-            return Some(said);
-        }
-        said.arrival_utc = sample.arrival_utc.plus_s(late_s);
-        if self.by_arrival.get(source) == Some(&true) {
-            said.valid_utc = sample.valid_utc.plus_s(late_s);
-        }
-        if self.held.len() < MAX_HELD {
-            let due = said.arrival_utc;
-            let place = self.held.partition_point(|(other, _)| *other <= due);
-            self.held.insert(place, (due, said));
-        }
-        None
     }
 
     fn held_back(&mut self, until: UtcNs) -> Option<NavSample> {
@@ -162,10 +173,10 @@ impl Spoil for NavSpoiler {
     }
 }
 
-/// So much more of it: metres (a position: to the north), metres per second, radians.
-fn wrong(quantity: NavQuantity, by: f64) -> NavQuantity {
-    let mut wrong = quantity;
-    match &mut wrong {
+/// Adds `by` to a quantity, in metres (positions: to the north), metres per second or radians.
+fn offset(quantity: NavQuantity, by: f64) -> NavQuantity {
+    let mut offset = quantity;
+    match &mut offset {
         NavQuantity::Position { latitude_rad, .. } => *latitude_rad += by / MEAN_RADIUS_M,
         NavQuantity::LocalPosition { north_m, .. } => *north_m += by,
         NavQuantity::CourseSpeed { speed_m_per_s, .. } => *speed_m_per_s += by,
@@ -179,10 +190,10 @@ fn wrong(quantity: NavQuantity, by: f64) -> NavQuantity {
         NavQuantity::Heave { heave_down_m } => *heave_down_m += by,
         NavQuantity::Depth { depth_m } => *depth_m += by,
     }
-    wrong
+    offset
 }
 
-/// Anything that the quantity can be.
+/// A uniform random value in the range of the quantity.
 fn garbage(quantity: NavQuantity, standing: &Standing, moment: Moment) -> NavQuantity {
     use std::f64::consts::{FRAC_PI_2, PI, TAU};
     let mut key = [0; 32];
@@ -191,10 +202,10 @@ fn garbage(quantity: NavQuantity, standing: &Standing, moment: Moment) -> NavQua
     key[12..16].copy_from_slice(&moment.number.to_le_bytes());
     key[16..20].copy_from_slice(&moment.key.to_le_bytes());
     key[24..].copy_from_slice(&TAG);
-    let mut dice = ChaCha8Rng::from_seed(key);
-    let mut within = |most: f64| {
-        let unit = (dice.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        (2.0 * unit - 1.0) * most
+    let mut rng = ChaCha8Rng::from_seed(key);
+    let mut within = |max: f64| {
+        let unit = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+        (2.0 * unit - 1.0) * max
     };
     match quantity {
         NavQuantity::Position { fix, .. } => NavQuantity::Position {
@@ -235,14 +246,14 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// A hundred headings, 10 ms apart, of the first source; which come, when (ms after the first), and what they say (degrees, which are also
-    /// the number).
+    /// Sends a hundred headings of the first source, 10 ms apart; heading k is k degrees. Returns the arrival (ms) and value (degrees) of those
+    /// that pass.
     fn passed(json: &str) -> Vec<(i64, f64)> {
         let faults = Arc::new(super::super::testing::faults());
         faults.begin(UtcNs(0));
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
-        let mut spoiler = NavSpoiler::new(faults.clone(), &[]);
+        let mut nav_faults = NavFaults::new(faults.clone(), &[]);
         let mut came = Vec::new();
         let mut note = |sample: NavSample| {
             let NavQuantity::Heading { heading_rad } = sample.quantity else {
@@ -253,7 +264,7 @@ mod tests {
         let mut injected = 0;
         for k in 0..100 {
             let at = UtcNs(k * 10 * MS);
-            while let Some(sample) = spoiler.held_back(at) {
+            while let Some(sample) = nav_faults.held_back(at) {
                 note(sample);
             }
             let sample = NavSample {
@@ -264,7 +275,7 @@ mod tests {
                     heading_rad: (k as f64).to_radians(),
                 },
             };
-            match spoiler.sample(sample) {
+            match nav_faults.sample(sample) {
                 Some(same) if same == sample => note(same),
                 Some(other) => {
                     injected += 1;
@@ -287,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_source_that_is_off_slow_or_intermittent_says_less() {
+    fn a_source_that_is_off_slow_or_intermittent_sends_fewer_samples() {
         let off = passed(r#"{"kind": "nav-off", "at_s": 0.2, "for_s": 0.5}"#);
         assert_eq!(numbers(&off), (0..20).chain(70..100).collect::<Vec<_>>());
         let slow = passed(r#"{"kind": "nav-slow", "value": 10, "source": "gnss"}"#);
@@ -301,13 +312,13 @@ mod tests {
             (25..50).chain(75..100).collect::<Vec<_>>()
         );
         let other = passed(r#"{"kind": "nav-off", "source": "mru"}"#);
-        assert_eq!(other.len(), 100, "another source's");
+        assert_eq!(other.len(), 100, "another source");
         let other = passed(r#"{"kind": "nav-off", "quantity": "heave"}"#);
         assert_eq!(other.len(), 100, "another quantity");
     }
 
     #[test]
-    fn a_source_that_is_stuck_wrong_or_spouts_garbage_says_as_often() {
+    fn a_source_that_is_stuck_wrong_or_sends_garbage_keeps_its_rate() {
         let stuck = passed(r#"{"kind": "nav-stuck", "at_s": 0.3, "for_s": 0.2}"#);
         let want = (0..30).chain([30; 20]).chain(50..100);
         assert_eq!(numbers(&stuck), want.collect::<Vec<_>>());
@@ -329,9 +340,9 @@ mod tests {
     }
 
     #[test]
-    fn a_delayed_source_says_the_same_later_and_loses_none() {
+    fn a_delayed_source_sends_the_same_samples_later_and_loses_none() {
         let late = passed(r#"{"kind": "nav-delayed", "value": 45, "for_s": 0.6}"#);
-        // The last ones are still on their way; those after the fault overtake the last five.
+        // Samples after the fault overtake the last five delayed ones.
         let mut got = numbers(&late);
         let arrivals: Vec<_> = late.iter().map(|(ms, _)| *ms).collect();
         let firsts: Vec<_> = late[..50]

@@ -1,7 +1,7 @@
-//! Faults of the bytes of live navigation, before they are decoded: checksums that do not fit, sentences cut in two, noise on the line.
+//! Faults in the bytes of live navigation, before decoding: wrong checksums, sentences cut in two, and noise.
 //!
-//! Sentences are counted from the first fault on, each source's by themselves, and draws depend on that count alone: it does not matter how the
-//! line cuts what it carries. Only what begins with `$` or `!` is a sentence here.
+//! Each source counts its sentences from the first fault on. Random draws depend on that count alone, so they do not depend on how the
+//! transport splits the bytes. A sentence begins with `$` or `!`.
 
 use std::sync::Arc;
 
@@ -9,18 +9,20 @@ use echotank_config::spec::{FaultKind, NavByteFault};
 use echotank_core::time::UtcNs;
 use echotank_ping::faults::{Faults, Moment, Standing, unit};
 
-/// A cut sentence ends after so many bytes, its start counted: in the middle of its first field.
+/// Length of a cut sentence, bytes including the start: it ends in the middle of its first field.
 const CUT_AFTER: usize = 9;
-/// Keeps the draws of noise apart from all others.
+/// Separates the random stream of the noise from all others.
 const NOISE_TAG: [u8; 8] = *b"navnoise";
 
-pub(crate) struct ByteSpoiler {
+/// Injects the byte faults of all sources.
+pub(crate) struct NavByteFaults {
     faults: Arc<Faults>,
-    lines: Vec<Sentence>,
-    spoiled: Vec<u8>,
+    sentences: Vec<Sentence>,
+    /// Scratch: the altered bytes.
+    out: Vec<u8>,
 }
 
-/// Where one source's line is.
+/// The current sentence of one source.
 #[derive(Clone, Copy, Default)]
 struct Sentence {
     number: u32,
@@ -31,41 +33,42 @@ struct Sentence {
     after_star: bool,
 }
 
-impl ByteSpoiler {
+impl NavByteFaults {
     pub(super) fn new(faults: Arc<Faults>, sources: usize) -> Self {
         Self {
             faults,
-            lines: vec![Sentence::default(); sources],
-            spoiled: Vec::new(),
+            sentences: vec![Sentence::default(); sources],
+            out: Vec::new(),
         }
     }
 
-    pub(super) fn spoil(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
+    /// Alters the bytes of one source that arrived at `arrival`.
+    pub(super) fn inject(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
         if self.faults.standing() == 0 {
-            self.lines.fill(Sentence::default());
+            self.sentences.fill(Sentence::default());
             return;
         }
-        let Some(line) = self.lines.get_mut(source) else {
+        let Some(sentence) = self.sentences.get_mut(source) else {
             return;
         };
-        let out = &mut self.spoiled;
+        let out = &mut self.out;
         out.clear();
         for &byte in bytes.iter() {
             if matches!(byte, b'$' | b'!') {
-                *line = Sentence {
-                    number: line.number + 1,
+                *sentence = Sentence {
+                    number: sentence.number + 1,
                     ..Sentence::default()
                 };
-                begin(&self.faults, source, arrival, line, out);
+                begin(&self.faults, source, arrival, sentence, out);
             }
-            line.bytes += 1;
-            out.push(match (line.wrong_sum && line.after_star, byte) {
+            sentence.bytes += 1;
+            out.push(match (sentence.wrong_sum && sentence.after_star, byte) {
                 (true, b'0') => b'1',
                 (true, _) => b'0',
                 (false, byte) => byte,
             });
-            line.after_star = byte == b'*';
-            if line.cut && line.bytes == CUT_AFTER {
+            sentence.after_star = byte == b'*';
+            if sentence.cut && sentence.bytes == CUT_AFTER {
                 out.extend(b"\r\n");
             }
         }
@@ -73,12 +76,18 @@ impl ByteSpoiler {
     }
 }
 
-/// A sentence begins: what strikes it.
-fn begin(faults: &Faults, source: usize, arrival: UtcNs, line: &mut Sentence, out: &mut Vec<u8>) {
+/// Draws the faults of a new sentence, and writes the noise before it.
+fn begin(
+    faults: &Faults,
+    source: usize,
+    arrival: UtcNs,
+    sentence: &mut Sentence,
+    out: &mut Vec<u8>,
+) {
     let moment = Moment {
         utc: arrival,
-        number: line.number,
-        // Apart from the quantities of the source, which have small numbers.
+        number: sentence.number,
+        // 0xFF differs from the small numbers of the source's quantities.
         key: (source as u32) << 8 | 0xFF,
     };
     let wanted = |standing: &Standing| {
@@ -87,8 +96,8 @@ fn begin(faults: &Faults, source: usize, arrival: UtcNs, line: &mut Sentence, ou
     };
     faults.each(moment, wanted, |standing, _, strength| {
         match standing.spec.kind {
-            FaultKind::NavBytes(NavByteFault::Checksum) => line.wrong_sum = true,
-            FaultKind::NavBytes(NavByteFault::Cut) => line.cut = true,
+            FaultKind::NavBytes(NavByteFault::Checksum) => sentence.wrong_sum = true,
+            FaultKind::NavBytes(NavByteFault::Cut) => sentence.cut = true,
             FaultKind::NavBytes(NavByteFault::Noise { bytes }) => {
                 let seed = standing.spec.seed;
                 out.extend((0..bytes as u32).map(|k| {
@@ -99,7 +108,7 @@ fn begin(faults: &Faults, source: usize, arrival: UtcNs, line: &mut Sentence, ou
                         moment.key,
                         NOISE_TAG,
                     );
-                    // No text: what a line at a wrong rate gives.
+                    // Bytes above 0x7F, as from a serial port at the wrong baud rate.
                     0x80 | (draw * 128.0) as u8
                 }));
             }
@@ -121,20 +130,20 @@ mod tests {
         format!("${body}*{sum:02X}\r\n")
     }
 
-    /// A hundred headings over a line that cuts them every `every` bytes, through the fault, and how many it injected.
-    fn heard(json: &str, every: usize) -> (String, usize) {
+    /// A hundred headings, split every `every` bytes, after fault injection, and the number of injections.
+    fn received(json: &str, every: usize) -> (String, usize) {
         let faults = Arc::new(super::super::testing::faults());
         faults.begin(UtcNs(0));
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
-        let mut spoiler = ByteSpoiler::new(faults.clone(), 2);
+        let mut byte_faults = NavByteFaults::new(faults.clone(), 2);
         let text: String = (0..100)
             .map(|k| sentence(&format!("GPHDT,{k:03}.25,T")))
             .collect();
         let mut came = Vec::new();
         for chunk in text.as_bytes().chunks(every) {
             let mut bytes = chunk.to_vec();
-            spoiler.spoil(0, UtcNs(1), &mut bytes);
+            byte_faults.inject(0, UtcNs(1), &mut bytes);
             came.extend(bytes);
         }
         let log = faults.take_injections();
@@ -144,12 +153,12 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_checksum_is_wrong_however_the_line_cuts_the_bytes() {
+    fn wrong_checksums_do_not_depend_on_how_the_bytes_are_split() {
         let json = r#"{"kind": "nav-checksum", "probability": 0.3, "seed": 2}"#;
-        let (whole, injected) = heard(json, 10_000);
+        let (whole, injected) = received(json, 10_000);
         assert!((14..=46).contains(&injected), "{injected}");
         for every in [1, 2, 7, 19] {
-            assert_eq!(heard(json, every), (whole.clone(), injected), "{every}");
+            assert_eq!(received(json, every), (whole.clone(), injected), "{every}");
         }
         let wrong = whole.lines().filter(|line| {
             let body = line.trim_start_matches('$').split('*').next();
@@ -160,11 +169,11 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_sentence_is_two_lines_and_noise_stands_before_it() {
-        let (cut, injected) = heard(r#"{"kind": "nav-cut", "probability": 0.3}"#, 5);
+    fn a_cut_sentence_becomes_two_lines_and_noise_precedes_a_sentence() {
+        let (cut, injected) = received(r#"{"kind": "nav-cut", "probability": 0.3}"#, 5);
         assert_eq!(cut.lines().count(), 100 + injected);
         assert!(cut.contains("$GPHDT,00\r\n"), "{cut}");
-        let (noisy, injected) = heard(
+        let (noisy, injected) = received(
             r#"{"kind": "nav-noise", "value": 4, "probability": 0.3}"#,
             5,
         );

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::ElementStreamSpec;
@@ -86,7 +86,7 @@ impl Elements {
                 name: name.clone(),
                 source,
             })?;
-            sender.set_line(opening.line(Shape::ELEMENTS));
+            sender.set_line(opening.line(RecordLayout::ELEMENTS));
             transports.push(Transport {
                 emitter: ElementStreamEmitter::new(output, &unit.spec, max_frame_bytes, block_s),
                 sender,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, StreamCounts};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::ImagenexSpec;
 use echotank_core::flow::Datagram;
@@ -47,7 +47,7 @@ impl Imagenex872 {
             name: sonar.name.clone(),
             source,
         })?;
-        server.set_line(opening.line(Shape::IMAGENEX872));
+        server.set_line(opening.line(RecordLayout::IMAGENEX872));
         Ok(Self {
             name: sonar.name.clone(),
             head,

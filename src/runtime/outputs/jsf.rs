@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::sonar::{RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
@@ -91,7 +91,7 @@ impl Jsf {
             ServerTimes::default(),
         )
         .map_err(failed)?;
-        opening.configure(&data, Shape::JSF);
+        opening.configure(&data, RecordLayout::JSF);
         let recorder = match &spec.record {
             Some(record) if output.record => {
                 make_folder(&record.directory)?;

@@ -19,7 +19,7 @@ use chrono::DateTime;
 use thiserror::Error;
 
 use crate::clock::Clock;
-use crate::faults::link::{Line, LineMark, Shape};
+use crate::faults::link::{FaultyLink, LinkMark, RecordLayout};
 use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
 use crate::io::line::Line as LinkFilter;
@@ -145,7 +145,7 @@ struct Opening<'a> {
     clock: &'a Arc<dyn Clock>,
     sending: Sending,
     spread: Spread,
-    mark: Arc<LineMark>,
+    mark: Arc<LinkMark>,
 }
 
 /// How a ping's datagrams are spread over time.
@@ -228,14 +228,14 @@ impl Opening<'_> {
     }
 
     /// The link on which faults are injected into this output's records.
-    fn line(&self, shape: Shape) -> Box<dyn LinkFilter> {
+    fn line(&self, layout: RecordLayout) -> Box<dyn LinkFilter> {
         let faults = Arc::clone(&self.unit.faults);
-        Box::new(Line::new(faults, shape, Arc::clone(&self.mark)))
+        Box::new(FaultyLink::new(faults, layout, Arc::clone(&self.mark)))
     }
 
     /// Sets a server's link faults and its pacing.
-    fn configure(&self, server: &SonarServer, shape: Shape) {
-        server.set_line(self.line(shape));
+    fn configure(&self, server: &SonarServer, layout: RecordLayout) {
+        server.set_line(self.line(layout));
         server.set_sending(self.sending.clone());
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
@@ -255,7 +255,7 @@ pub(crate) struct Outputs {
 /// An output and its current ping, which its link faults refer to.
 struct MarkedOutput {
     output: Box<dyn Output>,
-    mark: Arc<LineMark>,
+    mark: Arc<LinkMark>,
 }
 
 /// Reads the outputs' counters from another thread.

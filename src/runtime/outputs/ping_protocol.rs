@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::svlog::SvlogRecorder;
 use crate::io::serial_line::{LineCounts, SerialLine};
@@ -63,7 +63,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
-        opening.configure(&server, Shape::PING);
+        opening.configure(&server, RecordLayout::PING);
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {
@@ -74,7 +74,7 @@ impl PingProtocol {
                     path: path.clone(),
                     source,
                 })?;
-                line.set_line(opening.line(Shape::PING_SERIAL));
+                line.set_line(opening.line(RecordLayout::PING_SERIAL));
                 Some(line)
             }
         };

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
@@ -55,7 +55,7 @@ impl SevenK {
                     source,
                 }
             })?;
-        opening.configure(&server, Shape::SEVENK);
+        opening.configure(&server, RecordLayout::SEVENK);
         let recorder = match &spec.record {
             None => None,
             Some(record) => {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use echotank_config::spec::Vita49Spec;
 use echotank_core::time::MonoNs;
@@ -42,7 +42,7 @@ impl Vita49 {
             name: unit.spec.name.clone(),
             source,
         })?;
-        sender.set_line(opening.line(Shape::VITA49));
+        sender.set_line(opening.line(RecordLayout::VITA49));
         Ok(Self {
             name: unit.spec.name.clone(),
             send_to: output.send_to.clone(),

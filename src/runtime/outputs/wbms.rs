@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
 use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
-use crate::faults::link::Shape;
+use crate::faults::link::RecordLayout;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::WbmsSpec;
 use echotank_core::flow::{Datagram, SettingsPort};
@@ -72,7 +72,7 @@ impl Wbms {
             })
             .collect::<Result<Arc<[_]>, _>>()?;
         for server in servers.iter().skip(1) {
-            opening.configure(server, Shape::WBMS);
+            opening.configure(server, RecordLayout::WBMS);
         }
         Ok(Self {
             name,
