@@ -23,7 +23,7 @@ use std::path::Path;
 
 use super::keys;
 use super::problem::{ConfigErrors, Problem};
-use super::raw::{self, Problems, RawEntry, RawTable, plain};
+use super::raw::{self, Entry, Field, Problems, plain};
 use super::spec::*;
 
 const MIB: u64 = 1 << 20;
@@ -52,8 +52,8 @@ pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
 /// Checks a configuration's text; relative file names in it count from `base_dir`.
 pub fn parse(text: &str, base_dir: &Path) -> Result<RigSpec, ConfigErrors> {
     let mut problems = Problems::default();
-    let checked = raw::read(text, base_dir, &keys::RIG, &mut problems)
-        .and_then(|table| rig(&table, text, &mut problems));
+    let checked =
+        raw::read(text, base_dir, &mut problems).and_then(|table| rig(&table, text, &mut problems));
     let mut problems = problems.0;
     // Problems without a line concern the whole file and come first.
     problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));
@@ -78,49 +78,36 @@ pub fn parse(text: &str, base_dir: &Path) -> Result<RigSpec, ConfigErrors> {
 // ---------------------------------------------------------------- what the rules share
 
 /// `keys` mean something only while `holds`; given otherwise they are a misunderstanding.
-fn only_with(
-    table: &RawTable,
-    keys: &[&str],
-    holds: Option<bool>,
-    condition: &str,
-    problems: &mut Problems,
-) {
+fn only_with(keys: &[&Entry], holds: Option<bool>, condition: &str, problems: &mut Problems) {
     if holds != Some(false) {
         return;
     }
-    let entries = keys.iter().map(|key| table.entry(key));
     // What is wrong already is on the list.
-    for entry in entries.filter(|e| e.given && e.value.is_some()) {
+    for entry in keys.iter().filter(|e| e.given && e.sound) {
         problems.refuse(entry, format!("only with {condition}"));
     }
 }
 
 /// `key` must be given where `holds`.
-fn needed_with(
-    table: &RawTable,
-    key: &str,
-    holds: Option<bool>,
-    condition: &str,
-    problems: &mut Problems,
-) {
-    if holds == Some(true) && !table.given(key) {
-        problems.refuse(
-            table.entry(key),
-            format!("missing: needed with {condition}"),
-        );
+fn needed_with(key: &Entry, holds: Option<bool>, condition: &str, problems: &mut Problems) {
+    if holds == Some(true) && !key.given {
+        problems.refuse(key, format!("missing: needed with {condition}"));
     }
 }
 
-/// Names of `tables`, each of which must be another.
-fn unique_names<'t>(tables: &'t [RawTable], problems: &mut Problems) -> Vec<Option<&'t str>> {
+/// The values of the keys `name` of a row of tables, each of which must be another.
+fn unique_names<'t>(
+    names: impl Iterator<Item = &'t Field<String>>,
+    problems: &mut Problems,
+) -> Vec<Option<&'t str>> {
     let mut seen = HashMap::new();
-    tables
-        .iter()
-        .map(|table| {
-            let name = table.text("name")?;
-            if let Some(other) = seen.insert(name, &table.path) {
+    names
+        .map(|field| {
+            let name = field.text()?;
+            if let Some(other) = seen.insert(name, &field.path) {
+                let other = other.trim_end_matches(".name");
                 problems.refuse(
-                    table.entry("name"),
+                    field,
                     format!("must be a name of its own; {other} has it too"),
                 );
             }
@@ -132,7 +119,7 @@ fn unique_names<'t>(tables: &'t [RawTable], problems: &mut Problems) -> Vec<Opti
 /// Index of the table called `name`.
 fn index_of(
     name: &str,
-    entry: &RawEntry,
+    entry: &Entry,
     names: &[Option<&str>],
     what: &str,
     problems: &mut Problems,
@@ -146,11 +133,11 @@ fn index_of(
     found
 }
 
-fn address(table: &RawTable, key: &str, problems: &mut Problems) -> Option<SocketAddr> {
-    let parsed = table.text(key)?.parse();
+fn address(key: &Field<String>, problems: &mut Problems) -> Option<SocketAddr> {
+    let parsed = key.text()?.parse();
     if parsed.is_err() {
         problems.refuse(
-            table.entry(key),
+            key,
             "must be an address and a port, such as \"127.0.0.1:7000\"",
         );
     }
@@ -164,7 +151,7 @@ fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
 
 /// Somebody who wants a port of this machine.
 pub(super) struct Listener<'t> {
-    entry: &'t RawEntry,
+    entry: &'t Entry,
     protocol: &'static str,
     address: SocketAddr,
     multicast: bool,
@@ -197,23 +184,25 @@ fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
 
 // ---------------------------------------------------------------- the rig
 
-fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec> {
+fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec> {
     let mut listeners = Vec::new();
-    let medium = table.table("medium").and_then(medium);
+    let medium = table.medium.as_ref().and_then(medium);
     let nav = table
-        .table("nav")
+        .nav
+        .as_ref()
         .and_then(|t| nav(t, &mut listeners, problems));
-    let run = table.table("run").and_then(|t| run(t, problems));
-    if let (Some(nav), Some(t)) = (&nav, table.table("run")) {
+    let run = table.run.as_ref().and_then(|t| run(t, problems));
+    if let (Some(nav), Some(t)) = (&nav, table.run.as_ref()) {
         refuse_own_time_with_live_sources(nav, t, problems);
         streaming::refuse_without_foresight(nav, t, problems);
     }
     let control = table
-        .table("control")
+        .control
+        .as_ref()
         .and_then(|t| control(t, &mut listeners, problems));
 
-    let tables = table.tables("sonar");
-    let names = unique_names(tables, problems);
+    let tables = table.sonar.all();
+    let names = unique_names(tables.iter().map(|t| &t.name), problems);
     let mut sonars: Vec<_> = tables
         .iter()
         .enumerate()
@@ -225,8 +214,9 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         .filter_map(sonar::longest_range_m)
         .fold(0.0, f64::max);
     let ground_alone = table
-        .table("scene")
-        .is_some_and(|t| t.given("seabed") && !t.given("points"));
+        .scene
+        .as_ref()
+        .is_some_and(|t| t.seabed.given && !t.points.given);
     if let (Some(medium), true) = (&medium, ground_alone) {
         for sonar in sonars.iter_mut().flatten() {
             let auto = sonar.synthesis.auto.synthesis;
@@ -238,10 +228,10 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         }
     }
     let heads: Vec<_> = sonars.iter().flatten().collect();
-    if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.table("run")) {
+    if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.run.as_ref()) {
         streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
     }
-    if let Some(t) = table.table("run") {
+    if let Some(t) = table.run.as_ref() {
         overload::refuse_what_has_nothing_to_give(t, &heads, problems);
         streaming::refuse_what_has_no_tiles(t, &heads, problems);
     }
@@ -251,12 +241,13 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         longest_range_m,
     };
     let scene = table
-        .table("scene")
+        .scene
+        .as_ref()
         .and_then(|t| scene::scene(t, &rig, problems));
-    if let (Some(nav), Some(t)) = (&nav, table.table("scene")) {
+    if let (Some(nav), Some(t)) = (&nav, table.scene.as_ref()) {
         refuse_place_without_earth(nav, t, problems);
     }
-    let faults = faults::faults(table.tables("fault"), problems);
+    let faults = faults::faults(table.fault.all(), problems);
     for (sonar, t) in sonars.iter_mut().zip(tables) {
         if let Some(sonar) = sonar {
             output::who_needs_elements(sonar, t, control.as_ref(), &faults, problems);
@@ -271,9 +262,9 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
         nav: nav?,
         scene: scene?,
         run: run?,
-        record: match table.given("record") {
+        record: match table.record.given {
             true => Some(RecordSpec {
-                directory: table.table("record")?.path("directory")?,
+                directory: table.record.as_ref()?.directory.get()?,
             }),
             false => None,
         },
@@ -284,98 +275,94 @@ fn rig(table: &RawTable, text: &str, problems: &mut Problems) -> Option<RigSpec>
 }
 
 /// Outputs that are files need a folder.
-fn refuse_files_without_a_folder(table: &RawTable, problems: &mut Problems) {
-    if table.given("record") {
+fn refuse_files_without_a_folder(table: &keys::Rig, problems: &mut Problems) {
+    if table.record.given {
         return;
     }
-    let outputs = table
-        .tables("sonar")
-        .iter()
-        .filter_map(|t| t.table("output"));
+    let outputs = table.sonar.all().iter().filter_map(|t| t.output.as_ref());
     for output in outputs {
-        for key in ["sigmf", "wav"].into_iter().filter(|key| output.given(key)) {
-            problems.refuse(output.entry(key), "needs a folder: [record]");
+        let files: [&Entry; 3] = [&output.sigmf, &output.wav, &output.xtf];
+        for entry in files.into_iter().filter(|entry| entry.given) {
+            problems.refuse(entry, "needs a folder: [record]");
         }
-        if output.given("xtf") {
-            problems.refuse(output.entry("xtf"), "needs a folder: [record]");
-        }
-        if let Some(jsf) = output.table("jsf")
-            && output.given("jsf")
-            && jsf.bool("record") == Some(true)
+        if let Some(jsf) = output.jsf.as_ref()
+            && output.jsf.given
+            && jsf.record.get() == Some(true)
         {
-            problems.refuse(jsf.entry("record"), "needs a folder: [record]");
+            problems.refuse(&jsf.record, "needs a folder: [record]");
         }
     }
 }
 
 /// A scene that lies where its file says needs to know where on the earth the platform is.
-fn refuse_place_without_earth(nav: &NavSpec, scene: &RawTable, problems: &mut Problems) {
+fn refuse_place_without_earth(nav: &NavSpec, scene: &keys::Scene, problems: &mut Problems) {
     let in_metres = |s: &NavSourceSpec| matches!(s.input, NavInputSpec::Csv { .. });
     let nowhere = nav.origin == OriginSpec::FirstFix && nav.sources.iter().all(in_metres);
-    if nowhere && scene.text("anchor") == Some("file") {
+    if nowhere && scene.anchor.text() == Some("file") {
         let rule = "needs a place on the earth: every nav.source is a track in metres, and nav.origin is not given";
-        problems.refuse(scene.entry("anchor"), rule);
+        problems.refuse(&scene.anchor, rule);
     }
 }
 
-fn medium(table: &RawTable) -> Option<MediumSpec> {
+fn medium(table: &keys::Medium) -> Option<MediumSpec> {
     let water = || {
         Some(Water {
-            temperature_c: table.number("temperature_c")?,
-            salinity: table.number("salinity_psu")?,
-            depth_m: table.number("depth_m")?,
-            ph: table.number("ph")?,
+            temperature_c: table.temperature_c.get()?,
+            salinity: table.salinity_psu.get()?,
+            depth_m: table.depth_m.get()?,
+            ph: table.ph.get()?,
         })
     };
-    let absorption = match (table.text("absorption"), table.table("absorption")) {
+    let absorption = match (table.absorption.text(), table.absorption.other()) {
         (Some("none"), _) => Some(AbsorptionSpec::None),
         (Some("francois-garrison"), _) => water().map(AbsorptionSpec::FrancoisGarrison),
         (Some("ainslie-mccolm"), _) => water().map(AbsorptionSpec::AinslieMcColm),
         (_, Some(fixed)) => fixed
-            .scaled("db_per_km", -3)
+            .db_per_km
+            .get()
             .map(|db_per_m| AbsorptionSpec::Fixed { db_per_m }),
         _ => None,
     };
     Some(MediumSpec {
-        sound_speed_m_per_s: table.number("sound_speed_m_per_s")?,
+        sound_speed_m_per_s: table.sound_speed_m_per_s.get()?,
         absorption: absorption?,
     })
 }
 
 /// Live measurements come in the machine's time; a rig with a time of its own would take them for early or late.
-fn refuse_own_time_with_live_sources(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
-    let own_time = run.text("clock").is_some_and(|clock| clock != "realtime");
+fn refuse_own_time_with_live_sources(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
+    let own_time = run.clock.text().is_some_and(|clock| clock != "realtime");
     if own_time && !nav.is_recorded() {
         let rule = "only with recorded navigation: every nav.source of kind \"log\" or \"csv\"";
-        problems.refuse(run.entry("clock"), rule);
+        problems.refuse(&run.clock, rule);
     }
-    let own = matches!(run.text("clock"), Some("fast" | "lockstep"));
+    let own = matches!(run.clock.text(), Some("fast" | "lockstep"));
     if own && !nav.outputs.is_empty() {
         let rule = "nav.output shares the pings' clock with devices, and this one is nobody's";
-        problems.refuse(run.entry("clock"), rule);
+        problems.refuse(&run.clock, rule);
     }
 }
 
 fn control<'t>(
-    table: &'t RawTable,
+    table: &'t keys::Control,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<ControlSpec> {
-    let token = table.text("token").map(str::to_owned);
-    let listen = match table.given("listen") {
-        true => Some(address(table, "listen", problems)?),
+    let token = table.token.text().map(str::to_owned);
+    let listen = match table.listen.given {
+        true => Some(address(&table.listen, problems)?),
         false => None,
     };
     if let Some(address) = listen {
         listeners.push(Listener {
-            entry: table.entry("listen"),
+            entry: &table.listen,
             protocol: "TCP",
             address,
             multicast: false,
         });
         let abroad = !address.ip().is_loopback();
         let condition = "a `listen` that is not this machine alone";
-        needed_with(table, "token", Some(abroad), condition, problems);
+        needed_with(&table.token, Some(abroad), condition, problems);
     }
     Some(ControlSpec {
         listen,
@@ -384,15 +371,14 @@ fn control<'t>(
     })
 }
 
-fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
-    let clock = table.text("clock");
+fn run(table: &keys::Run, problems: &mut Problems) -> Option<RunSpec> {
+    let clock = table.clock.text();
     let scaled = clock.map(|clock| clock == "scaled");
     let condition = "clock = \"scaled\"";
-    only_with(table, &["clock_rate"], scaled, condition, problems);
-    let spread = table.text("pace").map(|pace| pace == "spread");
+    only_with(&[&table.clock_rate], scaled, condition, problems);
+    let spread = table.pace.is("spread");
     only_with(
-        table,
-        &["pace_share", "pace_tcp"],
+        &[&table.pace_share, &table.pace_tcp],
         spread,
         "pace = \"spread\"",
         problems,
@@ -400,134 +386,132 @@ fn run(table: &RawTable, problems: &mut Problems) -> Option<RunSpec> {
     let delivery = streaming::delivery(table, problems);
     Some(RunSpec {
         spread_share: match spread? {
-            true => Some(table.number("pace_share")?),
+            true => Some(table.pace_share.get()?),
             false => None,
         },
-        pace_tcp: table.bool("pace_tcp")?,
+        pace_tcp: table.pace_tcp.get()?,
         delivery: delivery?,
-        stream_tiles: table.bool("stream_tiles")?,
-        overload: match table.text("overload")? {
+        stream_tiles: table.stream_tiles.get()?,
+        overload: match table.overload.text()? {
             "degrade" => OverloadSpec::Degrade,
             "stretch" => OverloadSpec::Stretch,
             _ => OverloadSpec::Skip,
         },
-        simulated_compute_s: table.scaled("simulated_compute_ms", -3)?,
+        simulated_compute_s: table.simulated_compute_ms.get()?,
         ahead_s: streaming::ahead_s(table)?,
         clock: match clock? {
-            "scaled" => ClockSpec::Scaled(table.number("clock_rate")?),
+            "scaled" => ClockSpec::Scaled(table.clock_rate.get()?),
             "fast" => ClockSpec::Fast,
             "lockstep" => ClockSpec::Lockstep,
             _ => ClockSpec::RealTime,
         },
-        priority: u8::try_from(table.integer("priority")?).ok()?,
-        compute_nice: i8::try_from(table.integer("compute_nice")?).ok()?,
-        fault_directory: table.path("fault_directory"),
-        costs: table.path("costs"),
-        threads: table.count("threads")?,
-        latency_s: table.scaled("latency_ms", -3)?,
-        status_interval_s: table.number("status_interval_s")?,
-        queue_pings: table.count("queue_pings")?,
+        priority: table.priority.to()?,
+        compute_nice: table.compute_nice.to()?,
+        fault_directory: table.fault_directory.get(),
+        costs: table.costs.get(),
+        threads: table.threads.to()?,
+        latency_s: table.latency_ms.get()?,
+        status_interval_s: table.status_interval_s.get()?,
+        queue_pings: table.queue_pings.to()?,
     })
 }
 
 // ---------------------------------------------------------------- navigation
 
 fn nav<'t>(
-    table: &'t RawTable,
+    table: &'t keys::Nav,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavSpec> {
-    let tables = table.tables("source");
-    unique_names(tables, problems);
+    let tables = table.source.all();
+    unique_names(tables.iter().map(|t| &t.name), problems);
     let sources: Vec<_> = tables
         .iter()
         .map(|t| nav_source(t, listeners, problems))
         .collect();
     refuse_missing_channels(table, tables, problems);
 
-    let kinds: Vec<_> = tables.iter().map(|t| t.text("kind")).collect();
+    let kinds: Vec<_> = tables.iter().map(|t| t.kind.text()).collect();
     let recorded = |kind: &Option<&str>| matches!(kind, Some("log" | "csv"));
     let kinds_known = !kinds.is_empty() && kinds.iter().all(Option::is_some);
     let any_recorded = kinds_known.then(|| kinds.iter().any(recorded));
-    let mode = match table.text("mode") {
+    let mode = match table.mode.text() {
         Some("predict") => NavMode::Predict,
         None if !kinds.iter().all(recorded) => NavMode::Predict,
         _ => NavMode::Settle,
     };
-    let mode_known = match table.given("mode") {
-        true => table.text("mode").is_some(),
+    let mode_known = match table.mode.given {
+        true => table.mode.text().is_some(),
         false => kinds_known,
     };
     only_with(
-        table,
-        &["max_extrapolation_ms", "on_lost"],
+        &[&table.max_extrapolation_ms, &table.on_lost],
         mode_known.then_some(mode == NavMode::Predict),
         "mode = \"predict\"",
         problems,
     );
-    if table.bool("loop") == Some(true) {
+    if table.r#loop.get() == Some(true) {
         let condition = "a source of kind \"log\" or \"csv\"";
-        only_with(table, &["loop"], any_recorded, condition, problems);
+        only_with(&[&table.r#loop], any_recorded, condition, problems);
     }
-    let failing_over = Some(table.given("failover_s"));
-    only_with(table, &["hold_off_s"], failing_over, "failover_s", problems);
+    let failing_over = Some(table.failover_s.given);
+    only_with(&[&table.hold_off_s], failing_over, "failover_s", problems);
     only_with(
-        table,
-        &["max_speed_m_per_s", "max_turn_rate_deg_per_s"],
-        table.bool("jump_gate"),
+        &[&table.max_speed_m_per_s, &table.max_turn_rate_deg_per_s],
+        table.jump_gate.get(),
         "jump_gate = true",
         problems,
     );
-    if let (Some(stale_s), Some(lost_s)) = (table.number("stale_s"), table.number("lost_s"))
+    if let (Some(stale_s), Some(lost_s)) = (table.stale_s.get(), table.lost_s.get())
         && lost_s < stale_s
     {
-        problems.refuse(table.entry("lost_s"), "must not be below stale_s");
+        problems.refuse(&table.lost_s, "must not be below stale_s");
     }
     let vertical = vertical(table, problems);
     let origin = origin(table);
     refuse_unfit_track(table, tables, vertical, problems);
-    let tow = match table.table("tow") {
+    let tow = match table.tow.as_ref() {
         Some(t) => {
             if matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
                 let rule =
                     "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
-                problems.refuse(table.entry("vertical"), rule);
+                problems.refuse(&table.vertical, rule);
             }
             Some(nav::tow(t))
         }
         None => None,
     };
-    let outputs = nav::outputs(table.tables("output"), listeners, problems);
+    let outputs = nav::outputs(table.output.all(), listeners, problems);
 
     Some(NavSpec {
         origin: origin?,
         mode,
         vertical: vertical?,
-        stamp: match table.text("stamp")? {
+        stamp: match table.stamp.text()? {
             "host" => StampSpec::Host,
             _ => StampSpec::Log,
         },
-        loop_log: table.bool("loop")?,
-        max_extrapolation_s: table.scaled("max_extrapolation_ms", -3)?,
-        history_s: table.number("history_s")?,
-        fallback_heading_from_course: table.bool("heading_from_course")?,
-        failover: match table.number("failover_s") {
+        loop_log: table.r#loop.get()?,
+        max_extrapolation_s: table.max_extrapolation_ms.get()?,
+        history_s: table.history_s.get()?,
+        fallback_heading_from_course: table.heading_from_course.get()?,
+        failover: match table.failover_s.get() {
             Some(after_s) => Some(FailoverSpec {
                 after_s,
-                hold_off_s: table.number("hold_off_s")?,
+                hold_off_s: table.hold_off_s.get()?,
             }),
             None => None,
         },
-        jump_gate: match table.bool("jump_gate")? {
+        jump_gate: match table.jump_gate.get()? {
             true => Some(JumpGateSpec {
-                max_speed_m_per_s: table.number("max_speed_m_per_s")?,
-                max_rate_rad_per_s: table.angle_rad("max_turn_rate_deg_per_s")?,
+                max_speed_m_per_s: table.max_speed_m_per_s.get()?,
+                max_rate_rad_per_s: table.max_turn_rate_deg_per_s.get()?,
             }),
             false => None,
         },
-        stale_s: table.number("stale_s")?,
-        lost_s: table.number("lost_s")?,
-        on_lost: match table.text("on_lost")? {
+        stale_s: table.stale_s.get()?,
+        lost_s: table.lost_s.get()?,
+        on_lost: match table.on_lost.text()? {
             "hold" => OnLost::Hold,
             _ => OnLost::Skip,
         },
@@ -540,24 +524,23 @@ fn nav<'t>(
     })
 }
 
-fn origin(table: &RawTable) -> Option<OriginSpec> {
-    match table.table("origin") {
+fn origin(table: &keys::Nav) -> Option<OriginSpec> {
+    match table.origin.other() {
         Some(given) => Some(OriginSpec::Geodetic {
-            latitude_rad: given.angle_rad("latitude_deg")?,
-            longitude_rad: given.angle_rad("longitude_deg")?,
+            latitude_rad: given.latitude_deg.get()?,
+            longitude_rad: given.longitude_deg.get()?,
         }),
-        None => table.text("origin").map(|_| OriginSpec::FirstFix),
+        None => table.origin.text().map(|_| OriginSpec::FirstFix),
     }
 }
 
-fn vertical(table: &RawTable, problems: &mut Problems) -> Option<VerticalSpec> {
-    let choice = table.text("vertical");
+fn vertical(table: &keys::Nav, problems: &mut Problems) -> Option<VerticalSpec> {
+    let choice = table.vertical.text();
     for (key, needs) in [
-        ("reference_depth_m", "waterline"),
-        ("datum_offset_m", "gnss"),
+        (&table.reference_depth_m, "waterline"),
+        (&table.datum_offset_m, "gnss"),
     ] {
         only_with(
-            table,
             &[key],
             choice.map(|c| c == needs),
             &format!("vertical = \"{needs}\""),
@@ -566,35 +549,36 @@ fn vertical(table: &RawTable, problems: &mut Problems) -> Option<VerticalSpec> {
     }
     Some(match choice? {
         "waterline" => VerticalSpec::Waterline {
-            reference_down_m: table.number("reference_depth_m")?,
+            reference_down_m: table.reference_depth_m.get()?,
         },
         "gnss" => VerticalSpec::Gnss {
-            datum_offset_m: table.number("datum_offset_m")?,
+            datum_offset_m: table.datum_offset_m.get()?,
         },
         _ => VerticalSpec::Depth,
     })
 }
 
 /// The first source that provides `channel`; none also while a source's list is not known.
-fn owner<'t>(tables: &'t [RawTable], channel: &str) -> Option<&'t RawTable> {
+fn owner<'t>(tables: &'t [keys::NavSource], channel: &str) -> Option<&'t keys::NavSource> {
     tables.iter().find(|t| {
-        t.texts("provides")
+        t.provides
+            .as_ref()
             .is_some_and(|p| p.iter().any(|c| c == channel))
     })
 }
 
-fn refuse_missing_channels(table: &RawTable, tables: &[RawTable], problems: &mut Problems) {
-    if tables.is_empty() || tables.iter().any(|t| t.texts("provides").is_none()) {
+fn refuse_missing_channels(table: &keys::Nav, tables: &[keys::NavSource], problems: &mut Problems) {
+    if tables.is_empty() || tables.iter().any(|t| t.provides.as_ref().is_none()) {
         return;
     }
-    let sources = table.entry("source");
+    let sources = &table.source;
     if owner(tables, "position").is_none() {
         problems.refuse(sources, "one source must provide \"position\"");
     }
     if owner(tables, "heading").is_some() {
         return;
     }
-    match table.bool("heading_from_course") {
+    match table.heading_from_course.get() {
         Some(false) => problems.refuse(
             sources,
             "one source must provide \"heading\", or heading_from_course must be true",
@@ -609,149 +593,135 @@ fn refuse_missing_channels(table: &RawTable, tables: &[RawTable], problems: &mut
 
 /// A CSV track says its depth itself and knows no latitude.
 fn refuse_unfit_track(
-    table: &RawTable,
-    tables: &[RawTable],
+    table: &keys::Nav,
+    tables: &[keys::NavSource],
     vertical: Option<VerticalSpec>,
     problems: &mut Problems,
 ) {
     let (Some(vertical), Some(owner)) = (vertical, owner(tables, "position")) else {
         return;
     };
-    let Some(kind) = owner.text("kind") else {
+    let Some(kind) = owner.kind.text() else {
         return;
     };
     let (is_csv, is_depth) = (kind == "csv", vertical == VerticalSpec::Depth);
     if is_csv && !is_depth {
         problems.refuse(
-            table.entry("vertical"),
+            &table.vertical,
             "must be \"depth\" where the position comes from a CSV track",
         );
     }
     if is_depth && !is_csv && self::owner(tables, "depth").is_none() {
         problems.refuse(
-            table.entry("vertical"),
+            &table.vertical,
             "needs a position from a CSV track, or a source that provides \"depth\"",
         );
     }
-    if is_csv && table.text("origin").is_some() {
+    if is_csv && table.origin.text().is_some() {
         problems.refuse(
-            table.entry("origin"),
+            &table.origin,
             "a CSV track has no latitude: must be { latitude_deg, longitude_deg }",
         );
     }
 }
 
 fn nav_source<'t>(
-    table: &'t RawTable,
+    table: &'t keys::NavSource,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavSourceSpec> {
-    let kind = table.text("kind");
+    let kind = table.kind.text();
     let is = |wanted: &str| kind.map(|k| k == wanted);
     let is_file = kind.map(|k| k == "log" || k == "csv");
     only_with(
-        table,
-        &["path"],
+        &[&table.path],
         is_file,
         "kind = \"log\" or \"csv\"",
         problems,
     );
-    needed_with(
-        table,
-        "path",
-        is_file,
-        "kind = \"log\" or \"csv\"",
-        problems,
-    );
+    needed_with(&table.path, is_file, "kind = \"log\" or \"csv\"", problems);
     only_with(
-        table,
-        &["plain_rate_hz"],
+        &[&table.plain_rate_hz],
         is("log"),
         "kind = \"log\"",
         problems,
     );
     only_with(
-        table,
-        &["listen"],
+        &[&table.listen],
         kind.map(|k| k == "udp" || k == "tcp"),
         "kind = \"udp\" or \"tcp\"",
         problems,
     );
-    only_with(table, &["multicast"], is("udp"), "kind = \"udp\"", problems);
-    only_with(table, &["connect"], is("tcp"), "kind = \"tcp\"", problems);
-    if is("tcp") == Some(true) && table.given("listen") == table.given("connect") {
+    only_with(&[&table.multicast], is("udp"), "kind = \"udp\"", problems);
+    only_with(&[&table.connect], is("tcp"), "kind = \"tcp\"", problems);
+    if is("tcp") == Some(true) && table.listen.given == table.connect.given {
         let rule = "tcp needs either `connect` (a server's address) or `listen` (for a client)";
-        problems.refuse(table.entry("kind"), rule);
+        problems.refuse(&table.kind, rule);
     }
-    needed_with(table, "listen", is("udp"), "kind = \"udp\"", problems);
+    needed_with(&table.listen, is("udp"), "kind = \"udp\"", problems);
     only_with(
-        table,
-        &["port", "baud", "line"],
+        &[&table.port, &table.baud, &table.line],
         is("serial"),
         "kind = \"serial\"",
         problems,
     );
-    needed_with(table, "port", is("serial"), "kind = \"serial\"", problems);
-    needed_with(table, "baud", is("serial"), "kind = \"serial\"", problems);
+    needed_with(&table.port, is("serial"), "kind = \"serial\"", problems);
+    needed_with(&table.baud, is("serial"), "kind = \"serial\"", problems);
     only_with(
-        table,
         &[
-            "time",
-            "latency_ms",
-            "checksum",
-            "ignore_checksum_for",
-            "format",
-            "variants",
-            "reverse",
-            "magnetic_variation_deg",
+            &table.time,
+            &table.latency_ms,
+            &table.checksum,
+            &table.ignore_checksum_for,
+            &table.format,
+            &table.variants,
+            &table.reverse,
+            &table.magnetic_variation_deg,
         ],
         is("csv").map(|csv| !csv),
         "sentences, which a CSV track has not",
         problems,
     );
     only_with(
-        table,
-        &["latency_ms"],
-        table.text("time").map(|t| t == "arrival"),
+        &[&table.latency_ms],
+        table.time.is("arrival"),
         "time = \"arrival\"",
         problems,
     );
 
     let input = nav_input(table, listeners, problems);
     Some(NavSourceSpec {
-        name: table.text("name")?.to_owned(),
+        name: table.name.text()?.to_owned(),
         input: input?,
-        time: match table.text("time")? {
+        time: match table.time.text()? {
             "burst" => TimePolicy::Burst,
             "arrival" => TimePolicy::Arrival {
-                latency_s: table.scaled("latency_ms", -3)?,
+                latency_s: table.latency_ms.get()?,
             },
             _ => TimePolicy::Message,
         },
-        checksum: match table.text("checksum")? {
+        checksum: match table.checksum.text()? {
             "accept-missing" => ChecksumPolicy::AcceptMissing,
             "ignore" => ChecksumPolicy::Ignore,
             _ => ChecksumPolicy::Require,
         },
-        lever_arm_m: table.vector("lever_arm_m")?,
+        lever_arm_m: table.lever_arm_m.get()?,
         mounting: SensorMounting {
-            heave_arm_m: table.vector("heave_arm_m")?,
-            angles_rad: table.vector("mounting_deg")?.map(f64::to_radians),
+            heave_arm_m: table.heave_arm_m.get()?,
+            angles_rad: table.mounting_deg.get()?,
         },
         dialect: dialect(table)?,
         provides: table
-            .texts("provides")?
+            .provides
+            .as_ref()?
             .iter()
             .map(|c| channel(c))
             .collect(),
     })
 }
 
-fn dialect(table: &RawTable) -> Option<NavDialect> {
-    let says = |key: &str, word: &str| {
-        let words = table.texts(key);
-        words.is_some_and(|words| words.iter().any(|w| w == word))
-    };
+fn dialect(table: &keys::NavSource) -> Option<NavDialect> {
+    let says = |key: &Field<Vec<String>>, word: &str| key.all().iter().any(|w| w == word);
     let formats = [
         NavFormat::Nmea,
         NavFormat::Tss1,
@@ -759,21 +729,18 @@ fn dialect(table: &RawTable) -> Option<NavDialect> {
         NavFormat::Seapath26,
         NavFormat::Kmb,
     ];
-    let format = table.text("format")?;
+    let format = table.format.text()?;
     Some(NavDialect {
         format: formats.into_iter().find(|f| f.name() == format)?,
-        ignore_checksum_for: table
-            .texts("ignore_checksum_for")
-            .unwrap_or_default()
-            .to_vec(),
-        pashr_heave_up: says("variants", "pashr-heave-up"),
-        depth_is_own: says("variants", "own-depth"),
+        ignore_checksum_for: table.ignore_checksum_for.all().to_vec(),
+        pashr_heave_up: says(&table.variants, "pashr-heave-up"),
+        depth_is_own: says(&table.variants, "own-depth"),
         reversed: Reversed {
-            roll: says("reverse", "roll"),
-            pitch: says("reverse", "pitch"),
-            heave: says("reverse", "heave"),
+            roll: says(&table.reverse, "roll"),
+            pitch: says(&table.reverse, "pitch"),
+            heave: says(&table.reverse, "heave"),
         },
-        magnetic_variation_rad: table.angle_rad("magnetic_variation_deg"),
+        magnetic_variation_rad: table.magnetic_variation_deg.get(),
     })
 }
 
@@ -789,38 +756,38 @@ fn channel(name: &str) -> NavChannel {
 }
 
 fn nav_input<'t>(
-    table: &'t RawTable,
+    table: &'t keys::NavSource,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavInputSpec> {
-    match table.text("kind")? {
+    match table.kind.text()? {
         "log" => Some(NavInputSpec::Log {
-            path: table.path("path")?,
-            plain_rate_hz: table.number("plain_rate_hz")?,
+            path: table.path.get()?,
+            plain_rate_hz: table.plain_rate_hz.get()?,
         }),
         "csv" => Some(NavInputSpec::Csv {
-            path: table.path("path")?,
+            path: table.path.get()?,
         }),
         "udp" => {
-            let multicast = table.text("multicast").map(|text| {
+            let multicast = table.multicast.text().map(|text| {
                 let group = text.parse().ok().filter(Ipv4Addr::is_multicast);
                 if group.is_none() {
                     problems.refuse(
-                        table.entry("multicast"),
+                        &table.multicast,
                         "must be an IPv4 multicast group, 224.0.0.0 to 239.255.255.255",
                     );
                 }
                 group
             });
-            let listen = address(table, "listen", problems)?;
+            let listen = address(&table.listen, problems)?;
             if multicast.is_some() && !matches!(listen.ip(), IpAddr::V4(_)) {
                 problems.refuse(
-                    table.entry("listen"),
+                    &table.listen,
                     "must be an IPv4 address where there is a multicast group",
                 );
             }
             listeners.push(Listener {
-                entry: table.entry("listen"),
+                entry: &table.listen,
                 protocol: "UDP",
                 address: listen,
                 multicast: multicast.is_some(),
@@ -833,16 +800,16 @@ fn nav_input<'t>(
                 },
             })
         }
-        "tcp" if table.given("connect") => Some(NavInputSpec::TcpConnect {
-            address: table.text("connect")?.to_owned(),
+        "tcp" if table.connect.given => Some(NavInputSpec::TcpConnect {
+            address: table.connect.text()?.to_owned(),
         }),
         "tcp" => {
-            if !table.given("listen") {
+            if !table.listen.given {
                 return None;
             }
-            let listen = address(table, "listen", problems)?;
+            let listen = address(&table.listen, problems)?;
             listeners.push(Listener {
-                entry: table.entry("listen"),
+                entry: &table.listen,
                 protocol: "TCP",
                 address: listen,
                 multicast: false,
@@ -850,9 +817,9 @@ fn nav_input<'t>(
             Some(NavInputSpec::TcpListen { listen })
         }
         _ => Some(NavInputSpec::Serial {
-            port: table.text("port")?.to_owned(),
-            baud: u32::try_from(table.integer("baud")?).ok()?,
-            line: nav::serial_line(table)?,
+            port: table.port.text()?.to_owned(),
+            baud: table.baud.to()?,
+            line: nav::serial_line(&table.line)?,
         }),
     }
 }

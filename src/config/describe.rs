@@ -4,8 +4,8 @@ use std::sync::OnceLock;
 
 use serde_json::{Map, Value, json};
 
-use super::keys::{Key, Kind, Presence, RIG, Range, Table};
-use super::raw::rule;
+use super::keys::{Key, Kind, Presence, Range, Rig, Table};
+use super::raw::{Declared, rule};
 
 /// Columns of the template's lines.
 const COLUMNS: usize = 110;
@@ -17,13 +17,13 @@ pub fn template() -> &'static str {
     static TEXT: OnceLock<String> = OnceLock::new();
     TEXT.get_or_init(|| {
         let mut text = String::new();
-        comment(&mut text, RIG.doc);
+        comment(&mut text, Rig::TABLE.doc);
         comment(
             &mut text,
             "Every key there is, with its rule. What is commented out shows its default, or an example where there is none. \
              Keys end in their unit. Check with: echotank check FILE",
         );
-        table(&mut text, &RIG, "", false);
+        table(&mut text, &Rig::TABLE, "", false);
         text
     })
 }
@@ -98,7 +98,7 @@ fn value(out: &mut String, key: &Key, commented_out: bool) {
 
 /// JSON Schema (draft 2020-12) of a configuration. Rules between keys are beyond it.
 pub fn schema() -> String {
-    let mut root = table_schema(&RIG);
+    let mut root = table_schema(&Rig::TABLE);
     root.insert(
         "$schema".to_owned(),
         json!("https://json-schema.org/draft/2020-12/schema"),
@@ -113,7 +113,7 @@ fn table_schema(declared: &Table) -> Map<String, Value> {
     for key in declared.keys {
         let mut schema = kind_schema(&key.kind);
         if !key.doc.is_empty() {
-            schema.insert("description".to_owned(), json!(key.doc));
+            schema.insert("description".to_owned(), json!(key.doc.trim()));
         }
         match key.presence {
             Presence::Required(_) => required.push(key.name),
@@ -126,7 +126,7 @@ fn table_schema(declared: &Table) -> Map<String, Value> {
     }
     object(json!({
         "type": "object",
-        "description": declared.doc,
+        "description": declared.doc.trim(),
         "properties": properties,
         "required": required,
         "additionalProperties": false,
@@ -139,8 +139,8 @@ fn kind_schema(kind: &Kind) -> Map<String, Value> {
     };
     match kind {
         Kind::Bool => object(json!({ "type": "boolean" })),
-        Kind::Number(range) => range_schema(range),
-        Kind::Integer(min, max) => {
+        Kind::Number(range, _) => range_schema(range),
+        Kind::Integer(min, max, _) => {
             object(json!({ "type": "integer", "minimum": min, "maximum": max }))
         }
         Kind::Name => object(json!({ "type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$" })),
@@ -148,7 +148,7 @@ fn kind_schema(kind: &Kind) -> Map<String, Value> {
             object(json!({ "type": "string", "minLength": 1 }))
         }
         Kind::Choice(built, _) => object(json!({ "enum": built })),
-        Kind::Numbers(count, range) => array_of(*count, Value::Object(range_schema(range))),
+        Kind::Numbers(count, range, _) => array_of(*count, Value::Object(range_schema(range))),
         Kind::Rows => object(json!({
             "type": "array",
             "minItems": 1,

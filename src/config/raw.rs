@@ -4,13 +4,14 @@
 //! type or outside its range. An entry without a value is either absent by right or already on the list, so `check` passes it over.
 
 use std::collections::HashMap;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::keys::{Key, Kind, Presence, Range, Table};
+use super::keys::{Key, Kind, Presence, Range, Table, Unit};
 use super::problem::Problem;
 
 /// A name this like a declared one (1: the same) is offered as what was meant.
@@ -20,40 +21,225 @@ const MAX_SYNTAX_ERRORS: usize = 20;
 /// Characters of a value that a problem quotes.
 const QUOTED_CHARACTERS: usize = 60;
 
-/// A table as read.
+/// A table as read, on its way into the struct that [`Declared`] names.
 #[derive(Debug)]
-pub(crate) struct RawTable {
-    /// `sonar[0].pulse`; empty for the whole file.
-    pub path: String,
-    entries: HashMap<&'static str, RawEntry>,
-}
+pub(crate) struct RawTable(HashMap<&'static str, (Entry, Option<RawValue>)>);
 
-/// One declared key as read.
+/// Where a key stands, or would stand.
 #[derive(Debug)]
-pub(crate) struct RawEntry {
+pub(crate) struct Entry {
+    /// `sonar[0].pulse.kind`.
     pub path: String,
     pub line: Option<usize>,
     /// As written, shortened.
     pub text: String,
     /// It stands in the file (a default does not).
     pub given: bool,
-    pub value: Option<RawValue>,
+    /// It has a value that keeps its own rule.
+    pub sound: bool,
+}
+
+/// One key of a table as read. Without a value it is either absent by right or already on the list of problems.
+#[derive(Debug)]
+pub(crate) struct Field<T> {
+    entry: Entry,
+    value: Option<T>,
+}
+
+/// A struct with a [`Field`] for every key of a table; the macro `table!` makes them.
+pub(crate) trait Declared: Sized {
+    const TABLE: Table;
+
+    fn from_raw(raw: RawTable) -> Self;
+}
+
+/// A name, or a value of another type.
+#[derive(Debug)]
+pub(crate) enum ChoiceOr<T> {
+    Choice(String),
+    Other(T),
 }
 
 #[derive(Debug)]
 pub(crate) enum RawValue {
     Bool(bool),
     Integer(i64),
-    /// The digits as written, so that units can be shifted without rounding twice.
-    Number(String),
+    /// In SI units.
+    Number(f64),
     Text(String),
     /// A file or a folder, under the configuration's own.
     Path(PathBuf),
-    Numbers(Vec<String>),
+    /// In SI units.
+    Numbers(Vec<f64>),
     Rows(Vec<(f64, f64)>),
     Texts(Vec<String>),
     Table(RawTable),
     Tables(Vec<RawTable>),
+}
+
+/// What a [`Field`] holds.
+pub(crate) trait Value: Sized {
+    /// None if the value is of another type, which the declaration rules out.
+    fn from_raw(value: RawValue) -> Option<Self>;
+}
+
+macro_rules! values {
+    ($($type:ty: $pattern:pat => $value:expr;)*) => {
+        $(impl Value for $type {
+            fn from_raw(value: RawValue) -> Option<Self> {
+                match value {
+                    $pattern => Some($value),
+                    _ => None,
+                }
+            }
+        })*
+    };
+}
+
+values! {
+    bool: RawValue::Bool(value) => value;
+    i64: RawValue::Integer(value) => value;
+    f64: RawValue::Number(value) => value;
+    String: RawValue::Text(value) => value;
+    PathBuf: RawValue::Path(value) => value;
+    Vec<(f64, f64)>: RawValue::Rows(value) => value;
+    Vec<String>: RawValue::Texts(value) => value;
+}
+
+impl Value for (f64, f64) {
+    fn from_raw(value: RawValue) -> Option<Self> {
+        match value {
+            RawValue::Numbers(n) => Some((*n.first()?, *n.get(1)?)),
+            _ => None,
+        }
+    }
+}
+
+impl Value for DVec3 {
+    fn from_raw(value: RawValue) -> Option<Self> {
+        match value {
+            RawValue::Numbers(n) if n.len() == 3 => Some(DVec3::from_slice(&n)),
+            _ => None,
+        }
+    }
+}
+
+impl<T: Declared> Value for T {
+    fn from_raw(value: RawValue) -> Option<Self> {
+        match value {
+            RawValue::Table(table) => Some(Declared::from_raw(table)),
+            _ => None,
+        }
+    }
+}
+
+impl<T: Declared> Value for Vec<T> {
+    fn from_raw(value: RawValue) -> Option<Self> {
+        match value {
+            RawValue::Tables(tables) => Some(tables.into_iter().map(T::from_raw).collect()),
+            _ => None,
+        }
+    }
+}
+
+impl<T: Value> Value for ChoiceOr<T> {
+    fn from_raw(value: RawValue) -> Option<Self> {
+        match value {
+            RawValue::Text(text) => Some(Self::Choice(text)),
+            other => T::from_raw(other).map(Self::Other),
+        }
+    }
+}
+
+impl RawTable {
+    /// The field of a declared key.
+    pub(crate) fn take<T: Value>(&mut self, key: &str) -> Field<T> {
+        let (entry, value) = self.0.remove(key).expect("every declared key is walked");
+        Field {
+            entry,
+            value: value.and_then(T::from_raw),
+        }
+    }
+}
+
+impl Entry {
+    /// The key's own name.
+    pub(crate) fn key(&self) -> &str {
+        self.path.rsplit('.').next().unwrap_or_default()
+    }
+}
+
+/// A key of any type is also the place where it stands.
+impl<T> Deref for Field<T> {
+    type Target = Entry;
+
+    fn deref(&self) -> &Entry {
+        &self.entry
+    }
+}
+
+impl<T> Field<T> {
+    pub(crate) fn as_ref(&self) -> Option<&T> {
+        self.value.as_ref()
+    }
+}
+
+impl<T: Clone> Field<T> {
+    pub(crate) fn get(&self) -> Option<T> {
+        self.value.clone()
+    }
+
+    /// The value, or that the key is not given; none if the one given is no good.
+    pub(crate) fn if_given(&self) -> Option<Option<T>> {
+        match self.given {
+            true => self.get().map(Some),
+            false => Some(None),
+        }
+    }
+}
+
+impl Field<i64> {
+    /// The number in the type that is asked for, which its declared range fits.
+    pub(crate) fn to<T: TryFrom<i64>>(&self) -> Option<T> {
+        T::try_from(self.value?).ok()
+    }
+}
+
+impl Field<String> {
+    /// A choice, a name or a text.
+    pub(crate) fn text(&self) -> Option<&str> {
+        self.value.as_deref()
+    }
+
+    /// Whether the value is `text`; none without a value.
+    pub(crate) fn is(&self, text: &str) -> Option<bool> {
+        self.text().map(|own| own == text)
+    }
+}
+
+impl<T> Field<Vec<T>> {
+    /// The values; none of them without a value.
+    pub(crate) fn all(&self) -> &[T] {
+        self.value.as_deref().unwrap_or_default()
+    }
+}
+
+impl<T> Field<ChoiceOr<T>> {
+    /// The name, if it is one.
+    pub(crate) fn text(&self) -> Option<&str> {
+        match self.as_ref()? {
+            ChoiceOr::Choice(text) => Some(text),
+            ChoiceOr::Other(_) => None,
+        }
+    }
+
+    /// The value, if it is no name.
+    pub(crate) fn other(&self) -> Option<&T> {
+        match self.as_ref()? {
+            ChoiceOr::Choice(_) => None,
+            ChoiceOr::Other(other) => Some(other),
+        }
+    }
 }
 
 /// The list everything wrong goes on.
@@ -62,7 +248,7 @@ pub(crate) struct Problems(pub Vec<Problem>);
 
 impl Problems {
     /// `rule` does not hold for what stands at `entry`.
-    pub(crate) fn refuse(&mut self, entry: &RawEntry, rule: impl Into<String>) {
+    pub(crate) fn refuse(&mut self, entry: &Entry, rule: impl Into<String>) {
         self.0.push(Problem {
             path: entry.path.clone(),
             line: entry.line,
@@ -75,7 +261,7 @@ impl Problems {
     /// As [`Problems::refuse`], with a name of `names` offered in place of `name`.
     pub(crate) fn refuse_name<'a>(
         &mut self,
-        entry: &RawEntry,
+        entry: &Entry,
         rule: impl Into<String>,
         name: &str,
         names: impl Iterator<Item = &'a str>,
@@ -117,128 +303,18 @@ fn scaled(text: &str, power: i32) -> f64 {
         .unwrap_or_else(|| text.parse().unwrap_or(f64::NAN) * 10f64.powi(power))
 }
 
-impl RawTable {
-    /// The entry of a declared key; an undeclared one is the programmer's mistake.
-    pub(crate) fn entry(&self, key: &str) -> &RawEntry {
-        let entry = self.entries.get(key);
-        entry.unwrap_or_else(|| panic!("{}.{key} is not declared in keys.rs", self.path))
-    }
-
-    fn value(&self, key: &str) -> Option<&RawValue> {
-        self.entry(key).value.as_ref()
-    }
-
-    pub(crate) fn given(&self, key: &str) -> bool {
-        self.entry(key).given
-    }
-
-    pub(crate) fn bool(&self, key: &str) -> Option<bool> {
-        match self.value(key)? {
-            RawValue::Bool(b) => Some(*b),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn integer(&self, key: &str) -> Option<i64> {
-        match self.value(key)? {
-            RawValue::Integer(i) => Some(*i),
-            _ => None,
-        }
-    }
-
-    /// A count; its declared range keeps it from being negative.
-    pub(crate) fn count(&self, key: &str) -> Option<usize> {
-        usize::try_from(self.integer(key)?).ok()
-    }
-
-    pub(crate) fn number(&self, key: &str) -> Option<f64> {
-        self.scaled(key, 0)
-    }
-
-    /// The number times 10^`power`: `scaled("duration_ms", -3)` is in seconds.
-    pub(crate) fn scaled(&self, key: &str, power: i32) -> Option<f64> {
-        match self.value(key)? {
-            RawValue::Number(text) => Some(scaled(text, power)),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn angle_rad(&self, key: &str) -> Option<f64> {
-        self.number(key).map(f64::to_radians)
-    }
-
-    /// A choice, a name or a text.
-    pub(crate) fn text(&self, key: &str) -> Option<&str> {
-        match self.value(key)? {
-            RawValue::Text(text) => Some(text),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn path(&self, key: &str) -> Option<PathBuf> {
-        match self.value(key)? {
-            RawValue::Path(path) => Some(path.clone()),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn vector(&self, key: &str) -> Option<DVec3> {
-        match self.value(key)? {
-            RawValue::Numbers(n) if n.len() == 3 => Some(DVec3::new(
-                scaled(&n[0], 0),
-                scaled(&n[1], 0),
-                scaled(&n[2], 0),
-            )),
-            _ => None,
-        }
-    }
-
-    /// Two numbers, each times 10^`power`.
-    pub(crate) fn pair(&self, key: &str, power: i32) -> Option<(f64, f64)> {
-        match self.value(key)? {
-            RawValue::Numbers(n) if n.len() == 2 => {
-                Some((scaled(&n[0], power), scaled(&n[1], power)))
-            }
-            _ => None,
-        }
-    }
-
-    pub(crate) fn rows(&self, key: &str) -> Option<&[(f64, f64)]> {
-        match self.value(key)? {
-            RawValue::Rows(rows) => Some(rows),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn texts(&self, key: &str) -> Option<&[String]> {
-        match self.value(key)? {
-            RawValue::Texts(texts) => Some(texts),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn table(&self, key: &str) -> Option<&RawTable> {
-        match self.value(key)? {
-            RawValue::Table(table) => Some(table),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn tables(&self, key: &str) -> &[RawTable] {
-        match self.value(key) {
-            Some(RawValue::Tables(tables)) => tables,
-            _ => &[],
+impl Unit {
+    /// What is written, in SI units, rounded once.
+    fn si(self, digits: &str) -> f64 {
+        match self {
+            Unit::Power(power) => scaled(digits, power),
+            Unit::Degrees => scaled(digits, 0).to_radians(),
         }
     }
 }
 
-/// The text as a table of `declared`, all problems on the list. A text that is no TOML gives none.
-pub(crate) fn read(
-    text: &str,
-    base_dir: &Path,
-    declared: &'static Table,
-    problems: &mut Problems,
-) -> Option<RawTable> {
+/// The text as a declared table, all problems on the list. A text that is not TOML gives none.
+pub(crate) fn read<T: Declared>(text: &str, base_dir: &Path, problems: &mut Problems) -> Option<T> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let walk = Walk { text, base_dir };
     if !errors.is_empty() {
@@ -251,7 +327,8 @@ pub(crate) fn read(
         }));
         return None;
     }
-    Some(walk.table(declared, document.get_ref(), String::new(), None, problems))
+    let table = walk.table(&T::TABLE, document.get_ref(), "", None, problems);
+    Some(T::from_raw(table))
 }
 
 struct Walk<'t> {
@@ -291,16 +368,16 @@ impl Walk<'_> {
 
     fn table(
         &self,
-        declared: &'static Table,
+        declared: &Table,
         table: &DeTable<'_>,
-        path: String,
+        path: &str,
         line: Option<usize>,
         problems: &mut Problems,
     ) -> RawTable {
         for (name, value) in table.iter() {
             let known = |k: &Key| k.name == name.get_ref().as_ref();
             if !declared.keys.iter().any(known) {
-                problems.0.push(self.unknown(declared, name, value, &path));
+                problems.0.push(self.unknown(declared, name, value, path));
             }
         }
         let entries = declared
@@ -308,26 +385,27 @@ impl Walk<'_> {
             .iter()
             .map(|key| {
                 let found = table.iter().find(|(name, _)| name.get_ref() == key.name);
-                let mut entry = RawEntry {
-                    path: joined(&path, key.name),
+                let mut entry = Entry {
+                    path: joined(path, key.name),
                     line,
                     text: String::new(),
                     given: false,
-                    value: None,
+                    sound: false,
                 };
-                match found {
+                let value = match found {
                     Some((name, value)) => {
                         entry.line = Some(self.line(name.span().start));
                         entry.text = self.quote(value);
                         entry.given = true;
-                        entry.value = self.value(&key.kind, value, &entry, problems);
+                        self.value(&key.kind, value, &entry, problems)
                     }
-                    None => self.absent(key, &mut entry, problems),
-                }
-                (key.name, entry)
+                    None => self.absent(key, &entry, problems),
+                };
+                entry.sound = value.is_some();
+                (key.name, (entry, value))
             })
             .collect();
-        RawTable { path, entries }
+        RawTable(entries)
     }
 
     fn unknown(
@@ -361,8 +439,8 @@ impl Walk<'_> {
         }
     }
 
-    /// Puts the default in the place of what is not there.
-    fn absent(&self, key: &Key, entry: &mut RawEntry, problems: &mut Problems) {
+    /// The default of a key that is not there.
+    fn absent(&self, key: &Key, entry: &Entry, problems: &mut Problems) -> Option<RawValue> {
         match key.presence {
             Presence::Required(_) => {
                 let place = entry.path.replace("[0]", "");
@@ -372,6 +450,7 @@ impl Walk<'_> {
                     _ => format!("missing: {}", rule(&key.kind)),
                 };
                 problems.refuse(entry, rule);
+                None
             }
             Presence::Default(text) | Presence::Set(text, _) => {
                 // Ours, not the operator's: a default that breaks its own rule is found by a test.
@@ -383,10 +462,11 @@ impl Walk<'_> {
                     ..*self
                 };
                 let mut own = Problems::default();
-                entry.value = value.and_then(|v| walk.value(&key.kind, v, entry, &mut own));
+                let value = value.and_then(|v| walk.value(&key.kind, v, entry, &mut own));
                 debug_assert!(own.0.is_empty(), "{}: {:?}", entry.path, own.0);
+                value
             }
-            Presence::Optional(_) | Presence::Shown(_) => {}
+            Presence::Optional(_) | Presence::Shown(_) => None,
         }
     }
 
@@ -395,13 +475,13 @@ impl Walk<'_> {
         &self,
         kind: &Kind,
         value: &Spanned<DeValue<'_>>,
-        entry: &RawEntry,
+        entry: &Entry,
         problems: &mut Problems,
     ) -> Option<RawValue> {
         let read =
             match (kind, value.get_ref()) {
                 (Kind::Table(declared), DeValue::Table(table)) => Some(RawValue::Table(
-                    self.table(declared, table, entry.path.clone(), entry.line, problems),
+                    self.table(declared, table, &entry.path, entry.line, problems),
                 )),
                 (Kind::Tables(declared), DeValue::Array(items)) if !items.is_empty() => {
                     let mut tables = Vec::with_capacity(items.len());
@@ -412,7 +492,7 @@ impl Walk<'_> {
                         };
                         let path = format!("{}[{i}]", entry.path);
                         let line = Some(self.line(item.span().start));
-                        tables.push(self.table(declared, table, path, line, problems));
+                        tables.push(self.table(declared, table, &path, line, problems));
                     }
                     Some(RawValue::Tables(tables))
                 }
@@ -482,21 +562,25 @@ impl Walk<'_> {
 fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     match (kind, value) {
         (Kind::Bool, DeValue::Boolean(b)) => Some(RawValue::Bool(*b)),
-        (Kind::Integer(min, max), DeValue::Integer(_)) => integer(value)
+        (Kind::Integer(min, max, unit), DeValue::Integer(_)) => integer(value)
             .filter(|i| (min..=max).contains(&i))
-            .map(RawValue::Integer),
-        (Kind::Number(range), value) => number(value, range).map(RawValue::Number),
+            .map(|i| RawValue::Integer(i * unit)),
+        (Kind::Number(range, unit), value) => {
+            number(value, range).map(|digits| RawValue::Number(unit.si(&digits)))
+        }
         (Kind::Name, DeValue::String(text)) => {
             is_name(text).then(|| RawValue::Text(text.to_string()))
         }
         (Kind::Text, DeValue::String(text)) => {
             (!text.trim().is_empty()).then(|| RawValue::Text(text.to_string()))
         }
-        (Kind::Numbers(count, range), DeValue::Array(items)) if items.len() == *count => items
-            .iter()
-            .map(|i| number(i.get_ref(), range))
-            .collect::<Option<_>>()
-            .map(RawValue::Numbers),
+        (Kind::Numbers(count, range, unit), DeValue::Array(items)) if items.len() == *count => {
+            items
+                .iter()
+                .map(|i| number(i.get_ref(), range).map(|digits| unit.si(&digits)))
+                .collect::<Option<_>>()
+                .map(RawValue::Numbers)
+        }
         (Kind::Rows, DeValue::Array(items)) if !items.is_empty() => items
             .iter()
             .map(|row| {
@@ -589,18 +673,18 @@ pub(crate) fn rule(kind: &Kind) -> String {
     };
     match kind {
         Kind::Bool => "true or false".to_owned(),
-        Kind::Number(range) => format!("a number {}", between(range)),
-        Kind::Integer(min, i64::MAX) => format!("a whole number from {min} to 2^63 - 1"),
-        Kind::Integer(min, max) => format!("a whole number from {min} to {max}"),
+        Kind::Number(range, _) => format!("a number {}", between(range)),
+        Kind::Integer(min, i64::MAX, _) => format!("a whole number from {min} to 2^63 - 1"),
+        Kind::Integer(min, max, _) => format!("a whole number from {min} to {max}"),
         Kind::Name => "a name in quotes: 1 to 32 letters, digits, '-' or '_'".to_owned(),
         Kind::Text => "text in quotes".to_owned(),
         Kind::File => "the name of a file in quotes".to_owned(),
         Kind::Folder => "the name of a folder in quotes, there or not".to_owned(),
         Kind::Choice(built, _) => quoted(built, "or"),
-        Kind::Numbers(2, range) => {
+        Kind::Numbers(2, range, _) => {
             format!("two numbers [lowest, highest] {}", between(range))
         }
-        Kind::Numbers(count, range) => format!("{count} numbers in brackets {}", between(range)),
+        Kind::Numbers(count, range, _) => format!("{count} numbers in brackets {}", between(range)),
         Kind::Rows => "pairs of numbers [[range_m, db], ...]".to_owned(),
         Kind::Names => "at least one name in brackets".to_owned(),
         Kind::Choices(built) => format!("in brackets some of {}", quoted(built, "and")),

@@ -1,26 +1,27 @@
 //! Outputs that imitate one maker's device.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::{Listener, address, needed_with, only_with};
+use crate::keys;
+use crate::raw::Problems;
 use echotank_core::flow::Side;
 
 /// Ports that WBMS takes in a row.
 const WBMS_PORTS: u16 = 4;
 
 pub(super) fn ping<'t>(
-    table: &'t RawTable,
+    table: &'t keys::devices::Ping,
     beams: Option<&BeamsSpec>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<PingProtocolSpec> {
-    let is_omniscan = table.text("device").map(|text| text == "omniscan450");
+    let is_omniscan = table.device.is("omniscan450");
     let condition = "device = \"omniscan450\"";
-    only_with(table, &["side"], is_omniscan, condition, problems);
-    needed_with(table, "side", is_omniscan, condition, problems);
+    only_with(&[&table.side], is_omniscan, condition, problems);
+    needed_with(&table.side, is_omniscan, condition, problems);
     let device = match is_omniscan? {
         true => PingDevice::Omniscan450 {
-            side: match table.text("side")? {
+            side: match table.side.text()? {
                 "port" => Side::Port,
                 _ => Side::Starboard,
             },
@@ -32,7 +33,7 @@ pub(super) fn ping<'t>(
             PingDevice::Omniscan450 { side } => {
                 let has = beams.lines.iter().any(|line| line.side == side);
                 (
-                    table.entry("side"),
+                    &table.side,
                     (!has).then_some("needs that side's line: sonar.beams"),
                 )
             }
@@ -42,34 +43,34 @@ pub(super) fn ping<'t>(
                     .as_ref()
                     .is_some_and(|fan| fan.form.bottom_detection);
                 let rule = "needs sonar.beams.fan with bottom_detection = true";
-                (table.entry("device"), (!has).then_some(rule))
+                (&table.device, (!has).then_some(rule))
             }
         };
         if let Some(rule) = rule {
             problems.refuse(entry, rule);
         }
     }
-    let listen = address(table, "listen", problems);
+    let listen = address(&table.listen, problems);
     for protocol in ["TCP", "UDP"] {
         listeners.extend(listen.map(|address| Listener {
-            entry: table.entry("listen"),
+            entry: &table.listen,
             protocol,
             address,
             multicast: false,
         }));
     }
-    let channel = u8::try_from(table.integer("channel_number")?).ok()?;
-    let channels = u8::try_from(table.integer("channels")?).ok()?;
+    let channel = table.channel_number.to()?;
+    let channels = table.channels.to()?;
     if channel >= channels {
         problems.refuse(
-            table.entry("channel_number"),
+            &table.channel_number,
             format!("must be below channels = {channels}"),
         );
     }
-    let serial = match table.given("serial_port") {
+    let serial = match table.serial_port.given {
         true => Some((
-            table.text("serial_port")?.to_owned(),
-            u32::try_from(table.integer("serial_baud")?).ok()?,
+            table.serial_port.text()?.to_owned(),
+            table.serial_baud.to()?,
         )),
         false => None,
     };
@@ -78,31 +79,28 @@ pub(super) fn ping<'t>(
         listen: listen?,
         serial,
         channel: (channel, channels),
-        client_queue_bytes: table.count("client_queue_mib")? << 20,
-        max_clients: table.count("max_clients")?,
+        client_queue_bytes: table.client_queue_mib.to()?,
+        max_clients: table.max_clients.to()?,
     })
 }
 
 pub(super) fn wbms<'t>(
-    table: &'t RawTable,
+    table: &'t keys::devices::Wbms,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<WbmsSpec> {
-    let listen = address(table, "listen", problems)?;
+    let listen = address(&table.listen, problems)?;
     if listen.port() > u16::MAX - WBMS_PORTS {
-        problems.refuse(
-            table.entry("listen"),
-            "leaves no room for three ports behind it",
-        );
+        problems.refuse(&table.listen, "leaves no room for three ports behind it");
         return None;
     }
     let spec = WbmsSpec {
         listen,
-        client_queue_bytes: table.count("client_queue_mib")? << 20,
-        max_clients: table.count("max_clients")?,
+        client_queue_bytes: table.client_queue_mib.to()?,
+        max_clients: table.max_clients.to()?,
     };
     listeners.extend((0..WBMS_PORTS).map(|number| Listener {
-        entry: table.entry("listen"),
+        entry: &table.listen,
         protocol: "TCP",
         address: spec.address(number),
         multicast: false,

@@ -1,9 +1,10 @@
 //! Side-scan families: JSF, XTF, Imagenex 872.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::sonar::Arrays;
 use super::{Listener, address, only_with};
+use crate::keys;
+use crate::raw::{Entry, Field, Problems};
 
 /// JSF counts channels in 8 bits.
 const MAX_JSF_CHANNELS: usize = 256;
@@ -21,14 +22,13 @@ pub(super) struct Sonar<'a> {
 }
 
 fn listen<'t>(
-    table: &'t RawTable,
-    key: &str,
+    key: &'t Field<String>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<std::net::SocketAddr> {
-    let address = address(table, key, problems)?;
+    let address = address(key, problems)?;
     listeners.push(Listener {
-        entry: table.entry(key),
+        entry: key,
         protocol: "TCP",
         address,
         multicast: false,
@@ -36,39 +36,33 @@ fn listen<'t>(
     Some(address)
 }
 
-fn needs_lines(table: &RawTable, key: &str, sonar: &Sonar<'_>, problems: &mut Problems) {
+fn needs_lines(key: &Entry, sonar: &Sonar<'_>, problems: &mut Problems) {
     if !sonar.has_lines {
         let rule = "needs side-scan lines: beams.port, beams.starboard or both";
-        problems.refuse(table.entry(key), rule);
+        problems.refuse(key, rule);
     }
 }
 
 pub(super) fn jsf<'t>(
-    table: &'t RawTable,
+    table: &'t keys::families::Jsf,
     sonar: &Sonar<'_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<JsfSpec> {
-    let commands = listen(table, "listen", listeners, problems);
-    let data = listen(table, "listen_data", listeners, problems);
-    let staves = table.text("channels").map(|text| text == "staves");
-    only_with(
-        table,
-        &["arrays"],
-        staves,
-        "channels = \"staves\"",
-        problems,
-    );
+    let commands = listen(&table.listen, listeners, problems);
+    let data = listen(&table.listen_data, listeners, problems);
+    let staves = table.channels.is("staves");
+    only_with(&[&table.arrays], staves, "channels = \"staves\"", problems);
     if staves == Some(false) {
-        needs_lines(table, "channels", sonar, problems);
+        needs_lines(&table.channels, sonar, problems);
     }
-    let arrays = sonar.arrays.chosen(table, problems);
+    let arrays = sonar.arrays.chosen(&table.arrays, problems);
     if let (Some(true), Some(arrays)) = (staves, &arrays) {
         let specs = arrays.iter().filter_map(|&a| sonar.arrays.specs.get(a));
         let elements: usize = specs.flatten().map(|array| array.elements).sum();
         if elements > MAX_JSF_CHANNELS {
             problems.refuse(
-                table.entry("arrays"),
+                &table.arrays,
                 format!("{elements} elements; JSF counts {MAX_JSF_CHANNELS} channels"),
             );
         }
@@ -78,31 +72,34 @@ pub(super) fn jsf<'t>(
         .is_some_and(|samples| samples > MAX_JSF_SAMPLES)
     {
         problems.refuse(
-            table.entry("format"),
+            &table.format,
             format!(
                 "a ping of more than {MAX_JSF_SAMPLES} samples, which is all that JSF counts to"
             ),
         );
     }
-    let silent = match table.given("silent_subsystem") {
-        true => vec![u8::try_from(table.integer("silent_subsystem")?).ok()?],
+    let silent = match table.silent_subsystem.given {
+        true => vec![table.silent_subsystem.to()?],
         false => Vec::new(),
     };
-    let subsystem = u8::try_from(table.integer("subsystem")?).ok()?;
-    if staves == Some(false) && table.text("format") == Some("envelope") {
+    let subsystem = table.subsystem.to()?;
+    if staves == Some(false) && table.format.text() == Some("envelope") {
         let last = usize::from(subsystem) + sonar.more_pulses;
         if last > usize::from(u8::MAX) {
             problems.refuse(
-                table.entry("subsystem"),
+                &table.subsystem,
                 format!(
                     "each pulse is a subsystem, and the last would be {last}; JSF counts to 255"
                 ),
             );
         }
         let its = usize::from(subsystem)..=last;
-        if silent.iter().any(|&silent| its.contains(&silent.into())) {
+        if silent
+            .iter()
+            .any(|&silent: &u8| its.contains(&silent.into()))
+        {
             problems.refuse(
-                table.entry("silent_subsystem"),
+                &table.silent_subsystem,
                 format!("is one of the sonar's own, {subsystem} to {last}: each pulse is one"),
             );
         }
@@ -117,34 +114,38 @@ pub(super) fn jsf<'t>(
             false => JsfChannels::Sides,
         },
         arrays: arrays?,
-        format: match table.text("format")? {
+        format: match table.format.text()? {
             "analytic" => JsfFormat::Analytic,
             "unfiltered" => JsfFormat::Unfiltered,
             _ => JsfFormat::Envelope,
         },
-        record: table.bool("record")?,
-        client_queue_bytes: table.count("client_queue_mib")? << 20,
-        max_clients: table.count("max_clients")?,
+        record: table.record.get()?,
+        client_queue_bytes: table.client_queue_mib.to()?,
+        max_clients: table.max_clients.to()?,
     })
 }
 
-pub(super) fn xtf(table: &RawTable, sonar: &Sonar<'_>, problems: &mut Problems) -> Option<XtfSpec> {
-    needs_lines(table, "samples", sonar, problems);
+pub(super) fn xtf(
+    table: &keys::families::Xtf,
+    sonar: &Sonar<'_>,
+    problems: &mut Problems,
+) -> Option<XtfSpec> {
+    needs_lines(&table.samples, sonar, problems);
     Some(XtfSpec {
-        is_float: table.text("samples")? == "f32",
+        is_float: table.samples.text()? == "f32",
     })
 }
 
 pub(super) fn imagenex872<'t>(
-    table: &'t RawTable,
+    table: &'t keys::families::Imagenex872,
     sonar: &Sonar<'_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<ImagenexSpec> {
-    needs_lines(table, "listen", sonar, problems);
+    needs_lines(&table.listen, sonar, problems);
     Some(ImagenexSpec {
-        listen: listen(table, "listen", listeners, problems)?,
-        client_queue_bytes: table.count("client_queue_mib")? << 20,
-        max_clients: table.count("max_clients")?,
+        listen: listen(&table.listen, listeners, problems)?,
+        client_queue_bytes: table.client_queue_mib.to()?,
+        max_clients: table.max_clients.to()?,
     })
 }

@@ -1,35 +1,50 @@
 //! `[[fault]]` to requests that make sense.
 
 use super::Problems;
-use crate::raw::RawTable;
+use crate::keys;
+use crate::raw::Entry;
 use crate::spec::FaultRequest;
 
 /// Checked against the catalogue here, and against the sonars when the rig is opened.
-pub(super) fn faults(tables: &[RawTable], problems: &mut Problems) -> Vec<FaultRequest> {
+pub(super) fn faults(tables: &[keys::faults::Fault], problems: &mut Problems) -> Vec<FaultRequest> {
     let mut requests = Vec::new();
     for table in tables {
-        let Some(kind) = table.text("kind") else {
+        let Some(kind) = table.kind.text() else {
             continue; // on the list already
         };
         let request = FaultRequest {
             kind: kind.to_owned(),
-            sonar: table.text("sonar").map(str::to_owned),
-            array: table.count("array"),
-            element: table.count("element"),
-            other: table.count("other"),
-            source: table.text("source").map(str::to_owned),
-            quantity: table.text("quantity").map(str::to_owned),
-            value: table.number("value"),
-            at_s: Some(table.number("at_s").unwrap_or(0.0)),
-            for_s: table.number("for_s"),
-            ramp_s: table.number("ramp_s"),
-            probability: table.number("probability"),
-            burst: table.integer("burst").and_then(|n| u32::try_from(n).ok()),
-            seed: table.integer("seed").and_then(|n| u64::try_from(n).ok()),
+            sonar: table.sonar.text().map(str::to_owned),
+            array: table.array.to(),
+            element: table.element.to(),
+            other: table.other.to(),
+            source: table.source.text().map(str::to_owned),
+            quantity: table.quantity.text().map(str::to_owned),
+            value: table.value.get(),
+            at_s: Some(table.at_s.get().unwrap_or(0.0)),
+            for_s: table.for_s.get(),
+            ramp_s: table.ramp_s.get(),
+            probability: table.probability.get(),
+            burst: table.burst.get().and_then(|n| u32::try_from(n).ok()),
+            seed: table.seed.get().and_then(|n| u64::try_from(n).ok()),
         };
         match request.checked() {
             Ok(_) => requests.push(request),
-            Err(refused) => problems.refuse(table.entry(refused.key), refused.rule),
+            Err(refused) => {
+                let keys: [&Entry; 9] = [
+                    &table.value,
+                    &table.source,
+                    &table.quantity,
+                    &table.sonar,
+                    &table.array,
+                    &table.element,
+                    &table.other,
+                    &table.burst,
+                    &table.at_s,
+                ];
+                let entry = keys.into_iter().find(|entry| entry.key() == refused.key);
+                problems.refuse(entry.unwrap_or(&table.kind), refused.rule);
+            }
         }
     }
     requests

@@ -3,25 +3,26 @@
 use std::net::SocketAddr;
 
 use super::{Listener, address, all, needed_with, only_with, unique_names};
-use crate::raw::{Problems, RawTable};
+use crate::keys;
+use crate::raw::{Field, Problems};
 use crate::spec::{
     NavOutputSpec, NavSentence, NavTargetSpec, ParitySpec, PulseSpec, SerialLine, TowSpec,
 };
 
-pub(super) fn tow(table: &RawTable) -> Option<TowSpec> {
+pub(super) fn tow(table: &keys::NavTow) -> Option<TowSpec> {
     Some(TowSpec {
-        point_m: table.vector("point_m")?,
-        cable_out_m: table.number("cable_out_m")?,
-        cable_scope: table.number("cable_scope")?,
+        point_m: table.point_m.get()?,
+        cable_out_m: table.cable_out_m.get()?,
+        cable_scope: table.cable_scope.get()?,
     })
 }
 
 pub(super) fn outputs<'t>(
-    tables: &'t [RawTable],
+    tables: &'t [keys::NavOutput],
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<NavOutputSpec>> {
-    unique_names(tables, problems);
+    unique_names(tables.iter().map(|t| &t.name), problems);
     let outputs: Vec<_> = tables
         .iter()
         .map(|t| output(t, listeners, problems))
@@ -30,33 +31,32 @@ pub(super) fn outputs<'t>(
 }
 
 fn output<'t>(
-    table: &'t RawTable,
+    table: &'t keys::NavOutput,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavOutputSpec> {
-    let kind = table.text("kind");
+    let kind = table.kind.text();
     let is = |wanted: &str| kind.map(|k| k == wanted);
-    only_with(table, &["to"], is("udp"), "kind = \"udp\"", problems);
-    needed_with(table, "to", is("udp"), "kind = \"udp\"", problems);
-    only_with(table, &["listen"], is("tcp"), "kind = \"tcp\"", problems);
-    needed_with(table, "listen", is("tcp"), "kind = \"tcp\"", problems);
+    only_with(&[&table.to], is("udp"), "kind = \"udp\"", problems);
+    needed_with(&table.to, is("udp"), "kind = \"udp\"", problems);
+    only_with(&[&table.listen], is("tcp"), "kind = \"tcp\"", problems);
+    needed_with(&table.listen, is("tcp"), "kind = \"tcp\"", problems);
     let serial = "kind = \"serial\"";
     only_with(
-        table,
-        &["port", "baud", "line"],
+        &[&table.port, &table.baud, &table.line],
         is("serial"),
         serial,
         problems,
     );
-    needed_with(table, "port", is("serial"), serial, problems);
-    needed_with(table, "baud", is("serial"), serial, problems);
+    needed_with(&table.port, is("serial"), serial, problems);
+    needed_with(&table.baud, is("serial"), serial, problems);
 
-    let talker = table.text("talker");
+    let talker = table.talker.text();
     let two_capitals = |t: &&str| t.len() == 2 && t.bytes().all(|b| b.is_ascii_uppercase());
     if talker.is_some() && talker.filter(two_capitals).is_none() {
-        problems.refuse(table.entry("talker"), "must be two capital letters");
+        problems.refuse(&table.talker, "must be two capital letters");
     }
-    let pulse = match table.text("pulse") {
+    let pulse = match table.pulse.text() {
         Some("rts") => PulseSpec::Rts,
         Some("dtr") => PulseSpec::Dtr,
         Some("byte") => PulseSpec::Byte,
@@ -65,9 +65,9 @@ fn output<'t>(
     if matches!(pulse, PulseSpec::Rts | PulseSpec::Dtr) && is("serial") == Some(false) {
         let rule =
             "needs kind = \"serial\": elsewhere there is no such line, \"byte\" stands for it";
-        problems.refuse(table.entry("pulse"), rule);
+        problems.refuse(&table.pulse, rule);
     }
-    let rate_hz = table.number("rate_hz")?;
+    let rate_hz = table.rate_hz.get()?;
     let per_s = if rate_hz < 1.0 {
         1.0 / rate_hz
     } else {
@@ -75,14 +75,15 @@ fn output<'t>(
     };
     if (per_s - per_s.round()).abs() > 1e-9 {
         let rule = "must be a whole number, or one over a whole number, so that ticks fall on whole seconds";
-        problems.refuse(table.entry("rate_hz"), rule);
+        problems.refuse(&table.rate_hz, rule);
     }
     let target = target(table, listeners, problems);
     Some(NavOutputSpec {
-        name: table.text("name")?.to_owned(),
+        name: table.name.text()?.to_owned(),
         target: target?,
         sentences: table
-            .texts("sentences")?
+            .sentences
+            .as_ref()?
             .iter()
             .map(|s| match s.as_str() {
                 "ZDA" => NavSentence::Zda,
@@ -92,27 +93,27 @@ fn output<'t>(
             .collect(),
         talker: talker.filter(two_capitals)?.to_owned(),
         rate_hz,
-        latency_s: table.scaled("latency_ms", -3)?,
+        latency_s: table.latency_ms.get()?,
         pulse,
     })
 }
 
 fn target<'t>(
-    table: &'t RawTable,
+    table: &'t keys::NavOutput,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavTargetSpec> {
-    match table.text("kind")? {
+    match table.kind.text()? {
         "udp" => {
-            table.text("to")?;
-            let to: SocketAddr = address(table, "to", problems)?;
+            table.to.text()?;
+            let to: SocketAddr = address(&table.to, problems)?;
             Some(NavTargetSpec::Udp { to })
         }
         "tcp" => {
-            table.text("listen")?;
-            let listen = address(table, "listen", problems)?;
+            table.listen.text()?;
+            let listen = address(&table.listen, problems)?;
             listeners.push(Listener {
-                entry: table.entry("listen"),
+                entry: &table.listen,
                 protocol: "TCP",
                 address: listen,
                 multicast: false,
@@ -120,16 +121,16 @@ fn target<'t>(
             Some(NavTargetSpec::TcpListen { listen })
         }
         _ => Some(NavTargetSpec::Serial {
-            port: table.text("port")?.to_owned(),
-            baud: u32::try_from(table.integer("baud")?).ok()?,
-            line: serial_line(table)?,
+            port: table.port.text()?.to_owned(),
+            baud: table.baud.to()?,
+            line: serial_line(&table.line)?,
         }),
     }
 }
 
 /// `8N1` and its kin.
-pub(super) fn serial_line(table: &RawTable) -> Option<SerialLine> {
-    let text = table.text("line")?.as_bytes();
+pub(super) fn serial_line(line: &Field<String>) -> Option<SerialLine> {
+    let text = line.text()?.as_bytes();
     let digit = |at: usize| text.get(at).map(|b| b.wrapping_sub(b'0'));
     Some(SerialLine {
         parity: match text.get(1) {

@@ -1,13 +1,13 @@
 //! Whether a sonar's pings may be made without elements.
 
 use super::Problems;
-use crate::raw::RawTable;
+use crate::keys;
 use crate::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
 
 /// Notes why elements are needed, and refuses to do without them there.
 pub(super) fn who_needs_elements(
     sonar: &mut SonarSpec,
-    table: &RawTable,
+    table: &keys::Sonar,
     control: Option<&ControlSpec>,
     faults: &[FaultRequest],
     problems: &mut Problems,
@@ -29,10 +29,10 @@ pub(super) fn who_needs_elements(
     };
     sonar.synthesis.elements_for = sonar.needs_elements().or(of_rig);
     if let (MadeOutput::Beams, Some(why)) = (sonar.synthesis.output, sonar.synthesis.elements_for)
-        && let Some(model) = table.table("model")
+        && let Some(model) = table.model.as_ref()
     {
         problems.refuse(
-            model.entry("output"),
+            &model.output,
             format!("must be \"elements\" or \"auto\": {why}"),
         );
     }

@@ -1,18 +1,19 @@
 //! `run.overload`.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use crate::keys;
+use crate::raw::Problems;
 
 /// `degrade` needs a tolerance that can be looser, `stretch` pulses of one's own.
 pub(crate) fn refuse_what_has_nothing_to_give(
-    run: &RawTable,
+    run: &keys::Run,
     sonars: &[&SonarSpec],
     problems: &mut Problems,
 ) {
-    let entry = run.entry("overload");
+    let entry = &run.overload;
     for sonar in sonars {
         let name = &sonar.name;
-        match run.text("overload") {
+        match run.overload.text() {
             Some("degrade") if sonar.looser_tolerances().is_empty() => {
                 let rule = format!(
                     "sonar {name} has no looser tolerance: model.synthesis must be \"gridded-1d\", \"gridded-2d\" or \"auto\", and model.tolerance below 0.1"

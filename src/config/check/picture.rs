@@ -1,31 +1,44 @@
 //! `[sonar.picture]`.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
+use crate::keys;
+use crate::raw::Problems;
 
-pub(super) fn picture(table: &RawTable, problems: &mut Problems) -> Option<PictureSpec> {
-    let fixed = table.text("contrast").map(|c| c == "fixed");
-    for (low, high) in [("low_db", "high_db"), ("low_percent", "high_percent")] {
-        let (least, most) = (table.number(low)?, table.number(high)?);
-        if least >= most {
-            let entry = table.entry(match table.given(high) {
-                true => high,
-                false => low,
-            });
-            problems.refuse(
-                entry,
-                format!("{low} ({least}) must be below {high} ({most})"),
-            );
-        }
+pub(super) fn picture(table: &keys::Picture, problems: &mut Problems) -> Option<PictureSpec> {
+    let fixed = table.contrast.is("fixed");
+    let (low_db, high_db) = (table.low_db.get()?, table.high_db.get()?);
+    let (low, high) = (table.low_percent.get()?, table.high_percent.get()?);
+    if low_db >= high_db {
+        let rule = format!("low_db ({low_db}) must be below high_db ({high_db})");
+        let entry = if table.high_db.given {
+            &table.high_db
+        } else {
+            &table.low_db
+        };
+        problems.refuse(entry, rule);
+    }
+    if low >= high {
+        let percent = |share: f64| (share * 1e8).round() / 1e6;
+        let rule = format!(
+            "low_percent ({}) must be below high_percent ({})",
+            percent(low),
+            percent(high)
+        );
+        let entry = if table.high_percent.given {
+            &table.high_percent
+        } else {
+            &table.low_percent
+        };
+        problems.refuse(entry, rule);
     }
     Some(PictureSpec {
-        range: match table.text("range")? {
+        range: match table.range.text()? {
             "ground" => PictureRange::Ground,
             "ground-first-return" => PictureRange::GroundFirstReturn,
             _ => PictureRange::Slant,
         },
-        raw: table.text("gain")? == "raw",
-        colours: match table.text("colours")? {
+        raw: table.gain.text()? == "raw",
+        colours: match table.colours.text()? {
             "grey" => ColourMap::Grey,
             "blue" => ColourMap::Blue,
             "rainbow" => ColourMap::Rainbow,
@@ -33,28 +46,25 @@ pub(super) fn picture(table: &RawTable, problems: &mut Problems) -> Option<Pictu
         },
         contrast: match fixed? {
             true => Contrast::Fixed {
-                low_db: table.number("low_db")?,
-                high_db: table.number("high_db")?,
+                low_db: table.low_db.get()?,
+                high_db: table.high_db.get()?,
             },
             false => Contrast::Percentiles {
-                low: table.scaled("low_percent", -2)?,
-                high: table.scaled("high_percent", -2)?,
+                low: table.low_percent.get()?,
+                high: table.high_percent.get()?,
             },
         },
-        flatten: table.bool("flatten")?,
-        metres_per_pixel: match table.given("m_per_pixel") {
-            true => Some(table.number("m_per_pixel")?),
-            false => None,
-        },
-        fan_every_pings: u32::try_from(table.integer("fan_every_pings")?).ok()?,
+        flatten: table.flatten.get()?,
+        metres_per_pixel: table.m_per_pixel.if_given()?,
+        fan_every_pings: table.fan_every_pings.to()?,
         mosaic: MosaicLook {
-            metres_per_pixel: table.number("mosaic_m_per_pixel")?,
-            overlap: match table.text("overlap")? {
+            metres_per_pixel: table.mosaic_m_per_pixel.get()?,
+            overlap: match table.overlap.text()? {
                 "mean" => Overlap::Mean,
                 "last" => Overlap::Last,
                 _ => Overlap::Nearest,
             },
-            nadir_rad: table.angle_rad("nadir_deg")?,
+            nadir_rad: table.nadir_deg.get()?,
         },
     })
 }

@@ -1,9 +1,10 @@
 //! Outputs of samples.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::sonar::Arrays;
 use super::{Listener, address, only_with};
+use crate::keys;
+use crate::raw::{Field, Problems};
 use echotank_core::flow::Pulse;
 use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
@@ -36,13 +37,8 @@ impl Source<'_> {
     }
 
     /// A rate that passband samples can have, Hz.
-    fn passband_rate_hz(
-        &self,
-        table: &RawTable,
-        key: &str,
-        problems: &mut Problems,
-    ) -> Option<f64> {
-        let rate_hz = table.scaled(key, 3)?;
+    fn passband_rate_hz(&self, key: &Field<f64>, problems: &mut Problems) -> Option<f64> {
+        let rate_hz = key.get()?;
         if let Some(highest_hz) = self.highest_hz()
             && rate_hz <= 2.0 * highest_hz
         {
@@ -50,7 +46,7 @@ impl Source<'_> {
                 "must be above twice the highest frequency, {} kHz",
                 highest_hz / 1e3
             );
-            problems.refuse(table.entry(key), rule);
+            problems.refuse(key, rule);
             return None;
         }
         Some(rate_hz)
@@ -58,32 +54,30 @@ impl Source<'_> {
 }
 
 pub(super) fn vita49(
-    table: &RawTable,
+    table: &keys::samples::Vita49,
     source: Source<'_>,
     problems: &mut Problems,
 ) -> Option<Vita49Spec> {
-    let arrays = source.arrays.chosen(table, problems);
-    let is_passband = table.text("samples").map(|text| text == "passband");
-    let is_vector = table.text("streams").map(|text| text == "vector");
+    let arrays = source.arrays.chosen(&table.arrays, problems);
+    let is_passband = table.samples.is("passband");
+    let is_vector = table.streams.is("vector");
     only_with(
-        table,
-        &["passband_rate_khz"],
+        &[&table.passband_rate_khz],
         is_passband,
         "samples = \"passband\"",
         problems,
     );
     super::needed_with(
-        table,
-        "passband_rate_khz",
+        &table.passband_rate_khz,
         is_passband,
         "samples = \"passband\"",
         problems,
     );
     let passband_rate_hz = match is_passband? {
-        true => Some(source.passband_rate_hz(table, "passband_rate_khz", problems)?),
+        true => Some(source.passband_rate_hz(&table.passband_rate_khz, problems)?),
         false => None,
     };
-    let max_packet = table.count("max_packet_bytes")? / 4 * 4;
+    let max_packet = table.max_packet_bytes.to::<usize>()? / 4 * 4;
     if let Some(arrays) = &arrays {
         let side_by_side = match is_vector? {
             true => source.elements(arrays),
@@ -93,23 +87,20 @@ pub(super) fn vita49(
         let needed = VRT_AROUND_BYTES + 4 * side_by_side;
         if max_packet < needed || side_by_side > MAX_VECTOR {
             problems.refuse(
-                table.entry("max_packet_bytes"),
+                &table.max_packet_bytes,
                 format!("must hold a moment of {side_by_side} elements: at least {needed}"),
             );
         }
-        let last = table.integer("first_stream")? + source.elements(arrays) as i64;
+        let last = table.first_stream.get()? + source.elements(arrays) as i64;
         if last > i64::from(u32::MAX) {
-            problems.refuse(
-                table.entry("first_stream"),
-                "leaves no room for all elements",
-            );
+            problems.refuse(&table.first_stream, "leaves no room for all elements");
         }
     }
-    let send_to = destinations(table, problems);
-    let interface = table.text("multicast_interface")?.parse();
+    let send_to = destinations(&table.send_to, problems);
+    let interface = table.multicast_interface.text()?.parse();
     if interface.is_err() {
         problems.refuse(
-            table.entry("multicast_interface"),
+            &table.multicast_interface,
             "must be an address, such as \"192.168.1.10\"",
         );
     }
@@ -118,23 +109,26 @@ pub(super) fn vita49(
         arrays: arrays?,
         passband_rate_hz,
         is_vector: is_vector?,
-        first_stream: u32::try_from(table.integer("first_stream")?).ok()?,
+        first_stream: table.first_stream.to()?,
         max_packet,
-        pace_bytes_per_s: table.number("pace_mbit_per_s")? * 1e6 / 8.0,
+        pace_bytes_per_s: table.pace_mbit_per_s.get()? * 1e6 / 8.0,
         multicast_interface: interface.ok()?,
-        multicast_ttl: u32::try_from(table.integer("multicast_ttl")?).ok()?,
+        multicast_ttl: table.multicast_ttl.to()?,
     })
 }
 
-fn destinations(table: &RawTable, problems: &mut Problems) -> Option<Vec<std::net::SocketAddr>> {
-    let parsed: Result<Vec<_>, _> = table
-        .text("send_to")?
+fn destinations(
+    send_to: &Field<String>,
+    problems: &mut Problems,
+) -> Option<Vec<std::net::SocketAddr>> {
+    let parsed: Result<Vec<_>, _> = send_to
+        .text()?
         .split(',')
         .map(|word| word.trim().parse())
         .collect();
     if parsed.is_err() {
         problems.refuse(
-            table.entry("send_to"),
+            send_to,
             "must be addresses and ports with commas between them, such as \"127.0.0.1:4991, 239.1.2.3:4991\"",
         );
     }
@@ -142,25 +136,25 @@ fn destinations(table: &RawTable, problems: &mut Problems) -> Option<Vec<std::ne
 }
 
 pub(super) fn elements<'t>(
-    table: &'t RawTable,
+    table: &'t keys::samples::Elements,
     source: Source<'_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<ElementStreamSpec> {
-    let listen = address(table, "listen", problems);
+    let listen = address(&table.listen, problems);
     if let Some(address) = listen {
         listeners.push(Listener {
-            entry: table.entry("listen"),
+            entry: &table.listen,
             protocol: "TCP",
             address,
             multicast: false,
         });
     }
-    let arrays = source.arrays.chosen(table, problems);
-    let is_float = table.text("sample")? == "f32";
-    let max_packet = table.count("max_packet_bytes")?;
-    let send_to = match table.given("send_to") {
-        true => destinations(table, problems),
+    let arrays = source.arrays.chosen(&table.arrays, problems);
+    let is_float = table.sample.text()? == "f32";
+    let max_packet = table.max_packet_bytes.to()?;
+    let send_to = match table.send_to.given {
+        true => destinations(&table.send_to, problems),
         false => Some(Vec::new()),
     };
     if let Some(arrays) = &arrays {
@@ -173,10 +167,10 @@ pub(super) fn elements<'t>(
         let needed = HEADER_BYTES + sample.bytes() * elements;
         if elements > usize::from(u16::MAX) {
             let rule = format!("{elements} elements; a frame counts to {}", u16::MAX);
-            problems.refuse(table.entry("arrays"), rule);
-        } else if table.given("send_to") && max_packet < needed {
+            problems.refuse(&table.arrays, rule);
+        } else if table.send_to.given && max_packet < needed {
             let rule = format!("must hold a moment of {elements} elements: at least {needed}");
-            problems.refuse(table.entry("max_packet_bytes"), rule);
+            problems.refuse(&table.max_packet_bytes, rule);
         }
     }
     Some(ElementStreamSpec {
@@ -185,46 +179,44 @@ pub(super) fn elements<'t>(
         arrays: arrays?,
         is_float,
         max_packet,
-        pace_bytes_per_s: table.number("pace_mbit_per_s")? * 1e6 / 8.0,
-        client_queue_bytes: table.count("client_queue_mib")? << 20,
-        max_clients: table.count("max_clients")?,
+        pace_bytes_per_s: table.pace_mbit_per_s.get()? * 1e6 / 8.0,
+        client_queue_bytes: table.client_queue_mib.to()?,
+        max_clients: table.max_clients.to()?,
     })
 }
 
 pub(super) fn sigmf(
-    table: &RawTable,
+    table: &keys::samples::Sigmf,
     source: Source<'_>,
     problems: &mut Problems,
 ) -> Option<SigmfSpec> {
     Some(SigmfSpec {
-        arrays: source.arrays.chosen(table, problems)?,
+        arrays: source.arrays.chosen(&table.arrays, problems)?,
     })
 }
 
 pub(super) fn wav(
-    table: &RawTable,
+    table: &keys::samples::Wav,
     source: Source<'_>,
     problems: &mut Problems,
 ) -> Option<WavSpec> {
-    let arrays = source.arrays.chosen(table, problems);
+    let arrays = source.arrays.chosen(&table.arrays, problems);
     if let Some(arrays) = &arrays {
         let channels = source.elements(arrays);
         if channels > MAX_WAV_CHANNELS {
             problems.refuse(
-                table.entry("arrays"),
+                &table.arrays,
                 format!("{channels} elements; a WAV takes {MAX_WAV_CHANNELS}"),
             );
         }
     }
-    let rate_hz = match table.given("rate_khz") {
-        true => source
-            .passband_rate_hz(table, "rate_khz", problems)?
-            .round() as u32,
+    let rate_hz = match table.rate_khz.given {
+        true => source.passband_rate_hz(&table.rate_khz, problems)?.round() as u32,
         false => WavSpec::usual_rate_hz(source.highest_hz()?),
     };
     Some(WavSpec {
         arrays: arrays?,
         rate_hz,
-        is_float: table.text("sample")? == "f32",
+        is_float: table.sample.text()? == "f32",
     })
 }

@@ -1,12 +1,11 @@
 //! The scene, and how densely the seabed must be sampled for the sonars that look at it.
 
-use std::path::PathBuf;
-
 use glam::DVec3;
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::{MIB, needed_with, only_with};
+use crate::keys;
+use crate::raw::{Field, Problems};
 use echotank_core::flow::{Pattern, PulseKind};
 
 /// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
@@ -31,36 +30,36 @@ pub(super) struct Rig<'a> {
     pub longest_range_m: f64,
 }
 
-pub(super) fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
-    let seabed_table = table.table("seabed");
-    let incidence = match table.text("incidence")? {
+pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
+    let seabed_table = table.seabed.as_ref();
+    let incidence = match table.incidence.text()? {
         "flat" => IncidenceSpec::Flat,
         _ => IncidenceSpec::Normal,
     };
     let seabed = seabed_table.and_then(|t| seabed(t, rig, incidence, problems));
     let gridded = match seabed_table {
-        Some(t) => t.text("shape").map(is_survey),
-        None => Some(table.given("seabed")),
+        Some(t) => t.shape.text().map(is_survey),
+        None => Some(table.seabed.given),
     };
     let condition = "a seabed of shape \"file\" or \"esri-ascii\"";
-    if table.text("extend") == Some("mirror") {
-        only_with(table, &["extend"], gridded, condition, problems);
+    if table.extend.text() == Some("mirror") {
+        only_with(&[&table.extend], gridded, condition, problems);
     }
-    if table.text("anchor") == Some("file") {
-        only_with(table, &["anchor"], gridded, condition, problems);
+    if table.anchor.text() == Some("file") {
+        only_with(&[&table.anchor], gridded, condition, problems);
     }
     // A table of shapes may give depths, and says itself where it needs a seabed.
     let shapes = table
-        .path("targets")
+        .targets
+        .get()
         .is_some_and(|path| path.extension().is_some_and(|e| e == "toml"));
     only_with(
-        table,
-        &["targets"],
-        Some(table.given("seabed") || shapes),
+        &[&table.targets],
+        Some(table.seabed.given || shapes),
         "a seabed, on which they lie",
         problems,
     );
-    let memory_limit_bytes = u64::try_from(table.integer("memory_mib")?).ok()? * MIB;
+    let memory_limit_bytes: u64 = table.memory_mib.to()?;
     if let Some(density) = seabed.as_ref().map(|s| s.density) {
         let scatterers = rig.scatterers_in_beams(&density);
         let needed_mib = (scatterers * BYTES_PER_SCATTERER / MIB as f64).ceil();
@@ -70,7 +69,7 @@ pub(super) fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Opt
                 Density::Auto { .. } => "density = \"auto\"".to_owned(),
             };
             problems.refuse(
-                table.entry("memory_mib"),
+                &table.memory_mib,
                 format!(
                     "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the beams within {} m ({density})",
                     rig.longest_range_m
@@ -79,126 +78,126 @@ pub(super) fn scene(table: &RawTable, rig: &Rig, problems: &mut Problems) -> Opt
         }
     }
     Some(SceneSpec {
-        seed: u64::try_from(table.integer("seed")?).ok()?,
-        anchor: match table.text("anchor")? {
+        seed: table.seed.to()?,
+        anchor: match table.anchor.text()? {
             "first-fix" => AnchorSpec::FirstFix,
             "file" => AnchorSpec::File,
             _ => AnchorSpec::Origin,
         },
-        mirror: table.text("extend")? == "mirror",
-        seabed: match table.given("seabed") {
+        mirror: table.extend.text()? == "mirror",
+        seabed: match table.seabed.given {
             true => Some(seabed?),
             false => None,
         },
-        points: optional_file(table, "points")?,
-        targets: optional_file(table, "targets")?,
-        occlusion: match table.text("occlusion")? {
+        points: table.points.if_given()?,
+        targets: table.targets.if_given()?,
+        occlusion: match table.occlusion.text()? {
             "none" => OcclusionSpec::None,
             "paper" => OcclusionSpec::Paper,
             _ => OcclusionSpec::Horizon,
         },
         memory_limit_bytes,
-        simplify: simplify(table.table("simplify")?, problems)?,
+        simplify: simplify(table.simplify.as_ref()?, problems)?,
     })
 }
 
 /// What is asked for, or that nothing is; none if that is no good.
-fn simplify(table: &RawTable, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
-    let name = table.text("method")?;
+fn simplify(table: &keys::Simplify, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
+    let name = table.method.text()?;
     let some = Some(name != "none");
-    let keys = [
-        "keep",
-        "weight_curvature",
-        "weight_scattering",
-        "weight_axis",
-        "weight_echo",
-    ];
-    only_with(table, &keys, some, "a method", problems);
-    needed_with(table, "keep", some, "a method", problems);
+    only_with(
+        &[
+            &table.keep,
+            &table.weight_curvature,
+            &table.weight_scattering,
+            &table.weight_axis,
+            &table.weight_echo,
+        ],
+        some,
+        "a method",
+        problems,
+    );
+    needed_with(&table.keep, some, "a method", problems);
     let Some(method) = SimplifyMethod::ALL.into_iter().find(|m| m.name() == name) else {
         return Some(None);
     };
     let default = EnergyWeights::default_of(method);
-    let weight = |key: &str, default: f64| match table.given(key) {
-        true => table.number(key),
-        false => Some(default),
-    };
+    let weight = |key: &Field<f64>, default: f64| Some(key.if_given()?.unwrap_or(default));
     Some(Some(SimplifySpec {
         method,
-        keep: usize::try_from(table.integer("keep")?).ok()?,
+        keep: table.keep.to()?,
         weights: EnergyWeights {
-            curvature: weight("weight_curvature", default.curvature)?,
-            scattering: weight("weight_scattering", default.scattering)?,
-            axis: weight("weight_axis", default.axis)?,
-            echo: weight("weight_echo", default.echo)?,
+            curvature: weight(&table.weight_curvature, default.curvature)?,
+            scattering: weight(&table.weight_scattering, default.scattering)?,
+            axis: weight(&table.weight_axis, default.axis)?,
+            echo: weight(&table.weight_echo, default.echo)?,
         },
-        hold_m: table.number("hold_m")?,
-        hold_rad: table.number("hold_deg")?.to_radians(),
-        shadows: table.bool("shadows")?,
+        hold_m: table.hold_m.get()?,
+        hold_rad: table.hold_deg.get()?,
+        shadows: table.shadows.get()?,
     }))
 }
 
-/// The file, or that none was given; none if the one given is no good.
-fn optional_file(table: &RawTable, key: &str) -> Option<Option<PathBuf>> {
-    match table.given(key) {
-        true => table.path(key).map(Some),
-        false => Some(None),
-    }
-}
-
 fn seabed(
-    table: &RawTable,
+    table: &keys::Seabed,
     rig: &Rig,
     incidence: IncidenceSpec,
     problems: &mut Problems,
 ) -> Option<SeabedSpec> {
-    let shape = table.text("shape");
+    let shape = table.shape.text();
     let is = |wanted: &str| shape.map(|s| s == wanted);
     only_with(
-        table,
-        &["depth_m", "slope_north", "slope_east"],
+        &[&table.depth_m, &table.slope_north, &table.slope_east],
         is("plane"),
         "shape = \"plane\"",
         problems,
     );
-    needed_with(table, "depth_m", is("plane"), "shape = \"plane\"", problems);
+    needed_with(&table.depth_m, is("plane"), "shape = \"plane\"", problems);
     let is_file = shape.map(is_survey);
     let condition = "shape = \"file\" or \"esri-ascii\"";
-    let keys = [
-        "path",
-        "values",
-        "offset_north_m",
-        "offset_east_m",
-        "crs",
-        "first_row",
-        "nodata",
-    ];
-    only_with(table, &keys, is_file, condition, problems);
-    needed_with(table, "path", is_file, condition, problems);
-    let keys = ["format", "cell_m", "max_edge_m"];
-    only_with(table, &keys, is("file"), "shape = \"file\"", problems);
+    only_with(
+        &[
+            &table.path,
+            &table.values,
+            &table.offset_north_m,
+            &table.offset_east_m,
+            &table.crs,
+            &table.first_row,
+            &table.nodata,
+        ],
+        is_file,
+        condition,
+        problems,
+    );
+    needed_with(&table.path, is_file, condition, problems);
+    only_with(
+        &[&table.format, &table.cell_m, &table.max_edge_m],
+        is("file"),
+        "shape = \"file\"",
+        problems,
+    );
     let bottom = bottom(table, problems);
     let mosaic = mosaic(table, problems)?;
-    if table.given("density") {
+    if table.density.given {
         refuse_beside_auto(table, problems);
     }
-    let density = match table.given("density") {
+    let density = match table.density.given {
         true => rig.auto_density()?,
-        false => Density::PerM2(table.number("density_per_m2")?),
+        false => Density::PerM2(table.density_per_m2.get()?),
     };
     let shape = match shape? {
         "plane" => SeabedShape::Plane {
-            depth_m: table.number("depth_m")?,
-            slope_north: table.number("slope_north")?,
-            slope_east: table.number("slope_east")?,
+            depth_m: table.depth_m.get()?,
+            slope_north: table.slope_north.get()?,
+            slope_east: table.slope_east.get()?,
         },
         name if name.starts_with("paper-") => {
             SeabedShape::Paper(PaperShape::ALL.into_iter().find(|s| s.name() == name)?)
         }
         shape => SeabedShape::File {
             file: file(table, shape, problems)?,
-            offset_north_m: table.number("offset_north_m")?,
-            offset_east_m: table.number("offset_east_m")?,
+            offset_north_m: table.offset_north_m.get()?,
+            offset_east_m: table.offset_east_m.get()?,
         },
     };
     Some(SeabedSpec {
@@ -207,7 +206,7 @@ fn seabed(
         bottom: bottom?,
         incidence,
         mosaic,
-        speckle: table.bool("speckle")?,
+        speckle: table.speckle.get()?,
     })
 }
 
@@ -216,14 +215,14 @@ fn is_survey(shape: &str) -> bool {
     matches!(shape, "file" | "esri-ascii")
 }
 
-fn file(table: &RawTable, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
-    let crs = crs(table, "crs", problems)?;
+fn file(table: &keys::Seabed, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
+    let crs = crs(&table.crs, problems)?;
     let format = match shape {
         "esri-ascii" => "esri-ascii",
-        _ => table.text("format")?,
+        _ => table.format.text()?,
     };
     Some(SeabedFileSpec {
-        path: table.path("path")?,
+        path: table.path.get()?,
         format: match format {
             "esri-ascii" => Some(SeabedFormat::EsriAscii),
             "geotiff" => Some(SeabedFormat::GeoTiff),
@@ -234,61 +233,65 @@ fn file(table: &RawTable, shape: &str, problems: &mut Problems) -> Option<Seabed
             _ => None,
         },
         crs,
-        values: match table.text("values")? {
+        values: match table.values.text()? {
             "elevation" => Some(HeightSign::Elevation),
             "depth" => Some(HeightSign::Depth),
             _ => None,
         },
-        first_row: match table.text("first_row")? {
+        first_row: match table.first_row.text()? {
             "north" => Some(FirstRow::North),
             "south" => Some(FirstRow::South),
             _ => None,
         },
-        nodata: table.number("nodata"),
-        cell_m: table.number("cell_m"),
-        max_edge_m: table.number("max_edge_m"),
+        nodata: table.nodata.get(),
+        cell_m: table.cell_m.get(),
+        max_edge_m: table.max_edge_m.get(),
     })
 }
 
 /// The system that a key names, or that none was given; none if it is no good.
-fn crs(table: &RawTable, key: &str, problems: &mut Problems) -> Option<Option<CrsSpec>> {
-    match table.text(key).map(str::parse) {
+fn crs(key: &Field<String>, problems: &mut Problems) -> Option<Option<CrsSpec>> {
+    match key.text().map(str::parse) {
         None => Some(None),
         Some(Ok(crs)) => Some(Some(crs)),
         Some(Err(rule)) => {
-            problems.refuse(table.entry(key), rule);
+            problems.refuse(key, rule);
             None
         }
     }
 }
 
-fn bottom(table: &RawTable, problems: &mut Problems) -> Option<BottomSpec> {
-    let name = table.text("bottom");
+fn bottom(table: &keys::Seabed, problems: &mut Problems) -> Option<BottomSpec> {
+    let name = table.bottom.text();
     let sediment = Sediment::ALL.into_iter().find(|s| Some(s.name()) == name);
     let condition = "bottom = \"lambert\", \"bistatic-lambert\" or \"three-term\"";
     let free = name.map(|_| sediment.is_none());
-    only_with(table, &["lambert_db"], free, condition, problems);
+    only_with(&[&table.lambert_db], free, condition, problems);
     let three = name.map(|n| n == "three-term");
-    let keys = [
-        "lambert_exponent",
-        "specular_db",
-        "specular_width_deg",
-        "intermediate_db",
-        "intermediate_width_deg",
-    ];
-    only_with(table, &keys, three, "bottom = \"three-term\"", problems);
+    only_with(
+        &[
+            &table.lambert_exponent,
+            &table.specular_db,
+            &table.specular_width_deg,
+            &table.intermediate_db,
+            &table.intermediate_width_deg,
+        ],
+        three,
+        "bottom = \"three-term\"",
+        problems,
+    );
     if let Some(sediment) = sediment {
         return Some(BottomSpec::Sediment(sediment));
     }
-    let mu_db = table.number("lambert_db")?;
+    let mu_db = table.lambert_db.get()?;
     Some(match name? {
         "three-term" => BottomSpec::ThreeTerm(ThreeTerm {
-            specular_db: table.number("specular_db")?,
-            specular_rad: table.number("specular_width_deg")?.to_radians(),
+            specular_db: table.specular_db.get()?,
+            specular_rad: table.specular_width_deg.get()?,
             lambert_db: mu_db,
-            lambert_exponent: table.number("lambert_exponent")?,
-            intermediate_db: table.number("intermediate_db")?,
-            intermediate_rad: table.number("intermediate_width_deg")?.to_radians(),
+            lambert_exponent: table.lambert_exponent.get()?,
+            intermediate_db: table.intermediate_db.get()?,
+            intermediate_rad: table.intermediate_width_deg.get()?,
         }),
         "lambert" => BottomSpec::Lambert { mu_db },
         _ => BottomSpec::BistaticLambert { mu_db },
@@ -296,41 +299,48 @@ fn bottom(table: &RawTable, problems: &mut Problems) -> Option<BottomSpec> {
 }
 
 /// The mosaic, or that none was given; none if the one given is no good.
-fn mosaic(table: &RawTable, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
-    let keys = [
-        "mosaic_crs",
-        "mosaic_values",
-        "mosaic_incidence_deg",
-        "mosaic_offset_north_m",
-        "mosaic_offset_east_m",
-    ];
-    let given = table.given("mosaic");
-    only_with(table, &keys, Some(given), "a mosaic", problems);
+fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
+    let given = table.mosaic.given;
+    only_with(
+        &[
+            &table.mosaic_crs,
+            &table.mosaic_values,
+            &table.mosaic_incidence_deg,
+            &table.mosaic_offset_north_m,
+            &table.mosaic_offset_east_m,
+        ],
+        Some(given),
+        "a mosaic",
+        problems,
+    );
     if !given {
         return Some(None);
     }
-    let absolute = table.text("mosaic_values")? == "absolute";
-    let keys = ["mosaic_incidence_deg"];
+    let absolute = table.mosaic_values.text()? == "absolute";
     let condition = "mosaic_values = \"absolute\"";
-    only_with(table, &keys, Some(absolute), condition, problems);
+    only_with(
+        &[&table.mosaic_incidence_deg],
+        Some(absolute),
+        condition,
+        problems,
+    );
     Some(Some(MosaicSpec {
-        path: table.path("mosaic")?,
-        crs: crs(table, "mosaic_crs", problems)?,
+        path: table.mosaic.get()?,
+        crs: crs(&table.mosaic_crs, problems)?,
         values: match absolute {
             true => MosaicValues::Absolute {
-                incidence_rad: table.number("mosaic_incidence_deg")?.to_radians(),
+                incidence_rad: table.mosaic_incidence_deg.get()?,
             },
             false => MosaicValues::Relative,
         },
-        offset_north_m: table.number("mosaic_offset_north_m")?,
-        offset_east_m: table.number("mosaic_offset_east_m")?,
+        offset_north_m: table.mosaic_offset_north_m.get()?,
+        offset_east_m: table.mosaic_offset_east_m.get()?,
     }))
 }
 
-fn refuse_beside_auto(table: &RawTable, problems: &mut Problems) {
+fn refuse_beside_auto(table: &keys::Seabed, problems: &mut Problems) {
     only_with(
-        table,
-        &["density_per_m2"],
+        &[&table.density_per_m2],
         Some(false),
         "no density = \"auto\"",
         problems,

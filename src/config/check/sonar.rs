@@ -5,7 +5,6 @@ use std::f64::consts::FRAC_PI_2;
 
 use glam::{DQuat, DVec3};
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::devices;
 use super::families;
@@ -13,6 +12,8 @@ use super::picture::picture;
 use super::samples::{self, Source};
 use super::trigger;
 use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
+use crate::keys;
+use crate::raw::{Entry, Field, Problems};
 use echotank_core::flow::{
     ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
     Receiver, ReceiverFilter, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
@@ -40,48 +41,51 @@ const MIN_ACROSS: f64 = 0.5;
 const MIN_ALONG: f64 = 0.5;
 
 /// Shortest to longest, from the limits or else the setting.
-pub(crate) fn longest_range_m(table: &RawTable) -> Option<f64> {
+pub(crate) fn longest_range_m(table: &keys::Sonar) -> Option<f64> {
     let limit = table
-        .table("limits")
-        .and_then(|t| t.pair("range_m", 0))
+        .limits
+        .as_ref()
+        .and_then(|t| t.range_m.get())
         .map(|(_, longest)| longest);
-    limit.or_else(|| table.table("ping")?.number("range_m"))
+    limit.or_else(|| table.ping.as_ref()?.range_m.get())
 }
 
 /// `among`: its place among the sonars, and all their names.
 pub(crate) fn sonar<'t>(
-    table: &'t RawTable,
+    table: &'t keys::Sonar,
     among: (usize, &[Option<&str>]),
     medium: Option<&MediumSpec>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<SonarSpec> {
-    let pulse = table.table("pulse").and_then(|t| pulse(t, problems));
+    let pulse = table.pulse.as_ref().and_then(|t| pulse(t, problems));
     let settings = settings(table, problems);
     let limits = limits(table, problems);
 
-    let transmit_tables = table.tables("transmit");
-    let transmit_names = unique_names(transmit_tables, problems);
+    let transmit_tables = table.transmit.all();
+    let transmit_names = unique_names(transmit_tables.iter().map(|t| &t.name), problems);
     let transmit: Vec<_> = transmit_tables
         .iter()
         .map(|t| transmit(t, problems))
         .collect();
     let more_pulses: Vec<_> = table
-        .tables("more_pulse")
+        .more_pulse
+        .all()
         .iter()
         .map(|t| more_pulse(t, pulse.as_ref(), &transmit_names, problems))
         .collect();
-    let receive_tables = table.tables("receive");
-    let receive_names = unique_names(receive_tables, problems);
+    let receive_tables = table.receive.all();
+    let receive_names = unique_names(receive_tables.iter().map(|t| &t.name), problems);
     let receive: Vec<_> = receive_tables
         .iter()
         .map(|t| receive(t, &transmit_names, problems))
         .collect();
 
     let receiver = table
-        .table("receiver")
+        .receiver
+        .as_ref()
         .and_then(|t| receiver(t, medium, problems));
-    if let Some(t) = table.table("receiver") {
+    if let Some(t) = table.receiver.as_ref() {
         refuse_slow_sampling(t, pulse.as_ref(), limits.as_ref(), medium, problems);
         refuse_bands_beyond_sampling(table, t, pulse.as_ref(), &more_pulses, problems);
     }
@@ -98,9 +102,10 @@ pub(crate) fn sonar<'t>(
     refuse_huge_ping(table, &arrays, &largest, problems);
     let filter = receiver.as_ref().map(|r| r.filter);
     let model = table
-        .table("model")
+        .model
+        .as_ref()
         .and_then(|t| model(t, filter, problems));
-    let synthesis = table.table("model").and_then(|t| synthesis(t, problems));
+    let synthesis = table.model.as_ref().and_then(|t| synthesis(t, problems));
     let sums_pulses = model.is_none_or(|m| {
         let one_by_one = [
             Synthesis::Direct,
@@ -111,28 +116,27 @@ pub(crate) fn sonar<'t>(
     });
     if !more_pulses.is_empty() && !sums_pulses {
         problems.refuse(
-            table.entry("more_pulse"),
+            &table.more_pulse,
             "needs synthesis = \"direct\", \"gridded-1d\" or \"reference\"",
         );
     }
     if model.is_some_and(|m| m.synthesis == Synthesis::Gridded2d) {
-        for t in receive_tables
-            .iter()
-            .filter(|t| t.count("elements") == Some(1))
-        {
+        for t in receive_tables.iter().filter(|t| t.elements.to() == Some(1)) {
             problems.refuse(
-                t.entry("elements"),
+                &t.elements,
                 "must be at least 2 with synthesis = \"gridded-2d\", which wants lines",
             );
         }
     }
     let beams = table
-        .table("beams")
+        .beams
+        .as_ref()
         .and_then(|t| beams(t, &arrays, problems));
-    let picture = table.table("picture").and_then(|t| picture(t, problems));
+    let picture = table.picture.as_ref().and_then(|t| picture(t, problems));
     let has_lines = table
-        .table("beams")
-        .is_some_and(|t| t.given("port") || t.given("starboard"));
+        .beams
+        .as_ref()
+        .is_some_and(|t| t.port.given || t.starboard.given);
     let heard = Heard {
         arrays: &arrays,
         largest: &largest,
@@ -142,18 +146,21 @@ pub(crate) fn sonar<'t>(
         beams: beams.as_ref(),
     };
     let outputs = table
-        .table("output")
+        .output
+        .as_ref()
         .and_then(|t| outputs(t, &heard, listeners, problems));
     let trigger = table
-        .table("trigger")
+        .trigger
+        .as_ref()
         .and_then(|t| trigger::trigger(t, among.0, among.1, listeners, problems));
     let trigger_out = table
-        .table("trigger_out")
+        .trigger_out
+        .as_ref()
         .and_then(|t| trigger::trigger_out(t, problems));
 
     Some(SonarSpec {
-        name: table.text("name")?.to_owned(),
-        serial: u64::try_from(table.integer("serial")?).ok()?,
+        name: table.name.text()?.to_owned(),
+        serial: table.serial.to()?,
         pulse: pulse?,
         more_pulses: all(more_pulses)?,
         transmit: all(transmit).filter(|t| !t.is_empty())?,
@@ -179,30 +186,29 @@ fn owned(names: &[Option<&str>]) -> Option<Vec<String>> {
 
 // ---------------------------------------------------------------- pulse and settings
 
-fn pulse(table: &RawTable, problems: &mut Problems) -> Option<Pulse> {
-    let kind = table.text("kind");
+fn pulse(table: &keys::Pulse, problems: &mut Problems) -> Option<Pulse> {
+    let kind = table.kind.text();
     let is_lfm = kind.map(|k| k == "lfm");
     let condition = "kind = \"lfm\"";
     only_with(
-        table,
-        &["sweep", "bandwidth_khz"],
+        &[&table.sweep, &table.bandwidth_khz],
         is_lfm,
         condition,
         problems,
     );
-    needed_with(table, "bandwidth_khz", is_lfm, condition, problems);
-    let center_frequency_hz = table.scaled("center_frequency_khz", 3);
-    let bandwidth_hz = table.scaled("bandwidth_khz", 3);
+    needed_with(&table.bandwidth_khz, is_lfm, condition, problems);
+    let center_frequency_hz = table.center_frequency_khz.get();
+    let bandwidth_hz = table.bandwidth_khz.get();
     if let (Some(true), Some(center_hz), Some(band_hz)) =
         (is_lfm, center_frequency_hz, bandwidth_hz)
         && band_hz >= 2.0 * center_hz
     {
         problems.refuse(
-            table.entry("bandwidth_khz"),
+            &table.bandwidth_khz,
             "must be below twice center_frequency_khz: the sweep stays above 0 Hz",
         );
     }
-    let kind = match (kind?, table.text("sweep")?) {
+    let kind = match (kind?, table.sweep.text()?) {
         ("cw", _) => PulseKind::Cw,
         (_, "down") => PulseKind::LfmDown,
         _ => PulseKind::LfmUp,
@@ -214,30 +220,29 @@ fn pulse(table: &RawTable, problems: &mut Problems) -> Option<Pulse> {
             PulseKind::Cw => 0.0,
             _ => bandwidth_hz?,
         },
-        duration_s: table.scaled("duration_ms", -3)?,
-        taper: table.number("taper")?,
+        duration_s: table.duration_ms.get()?,
+        taper: table.taper.get()?,
     })
 }
 
 /// `own` is the sonar's own pulse.
 fn more_pulse(
-    table: &RawTable,
+    table: &keys::MorePulse,
     own: Option<&Pulse>,
     transmit_names: &[Option<&str>],
     problems: &mut Problems,
 ) -> Option<MorePulseSpec> {
     let own = own?;
-    let given = |key: &str| table.given(key).then(|| table.scaled(key, 3));
-    let bandwidth_hz = given("bandwidth_khz").unwrap_or(Some(own.bandwidth_hz))?;
-    let center_frequency_hz =
-        given("center_frequency_khz").unwrap_or(Some(own.center_frequency_hz))?;
+    let bandwidth_hz = table.bandwidth_khz.if_given()?.unwrap_or(own.bandwidth_hz);
+    let center_frequency_hz = table.center_frequency_khz.if_given()?;
+    let center_frequency_hz = center_frequency_hz.unwrap_or(own.center_frequency_hz);
     if bandwidth_hz > own.bandwidth_hz {
         problems.refuse(
-            table.entry("bandwidth_khz"),
+            &table.bandwidth_khz,
             "must be at most the pulse's own: the receiver filter is made for that",
         );
     }
-    let kind = match (own.kind, table.text("sweep")?) {
+    let kind = match (own.kind, table.sweep.text()?) {
         (PulseKind::Cw, _) => PulseKind::Cw,
         (_, "up") => PulseKind::LfmUp,
         _ => PulseKind::LfmDown,
@@ -245,13 +250,13 @@ fn more_pulse(
     let apart_hz = (center_frequency_hz - own.center_frequency_hz).abs();
     if kind == own.kind && apart_hz < own.bandwidth_hz {
         problems.refuse(
-            table.entry("sweep"),
+            &table.sweep,
             "must be the other one, or center_frequency_khz a bandwidth away: nothing else tells the pulses apart",
         );
     }
-    let transmit = match table.given("transmit") {
-        true => Some(table.text("transmit").and_then(|name| {
-            let entry = table.entry("transmit");
+    let transmit = match table.transmit.given {
+        true => Some(table.transmit.text().and_then(|name| {
+            let entry = &table.transmit;
             index_of(name, entry, transmit_names, "transmit array", problems)
         })?),
         false => None,
@@ -263,79 +268,80 @@ fn more_pulse(
             bandwidth_hz,
             ..*own
         },
-        delay_s: table.scaled("delay_ms", -3)?,
+        delay_s: table.delay_ms.get()?,
         transmit,
     })
 }
 
 /// Pings per second: given as such, or as a period.
-fn ping_rate_hz(ping: &RawTable) -> Option<f64> {
-    match ping.given("rate_hz") {
-        true => ping.number("rate_hz"),
-        false => ping.scaled("period_ms", -3).map(|s| 1.0 / s),
+fn ping_rate_hz(ping: &keys::Ping) -> Option<f64> {
+    match ping.rate_hz.given {
+        true => ping.rate_hz.get(),
+        false => ping.period_ms.get().map(|s| 1.0 / s),
     }
 }
 
-fn settings(sonar: &RawTable, problems: &mut Problems) -> Option<SonarSettings> {
-    let ping = sonar.table("ping")?;
-    match (ping.given("rate_hz"), ping.given("period_ms")) {
-        (true, true) => problems.refuse(
-            ping.entry("period_ms"),
-            "must not be given together with rate_hz",
-        ),
-        (false, false) => problems.refuse(
-            ping.entry("rate_hz"),
-            "missing: give either rate_hz or period_ms",
-        ),
+fn settings(sonar: &keys::Sonar, problems: &mut Problems) -> Option<SonarSettings> {
+    let ping = sonar.ping.as_ref()?;
+    match (ping.rate_hz.given, ping.period_ms.given) {
+        (true, true) => problems.refuse(&ping.period_ms, "must not be given together with rate_hz"),
+        (false, false) => {
+            problems.refuse(&ping.rate_hz, "missing: give either rate_hz or period_ms")
+        }
         _ => {}
     }
     Some(SonarSettings {
         pinging: true,
-        range_m: ping.number("range_m")?,
+        range_m: ping.range_m.get()?,
         max_ping_rate_hz: ping_rate_hz(ping)?,
-        source_level_db: ping.number("source_level_db")?,
-        gain_db: ping.number("gain_db")?,
-        pulse_duration_s: sonar.table("pulse")?.scaled("duration_ms", -3)?,
+        source_level_db: ping.source_level_db.get()?,
+        gain_db: ping.gain_db.get()?,
+        pulse_duration_s: sonar.pulse.as_ref()?.duration_ms.get()?,
     })
 }
 
 /// Each limit, or the setting alone where none is given; the setting must lie inside.
-fn limits(sonar: &RawTable, problems: &mut Problems) -> Option<LimitsSpec> {
-    let table = sonar.table("limits")?;
-    let ping = sonar.table("ping");
-    let pulse = sonar.table("pulse");
-    let rate_key = match ping.is_some_and(|p| p.given("rate_hz")) {
-        true => "rate_hz",
-        false => "period_ms",
-    };
-    let mut limit = |key: &str, power, owner: Option<&RawTable>, setting_key: &str, setting| {
-        let given = table.pair(key, power);
+fn limits(sonar: &keys::Sonar, problems: &mut Problems) -> Option<LimitsSpec> {
+    let table = sonar.limits.as_ref()?;
+    let ping = sonar.ping.as_ref();
+    let pulse = sonar.pulse.as_ref();
+    let mut limit = |key: &Field<(f64, f64)>, setting_key: Option<&Entry>, setting: Option<f64>| {
+        let given = key.get();
         if let Some((low, high)) = given {
             if low > high {
-                problems.refuse(table.entry(key), "must have the lowest first");
-            } else if let (Some(owner), Some(setting)) = (owner, setting)
+                problems.refuse(key, "must have the lowest first");
+            } else if let (Some(setting_key), Some(setting)) = (setting_key, setting)
                 && !(low..=high).contains(&setting)
             {
                 problems.refuse(
-                    owner.entry(setting_key),
-                    format!("must lie within limits.{key} = {}", table.entry(key).text),
+                    setting_key,
+                    format!("must lie within limits.{} = {}", key.key(), key.text),
                 );
             }
         }
-        match table.given(key) {
+        match key.given {
             true => given,
             false => setting.map(|s| (s, s)),
         }
     };
-    let number = |key: &str| ping.and_then(|p| p.number(key));
-    let range_m = limit("range_m", 0, ping, "range_m", number("range_m"));
-    let rate_hz = ping.and_then(ping_rate_hz);
-    let ping_rate_hz = limit("ping_rate_hz", 0, ping, rate_key, rate_hz);
-    let level = number("source_level_db");
-    let source_level_db = limit("source_level_db", 0, ping, "source_level_db", level);
-    let gain_db = limit("gain_db", 0, ping, "gain_db", number("gain_db"));
-    let duration_s = pulse.and_then(|p| p.scaled("duration_ms", -3));
-    let pulse_duration_s = limit("pulse_duration_ms", -3, pulse, "duration_ms", duration_s);
+    let mut of_ping = |key, setting: fn(&keys::Ping) -> &Field<f64>| {
+        let setting = ping.map(setting);
+        limit(key, setting.map(|s| &**s), setting.and_then(Field::get))
+    };
+    let range_m = of_ping(&table.range_m, |p| &p.range_m);
+    let source_level_db = of_ping(&table.source_level_db, |p| &p.source_level_db);
+    let gain_db = of_ping(&table.gain_db, |p| &p.gain_db);
+    let rate: Option<&Entry> = ping.map(|p| match p.rate_hz.given {
+        true => &*p.rate_hz,
+        false => &*p.period_ms,
+    });
+    let ping_rate_hz = limit(&table.ping_rate_hz, rate, ping.and_then(ping_rate_hz));
+    let duration = pulse.map(|p| &p.duration_ms);
+    let pulse_duration_s = limit(
+        &table.pulse_duration_ms,
+        duration.map(|d| &**d),
+        duration.and_then(Field::get),
+    );
     Some(LimitsSpec {
         range_m: range_m?,
         ping_rate_hz: ping_rate_hz?,
@@ -347,108 +353,99 @@ fn limits(sonar: &RawTable, problems: &mut Problems) -> Option<LimitsSpec> {
 
 // ---------------------------------------------------------------- arrays
 
-fn mounting(table: &RawTable) -> Option<Mounting> {
+fn mounting(position_m: &Field<DVec3>, [roll, pitch, yaw]: [&Field<f64>; 3]) -> Option<Mounting> {
     Some(Mounting {
-        position_m: table.vector("position_m")?,
-        body_from_array: rotation_from_angles(
-            table.angle_rad("roll_deg")?,
-            table.angle_rad("pitch_deg")?,
-            table.angle_rad("yaw_deg")?,
-        ),
+        position_m: position_m.get()?,
+        body_from_array: rotation_from_angles(roll.get()?, pitch.get()?, yaw.get()?),
     })
 }
 
-/// The pattern in `pattern_key`, its sides in `length_key` (along the array's x) and `width_key`.
+/// The pattern called `name`; its sides lie along the array's x and y.
 fn pattern(
-    table: &RawTable,
-    [pattern_key, length_key, width_key]: [&str; 3],
+    name: &Field<String>,
+    [length, width]: [&Field<f64>; 2],
+    baffled: &Field<bool>,
     problems: &mut Problems,
 ) -> Option<Pattern> {
-    let is_rectangle = table.text(pattern_key).map(|p| p == "rectangle");
+    let is_rectangle = name.is("rectangle");
+    let condition = format!("{} = \"rectangle\"", name.key());
     only_with(
-        table,
-        &[length_key, width_key, "baffled"],
+        &[length, width, baffled],
         is_rectangle,
-        &format!("{pattern_key} = \"rectangle\""),
+        &condition,
         problems,
     );
     if !is_rectangle? {
         return Some(Pattern::Omnidirectional);
     }
-    let length_m = table.number(length_key)?;
-    let width_m = table.number(width_key)?;
+    let (length_m, width_m) = (length.get()?, width.get()?);
     if length_m == 0.0 && width_m == 0.0 {
-        problems.refuse(
-            table.entry(pattern_key),
-            format!("must have {length_key} or {width_key} above 0"),
-        );
+        let rule = format!("must have {} or {} above 0", length.key(), width.key());
+        problems.refuse(name, rule);
     }
     Some(Pattern::Rectangle {
         length_m,
         width_m,
-        baffled: table.bool("baffled")?,
+        baffled: baffled.get()?,
     })
 }
 
-fn transmit(table: &RawTable, problems: &mut Problems) -> Option<TransmitArray> {
-    let pattern = pattern(table, ["pattern", "length_m", "width_m"], problems);
+fn transmit(table: &keys::Transmit, problems: &mut Problems) -> Option<TransmitArray> {
+    let sides = [&table.length_m, &table.width_m];
+    let pattern = pattern(&table.pattern, sides, &table.baffled, problems);
+    let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     Some(TransmitArray {
-        mounting: mounting(table)?,
+        mounting: mounting(&table.position_m, angles)?,
         pattern: pattern?,
-        level_offset_db: table.number("level_offset_db")?,
+        level_offset_db: table.level_offset_db.get()?,
     })
 }
 
 fn receive(
-    table: &RawTable,
+    table: &keys::Receive,
     transmit_names: &[Option<&str>],
     problems: &mut Problems,
 ) -> Option<ArrayGeometry> {
-    let elements = table.count("elements");
+    let elements = table.elements.to();
     let several = elements.map(|e| e > 1);
-    needed_with(
-        table,
-        "spacing_m",
-        several,
-        "more than one element",
-        problems,
-    );
-    let spacing_m = match table.given("spacing_m") {
-        true => table.number("spacing_m"),
+    needed_with(&table.spacing_m, several, "more than one element", problems);
+    let spacing_m = match table.spacing_m.given {
+        true => table.spacing_m.get(),
         false => Some(0.0),
     };
-    let keys = ["element_pattern", "element_length_m", "element_width_m"];
-    let element_pattern = pattern(table, keys, problems);
+    let sides = [&table.element_length_m, &table.element_width_m];
+    let element_pattern = pattern(&table.element_pattern, sides, &table.baffled, problems);
+    let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     if let (Some(true), Some(spacing_m), Some(Pattern::Rectangle { length_m, .. })) =
         (several, spacing_m, element_pattern)
         && length_m > spacing_m
         && spacing_m > 0.0
     {
         problems.refuse(
-            table.entry("element_length_m"),
+            &table.element_length_m,
             format!("must be at most spacing_m = {spacing_m}: elements do not overlap"),
         );
     }
-    let transmit = match table.given("transmit") {
-        true => table.text("transmit").and_then(|name| {
-            let entry = table.entry("transmit");
+    let transmit = match table.transmit.given {
+        true => table.transmit.text().and_then(|name| {
+            let entry = &table.transmit;
             index_of(name, entry, transmit_names, "transmit array", problems)
         }),
         false if transmit_names.len() <= 1 => Some(0),
         false => {
             problems.refuse(
-                table.entry("transmit"),
+                &table.transmit,
                 "missing: needed where there are several transmit arrays",
             );
             None
         }
     };
     Some(ArrayGeometry {
-        mounting: mounting(table)?,
+        mounting: mounting(&table.position_m, angles)?,
         elements: elements?,
         spacing_m: spacing_m?,
         element_pattern: element_pattern?,
-        sensitivity_db: table.number("sensitivity_db")?,
+        sensitivity_db: table.sensitivity_db.get()?,
         transmit: transmit?,
     })
 }
@@ -461,26 +458,23 @@ pub(crate) struct Arrays<'a> {
 
 impl Arrays<'_> {
     /// The array that `key` names.
-    fn named(&self, table: &RawTable, key: &str, problems: &mut Problems) -> Option<usize> {
-        let name = table.text(key)?;
-        index_of(
-            name,
-            table.entry(key),
-            self.names,
-            "receive array",
-            problems,
-        )
+    fn named(&self, key: &Field<String>, problems: &mut Problems) -> Option<usize> {
+        index_of(key.text()?, key, self.names, "receive array", problems)
     }
 
     /// The arrays named under `arrays`, or all where none are.
-    pub(crate) fn chosen(&self, table: &RawTable, problems: &mut Problems) -> Option<Vec<usize>> {
-        if !table.given("arrays") {
+    pub(crate) fn chosen(
+        &self,
+        arrays: &Field<Vec<String>>,
+        problems: &mut Problems,
+    ) -> Option<Vec<usize>> {
+        if !arrays.given {
             return Some((0..self.specs.len()).collect());
         }
-        let entry = table.entry("arrays");
+        let entry = arrays;
         let mut seen = HashSet::new();
         let mut chosen = Vec::new();
-        for name in table.texts("arrays")? {
+        for name in arrays.as_ref()? {
             if !seen.insert(name) {
                 problems.refuse(entry, format!("names \"{name}\" twice"));
             }
@@ -498,19 +492,19 @@ impl Arrays<'_> {
 // ---------------------------------------------------------------- receiver
 
 fn receiver(
-    table: &RawTable,
+    table: &keys::Receiver,
     medium: Option<&MediumSpec>,
     problems: &mut Problems,
 ) -> Option<Receiver> {
-    let law = table.text("tvg");
-    let is_law = match (law, table.rows("tvg")) {
+    let law = table.tvg.text();
+    let is_law = match (law, table.tvg.other()) {
         (Some(law), _) => Some(law != "none"),
         (None, rows) => rows.map(|_| false),
     };
-    only_with(table, &["tvg_max_db"], is_law, "a tvg law", problems);
-    let tvg = match (law, table.rows("tvg")) {
+    only_with(&[&table.tvg_max_db], is_law, "a tvg law", problems);
+    let tvg = match (law, table.tvg.other()) {
         (Some("none"), _) => Some(TimeVaryingGain::None),
-        (Some(law), _) => table.number("tvg_max_db").map(|max_db| {
+        (Some(law), _) => table.tvg_max_db.get().map(|max_db| {
             let spreading = match law {
                 "20logr" => 20.0,
                 "30logr" => 30.0,
@@ -526,7 +520,7 @@ fn receiver(
             let increasing = rows.windows(2).all(|w| w[0].0 < w[1].0);
             if !increasing || rows[0].0 < 0.0 {
                 problems.refuse(
-                    table.entry("tvg"),
+                    &table.tvg,
                     "must have ranges from 0 on, each beyond the one before",
                 );
             }
@@ -534,24 +528,21 @@ fn receiver(
         }
         (None, None) => None,
     };
-    let adc_bits = match table.given("adc_bits") {
-        true => Some(u32::try_from(table.integer("adc_bits")?).ok()?),
+    let adc_bits = match table.adc_bits.given {
+        true => Some(table.adc_bits.to()?),
         false => None,
     };
     Some(Receiver {
-        sample_rate_hz: table.scaled("sample_rate_khz", 3)?,
-        filter: match table.text("rx_filter")? {
+        sample_rate_hz: table.sample_rate_khz.get()?,
+        filter: match table.rx_filter.text()? {
             "fir" => ReceiverFilter::Fir,
             _ => ReceiverFilter::None,
         },
         tvg: tvg?,
-        noise_db: match table.given("noise_db") {
-            true => Some(table.number("noise_db")?),
-            false => None,
-        },
+        noise_db: table.noise_db.if_given()?,
         adc_bits,
-        full_scale_v: table.number("full_scale_v")?,
-        seed: u64::try_from(table.integer("seed")?).ok()?,
+        full_scale_v: table.full_scale_v.get()?,
+        seed: table.seed.to()?,
     })
 }
 
@@ -577,14 +568,14 @@ pub(crate) fn max_doppler_hz(pulse: &Pulse, sound_speed_m_per_s: f64) -> f64 {
 }
 
 fn refuse_slow_sampling(
-    table: &RawTable,
+    table: &keys::Receiver,
     pulse: Option<&Pulse>,
     limits: Option<&LimitsSpec>,
     medium: Option<&MediumSpec>,
     problems: &mut Problems,
 ) {
     let (Some(rate_hz), Some(pulse), Some(limits), Some(medium)) =
-        (table.scaled("sample_rate_khz", 3), pulse, limits, medium)
+        (table.sample_rate_khz.get(), pulse, limits, medium)
     else {
         return;
     };
@@ -595,7 +586,7 @@ fn refuse_slow_sampling(
         // Rounded up, so that the number named is enough.
         let min_khz = (min_hz / 10.0).ceil() / 100.0;
         problems.refuse(
-            table.entry("sample_rate_khz"),
+            &table.sample_rate_khz,
             format!(
                 "must be at least {min_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
                 pulse.bandwidth_hz / 1e3,
@@ -608,13 +599,13 @@ fn refuse_slow_sampling(
 
 /// All bands about the one carrier lie within the sampled band.
 fn refuse_bands_beyond_sampling(
-    sonar: &RawTable,
-    receiver: &RawTable,
+    sonar: &keys::Sonar,
+    receiver: &keys::Receiver,
     own: Option<&Pulse>,
     more: &[Option<MorePulseSpec>],
     problems: &mut Problems,
 ) {
-    let (Some(rate_hz), Some(own)) = (receiver.scaled("sample_rate_khz", 3), own) else {
+    let (Some(rate_hz), Some(own)) = (receiver.sample_rate_khz.get(), own) else {
         return;
     };
     let reach_hz = |m: &MorePulseSpec| {
@@ -624,7 +615,7 @@ fn refuse_bands_beyond_sampling(
     let min_hz = OVERSAMPLING * more.iter().flatten().map(reach_hz).fold(0.0, f64::max);
     if rate_hz < min_hz {
         problems.refuse(
-            sonar.entry("more_pulse"),
+            &sonar.more_pulse,
             format!(
                 "needs receiver.sample_rate_khz of at least {}: all pulses are sampled about the first one's centre",
                 (min_hz / 10.0).ceil() / 100.0
@@ -650,7 +641,7 @@ impl LargestPing {
 }
 
 fn refuse_huge_ping(
-    table: &RawTable,
+    table: &keys::Sonar,
     arrays: &Arrays<'_>,
     largest: &LargestPing,
     problems: &mut Problems,
@@ -662,7 +653,7 @@ fn refuse_huge_ping(
     let bytes = elements as f64 * samples * BYTES_PER_COMPLEX_F64;
     if bytes > MAX_PING_BYTES {
         problems.refuse(
-            table.entry("receive"),
+            &table.receive,
             format!(
                 "{elements} elements of {samples} samples are {:.1} GiB in one ping; at most {} GiB",
                 bytes / (1u64 << 30) as f64,
@@ -675,18 +666,18 @@ fn refuse_huge_ping(
 // ---------------------------------------------------------------- model, beams, outputs
 
 fn model(
-    table: &RawTable,
+    table: &keys::Model,
     filter: Option<ReceiverFilter>,
     problems: &mut Problems,
 ) -> Option<ModelChoice> {
-    let doppler = match table.text("doppler") {
+    let doppler = match table.doppler.text() {
         Some(AUTO) => Some(start_doppler(table)),
         named => DopplerModel::ALL
             .into_iter()
             .find(|d| Some(d.name()) == named),
     };
-    let synthesis = match table.given("synthesis") && table.text("synthesis") != Some(AUTO) {
-        true => table.text("synthesis").and_then(synthesis_named),
+    let synthesis = match table.synthesis.given && table.synthesis.text() != Some(AUTO) {
+        true => table.synthesis.text().and_then(synthesis_named),
         false => doppler.zip(filter).map(|(d, f)| default_synthesis(d, f)),
     };
     if let (Some(doppler), Some(synthesis)) = (doppler, synthesis)
@@ -703,7 +694,7 @@ fn model(
             _ => "which lays one pulse under every echo",
         };
         problems.refuse(
-            table.entry("doppler"),
+            &table.doppler,
             format!(
                 "must be {known} with synthesis = \"{}\", {why}",
                 synthesis.name()
@@ -712,18 +703,18 @@ fn model(
     }
     if (synthesis, filter) == (Some(Synthesis::Gridded2d), Some(ReceiverFilter::None)) {
         problems.refuse(
-            table.entry("synthesis"),
+            &table.synthesis,
             "needs receiver.rx_filter = \"fir\": a band that ends",
         );
     }
-    let path = match table.text("path")? {
+    let path = match table.path.text()? {
         // Without steps, so that every sum takes it.
         AUTO => PathModel::KSegment.name(),
         named => named,
     };
     if (synthesis, path) == (Some(Synthesis::Gridded2d), "polyline") {
         problems.refuse(
-            table.entry("path"),
+            &table.path,
             "must be another with synthesis = \"gridded-2d\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none",
         );
     }
@@ -733,12 +724,9 @@ fn model(
         synthesis: synthesis?,
         segment_s: match auto_model(table).segment {
             true => START_SEGMENT_S,
-            false => table.scaled("segment_ms", -3)?,
+            false => table.segment_ms.get()?,
         },
-        cull_db: match table.given("cull_db") {
-            true => Some(table.number("cull_db")?),
-            false => None,
-        },
+        cull_db: table.cull_db.if_given()?,
     })
 }
 
@@ -748,21 +736,21 @@ const AUTO: &str = "auto";
 /// Of a path that is left to the plan, until it is made, seconds: short enough for any motion there is.
 const START_SEGMENT_S: f64 = 0.001;
 
-fn auto_model(table: &RawTable) -> AutoModel {
-    let is_auto = |key: &str| table.text(key) == Some(AUTO);
+fn auto_model(table: &keys::Model) -> AutoModel {
+    let is_auto = |key: &Field<String>| key.is(AUTO) == Some(true);
     AutoModel {
-        path: is_auto("path"),
-        segment: is_auto("path") && !table.given("segment_ms"),
-        doppler: is_auto("doppler"),
-        synthesis: table.given("synthesis") && is_auto("synthesis"),
+        path: is_auto(&table.path),
+        segment: is_auto(&table.path) && !table.segment_ms.given,
+        doppler: is_auto(&table.doppler),
+        synthesis: table.synthesis.given && is_auto(&table.synthesis),
         cull: false,
     }
 }
 
 /// Of a Doppler model that is left to the plan, until it is made: the best that the sum takes.
-fn start_doppler(table: &RawTable) -> DopplerModel {
-    let named = table.text("synthesis").and_then(synthesis_named);
-    match table.given("synthesis") && named.is_some_and(Synthesis::shares_pulse) {
+fn start_doppler(table: &keys::Model) -> DopplerModel {
+    let named = table.synthesis.text().and_then(synthesis_named);
+    match table.synthesis.given && named.is_some_and(Synthesis::shares_pulse) {
         true => DopplerModel::None,
         false => DopplerModel::StretchQuadratic,
     }
@@ -780,37 +768,39 @@ fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis
     }
 }
 
-fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec> {
-    let spectral = match table.given("synthesis") {
-        true => table.text("synthesis").map(|s| s == "spectral"),
+fn synthesis(table: &keys::Model, problems: &mut Problems) -> Option<SynthesisSpec> {
+    let spectral = match table.synthesis.given {
+        true => table.synthesis.is("spectral"),
         false => Some(false),
     };
-    let keys = ["frequency_step_hz"];
-    only_with(table, &keys, spectral, "synthesis = \"spectral\"", problems);
-    let line = match table.given("synthesis") {
-        true => table.text("synthesis").map(|s| s == "gridded-2d"),
+    only_with(
+        &[&table.frequency_step_hz],
+        spectral,
+        "synthesis = \"spectral\"",
+        problems,
+    );
+    let line = match table.synthesis.given {
+        true => table.synthesis.is("gridded-2d"),
         false => Some(false),
     };
-    let keys = ["nearest_m"];
-    only_with(table, &keys, line, "synthesis = \"gridded-2d\"", problems);
+    only_with(
+        &[&table.nearest_m],
+        line,
+        "synthesis = \"gridded-2d\"",
+        problems,
+    );
     Some(SynthesisSpec {
-        tolerance: table.number("tolerance")?,
-        error_check: table.bool("error_check")?,
-        frequency_step_hz: match table.given("frequency_step_hz") {
-            true => Some(table.number("frequency_step_hz")?),
-            false => None,
-        },
-        nearest_m: match table.given("nearest_m") {
-            true => table.number("nearest_m")?,
+        tolerance: table.tolerance.get()?,
+        error_check: table.error_check.get()?,
+        frequency_step_hz: table.frequency_step_hz.if_given()?,
+        nearest_m: match table.nearest_m.given {
+            true => table.nearest_m.get()?,
             false => SynthesisSpec::default().nearest_m,
         },
         engine_tolerance: None,
         auto: auto_model(table),
-        image_cells: match table.given("tolerance_image") {
-            true => Some(table.number("tolerance_image")?),
-            false => None,
-        },
-        output: match table.text("output")? {
+        image_cells: table.tolerance_image.if_given()?,
+        output: match table.output.text()? {
             "beams" => MadeOutput::Beams,
             AUTO => MadeOutput::Auto,
             _ => MadeOutput::Elements,
@@ -819,35 +809,35 @@ fn synthesis(table: &RawTable, problems: &mut Problems) -> Option<SynthesisSpec>
     })
 }
 
-fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<BeamsSpec> {
+fn beams(table: &keys::Beams, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<BeamsSpec> {
     let mut lines = Vec::new();
     for (key, side, sign) in [
-        ("port", Side::Port, -1.0),
-        ("starboard", Side::Starboard, 1.0),
+        (&table.port, Side::Port, -1.0),
+        (&table.starboard, Side::Starboard, 1.0),
     ] {
-        if !table.given(key) {
+        if !key.given {
             continue;
         }
-        let array = arrays.named(table, key, problems);
+        let array = arrays.named(key, problems);
         let looks_across = array
             .and_then(|a| arrays.body_from_array(a))
             .map(|r| sign * (r * DVec3::Z).y);
         if looks_across.is_some_and(|y| y < -SIDE_MARGIN) {
             problems.refuse(
-                table.entry(key),
+                key,
                 "that array looks to the other side (roll_deg is positive to port)",
             );
         }
         lines.push(array.map(|array| LineSpec { side, array }));
     }
-    let fan = table.table("fan").and_then(|t| fan(t, arrays, problems));
+    let fan = table.fan.as_ref().and_then(|t| fan(t, arrays, problems));
     let synthetic_aperture = table
-        .table("synthetic_aperture")
+        .synthetic_aperture
+        .as_ref()
         .and_then(|t| synthetic_aperture(t, arrays, problems));
-    let focused = table.text("line_former").map(|f| f == "dynamic-focus");
+    let focused = table.line_former.is("dynamic-focus");
     only_with(
-        table,
-        &["line_f_number", "line_shading"],
+        &[&table.line_f_number, &table.line_shading],
         focused,
         "line_former = \"dynamic-focus\"",
         problems,
@@ -855,27 +845,18 @@ fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Opti
     Some(BeamsSpec {
         lines: all(lines)?,
         focused_lines: focused?,
-        line_f_number: match table.given("line_f_number") {
-            true => Some(table.number("line_f_number")?),
-            false => None,
-        },
-        line_shading: shading(
-            table,
-            "line_shading",
-            table.number("line_side_lobe_db")?,
-            0.0,
-        )?,
+        line_f_number: table.line_f_number.if_given()?,
+        line_shading: shading(&table.line_shading, table.line_side_lobe_db.get()?, 0.0)?,
         weighting: shading(
-            table,
-            "weighting",
-            table.number("weighting_side_lobe_db")?,
-            table.number("weighting_beta")?,
+            &table.weighting,
+            table.weighting_side_lobe_db.get()?,
+            table.weighting_beta.get()?,
         )?,
-        synthetic_aperture: match table.given("synthetic_aperture") {
+        synthetic_aperture: match table.synthetic_aperture.given {
             true => Some(synthetic_aperture?),
             false => None,
         },
-        fan: match table.given("fan") {
+        fan: match table.fan.given {
             true => Some(fan?),
             false => None,
         },
@@ -883,35 +864,35 @@ fn beams(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Opti
 }
 
 fn synthetic_aperture(
-    table: &RawTable,
+    table: &keys::SyntheticAperture,
     arrays: &Arrays<'_>,
     problems: &mut Problems,
 ) -> Option<SyntheticApertureSpec> {
-    let entry = table.entry("arrays");
+    let entry = &table.arrays;
     let mut chosen = Vec::new();
-    for name in table.texts("arrays")? {
+    for name in table.arrays.as_ref()? {
         let array = index_of(name, entry, arrays.names, "receive array", problems);
         if array.is_some() && chosen.contains(&array) {
             problems.refuse(entry, format!("names \"{name}\" twice"));
         }
         chosen.push(array);
     }
-    for key in ["north_m", "east_m"] {
-        if table.pair(key, 0).is_some_and(|(from, to)| from >= to) {
-            problems.refuse(table.entry(key), "must have the lower edge first");
+    for key in [&table.north_m, &table.east_m] {
+        if key.get().is_some_and(|(from, to)| from >= to) {
+            problems.refuse(key, "must have the lower edge first");
         }
     }
     let spec = SyntheticApertureSpec {
         arrays: all(chosen)?,
-        north_m: table.pair("north_m", 0)?,
-        east_m: table.pair("east_m", 0)?,
-        down_m: table.number("down_m")?,
-        cell_m: table.number("cell_m")?,
+        north_m: table.north_m.get()?,
+        east_m: table.east_m.get()?,
+        down_m: table.down_m.get()?,
+        cell_m: table.cell_m.get()?,
     };
     let (columns, rows) = spec.size();
     if columns as f64 * rows as f64 > MAX_SYNTHETIC_PIXELS {
         problems.refuse(
-            table.entry("cell_m"),
+            &table.cell_m,
             format!("{columns} x {rows} pixels; at most {MAX_SYNTHETIC_PIXELS}"),
         );
         return None;
@@ -919,39 +900,33 @@ fn synthetic_aperture(
     Some(spec)
 }
 
-fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<FanSpec> {
-    let array = arrays.named(table, "array", problems);
+fn fan(table: &keys::Fan, arrays: &Arrays<'_>, problems: &mut Problems) -> Option<FanSpec> {
+    let array = arrays.named(&table.array, problems);
     let spec = array.and_then(|a| arrays.specs.get(a)?.as_ref());
     if spec.is_some_and(|s| s.elements < 2) {
-        problems.refuse(
-            table.entry("array"),
-            "must be an array of at least two elements",
-        );
+        problems.refuse(&table.array, "must be an array of at least two elements");
     }
     let line = spec.map(|s| s.mounting.body_from_array * DVec3::X);
     if line.is_some_and(|x| x.y < MIN_ACROSS && x.x < MIN_ALONG) {
         problems.refuse(
-            table.entry("array"),
+            &table.array,
             "must be an array across the track whose +x end points to starboard (yaw_deg = 90), or one that lies fore and aft (yaw_deg = 0)",
         );
     }
-    let center_rad = table.angle_rad("center_deg");
-    if let (Some(center), Some(sector)) = (center_rad, table.angle_rad("sector_deg"))
+    let center_rad = table.center_deg.get();
+    if let (Some(center), Some(sector)) = (center_rad, table.sector_deg.get())
         && center.abs() + 0.5 * sector > FRAC_PI_2 + 1e-9
     {
         problems.refuse(
-            table.entry("center_deg"),
+            &table.center_deg,
             "must keep the sector within 90 degrees of the boresight",
         );
     }
-    let roll_stabilised = table.bool("roll_stabilised")?;
+    let roll_stabilised = table.roll_stabilised.get()?;
     if roll_stabilised && line.is_some_and(|x| x.y < MIN_ACROSS) {
-        problems.refuse(
-            table.entry("roll_stabilised"),
-            "needs an array across the track",
-        );
+        problems.refuse(&table.roll_stabilised, "needs an array across the track");
     }
-    let former = match table.text("former")? {
+    let former = match table.former.text()? {
         "fft" => Former::Fft,
         "conventional" => Former::TimeDelay,
         "phase" => Former::Phase,
@@ -959,38 +934,34 @@ fn fan(table: &RawTable, arrays: &Arrays<'_>, problems: &mut Problems) -> Option
         _ => Former::Exact,
     };
     only_with(
-        table,
-        &["f_number", "focus_error_deg"],
+        &[&table.f_number, &table.focus_error_deg],
         Some(former == Former::DynamicFocus),
         "former = \"dynamic-focus\"",
         problems,
     );
     Some(FanSpec {
         array: array?,
-        beams: table.count("beams")?,
-        sector_rad: table.angle_rad("sector_deg")?,
-        shading: shading(table, "shading", table.number("shading_side_lobe_db")?, 0.0)?,
+        beams: table.beams.to()?,
+        sector_rad: table.sector_deg.get()?,
+        shading: shading(&table.shading, table.shading_side_lobe_db.get()?, 0.0)?,
         form: FanForm {
             former,
-            spacing: match table.text("spacing")? {
+            spacing: match table.spacing.text()? {
                 "equi-distant" => BeamSpacing::EquiDistant,
                 "equi-sine" => BeamSpacing::EquiSine,
                 _ => BeamSpacing::EquiAngle,
             },
             center_rad: center_rad?,
             roll_stabilised,
-            f_number: match table.given("f_number") {
-                true => Some(table.number("f_number")?),
-                false => None,
-            },
-            focus_error_rad: table.angle_rad("focus_error_deg")?,
-            bottom_detection: table.bool("bottom_detection")?,
+            f_number: table.f_number.if_given()?,
+            focus_error_rad: table.focus_error_deg.get()?,
+            bottom_detection: table.bottom_detection.get()?,
         },
     })
 }
 
-fn shading(table: &RawTable, key: &str, side_lobe_db: f64, beta: f64) -> Option<Shading> {
-    Some(match table.text(key)? {
+fn shading(key: &Field<String>, side_lobe_db: f64, beta: f64) -> Option<Shading> {
+    Some(match key.text()? {
         "hann" => Shading::Hann,
         "hamming" => Shading::Hamming,
         "taylor" => Shading::Taylor { side_lobe_db },
@@ -1011,7 +982,7 @@ struct Heard<'a, 'b> {
 }
 
 fn outputs<'t>(
-    table: &'t RawTable,
+    table: &'t keys::Output,
     heard: &Heard<'_, '_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
@@ -1025,9 +996,10 @@ fn outputs<'t>(
         beams,
     } = heard;
     let mut outputs = Vec::new();
-    if table.given("sevenk") {
+    if table.sevenk.given {
         let spec = table
-            .table("sevenk")
+            .sevenk
+            .as_ref()
             .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
         outputs.push(spec.map(OutputSpec::SevenK));
     }
@@ -1037,58 +1009,67 @@ fn outputs<'t>(
         has_lines,
         more_pulses,
     };
-    if table.given("jsf") {
+    if table.jsf.given {
         let spec = table
-            .table("jsf")
+            .jsf
+            .as_ref()
             .and_then(|t| families::jsf(t, &sonar, listeners, problems));
         outputs.push(spec.map(OutputSpec::Jsf));
     }
-    if table.given("xtf") {
+    if table.xtf.given {
         let spec = table
-            .table("xtf")
+            .xtf
+            .as_ref()
             .and_then(|t| families::xtf(t, &sonar, problems));
         outputs.push(spec.map(OutputSpec::Xtf));
     }
-    if table.given("imagenex872") {
+    if table.imagenex872.given {
         let spec = table
-            .table("imagenex872")
+            .imagenex872
+            .as_ref()
             .and_then(|t| families::imagenex872(t, &sonar, listeners, problems));
         outputs.push(spec.map(OutputSpec::Imagenex872));
     }
-    if table.given("ping") {
+    if table.ping.given {
         let spec = table
-            .table("ping")
+            .ping
+            .as_ref()
             .and_then(|t| devices::ping(t, beams, listeners, problems));
         outputs.push(spec.map(OutputSpec::Ping));
     }
-    if table.given("wbms") {
+    if table.wbms.given {
         let spec = table
-            .table("wbms")
+            .wbms
+            .as_ref()
             .and_then(|t| devices::wbms(t, listeners, problems));
         outputs.push(spec.map(OutputSpec::Wbms));
     }
     let source = Source { arrays, pulse };
-    if table.given("vita49") {
+    if table.vita49.given {
         let spec = table
-            .table("vita49")
+            .vita49
+            .as_ref()
             .and_then(|t| samples::vita49(t, source, problems));
         outputs.push(spec.map(OutputSpec::Vita49));
     }
-    if table.given("elements") {
+    if table.elements.given {
         let spec = table
-            .table("elements")
+            .elements
+            .as_ref()
             .and_then(|t| samples::elements(t, source, listeners, problems));
         outputs.push(spec.map(OutputSpec::Elements));
     }
-    if table.given("sigmf") {
+    if table.sigmf.given {
         let spec = table
-            .table("sigmf")
+            .sigmf
+            .as_ref()
             .and_then(|t| samples::sigmf(t, source, problems));
         outputs.push(spec.map(OutputSpec::Sigmf));
     }
-    if table.given("wav") {
+    if table.wav.given {
         let spec = table
-            .table("wav")
+            .wav
+            .as_ref()
             .and_then(|t| samples::wav(t, source, problems));
         outputs.push(spec.map(OutputSpec::Wav));
     }
@@ -1096,23 +1077,23 @@ fn outputs<'t>(
 }
 
 fn sevenk<'t>(
-    table: &'t RawTable,
+    table: &'t keys::Sevenk,
     arrays: &Arrays<'_>,
     largest: &LargestPing,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<SevenKSpec> {
-    let listen = address(table, "listen", problems);
+    let listen = address(&table.listen, problems);
     if let Some(address) = listen {
         listeners.push(Listener {
-            entry: table.entry("listen"),
+            entry: &table.listen,
             protocol: "TCP",
             address,
             multicast: false,
         });
     }
-    let client_queue_bytes = table.count("client_queue_mib").map(|mib| mib << 20);
-    let chosen = arrays.chosen(table, problems);
+    let client_queue_bytes = table.client_queue_mib.to::<usize>();
+    let chosen = arrays.chosen(&table.arrays, problems);
     if let (Some(chosen), Some(samples)) = (&chosen, largest.samples()) {
         let elements: usize = chosen
             .iter()
@@ -1121,19 +1102,19 @@ fn sevenk<'t>(
             .sum();
         if elements > MAX_7K_ELEMENTS {
             problems.refuse(
-                table.entry("arrays"),
+                &table.arrays,
                 format!("{elements} elements; a 7k record counts to {MAX_7K_ELEMENTS}"),
             );
         }
         let record_bytes = elements as f64 * samples * BYTES_PER_7038_SAMPLE;
         if record_bytes > f64::from(u32::MAX) {
             problems.refuse(
-                table.entry("arrays"),
+                &table.arrays,
                 format!("{record_bytes} bytes in one 7038; a 7k record counts to 2^32 - 1"),
             );
         } else if client_queue_bytes.is_some_and(|queue| (queue as f64) < record_bytes) {
             problems.refuse(
-                table.entry("client_queue_mib"),
+                &table.client_queue_mib,
                 format!(
                     "must hold a ping's element samples: at least {}",
                     (record_bytes / f64::from(1 << 20)).ceil() + 1.0
@@ -1143,12 +1124,12 @@ fn sevenk<'t>(
     }
     Some(SevenKSpec {
         listen: listen?,
-        device_id: u32::try_from(table.integer("id")?).ok()?,
-        enumerator: u16::try_from(table.integer("enumerator")?).ok()?,
+        device_id: table.id.to()?,
+        enumerator: table.enumerator.to()?,
         arrays: chosen?,
-        max_packet: table.count("max_packet_bytes")?,
+        max_packet: table.max_packet_bytes.to()?,
         client_queue_bytes: client_queue_bytes?,
-        disconnect_when_full: table.text("when_full")? == "disconnect",
-        max_clients: table.count("max_clients")?,
+        disconnect_when_full: table.when_full.text()? == "disconnect",
+        max_clients: table.max_clients.to()?,
     })
 }

@@ -1,30 +1,39 @@
 //! Samples that leave as they would be heard.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::only_with;
+use crate::keys;
+use crate::raw::Problems;
 use echotank_core::flow::{DopplerModel, Synthesis};
 
 /// With streaming, unless it is given, seconds.
 const AHEAD_S: f64 = 0.1;
 
-pub(super) fn delivery(table: &RawTable, problems: &mut Problems) -> Option<DeliverySpec> {
-    let streaming = table.text("delivery").map(|text| text == "streaming");
-    let keys = &["stream_block_ms", "stream_latency_ms", "stream_tiles"];
+pub(super) fn delivery(table: &keys::Run, problems: &mut Problems) -> Option<DeliverySpec> {
+    let streaming = table.delivery.is("streaming");
     let condition = "delivery = \"streaming\"";
-    only_with(table, keys, streaming, condition, problems);
+    only_with(
+        &[
+            &table.stream_block_ms,
+            &table.stream_latency_ms,
+            &table.stream_tiles,
+        ],
+        streaming,
+        condition,
+        problems,
+    );
     Some(match streaming? {
         false => DeliverySpec::PingEnd,
         true => DeliverySpec::Streaming {
-            block_s: table.scaled("stream_block_ms", -3)?,
-            latency_s: table.scaled("stream_latency_ms", -3)?,
+            block_s: table.stream_block_ms.get()?,
+            latency_s: table.stream_latency_ms.get()?,
         },
     })
 }
 
-pub(super) fn ahead_s(table: &RawTable) -> Option<f64> {
-    match (table.given("ahead_ms"), table.text("delivery")?) {
-        (true, _) => table.scaled("ahead_ms", -3),
+pub(super) fn ahead_s(table: &keys::Run) -> Option<f64> {
+    match (table.ahead_ms.given, table.delivery.text()?) {
+        (true, _) => table.ahead_ms.get(),
         (false, "streaming") => Some(AHEAD_S),
         (false, _) => Some(0.0),
     }
@@ -32,11 +41,11 @@ pub(super) fn ahead_s(table: &RawTable) -> Option<f64> {
 
 /// Tiles are pings cut short, and not every way to make a ping can be.
 pub(crate) fn refuse_what_has_no_tiles(
-    run: &RawTable,
+    run: &keys::Run,
     sonars: &[&SonarSpec],
     problems: &mut Problems,
 ) {
-    if run.bool("stream_tiles") != Some(true) {
+    if run.stream_tiles.get() != Some(true) {
         return;
     }
     for sonar in sonars {
@@ -57,30 +66,27 @@ pub(crate) fn refuse_what_has_no_tiles(
         } else {
             continue;
         };
-        problems.refuse(
-            run.entry("stream_tiles"),
-            format!("sonar {}: {why}", sonar.name),
-        );
+        problems.refuse(&run.stream_tiles, format!("sonar {}: {why}", sonar.name));
     }
 }
 
 /// What is computed before its pulse cannot wait for the motion that follows.
-pub(crate) fn refuse_without_foresight(nav: &NavSpec, run: &RawTable, problems: &mut Problems) {
+pub(crate) fn refuse_without_foresight(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
     if nav.mode == NavMode::Predict {
         return;
     }
     let rule = "only with nav.mode = \"predict\": the motion after the pulse is not known yet";
-    if run.text("delivery") == Some("streaming") {
-        problems.refuse(run.entry("delivery"), rule);
+    if run.delivery.text() == Some("streaming") {
+        problems.refuse(&run.delivery, rule);
     } else if ahead_s(run).is_some_and(|ahead_s| ahead_s > 0.0) {
-        problems.refuse(run.entry("ahead_ms"), rule);
+        problems.refuse(&run.ahead_ms, rule);
     }
 }
 
 /// What is foreseen for longer than anything may be carried on is never there.
 pub(crate) fn refuse_out_of_sight(
     nav: &NavSpec,
-    run: &RawTable,
+    run: &keys::Run,
     sonars: &[&SonarSpec],
     medium: &MediumSpec,
     problems: &mut Problems,
@@ -103,6 +109,6 @@ pub(crate) fn refuse_out_of_sight(
             ms(longest_s),
             ms(nav.max_extrapolation_s)
         );
-        problems.refuse(run.entry("ahead_ms"), rule);
+        problems.refuse(&run.ahead_ms, rule);
     }
 }

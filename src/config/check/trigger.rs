@@ -1,33 +1,39 @@
 //! `[sonar.trigger]` and `[sonar.trigger_out]`.
 
-use super::super::raw::{Problems, RawTable};
 use super::super::spec::*;
 use super::{Listener, address, index_of, needed_with, only_with};
+use crate::keys;
+use crate::raw::{Entry, Problems};
 
 /// `sonar` is the one whose table this is, `names` are those of all.
 pub(super) fn trigger<'t>(
-    table: &'t RawTable,
+    table: &'t keys::trigger::Trigger,
     sonar: usize,
     names: &[Option<&str>],
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<TriggerSpec> {
-    let source = table.text("source");
+    let source = table.source.text();
     let is = |wanted: &[&str]| source.map(|s| wanted.contains(&s));
-    for (keys, needed, sources) in [
-        (&["listen"][..], "listen", &["udp", "tcp"][..]),
-        (&["port", "edge"], "port", &["serial-cts", "serial-dcd"]),
-        (&["follow", "delay_ms"], "follow", &["sonar"]),
+    let listen: &[&Entry] = &[&table.listen];
+    for (keys, sources) in [
+        (listen, &["udp", "tcp"][..]),
+        (&[&table.port, &table.edge], &["serial-cts", "serial-dcd"]),
+        (&[&table.follow, &table.delay_ms], &["sonar"]),
     ] {
         let quoted: Vec<_> = sources.iter().map(|s| format!("\"{s}\"")).collect();
         let condition = format!("source = {}", quoted.join(" or "));
-        only_with(table, keys, is(sources), &condition, problems);
-        needed_with(table, needed, is(sources), &condition, problems);
+        only_with(keys, is(sources), &condition, problems);
+        needed_with(keys[0], is(sources), &condition, problems);
     }
     let triggered = source.map(|s| s != "internal");
     let condition = "a source other than \"internal\"";
-    let keys = ["early", "min_interval_ms", "watchdog_ms"];
-    only_with(table, &keys, triggered, condition, problems);
+    only_with(
+        &[&table.early, &table.min_interval_ms, &table.watchdog_ms],
+        triggered,
+        condition,
+        problems,
+    );
     let from = match source? {
         "udp" => TriggerFrom::Udp {
             listen: listener(table, "UDP", listeners, problems)?,
@@ -39,45 +45,42 @@ pub(super) fn trigger<'t>(
         "serial-dcd" => modem_line(table, ModemLine::CarrierDetect)?,
         "protocol" => TriggerFrom::Protocol,
         "sonar" => {
-            let entry = table.entry("follow");
-            let whom = index_of(table.text("follow")?, entry, names, "sonar", problems)?;
+            let entry = &table.follow;
+            let whom = index_of(table.follow.text()?, entry, names, "sonar", problems)?;
             if whom == sonar {
                 problems.refuse(entry, "must be another sonar");
                 return None;
             }
             TriggerFrom::Sonar {
                 sonar: whom,
-                delay_s: table.scaled("delay_ms", -3)?,
+                delay_s: table.delay_ms.get()?,
             }
         }
         _ => TriggerFrom::Internal,
     };
     Some(TriggerSpec {
         from,
-        early: match table.text("early")? {
+        early: match table.early.text()? {
             "queue" => EarlyTrigger::Queue,
             _ => EarlyTrigger::Refuse,
         },
-        min_interval_s: table.scaled("min_interval_ms", -3)?,
-        watchdog_s: match table.given("watchdog_ms") {
-            true => Some(table.scaled("watchdog_ms", -3)?),
-            false => None,
-        },
+        min_interval_s: table.min_interval_ms.get()?,
+        watchdog_s: table.watchdog_ms.if_given()?,
     })
 }
 
 fn listener<'t>(
-    table: &'t RawTable,
+    table: &'t keys::trigger::Trigger,
     protocol: &'static str,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<std::net::SocketAddr> {
-    if !table.given("listen") {
+    if !table.listen.given {
         return None; // missed by name already
     }
-    let listen = address(table, "listen", problems)?;
+    let listen = address(&table.listen, problems)?;
     listeners.push(Listener {
-        entry: table.entry("listen"),
+        entry: &table.listen,
         protocol,
         address: listen,
         multicast: false,
@@ -85,29 +88,32 @@ fn listener<'t>(
     Some(listen)
 }
 
-fn modem_line(table: &RawTable, line: ModemLine) -> Option<TriggerFrom> {
+fn modem_line(table: &keys::trigger::Trigger, line: ModemLine) -> Option<TriggerFrom> {
     Some(TriggerFrom::Serial {
-        port: table.text("port")?.to_owned(),
+        port: table.port.text()?.to_owned(),
         line,
-        rising: table.text("edge")? == "rising",
+        rising: table.edge.text()? == "rising",
     })
 }
 
-pub(super) fn trigger_out(table: &RawTable, problems: &mut Problems) -> Option<TriggerOutSpec> {
-    let has_port = Some(table.given("port"));
-    only_with(table, &["line", "pulse_ms"], has_port, "port", problems);
-    let to = match table.given("to") {
-        true => Some(address(table, "to", problems)?),
+pub(super) fn trigger_out(
+    table: &keys::trigger::TriggerOut,
+    problems: &mut Problems,
+) -> Option<TriggerOutSpec> {
+    let has_port = Some(table.port.given);
+    only_with(&[&table.line, &table.pulse_ms], has_port, "port", problems);
+    let to = match table.to.given {
+        true => Some(address(&table.to, problems)?),
         false => None,
     };
-    let serial = match table.given("port") {
+    let serial = match table.port.given {
         true => Some(TriggerLineSpec {
-            port: table.text("port")?.to_owned(),
-            line: match table.text("line")? {
+            port: table.port.text()?.to_owned(),
+            line: match table.line.text()? {
                 "dtr" => OutLine::DataTerminalReady,
                 _ => OutLine::RequestToSend,
             },
-            pulse_s: table.scaled("pulse_ms", -3)?,
+            pulse_s: table.pulse_ms.get()?,
         }),
         false => None,
     };
@@ -116,26 +122,26 @@ pub(super) fn trigger_out(table: &RawTable, problems: &mut Problems) -> Option<T
 
 /// Rules that need the whole rig: who follows does not lead, and triggers come in somebody's time.
 pub(crate) fn refuse_what_nobody_can_trigger(
-    tables: &[RawTable],
+    tables: &[keys::Sonar],
     sonars: &[Option<SonarSpec>],
     run: Option<&RunSpec>,
     problems: &mut Problems,
 ) {
     let from = |sonar: usize| Some(&sonars.get(sonar)?.as_ref()?.trigger.from);
     for (sonar, table) in tables.iter().enumerate() {
-        let Some(trigger) = table.table("trigger") else {
+        let Some(trigger) = table.trigger.as_ref() else {
             continue;
         };
         match from(sonar) {
             Some(TriggerFrom::Sonar { sonar: whom, .. }) => {
                 if matches!(from(*whom), Some(TriggerFrom::Sonar { .. })) {
                     let rule = "must be a sonar that does not follow another";
-                    problems.refuse(trigger.entry("follow"), rule);
+                    problems.refuse(&trigger.follow, rule);
                 }
             }
             Some(own) if own.is_wired() && run.is_some_and(|r| r.clock == ClockSpec::Fast) => {
                 let rule = "needs another run.clock than \"fast\", which waits for nobody";
-                problems.refuse(trigger.entry("source"), rule);
+                problems.refuse(&trigger.source, rule);
             }
             _ => {}
         }

@@ -1,144 +1,87 @@
 //! Outputs of samples: packets for boards, and recordings.
 
-use super::Presence::{Default, Optional, Shown};
-use super::{Key, Kind, Table, from, key};
+use super::*;
 
-const ARRAYS: Key = key(
-    "arrays",
-    Kind::Names,
-    Shown("[\"rx\"]"),
-    "Receive arrays whose elements go out, in this order. Left out: all.",
-);
+table! {
+    /// ANSI/VITA 49.2 over UDP: element samples for acquisition and DSP boards. Sent whether or not anybody listens.
+    Vita49;
 
-pub(super) static VITA49: Table = Table {
-    doc: "ANSI/VITA 49.2 over UDP: element samples for acquisition and DSP boards. Sent whether or not anybody listens.",
-    keys: &[
-        key(
-            "send_to",
-            Kind::Text,
-            Default("\"127.0.0.1:4991\""),
-            "Where to; several addresses with commas between them, groups (multicast) among them.",
-        ),
-        ARRAYS,
-        key(
-            "samples",
-            Kind::Choice(&["baseband", "passband"], &[]),
-            Default("\"baseband\""),
-            "I and Q at the receiver's rate, or what a converter of passband_rate_khz would have seen.",
-        ),
-        key(
-            "passband_rate_khz",
-            Kind::Number(from(1.0, 100_000.0)),
-            Shown("1000.0"),
-            "Above twice the highest frequency of the band. Only with samples = \"passband\".",
-        ),
-        key(
-            "streams",
-            Kind::Choice(&["elements", "vector"], &[]),
-            Default("\"elements\""),
-            "A stream for every element, or one whose samples are vectors of all.",
-        ),
-        key(
-            "first_stream",
-            Kind::Integer(0, 0xFFFF_0000),
-            Default("1"),
-            "Stream identifier of the first; the others count up.",
-        ),
-        key(
-            "max_packet_bytes",
-            Kind::Integer(64, 65_504),
-            Default("1472"),
-            "1472 fits an Ethernet frame.",
-        ),
-        key(
-            "pace_mbit_per_s",
-            Kind::Number(from(0.1, 100_000.0)),
-            Default("400.0"),
-            "Packets of a ping leave no faster than this, or boards lose them.",
-        ),
-        key(
-            "multicast_interface",
-            Kind::Text,
-            Default("\"127.0.0.1\""),
-            "Address of this computer from which groups are sent to.",
-        ),
-        key(
-            "multicast_ttl",
-            Kind::Integer(0, 255),
-            Default("1"),
-            "1 stays in the local network.",
-        ),
-    ],
-    later: &[],
-};
+    /// Where to; several addresses with commas between them, groups (multicast) among them.
+    send_to: Text, Default("\"127.0.0.1:4991\"");
 
-pub(super) static ELEMENTS: Table = Table {
-    doc: "Element samples with little around them (protocols/README.md), over TCP to whoever connects and over UDP to fixed addresses.",
-    keys: &[
-        key(
-            "listen",
-            Kind::Text,
-            Default("\"127.0.0.1:7172\""),
-            "TCP. Only this computer by default: there is no password.",
-        ),
-        key(
-            "send_to",
-            Kind::Text,
-            Optional("\"127.0.0.1:7173\""),
-            "UDP; several addresses with commas between them. Left out: TCP only.",
-        ),
-        ARRAYS,
-        key(
-            "sample",
-            Kind::Choice(&["i16", "f32"], &[]),
-            Default("\"i16\""),
-            "I and Q as counts, the receiver's full scale as 32767, or as volts.",
-        ),
-        key(
-            "max_packet_bytes",
-            Kind::Integer(128, 65_504),
-            Default("1472"),
-            "Of UDP; 1472 fits an Ethernet frame.",
-        ),
-        key(
-            "pace_mbit_per_s",
-            Kind::Number(from(0.1, 100_000.0)),
-            Default("400.0"),
-            "Datagrams leave no faster than this.",
-        ),
-        key(
-            "client_queue_mib",
-            Kind::Integer(1, 65_536),
-            Default("64"),
-            "What may wait for one slow client before its frames are dropped.",
-        ),
-        key("max_clients", Kind::Integer(1, 1000), Default("8"), ""),
-    ],
-    later: &[],
-};
+    /// Receive arrays whose elements go out, in this order. Left out: all.
+    arrays: Names, Shown("[\"rx\"]");
 
-pub(crate) static SIGMF: Table = Table {
-    doc: "SigMF: element samples with an annotation for every ping, in the folder of [record].",
-    keys: &[ARRAYS],
-    later: &[],
-};
+    /// I and Q at the receiver's rate, or what a converter of passband_rate_khz would have seen.
+    samples: Choice("baseband", "passband"), Default("\"baseband\"");
 
-pub(super) static WAV: Table = Table {
-    doc: "Multichannel WAV (RF64 above 4 GiB) of what the elements hear, for benches that play it out, in the folder of [record]. Silence between the pings.",
-    keys: &[
-        ARRAYS,
-        key(
-            "rate_khz",
-            Kind::Number(from(1.0, 100_000.0)),
-            Shown("1000.0"),
-            "Rate of the bench's converters; above twice the highest frequency of the band. Left out: the lowest usual rate that is 2.5 times that frequency.",
-        ),
-        key(
-            "sample",
-            Kind::Choice(&["i16", "f32"], &[]),
-            Default("\"i16\""),
-            "",
-        ),
-    ],
-    later: &[],
-};
+    /// Above twice the highest frequency of the band. Only with samples = "passband".
+    passband_rate_khz: Khz(from(1.0, 100_000.0)), Shown("1000.0");
+
+    /// A stream for every element, or one whose samples are vectors of all.
+    streams: Choice("elements", "vector"), Default("\"elements\"");
+
+    /// Stream identifier of the first; the others count up.
+    first_stream: Integer(0, 0xFFFF_0000), Default("1");
+
+    /// 1472 fits an Ethernet frame.
+    max_packet_bytes: Integer(64, 65_504), Default("1472");
+
+    /// Packets of a ping leave no faster than this, or boards lose them.
+    pace_mbit_per_s: Number(from(0.1, 100_000.0)), Default("400.0");
+
+    /// Address of this computer from which groups are sent to.
+    multicast_interface: Text, Default("\"127.0.0.1\"");
+
+    /// 1 stays in the local network.
+    multicast_ttl: Integer(0, 255), Default("1");
+}
+
+table! {
+    /// Element samples with little around them (protocols/README.md), over TCP to whoever connects and over UDP to fixed addresses.
+    Elements;
+
+    /// TCP. Only this computer by default: there is no password.
+    listen: Text, Default("\"127.0.0.1:7172\"");
+
+    /// UDP; several addresses with commas between them. Left out: TCP only.
+    send_to: Text, Optional("\"127.0.0.1:7173\"");
+
+    /// Receive arrays whose elements go out, in this order. Left out: all.
+    arrays: Names, Shown("[\"rx\"]");
+
+    /// I and Q as counts, the receiver's full scale as 32767, or as volts.
+    sample: Choice("i16", "f32"), Default("\"i16\"");
+
+    /// Of UDP; 1472 fits an Ethernet frame.
+    max_packet_bytes: Integer(128, 65_504), Default("1472");
+
+    /// Datagrams leave no faster than this.
+    pace_mbit_per_s: Number(from(0.1, 100_000.0)), Default("400.0");
+
+    /// What may wait for one slow client before its frames are dropped.
+    client_queue_mib: Mib(1, 65_536), Default("64");
+    max_clients: Integer(1, 1000), Default("8");
+}
+
+table! {
+    /// SigMF: element samples with an annotation for every ping, in the folder of [record].
+    Sigmf;
+
+    /// Receive arrays whose elements go out, in this order. Left out: all.
+    arrays: Names, Shown("[\"rx\"]");
+}
+
+table! {
+    /// Multichannel WAV (RF64 above 4 GiB) of what the elements hear, for benches that play it out, in the folder of [record]. Silence between
+    /// the pings.
+    Wav;
+
+    /// Receive arrays whose elements go out, in this order. Left out: all.
+    arrays: Names, Shown("[\"rx\"]");
+
+    /// Rate of the bench's converters; above twice the highest frequency of the band. Left out: the lowest usual rate that is 2.5 times that
+    /// frequency.
+    rate_khz: Khz(from(1.0, 100_000.0)), Shown("1000.0");
+    sample: Choice("i16", "f32"), Default("\"i16\"");
+}
