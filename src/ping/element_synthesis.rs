@@ -17,7 +17,7 @@ use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::echo::reference::reference_with;
 use echotank_synthesis::echo::span::doppler_span;
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank_synthesis::slabs::{Listener, Made};
+use echotank_synthesis::slabs::{PingElement, SlabEngine};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
@@ -199,7 +199,7 @@ impl ElementSynthesis {
     pub(crate) fn limit_to_window(&mut self, plan: &PingPlan) {
         let window = self.window(plan);
         for leg in &mut self.transmit_legs {
-            leg.hear(window);
+            leg.set_window(window);
         }
     }
 
@@ -248,7 +248,7 @@ impl ElementSynthesis {
                     .with_min_len(together)
                     .enumerate()
                     .map(|(element, iq)| {
-                        let listener = Listener {
+                        let target = PingElement {
                             plan,
                             array,
                             element,
@@ -259,7 +259,7 @@ impl ElementSynthesis {
                         let of_each = slabs.with_min_len(together).enumerate();
                         let of_each = of_each.map(|(slab, out)| {
                             let walk = &mut of_this_thread(scratch).walk;
-                            made.make_slab(listener, slab, walk, out)
+                            made.synthesise_slab(target, slab, walk, out)
                         });
                         of_each.reduce(EchoCounts::default, sum)
                     });
@@ -299,14 +299,14 @@ impl ElementSynthesis {
                 spans,
                 ready: true,
             } => {
-                let listener = Listener {
+                let target = PingElement {
                     plan,
                     array,
                     element,
                     transmit_leg: leg,
                     span: spans[index],
                 };
-                slab_by_slab(engines.current(), listener, walk, iq)
+                slab_by_slab(engines.current(), target, walk, iq)
             }
             Engine::Comparison(method) => {
                 let rate_hz = self.spec.receiver.sample_rate_hz;
@@ -342,14 +342,14 @@ impl ElementSynthesis {
 
 /// One element by one thread.
 fn slab_by_slab(
-    made: &Made,
-    listener: Listener<'_>,
+    made: &SlabEngine,
+    target: PingElement<'_>,
     walk: &mut Workspace,
     iq: &mut [Complex64],
 ) -> EchoCounts {
     let mut counts = EchoCounts::default();
     for (slab, out) in iq.chunks_mut(made.slab_samples()).enumerate() {
-        counts += made.make_slab(listener, slab, walk, out);
+        counts += made.synthesise_slab(target, slab, walk, out);
     }
     counts
 }

@@ -13,7 +13,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::flow::{DopplerModel, ErrorModel, PingPlan, Pulse, SonarSettings, Synthesis};
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, SimdLevel, one_dimensional};
-use echotank_synthesis::slabs::{Made, Sketch};
+use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
 pub const LEVEL_RANGE_DB: f64 = 80.0;
@@ -64,8 +64,8 @@ pub(crate) struct Engines {
     sound_speed_m_per_s: f64,
     max_samples: usize,
     /// The latest used first.
-    kept: Vec<(Key, Made)>,
-    coming: Vec<(Key, JoinHandle<Result<Made, GriddedError>>)>,
+    kept: Vec<(Key, SlabEngine)>,
+    coming: Vec<(Key, JoinHandle<Result<SlabEngine, GriddedError>>)>,
 }
 
 /// The receiver filter as the engines want it.
@@ -170,11 +170,11 @@ impl Engines {
     }
 
     /// What [`Engines::ready`] found last.
-    pub(crate) fn current(&self) -> &Made {
+    pub(crate) fn current(&self) -> &SlabEngine {
         &self.kept[0].1
     }
 
-    fn coming_or_made(&mut self, key: Key) -> Result<Made, GriddedError> {
+    fn coming_or_made(&mut self, key: Key) -> Result<SlabEngine, GriddedError> {
         if let Some(at) = self.coming.iter().position(|(coming, _)| *coming == key) {
             let (_, thread) = self.coming.remove(at);
             if let Ok(made) = thread.join() {
@@ -192,7 +192,7 @@ pub fn sketch(
     fastest_m_per_s: f64,
     filter: Option<&Decimator>,
     plan: &PingPlan,
-) -> Result<Sketch, GriddedError> {
+) -> Result<SlabDesign, GriddedError> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = plan::max_samples(spec, sound_speed_m_per_s);
     let key = Key {
@@ -244,7 +244,7 @@ impl Wish {
         Ok(())
     }
 
-    fn sketch(&self, key: Key) -> Result<Sketch, GriddedError> {
+    fn sketch(&self, key: Key) -> Result<SlabDesign, GriddedError> {
         let pulse = Pulse {
             duration_s: key.duration_s,
             ..self.pulse
@@ -262,11 +262,11 @@ impl Wish {
             arrivals: NOMINAL_ARRIVALS,
             simd_level: SimdLevel::best(),
         };
-        Sketch::new(&spec, self.elements)
+        SlabDesign::new(&spec, self.elements)
     }
 
-    fn make(&self, key: Key) -> Result<Made, GriddedError> {
-        Ok(self.sketch(key)?.made(self.threads))
+    fn make(&self, key: Key) -> Result<SlabEngine, GriddedError> {
+        Ok(self.sketch(key)?.build(self.threads))
     }
 }
 

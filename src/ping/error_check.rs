@@ -20,7 +20,7 @@ use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
-use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 
 /// Samples that an error check rests on, at most.
 pub const KEPT: usize = 128;
@@ -253,7 +253,7 @@ impl ErrorChecker {
             let of = spec.receive[probe.array].element_pattern.stands_for();
             let ranges_m = [0, of - 1].map(|j| {
                 let element = probe.element * of + j;
-                heard_ranges_m(
+                receivable_ranges_m(
                     plan,
                     tx,
                     &array,
@@ -268,7 +268,7 @@ impl ErrorChecker {
                 .push((near_m.min(also_near_m), far_m.max(also_far_m)));
         }
         if self.active > 0 {
-            heard(plan, scatterers, &self.ranges_m, &mut self.candidates);
+            receivable(plan, scatterers, &self.ranges_m, &mut self.candidates);
         }
         let this = &*self;
         this.probes[..this.active]

@@ -1,7 +1,12 @@
-//! Element samples of a ping: scatterers to arrivals ([`echo`]), arrivals to samples ([`array`]).
+#![warn(missing_docs)]
+//! Element samples of one ping: scatterers to arrivals ([`echo`]), and arrivals to samples
+//! ([`array`]).
 //!
-//! In: a plan of the ping and its scatterers. Out: complex samples of every element, after the receiver. One crate, since the walk over the
-//! scatterers and the engines that sum the arrivals are compiled together for each pair.
+//! Input: a [`PingPlan`](echotank_core::flow::PingPlan) and its scatterers. Output: complex
+//! baseband samples of every element, after the receiver chain.
+//!
+//! Both stages are one crate because the compiler monomorphises the walk over the scatterers for
+//! each engine that sums the arrivals.
 
 pub mod array;
 pub mod comparison;

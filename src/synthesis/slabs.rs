@@ -1,8 +1,14 @@
-//! `gridded-1d` for whole records: long ones of few elements in slabs, each from the echoes that overlap it.
+//! The `gridded-1d` engine applied to records in slabs.
 //!
-//! So few elements keep all threads at work, and what echoes are added up on stays in the nearer caches. Of many elements nothing is gained, and batches
-//! of scatterers that overlap two slabs are walked twice (the quickstart's 48 elements took a fifth longer). How many slabs depends on elements and
-//! on the lengths of record, pulse and filter alone, so that bits do not depend on threads.
+//! A long record of a few elements is cut into slabs along time. Each slab is synthesised from the
+//! echoes that overlap it.
+//! This keeps all threads busy when there are fewer elements than threads, and the grids stay in
+//! the inner caches.
+//! Arrays with many elements gain nothing, since the walk visits batches that overlap two slabs
+//! twice.
+//!
+//! The number of slabs depends only on the element count and on the lengths of record, pulse and
+//! filter. The output bits therefore do not depend on the thread count.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -15,26 +21,32 @@ use crate::array::gridded::{
 use crate::echo::{Slab, TransmitLeg, Window, Workspace, arrivals_of_slab};
 use echotank_core::flow::{ArrayGeometry, EchoCounts, ErrorModel, PingPlan};
 
-/// A slab is so many echoes long at least, since what overlaps its ends is made twice; and a record has so many slabs at most.
+/// Shortest slab, in echo lengths. Echoes that overlap a slab boundary are synthesised twice, so
+/// short slabs are wasteful.
 const SLAB_ECHOES: f64 = 10.0;
+/// Maximum number of slabs in a record.
 const MAX_SLABS: usize = 4;
-/// Arrays of more elements are made without.
+/// Arrays with more elements than this use one slab.
 const FEW_ELEMENTS: usize = 8;
 
-/// An engine for the slabs of records, without its work: for its error model and cost.
-pub struct Sketch {
+/// Design of the slab engine without its buffers, used to predict error and cost.
+pub struct SlabDesign {
     engine: Gridded1d,
-    /// Of a slab, at most; and how many there are.
+    /// Samples of the longest slab.
+    /// Slabs in a record.
     samples: usize,
     slabs: usize,
-    /// Of an echo, the filter's tails included.
+    /// Length of an echo in samples, with both filter tails.
     echo_samples: f64,
     sample_rate_hz: f64,
     filter: Option<Decimator>,
 }
 
-impl Sketch {
-    /// For records of `spec.samples` at most, of arrays of so many `elements`.
+impl SlabDesign {
+    /// Designs slabs for arrays of `elements` elements and records of at most `spec.samples`
+    /// samples.
+    ///
+    /// Fails where [`Gridded1d::new`] fails.
     pub fn new(spec: &one_dimensional::Spec, elements: usize) -> Result<Self, GriddedError> {
         let filter_s = spec.filter.map_or(0.0, |filter| 2.0 * filter.half_s());
         let echo_samples = spec.sample_rate_hz * (spec.pulse.duration_s + filter_s);
@@ -61,7 +73,7 @@ impl Sketch {
         })
     }
 
-    /// Predicted error, and milliseconds of one core per element.
+    /// Predicted error, and cost in milliseconds of one core per element.
     pub fn error_model(&self) -> ErrorModel {
         let mut error_model = self.engine.error_model().clone();
         if self.slabs > 1 {
@@ -71,7 +83,7 @@ impl Sketch {
         error_model
     }
 
-    /// As [`Gridded1d::cost_estimate`], of whole records.
+    /// Cost of a whole record; see [`Gridded1d::cost_estimate`] for the arguments.
     pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
         let (samples, count) = (self.samples as f64, self.slabs as f64);
         let overlapping = match self.slabs {
@@ -86,9 +98,9 @@ impl Sketch {
         }
     }
 
-    /// With work for so many threads.
-    pub fn made(self, threads: usize) -> Made {
-        Made {
+    /// Allocates the buffers of `threads` threads.
+    pub fn build(self, threads: usize) -> SlabEngine {
+        SlabEngine {
             error_model: self.error_model(),
             work: (0..threads)
                 .map(|_| Mutex::new(self.engine.work()))
@@ -100,8 +112,8 @@ impl Sketch {
     }
 }
 
-/// An engine with its work for every thread of the pool.
-pub struct Made {
+/// Slab engine with buffers for every thread of the pool.
+pub struct SlabEngine {
     error_model: ErrorModel,
     samples: usize,
     sample_rate_hz: f64,
@@ -109,43 +121,47 @@ pub struct Made {
     work: Vec<Mutex<Gridded1dWork>>,
 }
 
-/// One element in one ping.
+/// The element and ping that a slab is synthesised for.
 #[derive(Clone, Copy)]
-pub struct Listener<'a> {
+pub struct PingElement<'a> {
+    /// Geometry, pulse and model of the ping.
     pub plan: &'a PingPlan,
+    /// Receive array of the element.
     pub array: &'a ArrayGeometry,
+    /// Index of the element in `array`.
     pub element: usize,
+    /// Insonified scatterers of the ping.
     pub transmit_leg: &'a TransmitLeg,
-    /// Of this ping's echoes.
+    /// Range of the Doppler stretches of this ping's echoes.
     pub span: DopplerSpan,
 }
 
-impl Made {
-    /// See [`Sketch::error_model`].
+impl SlabEngine {
+    /// Predicted error and cost; see [`SlabDesign::error_model`].
     pub fn error_model(&self) -> &ErrorModel {
         &self.error_model
     }
 
-    /// Samples of a slab; the last of a record may have fewer.
+    /// Samples of a slab. The last slab of a record may be shorter.
     pub fn slab_samples(&self) -> usize {
         self.samples
     }
 
-    /// Overwrites `out`, the slab of a record with this number.
-    pub fn make_slab(
+    /// Overwrites `out` with slab number `slab` of the record.
+    pub fn synthesise_slab(
         &self,
-        listener: Listener,
+        target: PingElement,
         slab: usize,
         walk: &mut Workspace,
         out: &mut [Complex64],
     ) -> EchoCounts {
-        let Listener {
+        let PingElement {
             plan,
             array,
             element,
             transmit_leg,
             span,
-        } = listener;
+        } = target;
         let [first, end] = [slab * self.samples, slab * self.samples + out.len()];
         let at_s = |sample: usize| plan.first_sample_s + sample as f64 / self.sample_rate_hz;
         let first_s = at_s(first);
@@ -166,14 +182,15 @@ impl Made {
             own_s: (begins_s, ends_s),
         };
         let thread = rayon::current_thread_index().unwrap_or(0);
-        // A panic in another ping leaves the work as good as any: every use begins anew.
+        // The lock may be poisoned by a panic in another ping. The buffers remain valid: `start`
+        // resets them.
         let mut work = self.work[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         work.start(first_s, span);
         let mut counts =
             arrivals_of_slab(plan, array, element, transmit_leg, slab, walk, &mut *work);
-        // Of two slabs that hear an echo both count it here.
+        // Two slabs that share an echo both count it here.
         counts.beyond_engine = work.finish(out).outside_span;
         counts
     }

@@ -5,7 +5,7 @@ use num_complex::Complex64;
 
 use echotank_core::flow::*;
 use echotank_synthesis::array::{Decimator, Direct};
-use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::reference::reference_with;
 
 use crate::paths::restless;
@@ -44,8 +44,8 @@ fn both(
         half_span_s: 0.5 * len as f64 / dense_rate_hz,
     };
     let mut candidates = Vec::new();
-    let ranges_m = [heard_ranges_m(plan, &tx, &rx, at)];
-    heard(plan, &scatterers, &ranges_m, &mut candidates);
+    let ranges_m = [receivable_ranges_m(plan, &tx, &rx, at)];
+    receivable(plan, &scatterers, &ranges_m, &mut candidates);
     let mut dense = vec![Complex64::ZERO; len];
     echoes_at(
         plan,
@@ -113,10 +113,10 @@ fn finding_scatterers_by_range_misses_none() {
         .collect();
     let ranges_m: Vec<_> = instants
         .iter()
-        .map(|at| heard_ranges_m(&plan, &tx, &rx, *at))
+        .map(|at| receivable_ranges_m(&plan, &tx, &rx, *at))
         .collect();
     let mut found = Vec::new();
-    heard(&plan, &scatterers, &ranges_m, &mut found);
+    receivable(&plan, &scatterers, &ranges_m, &mut found);
     let mut left_out = 0;
     for (k, at) in instants.iter().enumerate() {
         let echoes = |indices: &mut dyn Iterator<Item = usize>| {
@@ -136,10 +136,10 @@ fn finding_scatterers_by_range_misses_none() {
     // Off the world and far away.
     let mut odd = points([DVec3::NAN, DVec3::splat(1e300), DVec3::ZERO]);
     odd.north_m[1] = f64::INFINITY;
-    heard(&plan, &odd, &ranges_m, &mut found);
+    receivable(&plan, &odd, &ranges_m, &mut found);
     let mut sink = Collected::default();
     echoes_at(&plan, &tx, &rx, instants[3], &odd, 0..3, &mut sink);
     assert!(sink.arrivals.iter().all(|a| a.delay_s.is_finite()));
-    heard(&plan, &odd, &[], &mut found);
+    receivable(&plan, &odd, &[], &mut found);
     assert!(found.is_empty());
 }

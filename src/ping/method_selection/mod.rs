@@ -238,11 +238,11 @@ struct Maker<'a> {
 #[derive(Default)]
 struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
 
-type Sketch = Result<Rc<slabs::Sketch>, String>;
+type Sketch = Result<Rc<slabs::SlabDesign>, String>;
 
 /// What an engine promises and costs.
 enum Engine {
-    One(Rc<slabs::Sketch>),
+    One(Rc<slabs::SlabDesign>),
     Lines {
         error: f64,
         cost: CostEstimate,

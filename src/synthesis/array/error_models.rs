@@ -1,6 +1,8 @@
-//! What the ways to sum echoes promise, by themselves: path and Doppler models have error models of their own.
+//! Error models of the synthesis methods alone; path and Doppler models have their own in
+//! [`echo::error_models`](crate::echo::error_models).
 //!
-//! Errors are relative l2 against the same sum made without approximation, behind the same receiver filter. Costs are of one 3.7 GHz core.
+//! Errors are relative l2 against the same sum without approximation, behind the same receiver
+//! filter. Costs are for one 3.7 GHz core.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -9,16 +11,17 @@ use echotank_core::flow::{Conditions, ErrorModel, Pulse, ReceiverFilter, Synthes
 use super::filter::{occupied_hz, oversample};
 use super::gridded::pulse_spectrum::PulseSpectrum;
 
-/// ns per echo and sample of the recurrence.
+/// Cost of the recurrence, ns per echo and sample.
 const SAMPLE_NS: f64 = 0.4;
-/// ns per echo of `gridded-2d`: each is spread once for a whole stretch of elements.
+/// Cost of `gridded-2d`, ns per echo, which is spread once for a whole stretch of elements.
 const LINE_NS: f64 = 1.0;
-/// ns per echo of `gridded-1d`, Doppler columns and transforms included: `tools/bench echo` has the figures of each.
+/// Cost of `gridded-1d`, ns per echo, with Doppler columns and transforms; measured by `tools/bench
+/// echo`.
 const GRIDDED_NS: f64 = 30.0;
-/// ns per echo and sample of the reference.
+/// Cost of the reference, ns per echo and sample.
 const REFERENCE_NS: f64 = 900.0;
 
-/// The error model of one synthesis.
+/// Predicted error and cost of one synthesis method.
 pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> ErrorModel {
     let pulse = &conditions.pulse;
     let rate_hz = conditions.sample_rate_hz;
@@ -40,7 +43,8 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         ),
         Synthesis::Direct => (RECURRENCE, sampled * SAMPLE_NS, "exact".to_owned()),
         Synthesis::Spectral if filtered => {
-            // Where a sharp pulse's spectrum is cut the filter's stop band still passes 1e-4 of it: it rings on, into weaker windows.
+            // Cutting the spectrum of a sharp pulse leaves 1e-4 in the stop band of the filter,
+            // which rings into weaker windows.
             let cut = match pulse.taper > 0.0 {
                 true => 0.0,
                 false => 1.5e-3 * out_of_band_share(conditions).sqrt(),
@@ -88,24 +92,29 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
     }
 }
 
-/// Rounding of a run of 512 points made from one start.
+/// Rounding error of a recurrence over 512 points.
 const RECURRENCE: f64 = 512.0 * f64::EPSILON;
-/// A window may hold no more of an echo than one of its ends, where most is left: so much more than of the whole echo, counted as error checks
-/// do (which takes the mean of a ping for a weaker window's level).
+/// Ratio of the error in a window that holds one end of an echo to the error of the whole echo. It
+/// follows the rule of the error checks, which take the mean of a ping as the level of a weaker
+/// window.
 const ONE_END: f64 = 3.0;
 const ONE_SHARP_END: f64 = 1.5;
 
-/// What `dense` points a sample leave of a pulse's ends behind the filter, over windows of its length.
+/// Error that `dense` points per sample leave at the ends of a pulse behind the filter, over
+/// windows of the pulse's length.
 ///
-/// Sharp ends: the points next to an end are weighted so that cubics are integrated exactly; what that leaves depends on the points to a
-/// width of the band alone, which are always as many. So either end leaves the same, whatever lies between them: of an echo of n samples
-/// 1/sqrt(n), and of a window longer than the echo no more. At 200 samples 3e-4, as `filter`'s tests measure it.
+/// Sharp ends: the weights of the points next to an end integrate cubics exactly. The remainder
+/// depends only on a fixed number of points within the filter width, so each end leaves the same
+/// error. It is 1/sqrt(n) of an echo of n samples, and no more in a longer window. The tests of
+/// `filter` measure 3e-4 at 200 samples.
 ///
-/// A taper: its second derivative steps where flank and flat meet, by Euler and Maclaurin a step's third part of it at four places: of an echo of n
-/// samples with m points on a flank 0.09/(`dense` m^2 sqrt(n)), by 40 pulses of 0.3 to 6 ms, and 1e-5 of the filter's own stop band.
+/// A taper: its second derivative has a step between flank and flat top. By the Euler-Maclaurin
+/// formula the error is a third of that step at four places: 0.09/(`dense` m^2 sqrt(n)) for an echo
+/// of n samples with m points on a flank, fitted to 40 pulses of 0.3 to 6 ms. The stop band of the
+/// filter adds 1e-5.
 fn edge_error(pulse: &Pulse, rate_hz: f64, dense: f64) -> f64 {
     if pulse.taper == 0.0 {
-        // Two ends, the same whatever lies between them; 3e-4 at 200 samples.
+        // Two ends, independent of what lies between them; 3e-4 at 200 samples.
         return ONE_SHARP_END * 3e-4 * (200.0 / (pulse.duration_s * rate_hz)).sqrt().max(1.0);
     }
     let samples = pulse.duration_s * rate_hz;
@@ -113,8 +122,9 @@ fn edge_error(pulse: &Pulse, rate_hz: f64, dense: f64) -> f64 {
     ONE_END * (0.09 / (dense * flank_points.powi(2) * samples.sqrt())).clamp(1e-5, 1.0)
 }
 
-/// Share of the energy of a pulse with sharp ends outside +-f_s/2. Beyond its sweep the spectrum is that of its two jumps, each
-/// |S|^2 = 1/(2 pi (f - f_end))^2; for a taper this is far above the truth.
+/// Share of the energy of a pulse with sharp ends outside +-f_s/2. Beyond its sweep the spectrum is
+/// that of its two jumps, each |S|^2 = 1/(2 pi (f - f_end))^2. For a tapered pulse this is far
+/// above the true share.
 fn out_of_band_share(conditions: &Conditions) -> f64 {
     let pulse = &conditions.pulse;
     let (half_rate, half_band) = (0.5 * conditions.sample_rate_hz, 0.5 * pulse.bandwidth_hz);
@@ -123,14 +133,17 @@ fn out_of_band_share(conditions: &Conditions) -> f64 {
     (2.0 * tails / (4.0 * PI * PI * pulse.duration_s)).min(1.0)
 }
 
-/// What a band leaves out of a jump, by the place of the jump between two samples: on a sample half the jump is missed, and nothing but that
-/// (1/4 of its square); over all places the mean is the spectrum beyond +-f_s/2, 2 times the integral of f_s/(2 pi f)^2, which is 1/pi^2.
+/// Ratio of the worst to the rms error of a band-limited jump over its position between two
+/// samples. On a sample, half the jump is lost (1/4 of its square). The mean over all positions is
+/// the spectrum beyond +-f_s/2: twice the integral of f_s/(2 pi f)^2, which is 1/pi^2.
 const WORST_JUMP: f64 = FRAC_PI_2;
 
-/// Bands to either side over which a spectrum is looked at: the sum of samples folds what lies beyond; of 1/f^2 a hundredth is beyond these.
+/// Number of bands on either side whose aliases are summed. For a 1/f^2 spectrum, one hundredth
+/// lies beyond them.
 const FOLDS: f64 = 32.0;
 
-/// Root mean square of `error(w)`, w radians per sample, over the pulse's spectrum: behind the receiver filter as far as that lets it pass.
+/// Rms of `error(w)`, w in radians per sample, over the spectrum of the pulse, limited to the pass
+/// band of the receiver filter if there is one.
 fn over_spectrum(conditions: &Conditions, error: fn(f64) -> f64) -> f64 {
     let (pulse, rate_hz) = (&conditions.pulse, conditions.sample_rate_hz);
     let filtered = conditions.filter == ReceiverFilter::Fir;
@@ -138,10 +151,10 @@ fn over_spectrum(conditions: &Conditions, error: fn(f64) -> f64) -> f64 {
         true => 0.5 * rate_hz,
         false => FOLDS * rate_hz,
     };
-    // The transition of the filter, about its middle: from the occupied band to half the rate.
+    // The transition of the filter from the occupied band to half the rate, about its middle.
     let pass_hz = (0.5 * occupied_hz(pulse)).min(farthest_hz);
     let spectrum = PulseSpectrum::new(pulse, farthest_hz);
-    // Four to every lobe of the spectrum.
+    // Four points per lobe of the spectrum.
     let step_hz = 0.25 / pulse.duration_s;
     let (mut off, mut all) = (0.0, 0.0);
     for k in 0..(farthest_hz / step_hz) as usize {
@@ -159,18 +172,19 @@ fn over_spectrum(conditions: &Conditions, error: fn(f64) -> f64) -> f64 {
     (off / all).sqrt()
 }
 
-/// A filter's transition, near enough: from 1 at 0 to 0 at 1, half in the middle.
+/// Approximate transition of a filter: 1 at 0, one half in the middle, 0 at 1.
 fn fade(x: f64) -> f64 {
     0.5 + 0.5 * (PI * x.clamp(0.0, 1.0)).cos()
 }
 
-/// Of an echo at its unluckiest, half a sample from its place: |1 - exp(-j w/2)|^2. (Over all places even, sqrt(3) less: a window may hold
-/// one echo only.)
+/// Worst case of an echo half a sample from its position: |1 - exp(-j w/2)|^2. The mean over all
+/// positions is smaller by sqrt(3), but a window may hold a single echo.
 fn nearest_error(w: f64) -> f64 {
     2.0 - 2.0 * (0.5 * w).cos()
 }
 
-/// Of (x[n] + x[n-1])/2 for x(n - 1/2), the unluckiest place: |(1 + exp(-j w))/2 - exp(-j w/2)|^2 = (1 - cos(w/2))^2.
+/// Worst case of (x[n] + x[n-1])/2 for x(n - 1/2): |(1 + exp(-j w))/2 - exp(-j w/2)|^2 = (1 -
+/// cos(w/2))^2.
 fn linear_error(w: f64) -> f64 {
     (1.0 - (0.5 * w).cos()).powi(2)
 }

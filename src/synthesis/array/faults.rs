@@ -1,7 +1,8 @@
-//! Receive channels that are not as they should be: what a fault does to the samples of an array.
+//! Faults of receive channels, applied to the samples of an array.
 //!
-//! In: an [`ElementFrame`] after the receiver, and the faults of this ping. Out: the same frame, spoiled. Analogue faults pass through the
-//! converter again, if there is one. Draws depend on seed, ping, array and element alone.
+//! Input: an [`ElementFrame`] after the receiver, and the faults of this ping. Output: the same
+//! frame with the faults applied. Analogue faults pass through the converter again, if there is
+//! one. Random numbers depend only on seed, ping, array and element.
 
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -12,25 +13,28 @@ use super::receiver::{add_noise, quantise};
 use echotank_config::spec::ElementFault;
 use echotank_core::flow::{ElementFrame, PingPlan, Receiver};
 
-/// Keeps these draws apart from the receiver's own noise.
+/// Separates these random numbers from the receiver noise.
 const NOISE_TAG: [u8; 8] = *b"elementf";
 
 /// Mains frequency, Hz.
 const MAINS_HZ: f64 = 50.0;
 
-/// A fault as it is in one ping.
+/// State of one fault in one ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActiveFault {
+    /// Kind of fault and its parameters.
     pub fault: ElementFault,
-    /// None: every array, every element.
+    /// Index of the faulty array; None for every array and element.
     pub array: Option<usize>,
+    /// Index of the faulty element; None for every element.
     pub element: Option<usize>,
-    /// 0 to 1: how far it has grown. Kinds that are there or not are there from the beginning.
+    /// Degree of growth, 0 to 1. Kinds without degrees act in full from the start.
     pub strength: f64,
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
-/// Spoils one array's samples. `before`: room for one element, used again.
+/// Applies a fault to the samples of one array. `before` is a buffer for one element.
 pub fn spoil(
     active: &ActiveFault,
     plan: &PingPlan,
@@ -78,7 +82,7 @@ pub fn spoil(
     }
 }
 
-/// The samples of every element the fault is at.
+/// Applies `f` to the samples of every faulty element.
 fn each(
     active: &ActiveFault,
     frame: &mut ElementFrame,
@@ -100,7 +104,7 @@ fn swap(frame: &mut ElementFrame, a: usize, b: usize) {
     low.swap_with_slice(&mut high[..frame.samples]);
 }
 
-/// dB to a linear amplitude.
+/// Converts dB to a linear amplitude.
 fn linear(db: f64) -> f64 {
     libm::exp(db * (std::f64::consts::LN_10 / 20.0))
 }
@@ -146,7 +150,8 @@ fn one(
             add_noise(volts * strength, ChaCha8Rng::from_seed(key), samples);
         }
         ElementFault::MainsHum { volts } => {
-            // Whole nanoseconds of the mains' period are taken off first: seconds since 1970 times 50 Hz would cost phase.
+            // Subtracts whole mains periods in nanoseconds first: seconds since 1970 times 50 Hz
+            // would lose phase.
             let period_ns = (1e9 / MAINS_HZ) as i64;
             let first_s =
                 plan.transmit_utc.0.rem_euclid(period_ns) as f64 * 1e-9 + plan.first_sample_s;
@@ -175,7 +180,7 @@ fn one(
             let stretch = 1.0 + ppm * strength * 1e-6;
             let first = plan.first_sample_s * receiver.sample_rate_hz;
             for (k, x) in samples.iter_mut().enumerate() {
-                // Sample k is taken when t (1 + ppm) = k: at an instant of the right clock.
+                // Sample k is taken when t (1 + ppm) = k, with t the correct clock.
                 *x = between(before, (first + k as f64) / stretch - first);
             }
         }
@@ -185,7 +190,7 @@ fn one(
             samples.copy_within(..kept, by);
             samples[..by].fill(Complex64::ZERO);
         }
-        // Faults of two elements, made above.
+        // Faults of two elements are handled above.
         ElementFault::Swapped { .. } | ElementFault::Crosstalk { .. } => {}
     }
 }
@@ -195,7 +200,7 @@ fn cis_of(rad: f64) -> Complex64 {
     Complex64::new(cos, sin)
 }
 
-/// A value on the converter's grid with one bit of its two's complement code forced.
+/// Forces one bit of the two's complement code of a value on the converter's grid.
 fn with_bit(volts: f64, step: f64, bits: u32, bit: u32, high: bool) -> f64 {
     let bits = bits.min(32);
     if bit >= bits {
@@ -206,12 +211,12 @@ fn with_bit(volts: f64, step: f64, bits: u32, bit: u32, high: bool) -> f64 {
         true => code | (1 << bit),
         false => code & !(1 << bit),
     };
-    // Back to a signed number of so many bits.
+    // Sign-extends the code.
     let shift = 64 - bits;
     ((forced << shift) >> shift) as f64 * step
 }
 
-/// The envelope between its samples, by the cubic through the four around (Lagrange); 0 outside.
+/// Interpolates the envelope by the Lagrange cubic through four samples; 0 outside.
 fn between(samples: &[Complex64], at: f64) -> Complex64 {
     let below = at.floor();
     let t = at - below;
@@ -260,7 +265,7 @@ mod tests {
         }
     }
 
-    /// Three elements with a slow tone each, of its own amplitude.
+    /// Three elements, each with a slow tone of its own amplitude.
     fn frame() -> ElementFrame {
         let tone = |e: usize, k: usize| cis_of(0.03 * k as f64 + e as f64) * (1.0 + e as f64);
         let iq = (0..3).flat_map(|e| (0..SAMPLES).map(move |k| tone(e, k)));
@@ -283,7 +288,7 @@ mod tests {
         }
     }
 
-    /// Element 1 before and after; the others must be as they were.
+    /// Returns element 1 before and after the fault, and checks that the others are unchanged.
     fn spoiled(fault: ElementFault, bits: Option<u32>) -> (Vec<Complex64>, Vec<Complex64>) {
         let (mut frame, was) = (frame(), frame());
         spoil(
@@ -370,7 +375,8 @@ mod tests {
         let (was, got) = spoiled(fault, None);
         let power: f64 = was.iter().zip(&got).map(|(a, b)| (b - a).norm_sqr()).sum();
         let rms = (power / SAMPLES as f64).sqrt();
-        // Of 400 circular Gaussians the rms scatters by 1/sqrt(4 * 400) = 2.5 %: four of them.
+        // The rms of 400 circular Gaussian values scatters by 1/sqrt(4 * 400) = 2.5 %; the limit is
+        // four times that.
         assert!((rms / 2.0 - 1.0).abs() < 0.1, "{rms}");
         assert_eq!(got, spoiled(fault, None).1);
     }
@@ -387,11 +393,11 @@ mod tests {
             let pairs = frame.element(1).iter().zip(was.element(1));
             pairs.map(|(a, b)| (a - b).re).collect::<Vec<_>>()
         };
-        // 400 samples of 20 kHz are one period.
+        // 400 samples at 20 kHz are one period.
         let first = hum(0);
         let power: f64 = first.iter().map(|v| v * v).sum::<f64>() / SAMPLES as f64;
         assert!((power.sqrt() - 1.0).abs() < 1e-9, "{power}");
-        // A quarter of a period later, a century on.
+        // A quarter period later, after a century.
         let later = hum(3_155_760_000 * 1_000_000_000 + 5_000_000);
         for k in 0..SAMPLES - 100 {
             assert!((later[k] - first[k + 100]).abs() < 1e-6, "{k}");
@@ -433,7 +439,7 @@ mod tests {
         for (k, got) in got.iter().enumerate().take(SAMPLES - 3).skip(3) {
             let at = k as f64 / 1.001;
             let want = cis_of(0.03 * at + 1.0) * 2.0;
-            // A cubic through samples 0.03 rad apart misses by less than 0.03^4 of the amplitude.
+            // A cubic through samples 0.03 rad apart has an error below 0.03^4 of the amplitude.
             assert!((got - want).norm() < 2e-6, "{k}: {got} {want}");
         }
         assert!((got[0] - was[0]).norm() < 1e-12);

@@ -1,50 +1,68 @@
-//! The receiver's anti-alias filter: a linear-phase low-pass on a densely evaluated sum, its delay removed, then one sample in L.
+//! Anti-alias filter of the receiver: a linear-phase low-pass applied to a densely sampled sum,
+//! then decimation by L.
 //!
-//! h(t) is one fixed function of time, a Kaiser-windowed sinc; the dense rate only says how finely the convolution with it is summed. So
-//! a denser evaluation converges to one answer. The window is Kaiser's less the step with which it ends: with that step filters of two densities end
-//! in different places, and are off by 1e-5 of an echo a filter's length from it, where nothing else is heard of it. A pulse with sharp edges would make that convergence first order in the dense step; with the
-//! points at its edges weighted ([`Edges::Weighted`](echotank_core::flow::Edges)) it is of the fourth order and above.
+//! The impulse response h(t) is a fixed function of time, a Kaiser-windowed sinc (Kaiser 1974). The
+//! dense rate only sets how finely the convolution with it is summed, so a denser evaluation
+//! converges to one result. The filter delay is removed.
+//!
+//! The step at the ends of Kaiser's window is subtracted. With the step, filters of different
+//! density would end at different times, and differ by 1e-5 of an echo one filter length away from
+//! it.
+//!
+//! A pulse with sharp edges makes the convergence first order in the dense step. Weighted edge
+//! points ([`Edges::Weighted`](echotank_core::flow::Edges)) raise it to fourth order or better.
 
 use num_complex::Complex64;
 
 use echotank_core::flow::{Pulse, Synthesis};
 
-/// Rejection beyond the stop edge, and (as 1e-4) the ripple of the pass band, dB. Kaiser's formulas fall up to 4 dB short of a window that ends in
-/// zero: 80 are kept.
+/// Rejection beyond the stop edge, dB, and ripple of the pass band (1e-4). Kaiser's formulas fall
+/// up to 4 dB short for a window that ends in zero, so the filter achieves 80 dB.
 const STOP_BAND_DB: f64 = 84.5;
 
-/// Dense rate over the band, max(B, 4/T) and at least [`MIN_BAND`] of the sample rate, and what it leaves (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz; see the tests).
-/// Sharp edges, weighted: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
+/// Ratio of the dense rate to the band, where the band is max(B, 4/T) and at least [`MIN_BAND`] of
+/// the sample rate.
+///
+/// The tests measure the resulting error (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz).
+/// Weighted sharp edges: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
 const REFERENCE_DENSITY: f64 = 32.0;
-/// Sharp edges, weighted: 3e-4 (sampled: 4.4e-3).
+/// For sharp edges. Error with weighted edges 3e-4 (sampled: 4.4e-3).
 const DIRECT_DENSITY: f64 = 8.0;
-/// A taper of 0.1: 5e-6.
+/// For a taper of 0.1. Error 5e-6.
 const DIRECT_DENSITY_TAPERED: f64 = 4.0;
-/// However narrow a pulse, the filter passes some of what its ends leave beside its band, and what is folded onto that must be as small:
-/// one point a sample put errors of 0.2 beside echoes of a rectangular CW pulse.
+/// Smallest band over sample rate. The filter also passes part of the spectrum of a pulse's edges
+/// outside a narrow band, and aliases onto it must stay as small. One point per sample gave errors
+/// of 0.2 beside echoes of a rectangular CW pulse.
 const MIN_BAND: f64 = 0.7;
-/// From this Tukey taper on a pulse counts as tapered.
+/// Smallest Tukey taper at which a pulse counts as tapered.
 const TAPERED: f64 = 0.1;
 
+/// The receiver filter cannot be designed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FilterError {
     #[error(
         "sample rate {sample_rate_hz} Hz is too low for the receiver filter: the pulse needs a pass band of +-{pass_hz} Hz, which must \
          stay below 0.45 of the sample rate; at least {min_hz} Hz"
     )]
+    /// The pass band does not fit the sample rate.
     RateTooLow {
+        /// Requested sample rate, Hz.
         sample_rate_hz: f64,
+        /// Edge of the pass band from the centre frequency, Hz.
         pass_hz: f64,
+        /// Smallest sufficient sample rate, Hz.
         min_hz: f64,
     },
 }
 
-/// The band a pulse occupies about its centre, Hz: its sweep or, where it is short, its own width.
+/// Bandwidth of a pulse, Hz: the width of its sweep, or 4/T for a short pulse.
 pub fn occupied_hz(pulse: &Pulse) -> f64 {
     pulse.bandwidth_hz.max(4.0 / pulse.duration_s)
 }
 
-/// Where a sum of `count` samples from `first_sample_s` on is evaluated: first instant, rate and number of samples, ahead of the filter if there is one.
+/// Time grid on which a sum of `count` samples from `first_sample_s` is evaluated, ahead of the
+/// filter if there is one. Returns the first instant (seconds), the rate (Hz) and the number of
+/// samples.
 pub fn grid_ahead(
     filter: Option<&Decimator>,
     first_sample_s: f64,
@@ -61,30 +79,35 @@ pub fn grid_ahead(
     }
 }
 
-/// How many dense samples per output sample the receiver filter should be fed with.
+/// Number of dense samples per output sample at the input of the receiver filter.
 ///
-/// The reference takes 32 times the band at least; `direct` 8, or 4 where a taper leaves the pulse no sharp edges.
+/// The reference takes at least 32 times the band. `direct` takes 8 times, or 4 times for a tapered
+/// pulse.
 pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> usize {
     let density = match synthesis {
         Synthesis::Direct if pulse.taper >= TAPERED => DIRECT_DENSITY_TAPERED,
         Synthesis::Direct => DIRECT_DENSITY,
-        // The others make a replica or a spectrum once, as finely as they like.
+        // The other methods compute one replica or spectrum per plan, so density costs little.
         _ => REFERENCE_DENSITY,
     };
     (density * (occupied_hz(pulse) / sample_rate_hz).max(MIN_BAND)).ceil() as usize
 }
 
-/// The filter at one sample rate and density, made once per plan.
+/// The filter at one sample rate and density, designed once per plan.
 #[derive(Clone, Debug)]
 pub struct Decimator {
     oversample: usize,
     sample_rate_hz: f64,
-    /// Symmetric, odd in number, sum 1.
+    /// Symmetric, odd number of taps, sum 1.
     taps: Vec<f64>,
 }
 
 impl Decimator {
-    /// Pass band max(B, 4/T)/2 + `doppler_hz`, stop band from half the sample rate on. `oversample`: dense samples per output sample.
+    /// Designs the filter. The pass band ends at max(B, 4/T)/2 + `doppler_hz`, and the stop band
+    /// begins at half the sample rate. `oversample` is the number of dense samples per output
+    /// sample.
+    ///
+    /// Returns [`FilterError::RateTooLow`] if the pass band exceeds 0.45 of the sample rate.
     pub fn new(
         pulse: &Pulse,
         sample_rate_hz: f64,
@@ -137,22 +160,23 @@ impl Decimator {
         self.taps.len() / 2
     }
 
-    /// How far the filter reaches to either side, seconds.
+    /// Half the length of the impulse response, seconds.
     pub fn half_s(&self) -> f64 {
         self.half() as f64 / self.dense_rate_hz()
     }
 
-    /// Rate of the dense samples.
+    /// Rate of the dense samples, Hz.
     pub fn dense_rate_hz(&self) -> f64 {
         self.sample_rate_hz * self.oversample as f64
     }
 
-    /// Where the dense samples begin for output that begins at `first_sample_s`: half a filter earlier.
+    /// Time of the first dense sample for output that begins at `first_sample_s`: half a filter
+    /// earlier.
     pub fn dense_first_s(&self, first_sample_s: f64) -> f64 {
         first_sample_s - self.half() as f64 / self.dense_rate_hz()
     }
 
-    /// Dense samples that `count` output samples need.
+    /// Number of dense samples for `count` output samples.
     pub fn dense_len(&self, count: usize) -> usize {
         match count {
             0 => 0,
@@ -173,7 +197,7 @@ impl Decimator {
         }
     }
 
-    /// Gain at `offset_hz` from the centre frequency (real: the filter has no delay).
+    /// Gain at `offset_hz` from the centre frequency; real, since the delay is removed.
     pub fn gain(&self, offset_hz: f64) -> f64 {
         let half = self.half();
         let turn = std::f64::consts::TAU * offset_hz / self.dense_rate_hz();
@@ -183,7 +207,7 @@ impl Decimator {
     }
 }
 
-/// Sum of `taps[k] * x[k]`, in four interleaved sums so that it vectorises.
+/// Sum of `taps[k] * x[k]` in four interleaved sums, so that it vectorises.
 fn dot(taps: &[f64], x: &[Complex64]) -> Complex64 {
     const WIDE: usize = 4;
     let x = &x[..taps.len()];
@@ -203,7 +227,8 @@ fn dot(taps: &[f64], x: &[Complex64]) -> Complex64 {
     sum
 }
 
-/// Modified Bessel function of the first kind, order 0: its power series, which for the arguments here (below 12) ends within 40 terms.
+/// Modified Bessel function of the first kind, order 0. The power series ends within 40 terms for
+/// the arguments here (below 12).
 pub(super) fn bessel_i0(x: f64) -> f64 {
     let quarter = 0.25 * x * x;
     let (mut term, mut sum) = (1.0, 1.0);
@@ -234,7 +259,7 @@ mod tests {
             for k in 0..=1000 {
                 let pass = filter.gain(15.5e3 * k as f64 / 1000.0);
                 assert!((pass - 1.0).abs() < 2e-4, "{oversample}: {pass}");
-                // Up to half the dense rate, where the dense samples themselves fold.
+                // Up to half the dense rate, where the dense samples themselves alias.
                 let stop_hz = 20e3 + (0.5 * filter.dense_rate_hz() - 20e3) * k as f64 / 1000.0;
                 let stop_db = 20.0 * filter.gain(stop_hz).abs().log10();
                 assert!(stop_db < -80.0, "{oversample}, {stop_hz} Hz: {stop_db} dB");
@@ -242,7 +267,8 @@ mod tests {
         }
     }
 
-    /// A bump of 0.8 samples. The step with which Kaiser's own window ends left 6e-7 of it where the filter ends, 6 points a sample against 64.
+    /// A pulse of 0.8 samples. With the step of Kaiser's own window, the difference at the end of
+    /// the filter is 6e-7, for 6 and 64 points per sample.
     #[test]
     fn filters_of_two_densities_end_alike() {
         let heard = |oversample: usize| {
@@ -301,7 +327,7 @@ mod tests {
         assert_eq!(occupied_hz(&ping), 40e3);
         assert_eq!(occupied_hz(&PULSE), 30e3);
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Reference), 24);
-        // A narrow pulse in a wide receiver is seen as finely as a wide one.
+        // A narrow pulse in a wide receiver needs the same density as a wide one.
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Direct), 6);
         assert_eq!(oversample(&ping, 1e6, Synthesis::Direct), 6);
     }

@@ -1,11 +1,13 @@
-//! exp(j 2 pi x) as plain arithmetic: loops over it vectorise, and its bits are the same on every machine.
+//! exp(j 2 pi x) in plain arithmetic: loops over it vectorise and give the same bits on every
+//! machine.
 
 use std::f64::consts::PI;
 
-/// Samples worked on together: two AVX-512 or four SSE2 registers of f64.
+/// Samples processed together: two AVX-512 or four SSE2 registers of f64.
 pub(super) const LANES: usize = 8;
 
-/// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
+/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
+/// hold that integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// Taylor coefficients of sin(pi x)/x and cos(pi x) in powers of x^2; remainders at |x| = 1/2 below 2e-17.
@@ -23,7 +25,8 @@ const fn taylor(first: f64, odd: usize) -> [f64; 11] {
     c
 }
 
-/// (cos, sin) of 2 pi `turns`, to 5e-16 absolute for |turns| < 2^50 taken as exact.
+/// (cos, sin) of 2 pi `turns`. The absolute error is 5e-16 for |turns| < 2^50, with `turns` taken
+/// as exact.
 #[inline(always)]
 pub(crate) fn cis(turns: f64) -> (f64, f64) {
     let half_turns = 2.0 * turns;
@@ -35,7 +38,7 @@ pub(crate) fn cis(turns: f64) -> (f64, f64) {
         sin = sin * y + SIN_PI[k];
         cos = cos * y + COS_PI[k];
     }
-    // Half a turn changes both signs: the count's parity into the sign bit.
+    // Half a turn changes both signs: the parity of the count becomes the sign bit.
     let flip = shifted.to_bits() << 63;
     (
         f64::from_bits(cos.to_bits() ^ flip),
@@ -43,7 +46,7 @@ pub(crate) fn cis(turns: f64) -> (f64, f64) {
     )
 }
 
-/// [`cis`] of [`LANES`] numbers: (cosines, sines).
+/// [`cis`] of [`LANES`] values: (cosines, sines).
 #[inline(always)]
 pub(crate) fn cis_lanes(turns: [f64; LANES]) -> ([f64; LANES], [f64; LANES]) {
     let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);

@@ -1,4 +1,5 @@
-//! The receiver chain behind one element: noise, fixed gain, time-varying gain, converter.
+//! Receiver chain of one element: noise, fixed gain, time-varying gain, analogue-to-digital
+//! converter.
 
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -8,16 +9,19 @@ use echotank_core::flow::{ArrayGeometry, PingPlan, Receiver, TimeVaryingGain};
 
 use super::phasor::cis;
 
-/// Keeps these draws apart from everything else that is seeded with the same number.
+/// Separates these random numbers from other uses of the same seed.
 const NOISE_TAG: [u8; 8] = *b"elementn";
-/// ... and the draws of parts of lines from those of elements.
+/// Separates the random numbers of subarrays from those of elements.
 const PART_TAG: [u8; 8] = *b"partnois";
 
-/// Takes the samples of one element through the receiver, in place, and returns how many I or Q values met the converter's ends.
+/// Applies the receiver to the samples of one element in place. Returns the number of I or Q values
+/// that clip at the converter.
 ///
-/// Noise: circular Gaussian of variance N_0 f_s, in volts after `array.sensitivity_db`; a stream of its own for every (seed, sonar, ping,
-/// array, element), so that no order of computation and no machine changes it. A part of a line has the mean of its elements' noise, of another
-/// stream: the line made of parts has the same noise as of elements in level and spectrum, and not in samples.
+/// The noise is circular Gaussian with variance N_0 f_s, in volts after `array.sensitivity_db`.
+/// Each (seed, sonar, ping, array, element) has its own random stream, so neither the order of
+/// computation nor the machine changes the noise. A subarray receives the mean of its elements'
+/// noise, drawn from a separate stream. Level and spectrum of the line's noise are unchanged, but
+/// its samples are not.
 pub fn receive(
     plan: &PingPlan,
     receiver: &Receiver,
@@ -63,7 +67,7 @@ fn noise_stream(
 pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
     const UNIT: f64 = 1.0 / (1u64 << 53) as f64;
     for sample in samples {
-        // Box and Muller (1958): both of the pair are wanted, as I and Q.
+        // Box and Muller (1958): the pair gives I and Q.
         let chance = ((rng.next_u64() >> 11) + 1) as f64 * UNIT; // (0, 1]
         let turns = (rng.next_u64() >> 11) as f64 * UNIT;
         let radius = rms * (-libm::log(chance)).sqrt();
@@ -73,7 +77,7 @@ pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]
     }
 }
 
-/// Fixed gain and the time-varying law at slant range c t / 2.
+/// Applies the fixed gain and the time-varying law at slant range c t / 2.
 pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
     let gain_db = plan.settings.gain_db;
     let fixed = linear(gain_db);
@@ -91,7 +95,7 @@ pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) 
         } => {
             for (k, sample) in samples.iter_mut().enumerate() {
                 let r = range_m(k);
-                // log10(0) is minus infinity, which the clip below makes 0 dB.
+                // log10(0) is minus infinity, which the clip below turns into 0 dB.
                 let law_db = spreading * libm::log10(r) + 2.0 * absorption_db_per_m * r;
                 *sample *= fixed * linear(law_db.min(*max_db).max(0.0));
             }
@@ -109,12 +113,13 @@ pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) 
     }
 }
 
-/// dB to a linear amplitude, with the same bits on every machine.
+/// Converts dB to a linear amplitude, with the same bits on every machine.
 fn linear(db: f64) -> f64 {
     libm::exp(db * (std::f64::consts::LN_10 / 20.0))
 }
 
-/// Between `table[next - 1]` and `table[next]`, held outside; 0 dB from an empty table.
+/// Interpolates between `table[next - 1]` and `table[next]`, constant outside; 0 dB for an empty
+/// table.
 fn table_db(table: &[(f64, f64)], next: usize, range_m: f64) -> f64 {
     match (next.checked_sub(1).map(|i| table[i]), table.get(next)) {
         (None, None) => 0.0,
@@ -123,7 +128,8 @@ fn table_db(table: &[(f64, f64)], next: usize, range_m: f64) -> f64 {
     }
 }
 
-/// Rounds I and Q to steps of 2 full_scale / 2^bits between the converter's ends, and counts the values beyond them.
+/// Rounds I and Q to steps of 2 full_scale / 2^bits, clips them at the converter's limits and
+/// counts the clipped values.
 pub(super) fn quantise(bits: u32, full_scale_v: f64, samples: &mut [Complex64]) -> u64 {
     let codes = 2f64.powi(bits as i32);
     let step = 2.0 * full_scale_v / codes;

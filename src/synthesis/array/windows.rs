@@ -1,10 +1,14 @@
-//! What the ways to sum promise in every window of a pulse's length, noise being there, and not of whole echoes as [`super::error_models`] do.
+//! Error models for the largest windowed error with a noise floor; [`super::error_models`] covers
+//! whole echoes.
 //!
-//! A window may hold no more of an echo than one of its ends, or than the end of the receiver filter's tail, and what a sum leaves beside echoes
-//! counts against that, or against the noise where it is more. So one echo is made alone, by the sum and exactly, between two samples here and there,
-//! and looked at window by window.
+//! A window of one pulse length may hold only one end of an echo, or the tail of the receiver
+//! filter. The error there counts relative to that part or to the noise, whichever is larger.
 //!
-//! In: conditions, the plan's pulse, how deep the noise lies. Out: an error model whose error is that of the worst window.
+//! The model synthesises a single echo at several positions between two samples, by the method and
+//! exactly. It then compares the two window by window.
+//!
+//! Input: conditions, the pulse of the plan and the noise level. Output: an error model for the
+//! worst window.
 
 use num_complex::Complex64;
 
@@ -21,17 +25,18 @@ use crate::comparison::nearest::Nearest;
 use crate::comparison::replica::Replica;
 use crate::comparison::spectral::{Bins, Spectral, Spectrum};
 
-/// Places of an echo between two samples: on one, half way, and some that repeat on no grid of dense samples.
+/// Echo positions between two samples: on a sample, halfway, and some that repeat on no dense grid.
 const PLACES: [f64; 6] = [0.0, 0.5, 0.118, 0.236, 0.618, 0.854];
 
-/// What places between those may be worse, and several echoes in one window.
+/// Allowance for other positions and for several echoes in one window.
 const MORE: f64 = 1.5;
 
-/// As an echo turned upside down.
+/// Largest error counted: an echo of opposite sign.
 const MOST: f64 = 2.0;
 
-/// As [`synthesis_error_model`], in the worst window: noise lies `noise_below_db` below the strongest. The engines for a tolerance have error models of their own.
-/// `doppler_hz`: what the receiver filter lets pass beside the pulse's band.
+/// As [`synthesis_error_model`], for the worst window; the noise lies `noise_below_db` below the
+/// strongest echo. Engines with a tolerance have their own error models. `doppler_hz`: extra pass
+/// band of the receiver filter beside the pulse's band, Hz.
 pub fn window_error_model(
     synthesis: Synthesis,
     conditions: &Conditions,
@@ -56,7 +61,7 @@ pub fn window_error_model(
     Ok(error_model)
 }
 
-/// What is made once for all places.
+/// The method under test, prepared once for all positions.
 enum Sum {
     Direct,
     Spectral(Spectrum),
@@ -64,14 +69,15 @@ enum Sum {
     Linear(Replica),
 }
 
-/// One echo in a record of its own.
+/// A single echo in its own record.
 struct Alone<'a> {
     plan: &'a PingPlan,
     rate_hz: f64,
     sum: Sum,
     own: Option<Decimator>,
     exact: Option<Decimator>,
-    /// Samples of a window, and of silence to either side of the echo: a window and what filters reach.
+    /// Samples of a window, and samples of silence on either side of the echo: a window plus the
+    /// reach of the filters.
     window: usize,
     silence: usize,
     samples: usize,
@@ -126,7 +132,8 @@ impl<'a> Alone<'a> {
         })
     }
 
-    /// Over all places, at rest and, where the sum knows of Doppler, as fast as goes.
+    /// Worst window over all positions, at rest and, if the method supports Doppler, at the largest
+    /// Doppler.
     fn worst(&self, conditions: &Conditions, noise_below_db: f64) -> f64 {
         let fastest = 2.0 * conditions.speed_m_per_s / conditions.sound_speed_m_per_s;
         let dopplers = match self.sum {
@@ -141,7 +148,7 @@ impl<'a> Alone<'a> {
             .fold(0.0, f64::max)
     }
 
-    /// The worst window of an echo that begins `place` samples after one.
+    /// Worst window of an echo that begins `place` samples after a sample.
     fn at(&self, place: f64, doppler: f64, noise_below_db: f64) -> f64 {
         let (want, got) = (self.exactly(place, doppler), self.summed(place, doppler));
         let energies = |samples: Vec<f64>| -> Vec<f64> {
@@ -273,7 +280,7 @@ mod tests {
                     .map(|place| alone.at(place, 0.0, 55.0))
                     .fold(0.0, f64::max);
                 println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {error_model:?}");
-                // Twice an echo is as much as an error model says.
+                // An error model states at most twice the echo.
                 assert!(
                     got.min(MOST) <= error_model.error,
                     "{got:e}, {error_model:?}"
@@ -282,7 +289,8 @@ mod tests {
         }
     }
 
-    /// Flanks that rise as the square: half a sample is much of what little is heard of an echo where it comes out of the noise.
+    /// The flanks rise quadratically. Half a sample is therefore a large share of an echo where it
+    /// emerges from the noise.
     #[test]
     fn the_worst_window_is_an_end_and_worse_than_the_whole_echo() {
         let pulse = pulse(0.0, 1e-3, 1.0);

@@ -1,10 +1,14 @@
-//! How much sound the water swallows, one way.
+//! One-way absorption of sound in water.
+//!
+//! Absorption sums the relaxation of boric acid and of magnesium sulphate and the viscosity of pure
+//! water. The formulas are those of Francois and Garrison (1982) and of Ainslie and McColm (1998).
 
 use echotank_config::spec::{AbsorptionSpec, Water};
 
 /// Absorption at one frequency, dB per metre, one way.
 ///
-/// Both sea-water formulas hold from some 100 Hz to 1 MHz and agree within 10 % of each other there; salinity 0 leaves fresh water.
+/// Both sea-water formulas hold from about 100 Hz to 1 MHz and agree within 10 % there. Salinity 0
+/// gives fresh water.
 pub fn absorption_db_per_m(spec: &AbsorptionSpec, frequency_hz: f64) -> f64 {
     let frequency_khz = frequency_hz / 1e3;
     let db_per_km = match spec {
@@ -16,7 +20,8 @@ pub fn absorption_db_per_m(spec: &AbsorptionSpec, frequency_hz: f64) -> f64 {
     db_per_km / 1e3
 }
 
-/// f_r f^2 / (f_r^2 + f^2), kHz: the frequency dependence of one chemical relaxation. Zero where nothing relaxes.
+/// Frequency dependence of one chemical relaxation, f_r f^2 / (f_r^2 + f^2), kHz. Zero for a zero
+/// relaxation frequency.
 fn relaxation(relaxation_khz: f64, frequency_khz: f64) -> f64 {
     if relaxation_khz <= 0.0 {
         return 0.0;
@@ -25,7 +30,8 @@ fn relaxation(relaxation_khz: f64, frequency_khz: f64) -> f64 {
     relaxation_khz * f2 / (relaxation_khz * relaxation_khz + f2)
 }
 
-/// Francois and Garrison (1982), J. Acoust. Soc. Am. 72(6), 1879-1890: boric acid, magnesium sulphate, pure water. dB/km.
+/// Francois and Garrison (1982), J. Acoust. Soc. Am. 72(6), 1879-1890: boric acid, magnesium
+/// sulphate, pure water. dB/km.
 fn francois_garrison(water: &Water, frequency_khz: f64) -> f64 {
     let Water {
         temperature_c: t,
@@ -34,7 +40,8 @@ fn francois_garrison(water: &Water, frequency_khz: f64) -> f64 {
         ph,
     } = *water;
     let kelvin = 273.0 + t;
-    // The formula's own sound speed; the medium's is not what its coefficients were fitted with.
+    // The sound speed of the formula itself, with which its coefficients were fitted, not that of
+    // the medium.
     let c = 1412.0 + 3.21 * t + 1.19 * s + 0.0167 * d;
 
     let boric_a = 8.86 / c * 10f64.powf(0.78 * ph - 5.0);
@@ -97,7 +104,7 @@ mod tests {
             salinity: 0.0,
             ..SEA
         };
-        // 96.0 is at some 10 m of depth; at the surface the formula gives 0.1 more.
+        // The formula gives 96.0 at about 10 m depth, and 0.1 more at the surface.
         for (water, want, tolerance) in [(SEA, 96.0, 0.15), (fresh, 49.7, 0.05)] {
             let got = db_per_km(AbsorptionSpec::FrancoisGarrison(water), 400e3);
             assert!(
@@ -107,8 +114,9 @@ mod tests {
         }
     }
 
-    /// Ainslie and McColm state agreement within 10 % for 100 Hz to 1 MHz, -6..35 C, 5..50 salinity, pH 7.7..8.3, 0..7 km.
-    /// Their claim is for co-varying (oceanic) values; here at pH 8, salinity 35, the upper kilometre.
+    /// Ainslie and McColm state agreement within 10 % for 100 Hz to 1 MHz, -6..35 C, salinity
+    /// 5..50, pH 7.7..8.3 and 0..7 km. Their claim is for co-varying (oceanic) values. This test
+    /// uses pH 8, salinity 35 and the upper kilometre.
     #[test]
     fn the_two_formulas_agree_within_their_stated_10_percent() {
         let mut worst: f64 = 0.0;

@@ -1,8 +1,13 @@
-//! What `ModelChoice::cull_db` leaves out of the reverberation: a share of the incoherent energy, angle by angle.
+//! Error of pattern culling (`ModelChoice::cull_db`): the share of the incoherent reverberation
+//! energy that it drops, by angle of incidence.
 //!
-//! In: a transmit array, a receive array, the floor. Out: the share of the two-way energy of a flat, evenly scattering ring at one angle of
-//! incidence that lies in directions where the two-way pattern is below the floor. In a window of reverberation from that angle the relative
-//! error of the samples is the root of it. For what is stronger than the ground the floor lies lower (`Scatterers::loud`), so that it is not in this figure.
+//! Input: a transmit array, a receive array and the floor. Output, for a flat and evenly scattering
+//! ring at one angle of incidence: the share of two-way energy from directions where the two-way
+//! pattern lies below the floor. The relative error of samples in a reverberation window from that
+//! angle is the square root of the share.
+//!
+//! Scatterers stronger than the ground have a lower floor (`Scatterers::loud`) and are not part of
+//! this figure.
 
 use glam::{DQuat, DVec3};
 
@@ -10,10 +15,12 @@ use echotank_core::flow::{ArrayGeometry, TransmitArray};
 
 use super::levels::{Directivity, amplitude_from_db};
 
-/// Directions on a ring. A pattern's lobes are a few hundredths of a radian wide for the longest arrays of the trade.
+/// Directions on a ring. The lobes of the longest commercial arrays are a few hundredths of a
+/// radian wide.
 const AZIMUTHS: usize = 7200;
 
-/// Share of the energy, 0 to 1, on a level platform; 0 where nothing is heard at all. `incidence_rad`: from straight down.
+/// Share of the energy that culling drops, 0 to 1, on a level platform; 0 for a ring that the
+/// element cannot receive. `incidence_rad` is measured from straight down.
 pub fn left_out_share(
     transmit: &TransmitArray,
     array: &ArrayGeometry,
@@ -46,31 +53,34 @@ pub fn left_out_share(
     if all > 0.0 { left_out / all } else { 0.0 }
 }
 
-/// Windows after the first return that are looked at one by one, each put together of so many rings: there the incidence changes fastest.
+/// Windows after the first return that are computed one by one, each from several rings, since the
+/// incidence changes fastest there.
 const NEAR_WINDOWS: usize = 16;
 const PARTS: usize = 4;
-/// Rings from there to the end of the ping, evenly in time, each for the windows about it.
+/// Rings from there to the end of the ping, evenly spaced in time. Each represents the windows
+/// about it.
 const FAR_RINGS: usize = 24;
-/// Directions on each of them.
+/// Directions on each of these rings.
 const RING_AZIMUTHS: usize = 3600;
-/// Levels are counted in steps of this, dB, down to the least: what lies in the step that a floor cuts counts as left out.
+/// Step of the level histogram, dB. Energy in the step that a floor cuts counts as dropped.
 const LEVEL_STEP_DB: f64 = 0.5;
 const LEVELS: usize = 480;
 
-/// What floors leave out of one ping's windows over flat ground.
+/// Level histograms of one ping's windows over flat ground.
 pub struct Rings {
-    /// A metre of range at the range of a window.
+    /// Each ring represents one metre of range at the range of its window.
     windows: Vec<Ring>,
     mean: f64,
     window_m: f64,
-    /// Ground by level, m^2.
+    /// Ground area by level, m^2.
     areas_m2: Box<[f64; LEVELS]>,
 }
 
-/// Ground per metre of range, by level below that of the axis.
+/// Energy per metre of range, by level below that of the axis.
 #[derive(Clone)]
 struct Ring {
-    /// Energy, and the integral of its square over the ground: how few scatterers it comes from.
+    /// Energy, and the integral of its square over the ground. Their ratio gives the number of
+    /// contributing scatterers.
     energy: Box<[f64; LEVELS]>,
     square: Box<[f64; LEVELS]>,
 }
@@ -95,32 +105,40 @@ impl Ring {
     }
 }
 
-/// Where a ping's ground lies.
+/// Geometry and scattering of flat ground under a ping.
 #[derive(Clone, Copy, Debug)]
 pub struct Ground<Law> {
-    /// The platform's attitude; its heading is of no consequence.
+    /// Attitude of the platform; the heading has no effect.
     pub world_from_body: DQuat,
+    /// Height of the sonar above the ground, metres.
     pub height_m: f64,
+    /// Largest slant range, metres.
     pub farthest_m: f64,
+    /// One-way absorption, dB/m.
     pub absorption_db_per_m: f64,
-    /// Backscattered power over the cosine of incidence.
+    /// Backscattered power over the cosine of the angle of incidence.
     pub law: Law,
-    /// In metres of range: half the way that sound goes in it.
+    /// Window length in metres of range: half the distance that sound travels in it.
     pub window_m: f64,
 }
 
-/// A window of reverberation, as mean energies over that of the ping's mean window, silent ones included.
+/// Energies of one reverberation window, relative to the mean window of the ping, silent windows
+/// included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeftOut {
+    /// Energy without culling.
     pub all: f64,
+    /// Energy that culling drops.
     pub left_out: f64,
-    /// Scatterers of a square metre that these energies come from, were there one on each: energy squared over the sum of squares, whose strengths'
-    /// own fluctuation is not in it.
+    /// Effective number of scatterers behind the energy at one scatterer per square metre: energy
+    /// squared over the sum of squares. Fluctuation of the strengths is not included.
     pub from_all: f64,
+    /// Effective number of scatterers behind the dropped energy, as for `from_all`.
     pub from_left_out: f64,
 }
 
 impl Rings {
+    /// Computes the histograms of the two-way pattern of `transmit` and `array` over `ground`.
     pub fn new(
         transmit: &TransmitArray,
         array: &ArrayGeometry,
@@ -201,12 +219,12 @@ impl Rings {
         ((-cull_db / LEVEL_STEP_DB).max(0.0) as usize).min(LEVELS)
     }
 
-    /// Ground in directions above the floor, m^2.
+    /// Ground area in directions above the floor, m^2.
     pub fn above_m2(&self, cull_db: f64) -> f64 {
         self.areas_m2[..Self::first_below(cull_db)].iter().sum()
     }
 
-    /// Of each window; none where nothing is heard at all.
+    /// Energies of every window; none if no window has energy.
     pub fn left_out(&self, cull_db: f64) -> impl Iterator<Item = LeftOut> {
         let first = Self::first_below(cull_db);
         let of = move |values: &[f64; LEVELS]| {
@@ -238,7 +256,8 @@ mod tests {
     use super::*;
     use echotank_core::flow::{Mounting, Pattern};
 
-    /// Of the whole ground all is left out above the axis and nothing far below it; between, each window's share is that of its own ring.
+    /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
+    /// share of each window is that of its ring.
     #[test]
     fn windows_leave_out_the_shares_of_their_rings_and_all_of_it_above_the_axis() {
         let mounting = Mounting {
@@ -284,7 +303,7 @@ mod tests {
         for db in [-50.0, -40.0, -30.0, -20.0] {
             let windows: Vec<LeftOut> = rings.left_out(db).collect();
             let (near, far) = windows.split_at(NEAR_WINDOWS * PARTS);
-            // Mean over the record of what has its own length is 1.
+            // The mean over the record of windows with their own length is 1.
             let sum: f64 = near.iter().map(|w| w.all * WINDOW_M / PARTS as f64).sum();
             let sum = sum + far.iter().map(|w| w.all).sum::<f64>() * far_m / FAR_RINGS as f64;
             assert!((sum / 60.5 - 1.0).abs() < 0.03, "{sum}");
@@ -308,7 +327,8 @@ mod tests {
 
     #[test]
     fn the_share_of_a_line_is_that_of_its_side_lobes() {
-        // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical: sinc^2 with everything, or below the floor.
+        // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical:
+        // sinc^2 with everything, or below the floor.
         const WAVELENGTH_M: f64 = 0.00375;
         let mounting = Mounting {
             position_m: DVec3::ZERO,
@@ -340,8 +360,9 @@ mod tests {
                 std::f64::consts::FRAC_PI_4,
             )
         };
-        // The integral of sinc^2 is 1, that of its main lobe 0.9028 (Harris 1978), and -13.2 dB is just above the first side lobe; what the
-        // main lobe has below the floor comes to some 0.003.
+        // The integral of sinc^2 is 1 and that of its main lobe 0.9028 (Harris 1978). -13.2 dB lies
+        // just above the first side lobe. The part of the main lobe below the floor contributes
+        // about 0.003.
         let got = share(-13.2);
         assert!((got - 0.0972).abs() < 0.01, "{got}");
         assert_eq!(share(-400.0), 0.0);

@@ -1,26 +1,29 @@
-//! Elementary functions as plain arithmetic: no branches and no library calls, so that loops over them vectorise and give the same bits
-//! on every machine.
+//! Elementary functions in plain arithmetic.
+//!
+//! They use no branches and no library calls, so loops over them vectorise and give the same bits
+//! on every machine. Each function reduces its argument exactly and evaluates a Taylor polynomial.
 
 use std::f64::consts::{LOG2_E, PI};
 
-/// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
+/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
+/// hold that integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// ln 2 in two pieces: the first has 33 bits, so that its products with small integers are exact.
+/// ln 2 in two parts. The first has 33 bits, so its products with small integers are exact.
 const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
 const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
 
-/// Below this exp() is 1e-304 and would soon need subnormal numbers.
+/// Below this exp() is 1e-304 and close to subnormal numbers.
 const MIN_EXPONENT: f64 = -700.0;
 
-/// e^x for x <= 0, to 4e-16 relative; x below -700 counts as -700.
+/// e^x for x <= 0, relative error 4e-16. Values below -700 are clamped to -700.
 #[inline(always)]
 pub(crate) fn exp_decay(x: f64) -> f64 {
     let x = x.max(MIN_EXPONENT);
     let shifted = x * LOG2_E + ROUND;
     let n = shifted - ROUND;
     let f = (x - n * LN_2_HIGH) - n * LN_2_LOW;
-    // Taylor to the 13th power: |f| <= ln(2)/2, remainder 4e-18.
+    // Taylor polynomial of degree 13: |f| <= ln(2)/2, remainder 4e-18.
     let mut sum = 1.0 / 6_227_020_800.0;
     for factorial in [
         479_001_600.0,
@@ -39,7 +42,7 @@ pub(crate) fn exp_decay(x: f64) -> f64 {
     ] {
         sum = sum * f + 1.0 / factorial;
     }
-    // 2^n, written straight into the exponent.
+    // Writes 2^n into the exponent bits.
     sum * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
 }
 
@@ -55,7 +58,7 @@ const SIN_PI: [f64; 11] = {
     c
 };
 
-/// sin(pi x) / (pi x), to 4e-16 of 1 (and of itself near 0); 1 at 0.
+/// sin(pi x) / (pi x), absolute error 4e-16 (relative error near 0); 1 at 0.
 #[inline(always)]
 pub(super) fn sinc(x: f64) -> f64 {
     let shifted = x + ROUND;
@@ -65,7 +68,7 @@ pub(super) fn sinc(x: f64) -> f64 {
     for k in (0..10).rev() {
         sum = sum * y + SIN_PI[k];
     }
-    // sin(pi x) = (-1)^n sin(pi f): n's parity into the sign bit.
+    // sin(pi x) = (-1)^n sin(pi f): the parity of n becomes the sign bit.
     let sine = f64::from_bits((sum * f).to_bits() ^ (shifted.to_bits() << 63));
     if x == 0.0 { 1.0 } else { sine / (PI * x) }
 }
@@ -82,7 +85,7 @@ const COS_PI: [f64; 12] = {
     c
 };
 
-/// Cosine and sine of so many turns, to 4e-16 of 1 and what the turns' own rounding makes.
+/// Cosine and sine of an angle in turns, absolute error 4e-16 plus the rounding of `turns`.
 #[inline(always)]
 pub(super) fn cis(turns: f64) -> (f64, f64) {
     let x = 2.0 * turns;
@@ -97,7 +100,7 @@ pub(super) fn cis(turns: f64) -> (f64, f64) {
     for k in (0..10).rev() {
         sine = sine * y + SIN_PI[k];
     }
-    // Half turns: their parity into the sign bits.
+    // The parity of half turns becomes the sign bits.
     let odd = shifted.to_bits() << 63;
     (
         f64::from_bits(cosine.to_bits() ^ odd),
@@ -139,7 +142,7 @@ mod tests {
         let mut worst: f64 = 0.0;
         for i in -100_000..100_000 {
             let x = 1000.0 * (i as f64 / 100_000.0).powi(3);
-            // sin(pi x) with the argument reduced exactly first.
+            // sin(pi x) with exact argument reduction.
             let r = x - 2.0 * (x / 2.0).round();
             let want = if x == 0.0 {
                 1.0

@@ -1,6 +1,9 @@
-//! What path and Doppler models promise: errors of element samples against the reference, worst direction, as closed forms.
+//! Error models of the path and Doppler models: predicted errors of element samples against the
+//! reference, in closed form.
 //!
-//! Phases are rms over the pulse. Costs are of the model alone, per scatterer and element, on one 3.7 GHz core.
+//! Each model expands the neglected motion to its leading order and takes the worst direction.
+//! Phases are rms over the pulse. Costs cover the model only, per scatterer and element, on one 3.7
+//! GHz core.
 
 use std::f64::consts::TAU;
 
@@ -8,21 +11,22 @@ use echotank_core::flow::{
     Conditions, DopplerModel, ErrorModel, MethodRefused, PathModel, ReceiverFilter,
 };
 
-/// f64 delays of 0.3 s at 400 kHz and what follows from them, under way.
+/// Floor from rounding f64 delays of 0.3 s at 400 kHz, under way.
 const F64_FLOOR: f64 = 1e-9;
-/// Of the closed forms, ns per scatterer-element and leg visited.
+/// Cost of the closed forms, ns per scatterer-element pair and leg visited.
 const LEG_NS: f64 = 8.0;
-/// Of a Newton solution on the trajectory.
+/// Cost of a Newton solution on the trajectory, ns.
 const TRAJECTORY_NS: f64 = 600.0;
-/// Of the second-order expansion.
+/// Cost of the second-order expansion, ns.
 const QUADRATIC_NS: f64 = 60.0;
 
-/// Crossings expected in a whole ping below which none is: one ping in so many has one.
+/// If a whole ping is expected to have fewer edge crossings than this, none is assumed.
 const RARE: f64 = 0.02;
 
-/// Where the sum is sampled at its points a sharp pulse begins and ends between two samples: an echo that is late by `shift_s` has an edge cross
-/// a sample now and then, and that sample has the whole echo or nothing of it. The loudest echo of a window, once, and on the mean the energy
-/// of all that cross.
+/// Error from echo edges that cross a sample. A sampled sharp pulse begins and ends between two
+/// samples. A delay error of `shift_s` sometimes moves an edge across a sample, which then gains or
+/// loses the whole echo. The estimate takes the strongest echo of a window once, plus the mean
+/// energy of all crossings.
 fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let pulse = &conditions.pulse;
     if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
@@ -44,7 +48,8 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     (loudest / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
 }
 
-/// What no model is better than. At rest all models are the same sum of two lengths, and a delay is rounded twice: measured 0.2 to 1 of one.
+/// Floor of all models. At rest every model is the same sum of two lengths, and a delay is rounded
+/// twice: measured 0.2 to 1 of one rounding.
 fn floor(conditions: &Conditions) -> f64 {
     if conditions.speed_m_per_s > 0.0 || conditions.acceleration_m_per_s2 > 0.0 {
         return F64_FLOOR;
@@ -56,7 +61,7 @@ fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
     conditions.scatterers as f64 * conditions.elements as f64 * ns * 1e-6
 }
 
-/// What the closed forms want of the motion, per leg: as it is heard, or in the worst direction.
+/// Motion terms of the closed forms, per leg: for the actual geometry, or for the worst direction.
 struct Moving {
     hop_m: f64,
     closing: f64,
@@ -89,7 +94,7 @@ fn moving(conditions: &Conditions) -> Moving {
     }
 }
 
-/// The phase by which a path model misplaces an echo.
+/// Predicted phase error of a path model.
 pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
     let h = conditions.segment_s;
@@ -100,7 +105,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
         spread,
         ..
     } = moving(conditions);
-    // Of a chord at its middle, or as far as anything is heard on it.
+    // The middle of a chord, or the last reception on it.
     let until_s = window_s.min(0.5 * h);
     let sag_m = 0.5 * a * until_s * (h - until_s);
     let turned_m = turning * h.min(window_s);
@@ -136,7 +141,8 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
     }
 }
 
-/// The phase that a Doppler model leaves within the pulse, on this path model's idea of the velocity.
+/// Predicted phase error of a Doppler model within the pulse, given the velocity of this path
+/// model.
 pub fn doppler_error_model(
     doppler: DopplerModel,
     path: PathModel,
@@ -159,17 +165,19 @@ pub fn doppler_error_model(
     } = moving(conditions);
     let t = pulse.duration_s;
     let k = conditions.wavenumber_per_m();
-    // Phases of both ways: closing speed d s, its change q s^2, and the change of that.
+    // Two-way phases of the closing speed d s, its change q s^2 and the change of that.
     let first = k * 2.0 * closing * t / 3f64.sqrt();
     let second = k * bend * t * t / 5f64.sqrt();
-    // About mid-pulse; half a pulse cubed. The acceleration may change within it, by a hundredth at a time as tracks go.
+    // About mid-pulse: half a pulse cubed. The acceleration may change within it, on real tracks by
+    // a hundredth of its value.
     let third = k * 3.0 * v * (v * closing / nearest_m + a) / nearest_m * (t / 2.0).powi(3)
         + 1e-2 * k * a * t * t / 5f64.sqrt();
-    // The cubic that a bent chirp has and the synthesis' parabolas have not: over the whole pulse, or as much of it as they bear.
+    // The cubic phase of a Doppler-distorted chirp, which the parabolas of the synthesis lack, over
+    // the part of the pulse that they cover.
     let bend_per_s = bend / c;
     let cubic_turns = pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / 32.0;
     let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
-    // A segment's velocity in place of the moment's.
+    // Error of using a segment's velocity for the instantaneous one.
     let stale = match path {
         PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
         PathModel::Polyline => first_of(k, a * segment_s, t),
@@ -204,7 +212,8 @@ pub fn doppler_error_model(
             ),
         ),
     };
-    // At the end of the pulse phases are at their greatest, and the edge is off by as much of a carrier's period.
+    // Phase errors are largest at the end of the pulse, and the edge moves by the same share of a
+    // carrier period.
     let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
     ErrorModel {
         name: doppler.name(),
@@ -214,15 +223,16 @@ pub fn doppler_error_model(
     }
 }
 
-/// The two error models as of the worst window of a pulse's length and not of whole echoes: one that holds no more than the ends of pulses, where phases are at
-/// their greatest, or echoes that weaken one another.
+/// Both error models for the worst window of one pulse length instead of whole echoes. Such a
+/// window may hold only the ends of pulses, where phase errors are largest, or echoes that cancel.
 pub fn window_error_models(
     path: PathModel,
     doppler: DopplerModel,
     conditions: &Conditions,
 ) -> [ErrorModel; 2] {
     let weakening = 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz);
-    // Of what grows with time, its square, its cube: at the end over the root mean square.
+    // Ratio of the value at the end to the rms value, for terms that grow linearly, quadratically
+    // and cubically.
     let end = match doppler {
         DopplerModel::None | DopplerModel::PaperEq21 => 3f64.sqrt(),
         DopplerModel::Stretch => 5f64.sqrt(),
@@ -238,7 +248,8 @@ pub fn window_error_models(
     error_models
 }
 
-/// The cheapest Doppler model that reaches `tolerance` on this path model, or why the best does not. Eq. 21 is never it.
+/// Selects the cheapest Doppler model that reaches `tolerance` on this path model, or returns why
+/// the best one does not. It never selects Eq. 21.
 pub fn doppler_within(
     tolerance: f64,
     path: PathModel,
@@ -254,7 +265,7 @@ pub fn doppler_within(
     error_model(doppler).map(|error_model| (doppler, error_model))
 }
 
-/// Phase of a closing speed off by `speed_m_per_s` at either end, rms over the pulse.
+/// Rms phase over the pulse of a closing-speed error of `speed_m_per_s`.
 fn first_of(k: f64, speed_m_per_s: f64, duration_s: f64) -> f64 {
     k * 2.0 * speed_m_per_s * duration_s / 3f64.sqrt()
 }
@@ -289,7 +300,8 @@ mod tests {
         }
     }
 
-    /// Echoes of unit amplitude at even places between two samples, each late by so many samples: what the samples gain and lose.
+    /// Unit echoes at evenly spaced positions between two samples, each late by the same number of
+    /// samples: counts what the samples gain and lose.
     #[test]
     fn sharp_edges_that_cross_samples_cost_what_counting_them_says() {
         let conditions = sharp();
@@ -312,7 +324,8 @@ mod tests {
         }
     }
 
-    /// A thousand echoes at ten elements, of which hardly one in a million crosses; a taper; a filter.
+    /// A thousand echoes at ten elements, of which about one in a million crosses; then a taper;
+    /// then a filter.
     #[test]
     fn edges_count_only_where_there_are_edges_and_they_cross_samples() {
         let at = |conditions: &Conditions, late: f64| {

@@ -1,28 +1,30 @@
 //! The sonar equation (Meng et al. 2023, Eqs. 11-14) as linear amplitudes, one factor per leg.
 //!
-//! A = 10^((SL + offset)/20) tx_pattern g(r_T) strength law g(r_R) element_pattern 10^(sensitivity/20), with
-//! g(r) = 10^(-alpha r/20) / r: two separate one-way losses, r no smaller than a wavelength. All of it holds at the leading edge.
+//! A = 10^((SL + offset)/20) tx_pattern g(r_T) strength law g(r_R) element_pattern
+//! 10^(sensitivity/20), with g(r) = 10^(-alpha r/20) / r. The two one-way losses are separate
+//! factors, and r is at least one wavelength. All factors are evaluated at the leading edge.
 
 use echotank_core::flow::Pattern;
 
 use super::elementary::{exp_decay, sinc};
 
-/// dB to a linear amplitude.
+/// Converts dB to a linear amplitude.
 pub fn amplitude_from_db(db: f64) -> f64 {
     10f64.powf(db / 20.0)
 }
 
-/// A [`Pattern`] at one wavelength, ready for loops.
+/// A [`Pattern`] prepared for one wavelength.
 #[derive(Clone, Copy, Debug)]
 pub struct Directivity {
     /// Sides in wavelengths; 0 is omnidirectional along that axis.
     length: f64,
     width: f64,
-    /// Directions with a smaller u_z meet the baffle.
+    /// The baffle blocks directions with a smaller u_z.
     baffle_z: f64,
 }
 
 impl Directivity {
+    /// Prepares `pattern` for a wavelength in metres.
     pub fn new(pattern: &Pattern, wavelength_m: f64) -> Self {
         match *pattern {
             Pattern::Omnidirectional => Self {
@@ -48,12 +50,13 @@ impl Directivity {
         }
     }
 
-    /// 1 towards everything.
+    /// Whether the response is 1 in every direction.
     pub(crate) fn is_omnidirectional(&self) -> bool {
         self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
     }
 
-    /// Response towards the unit vector (x, y, z) in array axes: 1 on the boresight, side lobes with their sign.
+    /// Response towards the unit vector (x, y, z) in array axes: 1 on the boresight, and signed
+    /// side lobes.
     #[inline(always)]
     pub fn towards(&self, x: f64, y: f64, z: f64) -> f64 {
         let open = if z < self.baffle_z { 0.0 } else { 1.0 };
@@ -61,10 +64,11 @@ impl Directivity {
     }
 }
 
-/// One way through the water: spherical spreading from 1 m and absorption.
+/// One-way transmission loss: spherical spreading from 1 m and absorption.
 #[derive(Clone, Copy, Debug)]
 pub struct OneWay {
-    /// Closer than this the far-field amplitude does not hold; it is kept at this range's.
+    /// Smallest range at which the far-field amplitude holds, metres. The amplitude is constant at
+    /// closer ranges.
     pub wavelength_m: f64,
     /// 1 / `wavelength_m`.
     max_per_m: f64,
@@ -72,6 +76,7 @@ pub struct OneWay {
 }
 
 impl OneWay {
+    /// Takes the wavelength in metres and the one-way absorption in dB/m.
     pub fn new(wavelength_m: f64, absorption_db_per_m: f64) -> Self {
         Self {
             wavelength_m,
@@ -80,13 +85,13 @@ impl OneWay {
         }
     }
 
-    /// Pressure at `range_m` over pressure at 1 m.
+    /// Pressure at `range_m` relative to pressure at 1 m.
     #[inline(always)]
     pub fn amplitude(&self, range_m: f64) -> f64 {
         self.amplitude_at(range_m, 1.0 / range_m)
     }
 
-    /// The same where `per_m`, 1 / `range_m`, is known: a division less.
+    /// As [`Self::amplitude`] with `per_m` = 1 / `range_m` given, which saves a division.
     #[inline(always)]
     pub(crate) fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
         exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.max_per_m)
@@ -110,7 +115,7 @@ mod tests {
         )
     }
 
-    /// Level of a line towards `angle_rad` off its broadside.
+    /// Response of a line at `angle_rad` off its broadside.
     fn level(d: &Directivity, angle_rad: f64) -> f64 {
         d.towards(angle_rad.sin(), 0.0, angle_rad.cos())
     }

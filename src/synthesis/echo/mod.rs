@@ -1,12 +1,16 @@
-//! Scatterers to arrivals: path models, Doppler, levels.
+//! Scatterers to arrivals: path models, Doppler and levels.
 //!
-//! In: a [`PingPlan`](echotank_core::flow::PingPlan), one transmit array, one element of a receive array, [`Scatterers`](echotank_core::flow::Scatterers).
-//! Out: [`ArrivalChunk`](echotank_core::flow::ArrivalChunk)s of delay, Doppler stretch and complex amplitude, handed to an
-//! [`ArrivalSink`](echotank_core::flow::ArrivalSink). Read [`walk`] first.
+//! Input: a [`PingPlan`](echotank_core::flow::PingPlan), one transmit array, one element of a
+//! receive array, and [`Scatterers`](echotank_core::flow::Scatterers).
+//! Output: [`ArrivalChunk`](echotank_core::flow::ArrivalChunk)s of delay, Doppler stretch and
+//! complex amplitude, passed to an [`ArrivalSink`](echotank_core::flow::ArrivalSink).
+//! Start with [`walk`].
 //!
-//! Beside it stands [`reference()`](reference::reference): the slow truth, which makes samples itself and shares only the sonar equation.
+//! [`reference()`](reference::reference) is the slow reference solution. It synthesises samples
+//! itself and shares only the sonar equation with the other methods.
 //!
-//! Not modelled: refraction, multipath, volume reverberation, occlusion (the scene hands over what is seen).
+//! Not modelled: refraction, multipath and volume reverberation. The scene resolves occlusion
+//! before it passes on the scatterers.
 
 pub mod absorption;
 pub mod culling;

@@ -1,12 +1,14 @@
-//! Where the receiver is when an echo arrives: delays of the four path models.
+//! Delays of the four path models: the position of the receiver when an echo arrives.
 //!
-//! Three of them are legs of constant velocity and solved in closed form: `stop-and-hop` has one leg without velocity, `polyline` the plan's
-//! segments, `k-segment` the element's own chords between the same vertices. `continuous` starts from the chords and ends on the trajectory
-//! itself by Newton's iteration.
+//! `stop-and-hop`, `polyline` and `k-segment` use legs of constant velocity, solved in closed form.
+//! `stop-and-hop` has one leg without velocity. `polyline` uses the segments of the plan, and
+//! `k-segment` the chords of the element's own track between the same vertices. `continuous` starts
+//! from the chords and converges to the trajectory by Newton's iteration.
 //!
-//! Sound leaves the transmitter (the origin here) at t = 0 and reaches the scatterer S at t1 = r_T/c. A receiver at R + v (t - t_k) on
-//! segment k then sees S at D = S - R - v (t1 - t_k), and the second leg tau solves |D - v tau| = c tau, so
-//! (c^2 - v^2) tau^2 + 2 (D.v) tau - D.D = 0. Its one positive root, written without cancellation, is
+//! The transmitter, at the origin, sends at t = 0, and the sound reaches the scatterer S at t1 =
+//! r_T/c. A receiver at R + v (t - t_k) on segment k then sees S at D = S - R - v (t1 - t_k). The
+//! second leg tau solves |D - v tau| = c tau, so (c^2 - v^2) tau^2 + 2 (D.v) tau - D.D = 0. The
+//! only positive root, written without cancellation, is
 //!
 //! ```text
 //! q   = sqrt((D.v)^2 + (c^2 - v^2) D.D)
@@ -14,40 +16,48 @@
 //!     = (q - D.v) / (c^2 - v^2)    D.v <  0
 //! ```
 //!
-//! The same root as Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It holds for every |v| < c, v = 0 and D = 0 included.
+//! This is the root of Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It holds for
+//! every |v| < c, including v = 0 and D = 0.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use echotank_core::flow::{ArrayGeometry, CHUNK, DopplerModel, PathModel, PingPlan, TransmitArray};
 use echotank_core::frames::Pose;
 
-/// Guard, in metres, on the bounds by which whole segments are passed over: far above the rounding of ranges, far below any range.
+/// Margin on the bounds that skip whole segments, metres: far above the rounding of ranges and far
+/// below any range.
 const BOUND_GUARD_M: f64 = 1e-6;
 
-/// A Newton step below this ends the iteration, seconds: the next would be its square times v^2/(r c), below 1e-20 s even 1 mm away.
+/// A Newton step below this ends the iteration, seconds. The next step would be its square times
+/// v^2/(r c): below 1e-20 s at a range of 1 mm.
 const SETTLED_S: f64 = 1e-11;
 
-/// Where a ping is transmitted: the origin of everything below.
+/// Position and motion of the transmitter at the start of the pulse; the origin of all coordinates
+/// here.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Transmit {
-    /// The platform's reference point at the start of the pulse, world, metres, and the transmitter's arm from it. Kept apart: their sum
-    /// would round the arm at the size of the world.
+    /// The platform's reference point at the start of the pulse in the world, metres, and the
+    /// transmitter's lever arm from it. They are kept apart because their sum would round the arm
+    /// to the precision of world coordinates.
     reference_m: DVec3,
     arm_m: DVec3,
     pub array_from_world: DMat3,
-    /// As Doppler needs it.
+    /// Motion for the Doppler term.
     pub motion: Motion,
 }
 
-/// How a point moves about one instant; zero under [`DopplerModel::None`].
+/// Motion of a point about one instant; zero under [`DopplerModel::None`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
+    /// Velocity in world axes, m/s.
     pub velocity_m_per_s: DVec3,
+    /// Acceleration in world axes, m/s^2.
     pub acceleration_m_per_s2: DVec3,
 }
 
 impl Transmit {
-    /// From the first segment of the plan or, where the path model follows the trajectory, from that.
+    /// Takes the motion from the plan's first segment, or from the trajectory if the path model
+    /// follows it.
     pub(crate) fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];
         let mounting = &tx.mounting;
@@ -67,11 +77,11 @@ impl Transmit {
             reference_m: first.position_m,
             arm_m,
             array_from_world: array_from_world(world_from_body, mounting.body_from_array),
-            motion: heard_motion(plan, motion),
+            motion: doppler_motion(plan, motion),
         }
     }
 
-    /// A world position relative to where this ping is transmitted.
+    /// Converts a world position to metres from the transmit position.
     #[inline(always)]
     pub(crate) fn relative_m(&self, world_m: DVec3) -> DVec3 {
         (world_m - self.reference_m) - self.arm_m
@@ -82,8 +92,9 @@ fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
     DMat3::from_quat((world_from_body * body_from_array).inverse())
 }
 
-/// A point on an arm (in world axes) while the platform is on its `k`th segment: the segment's velocity and what the platform's turning adds.
-/// The segment itself holds its attitude; how fast it turned there is the trajectory's to say.
+/// Motion of a point on a lever arm (world axes) during the platform's `k`-th segment: the
+/// segment's velocity plus the effect of rotation. The segment holds its attitude constant, so the
+/// rate of rotation comes from the trajectory.
 fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
     let segment = &plan.segments[k];
     let turning = plan
@@ -96,8 +107,8 @@ fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
     }
 }
 
-/// A point of the body on the trajectory, `pose` its pose at `time_s`. The acceleration is the mean one of the pulse that begins there, and
-/// only worked out where something uses it.
+/// Motion of a body-fixed point on the trajectory; `pose` is the pose at `time_s`. The acceleration
+/// is the mean over the pulse that begins there, computed only where it is used.
 fn trajectory_motion(plan: &PingPlan, body_m: DVec3, pose: &Pose, time_s: f64) -> Motion {
     let velocity_m_per_s = pose.point_velocity_m_per_s(body_m);
     let acceleration_m_per_s2 = match plan.model.doppler {
@@ -114,30 +125,32 @@ fn trajectory_motion(plan: &PingPlan, body_m: DVec3, pose: &Pose, time_s: f64) -
     }
 }
 
-fn heard_motion(plan: &PingPlan, motion: Motion) -> Motion {
+fn doppler_motion(plan: &PingPlan, motion: Motion) -> Motion {
     match plan.model.doppler {
         DopplerModel::None => Motion::default(),
         _ => motion,
     }
 }
 
-/// One element on one segment of the polyline.
+/// Track of one element over one segment of the polyline.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leg {
     pub start_s: f64,
-    /// Infinite on the last.
+    /// Infinite for the last leg.
     pub end_s: f64,
-    /// Element at `start_s`, relative to the transmit position.
+    /// Element at `start_s`, metres from the transmit position.
     pub origin_m: DVec3,
-    /// In the path: zero for stop-and-hop.
+    /// Velocity in the path equation; zero for stop-and-hop.
     pub velocity_m_per_s: DVec3,
-    /// In the Doppler term: at `start_s`, and how it changes from there.
+    /// Motion in the Doppler term: velocity at `start_s` and its rate of change.
     pub doppler: Motion,
     array_from_world: DMat3,
-    /// How fast these axes turn, rad/s in themselves, and how long after `start_s` they lie so.
+    /// Rate of turn of the array axes, rad/s in these axes, and the time after `start_s` at which
+    /// they have the stated attitude.
     turning_rad_per_s: DVec3,
     facing_s: f64,
-    /// What is so far off, there and back, falls on a later leg; what is nearer than the other, on an earlier one. Metres.
+    /// Scatterers whose two-way path exceeds this arrive on a later leg; those below the other
+    /// bound arrive on an earlier one. Metres.
     passed_m: f64,
     begun_m: f64,
 }
@@ -147,29 +160,29 @@ impl Leg {
         self.origin_m + self.velocity_m_per_s * (time_s - self.start_s)
     }
 
-    /// The path's velocity in array axes.
+    /// Velocity of the path in array axes.
     pub(crate) fn velocity_in_array_m_per_s(&self) -> DVec3 {
         self.array_from_world * self.velocity_m_per_s
     }
 }
 
-/// The way of one element through one ping. Its buffer is kept between uses.
+/// Track of one element through one ping. The buffer is reused.
 #[derive(Debug, Default)]
 pub(crate) struct ElementTrack {
     legs: Vec<Leg>,
-    /// Where the polyline was meant to end; echoes from here on are counted.
+    /// Intended end of the polyline; echoes that arrive later are counted.
     end_s: f64,
-    /// Neighbouring legs meet: every scatterer has just one root.
+    /// Whether neighbouring legs meet, so that every scatterer has exactly one root.
     seamless: bool,
-    /// How far the element strays from its legs, metres.
+    /// Largest distance of the element from its legs, metres.
     sag_m: f64,
-    /// The element in the body, and the array's axes there.
+    /// The element in body axes, and the array's axes there.
     element_m: DVec3,
     body_from_array: DQuat,
 }
 
 impl ElementTrack {
-    /// With room for a polyline of so many segments.
+    /// A track with room for a polyline of `segments` segments.
     pub(crate) fn with_room_for(segments: usize) -> Self {
         Self {
             legs: Vec::with_capacity(segments),
@@ -177,7 +190,7 @@ impl ElementTrack {
         }
     }
 
-    /// Sets out the legs of `element` under the plan's path and Doppler models.
+    /// Computes the legs of `element` under the plan's path and Doppler models.
     pub(crate) fn lay(
         &mut self,
         plan: &PingPlan,
@@ -188,7 +201,7 @@ impl ElementTrack {
         self.lay_at(plan, transmit, array, array.element_x_m(element));
     }
 
-    /// As [`Self::lay`], for a point `along_m` from the array's centre.
+    /// As [`Self::lay`], for a point `along_m` from the centre of the array.
     pub(crate) fn lay_at(
         &mut self,
         plan: &PingPlan,
@@ -215,8 +228,9 @@ impl ElementTrack {
         self.bound_legs(plan.sound_speed_m_per_s);
     }
 
-    /// c (t - t1) - |S - r(t)| grows along a leg, so its sign at the ends says whether the root lies between. Two triangle inequalities settle that
-    /// for all scatterers at once. Legs come in order, each bound at most the next one's.
+    /// c (t - t1) - |S - r(t)| increases along a leg, so its signs at the two ends show whether the
+    /// root lies between. Two triangle inequalities decide this for all scatterers at once. The
+    /// bounds increase from leg to leg.
     fn bound_legs(&mut self, c: f64) {
         let mut passed_m = f64::INFINITY;
         for leg in self.legs.iter_mut().rev() {
@@ -229,7 +243,7 @@ impl ElementTrack {
         }
     }
 
-    /// The plan's own segments; the first alone, and still, for stop-and-hop.
+    /// Uses the plan's segments; `stop-and-hop` uses only the first, at rest.
     fn lay_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let (segments, moving) = match plan.model.path {
             PathModel::StopAndHop => (&plan.segments[..1], 0.0),
@@ -242,7 +256,7 @@ impl ElementTrack {
                 end_s: segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s),
                 origin_m: transmit.relative_m(segment.position_m) + arm_m,
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
-                doppler: heard_motion(plan, segment_motion(plan, k, arm_m)),
+                doppler: doppler_motion(plan, segment_motion(plan, k, arm_m)),
                 array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
                 turning_rad_per_s: DVec3::ZERO,
                 facing_s: 0.0,
@@ -252,8 +266,9 @@ impl ElementTrack {
         }
     }
 
-    /// Chords between the element's own places at the segments' vertices. Axes are those of each chord's middle and turn evenly from there; the
-    /// velocity that Doppler sees runs linearly from one vertex's to the next one's.
+    /// Uses chords between the element's positions at the vertices of the segments. The array axes
+    /// are those of each chord's middle and turn uniformly from there. The Doppler velocity is
+    /// linear between vertices.
     fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
@@ -263,7 +278,7 @@ impl ElementTrack {
         for (k, segment) in segments.iter().enumerate() {
             let start_s = segment.start_s;
             let end_s = segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s);
-            // The last is as long as the one before it.
+            // The last chord has the length of the one before it.
             if end_s.is_finite() {
                 step_s = end_s - start_s;
             }
@@ -272,7 +287,7 @@ impl ElementTrack {
             let chord_m = place_m(&next) - origin_m;
             let speed = here.point_velocity_m_per_s(self.element_m);
             let later = next.point_velocity_m_per_s(self.element_m);
-            // Twice the middle's distance from the chord bounds any smooth arc's.
+            // Twice the distance of the middle from the chord bounds any smooth arc.
             let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
             let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
             self.sag_m = self.sag_m.max(2.0 * off_m);
@@ -281,7 +296,7 @@ impl ElementTrack {
                 end_s,
                 origin_m,
                 velocity_m_per_s: chord_m / step_s,
-                doppler: heard_motion(
+                doppler: doppler_motion(
                     plan,
                     Motion {
                         velocity_m_per_s: speed,
@@ -302,25 +317,25 @@ impl ElementTrack {
         self.end_s
     }
 
-    /// From the first on whose end is not before every root of the batch.
+    /// Legs from the first one that does not end before every root of the batch.
     fn not_passed(&self, batch: Batch) -> &[Leg] {
         let passed = |leg: &Leg| 2.0 * batch.min_range_m > leg.passed_m;
         &self.legs[self.legs.partition_point(passed)..]
     }
 
-    /// The leg on which an echo arrives at `time_s`, and its number.
+    /// The leg on which an echo arrives at `time_s`, and its index.
     pub(crate) fn leg_at(&self, time_s: f64) -> (usize, &Leg) {
         let at = self.legs.partition_point(|leg| leg.start_s <= time_s);
         let at = at.saturating_sub(1);
         (at, &self.legs[at])
     }
 
-    /// The leg of that number.
+    /// The leg with this index.
     pub(crate) fn leg(&self, number: usize) -> &Leg {
         &self.legs[number]
     }
 
-    /// The farthest this element gets from the transmit position up to `time_s`, metres.
+    /// Largest distance of this element from the transmit position up to `time_s`, metres.
     pub(crate) fn reach_m(&self, time_s: f64) -> f64 {
         let mut reach_m: f64 = 0.0;
         for leg in self.legs.iter().filter(|leg| leg.start_s <= time_s) {
@@ -331,7 +346,8 @@ impl ElementTrack {
         reach_m + self.sag_m
     }
 
-    /// Tells `visit` the velocities that Doppler can see on this way: some, and how far others lie beside them, m/s.
+    /// Passes bounds on the Doppler velocities along this track to `visit`: a velocity and the
+    /// largest deviation from it, m/s.
     pub(crate) fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
         let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
         for leg in &self.legs {
@@ -343,7 +359,7 @@ impl ElementTrack {
             let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
             let beside = match plan.model.path {
                 PathModel::Continuous => {
-                    // Twice the middle's distance from the chord bounds any smooth arc's.
+                    // Twice the distance of the middle from the chord bounds any smooth arc.
                     let middle_s = 0.5 * (leg.start_s + end_s);
                     let middle = self.motion_at(plan, middle_s).velocity_m_per_s;
                     2.0 * (middle - 0.5 * (first + last)).length()
@@ -355,7 +371,8 @@ impl ElementTrack {
         }
     }
 
-    /// The element's motion when each of up to [`CHUNK`] echoes arrives, as Doppler sees it: velocity and acceleration, axis by axis.
+    /// Motion of the element for the Doppler term at the arrival of up to [`CHUNK`] echoes:
+    /// velocity and acceleration, axis by axis.
     pub(crate) fn motions_at(
         &self,
         plan: &PingPlan,
@@ -363,7 +380,7 @@ impl ElementTrack {
         moving: &mut [[f64; CHUNK]; 6],
     ) {
         let n = times_s.len().min(CHUNK);
-        let (min_s, greatest_s) = ends(&times_s[..n]);
+        let (min_s, greatest_s) = min_max(&times_s[..n]);
         let (first, leg) = self.leg_at(min_s);
         let (last, _) = self.leg_at(greatest_s);
         if plan.model.path != PathModel::Continuous && first == last {
@@ -388,18 +405,19 @@ impl ElementTrack {
         }
     }
 
-    /// Velocity of the element on the trajectory itself, whatever the path model, and the turn that takes it out of array axes.
+    /// Velocity of the element on the trajectory, whatever the path model, and the rotation out of
+    /// array axes.
     pub(crate) fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
         let pose = plan.trajectory.pose_at(time_s);
         let velocity = pose.point_velocity_m_per_s(self.element_m);
         (velocity, pose.world_from_body * self.body_from_array)
     }
 
-    /// The element's motion when an echo arrives, as Doppler sees it.
+    /// Motion of the element for the Doppler term at the arrival of an echo.
     pub(crate) fn motion_at(&self, plan: &PingPlan, time_s: f64) -> Motion {
         if plan.model.path == PathModel::Continuous {
             let pose = plan.trajectory.pose_at(time_s);
-            return heard_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
+            return doppler_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
         }
         let (_, leg) = self.leg_at(time_s);
         let Motion {
@@ -413,8 +431,8 @@ impl ElementTrack {
     }
 }
 
-/// Least and greatest, several at a time. What is no number is neither.
-fn ends(values: &[f64]) -> (f64, f64) {
+/// Smallest and largest value, vectorised. NaN is ignored.
+fn min_max(values: &[f64]) -> (f64, f64) {
     const SIDE_BY_SIDE: usize = 8;
     let mut least = [f64::INFINITY; SIDE_BY_SIDE];
     let mut greatest = [f64::NEG_INFINITY; SIDE_BY_SIDE];
@@ -433,7 +451,8 @@ fn ends(values: &[f64]) -> (f64, f64) {
     )
 }
 
-/// Up to [`CHUNK`] scatterers relative to the transmit position, metres; `range_m` is their distance from it.
+/// Up to [`CHUNK`] scatterers, metres from the transmit position; `range_m` is their distance from
+/// it.
 #[derive(Clone, Copy)]
 pub(crate) struct Batch<'a> {
     pub x_m: &'a [f64],
@@ -441,39 +460,41 @@ pub(crate) struct Batch<'a> {
     pub z_m: &'a [f64],
     pub range_m: &'a [f64],
     pub min_range_m: f64,
-    pub(crate) greatest_range_m: f64,
+    pub(crate) max_range_m: f64,
 }
 
 impl<'a> Batch<'a> {
-    /// Those from `first` on, [`PART`] at most.
+    /// The scatterers from `first` on, [`PART`] at most.
     fn part(self, first: usize) -> Self {
         let span = first..(first + PART).min(self.range_m.len());
         let range_m = &self.range_m[span.clone()];
-        let (min_range_m, greatest_range_m) = ends(range_m);
+        let (min_range_m, max_range_m) = min_max(range_m);
         Self {
             x_m: &self.x_m[span.clone()],
             y_m: &self.y_m[span.clone()],
             z_m: &self.z_m[span],
             range_m,
             min_range_m,
-            greatest_range_m,
+            max_range_m,
         }
     }
 }
 
-/// How a batch meets one element: the delay, and the receive ray at reception.
+/// Solved geometry of a batch at one element: the delay, and the receive ray at reception.
 pub struct Rays {
     /// Leading edge, seconds after the start of the pulse.
     pub delay_s: [f64; CHUNK],
-    /// From the element to the scatterer, world, metres.
+    /// North component of the ray from the element to the scatterer, metres.
     pub x_m: [f64; CHUNK],
+    /// East component of the ray, metres.
     pub y_m: [f64; CHUNK],
+    /// Down component of the ray, metres.
     pub z_m: [f64; CHUNK],
-    /// The same in array axes.
+    /// The ray in array axes, metres.
     pub(crate) array_x_m: [f64; CHUNK],
     pub(crate) array_y_m: [f64; CHUNK],
     pub(crate) array_z_m: [f64; CHUNK],
-    /// Receiver's velocity times that vector, m^2/s: the closing speed times the range.
+    /// Dot product of the receiver's velocity and the ray, m^2/s: closing speed times range.
     pub(crate) closing_m2_per_s: [f64; CHUNK],
 }
 
@@ -494,7 +515,7 @@ impl Default for Rays {
 }
 
 impl Rays {
-    /// Nothing placed yet.
+    /// Marks every scatterer as unsolved.
     fn begin(&mut self) {
         *self = Self {
             delay_s: [f64::INFINITY; CHUNK],
@@ -503,14 +524,15 @@ impl Rays {
     }
 }
 
-/// What went other than plainly while a batch was solved.
+/// Scatterers of a batch with no root or with more than one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Oddities {
+pub(crate) struct RootCounts {
     pub no_root: u64,
     pub two_roots: u64,
 }
 
-/// Second leg, seconds, from the scatterer to a receiver that saw it at `(x, y, z)` when the sound reached it. See the module's head.
+/// Travel time of the second leg, seconds. The receiver sees the scatterer at `(x, y, z)` when the
+/// sound reaches it. See the module documentation for the equation.
 #[inline(always)]
 fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     let along = x * v.x + y * v.y + z * v.z;
@@ -519,7 +541,7 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     let sum = along.abs() + root;
     let ahead = along >= 0.0;
     let over = if ahead { square } else { sum };
-    // Not 0/0 where the receiver sits on the scatterer.
+    // Prevents 0/0 for a receiver on the scatterer.
     let under = if ahead {
         sum.max(f64::MIN_POSITIVE)
     } else {
@@ -528,8 +550,10 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     over / under
 }
 
-/// Solves one leg for a whole batch, whose rays begin `at` some place, and keeps what falls on it. Returns how many were placed. `ALONE`: the leg has
-/// neither a start nor an end, so that everything falls on it and nothing needs to have been begun.
+/// Solves one leg for a batch whose rays begin at index `at`, and stores the roots on this leg.
+/// Returns how many it stored.
+///
+/// `ALONE`: the leg has neither start nor end, so every root lies on it and `rays` needs no reset.
 #[inline(always)]
 fn solve_leg<const ALONE: bool>(
     leg: &Leg,
@@ -537,7 +561,7 @@ fn solve_leg<const ALONE: bool>(
     batch: Batch,
     rays: &mut Rays,
     at: usize,
-    odd: &mut Oddities,
+    odd: &mut RootCounts,
 ) -> u64 {
     let n = batch.range_m.len().min(CHUNK - at);
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
@@ -548,12 +572,12 @@ fn solve_leg<const ALONE: bool>(
         leg.doppler.acceleration_m_per_s2,
     );
     let (m, turning) = (leg.array_from_world, leg.turning_rad_per_s);
-    // A ray in array axes, so long after the leg's start.
+    // The ray in array axes at `after_s` after the start of the leg.
     let in_array = |x: f64, y: f64, z: f64, after_s: f64| {
         let u = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
         let v = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
         let w = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
-        // Seen from axes that turn, it turns the other way.
+        // In rotating axes the ray rotates the opposite way.
         let turned_s = after_s - leg.facing_s;
         [
             u + turned_s * (v * turning.z - w * turning.y),
@@ -602,17 +626,18 @@ fn solve_leg<const ALONE: bool>(
         let early = root_s < leg.start_s;
         let on_time = root_s < leg.end_s;
         let take = open & on_time;
-        // Wrapping: a check for overflow would be a branch. They count to 256.
+        // Wrapping addition avoids a branch for the overflow check; the count is at most 256.
         placed = u64::wrapping_add(placed, take as u64);
         none = u64::wrapping_add(none, (open & early) as u64);
         two = u64::wrapping_add(two, (!open & !early & on_time) as u64);
 
-        // Early means that every earlier leg found its root late: the element jumped at the vertex, and the vertex it is.
+        // An early root means that every earlier leg found its root late. The element jumps at the
+        // vertex, so the root is the vertex.
         let delay_s = root_s.max(leg.start_s);
         let after_s = delay_s - leg.start_s;
         let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
-        // Each scatterer is placed once, on arrays that began as zeros: adding 0 or 1 times is a choice that still vectorises, where an
-        // `if` would become a branch around the stores.
+        // Each scatterer is stored once, in arrays that start as zeros. Adding 0 or 1 times the
+        // value vectorises, where an `if` would put a branch around the stores.
         let chosen = if take { 1.0 } else { 0.0 };
         to_delay_s[i] = to_delay_s[i].min(if take { delay_s } else { f64::INFINITY });
         to_x_m[i] += chosen * x;
@@ -646,7 +671,7 @@ fn solve_leg_avx2<const ALONE: bool>(
     batch: Batch,
     rays: &mut Rays,
     at: usize,
-    odd: &mut Oddities,
+    odd: &mut RootCounts,
 ) -> u64 {
     solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
@@ -659,35 +684,35 @@ fn solve_leg_avx512<const ALONE: bool>(
     batch: Batch,
     rays: &mut Rays,
     at: usize,
-    odd: &mut Oddities,
+    odd: &mut RootCounts,
 ) -> u64 {
     solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
 
-/// [`solve_leg`] in the widest registers that this processor has.
+/// [`solve_leg`] with the widest vector registers of the processor.
 fn solve_widest<const ALONE: bool>(
     leg: &Leg,
     c: f64,
     batch: Batch,
     rays: &mut Rays,
     at: usize,
-    odd: &mut Oddities,
+    odd: &mut RootCounts,
 ) -> u64 {
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
-            // SAFETY: asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks the CPU feature, the only precondition.
             return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, at, odd) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks the CPU feature, the only precondition.
             return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, at, odd) };
         }
     }
     solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
 }
 
-/// AVX-512 F, DQ and VL.
+/// Whether the processor has AVX-512 F, DQ and VL.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn has_avx512() -> bool {
     is_x86_feature_detected!("avx512f")
@@ -695,15 +720,17 @@ pub(crate) fn has_avx512() -> bool {
         && is_x86_feature_detected!("avx512vl")
 }
 
-/// Scatterers that look for their legs together, where those of a batch lie on many: neighbours on the bottom lie on few.
+/// Scatterers that select their legs together where a batch spans many legs; neighbouring
+/// scatterers span few.
 pub const PART: usize = 32;
-/// So many legs are looked at by a whole batch.
+/// Up to this many legs are solved by the whole batch.
 const FEW_LEGS: usize = 2;
 
-/// Delays and receive rays of a batch: per scatterer the first leg k with t_k <= u < t_{k+1}.
-pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> Oddities {
+/// Computes delays and receive rays of a batch. Each scatterer uses the first leg k with t_k <= u <
+/// t_{k+1}.
+pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays) -> RootCounts {
     let n = batch.range_m.len();
-    let mut odd = Oddities::default();
+    let mut odd = RootCounts::default();
     if let [leg] = &track.legs[..]
         && leg.start_s == 0.0
     {
@@ -712,7 +739,7 @@ pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays)
     }
     rays.begin();
     let legs = track.not_passed(batch);
-    let begun = legs.partition_point(|leg| leg.begun_m <= 2.0 * batch.greatest_range_m);
+    let begun = legs.partition_point(|leg| leg.begun_m <= 2.0 * batch.max_range_m);
     if begun <= FEW_LEGS {
         solve_legs(legs, c, batch, rays, 0, &mut odd);
     } else {
@@ -721,19 +748,26 @@ pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays)
             solve_legs(track.not_passed(part), c, part, rays, first, &mut odd);
         }
     }
-    // Where legs meet, what falls between them fell there by rounding.
+    // Legs that meet leave no gap, so a root between them is due to rounding.
     if track.seamless {
-        return Oddities::default();
+        return RootCounts::default();
     }
     odd
 }
 
-/// One leg after the other, until all scatterers are placed and none could be placed again.
-fn solve_legs(legs: &[Leg], c: f64, batch: Batch, rays: &mut Rays, at: usize, odd: &mut Oddities) {
+/// Solves leg after leg until every scatterer is solved and no later leg can hold a second root.
+fn solve_legs(
+    legs: &[Leg],
+    c: f64,
+    batch: Batch,
+    rays: &mut Rays,
+    at: usize,
+    odd: &mut RootCounts,
+) {
     let n = batch.range_m.len() as u64;
     let mut placed = 0;
     for leg in legs {
-        if placed == n && leg.begun_m > 2.0 * batch.greatest_range_m {
+        if placed == n && leg.begun_m > 2.0 * batch.max_range_m {
             break;
         }
         placed += solve_widest::<false>(leg, c, batch, rays, at, odd);
@@ -741,12 +775,13 @@ fn solve_legs(legs: &[Leg], c: f64, batch: Batch, rays: &mut Rays, at: usize, od
     debug_assert_eq!(placed, n, "the last leg has no end");
 }
 
-/// Newton steps at most. Chords leave microseconds, and each step squares what is left.
+/// Limit on Newton steps. Chords are off by microseconds, and each step squares the error.
 const MAX_STEPS: usize = 12;
 
-/// Takes the delays that [`solve`] found on an element's chords to the trajectory itself, and the rays with them: c u = r_T + |S - r(u)|.
+/// Refines the delays and rays that [`solve`] found on the element's chords to the trajectory
+/// itself: c u = r_T + |S - r(u)|.
 ///
-/// The left side less the right grows by 0.9 c at least, so that the residual itself brackets the root: no step may be longer than it says.
+/// The residual grows at a rate of at least 0.9 c, so it brackets the root and bounds the step.
 pub(crate) fn refine(
     plan: &PingPlan,
     transmit: &Transmit,
@@ -769,20 +804,21 @@ pub(crate) fn refine(
                 / leg_m.max(f64::MIN_POSITIVE);
             let step_s = -residual_m / (c + closing).max(0.9 * c);
             delay_s += step_s;
-            // The ray is of the last place looked at, at most this step's millimetres away; of the delay nothing is left to gain.
+            // The ray belongs to the position of this last step, at most millimetres away; the
+            // delay no longer changes.
             if step_s.abs() <= SETTLED_S {
                 break;
             }
         }
         let in_array = array_from_world(pose.world_from_body, track.body_from_array) * ray_m;
-        let heard = match plan.model.doppler {
+        let doppler_velocity = match plan.model.doppler {
             DopplerModel::None => DVec3::ZERO,
             _ => pose.point_velocity_m_per_s(track.element_m),
         };
         rays.delay_s[i] = delay_s;
         (rays.x_m[i], rays.y_m[i], rays.z_m[i]) = ray_m.into();
         (rays.array_x_m[i], rays.array_y_m[i], rays.array_z_m[i]) = in_array.into();
-        rays.closing_m2_per_s[i] = heard.dot(ray_m);
+        rays.closing_m2_per_s[i] = doppler_velocity.dot(ray_m);
     }
 }
 
@@ -826,14 +862,14 @@ mod tests {
             z_m: &z,
             range_m: &range,
             min_range_m: 0.0,
-            greatest_range_m: 300.0,
+            max_range_m: 300.0,
         };
-        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut Oddities) -> u64;
+        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut RootCounts) -> u64;
         let run = |leg: &Leg, build: Build| {
             let mut rays = Rays::default();
             rays.begin();
-            let mut odd = Oddities::default();
-            // SAFETY: asked for before any build that needs it is run.
+            let mut odd = RootCounts::default();
+            // SAFETY: the CPU feature is checked before any build that needs it runs.
             let placed = unsafe { build(leg, 1500.0, batch, &mut rays, 0, &mut odd) };
             assert!(placed > 20, "{placed}");
             let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
@@ -850,7 +886,7 @@ mod tests {
         };
         let want = run(&leg, solve_leg::<false>);
         assert!(run(&leg, solve_leg_avx2::<false>) == want);
-        // A leg alone gives what it gives among others, but for the sign of zero.
+        // A single leg gives the same result as that leg among others, up to the sign of zero.
         let alone = Leg {
             start_s: 0.0,
             end_s: f64::INFINITY,

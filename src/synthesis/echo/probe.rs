@@ -1,9 +1,12 @@
-//! Echoes around one instant, through the reference's equation: what checks a ping at random samples.
+//! Echoes about one instant from the reference equation, used to check a ping at random samples.
 //!
-//! In: a plan, the scatterers that may be heard at the instant, an element. Out: their echoes as [`ArrivalChunk`]s whose emission time is the
-//! true one at the instant and a little before and after it, and a parabola between: in half a millisecond either way its third derivative
-//! is worth below 1e-6 rad. As in [`reference()`](super::reference::reference()) c (t - t') = |S - p_T(t')| + |S - r_e(t)| is solved on the
-//! continuous trajectory; no path model, no Doppler model, no culling.
+//! Input: a plan, the scatterers that may be received at the instant, and an element. Output: their
+//! echoes as [`ArrivalChunk`]s. The emission time is exact at the instant and shortly before and
+//! after it, and a parabola between. The neglected third derivative is below 1e-6 rad within half a
+//! millisecond.
+//!
+//! As in [`reference()`](super::reference::reference()), c (t - t') = |S - p_T(t')| + |S - r_e(t)|
+//! is solved on the continuous trajectory, without path model, Doppler model or culling.
 
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
@@ -15,25 +18,28 @@ use echotank_core::frames::Pose;
 
 use super::reference::{Sonar, facing};
 
-/// Pieces into which the transmitter's way during the pulse is cut; between their ends it is the cubic of both places and velocities. A track
-/// whose acceleration steps by 1 m/s^2 within one is followed to 1e-10 m.
+/// Number of pieces of the transmitter's track during the pulse. Each is the Hermite cubic of the
+/// positions and velocities at its ends. Where the acceleration steps by 1 m/s^2 within a piece,
+/// the error is below 1e-10 m.
 const PIECES: usize = 64;
 
-/// Newton steps for an emission time: from a guess good to 1e-6 s the second reaches 1e-18 s.
+/// Newton steps for an emission time. From a guess within 1e-6 s the second step reaches 1e-18 s.
 const STEPS: usize = 3;
 
-/// Where and when a ping is looked at.
+/// The element and time of a check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Instant {
+    /// Index of the element in the receive array.
     pub element: usize,
-    /// After the start of the pulse, seconds.
+    /// Seconds after the start of the pulse.
     pub time_s: f64,
-    /// What the receiver filter takes in before and after it, seconds.
+    /// Half the span of the receiver filter, seconds.
     pub half_span_s: f64,
 }
 
-/// Slant ranges from the reference point's place at the start of the pulse that can be heard at an instant: nearest and farthest, metres.
-pub fn heard_ranges_m(
+/// Slant ranges of the scatterers that can be received at an instant: smallest and largest, metres.
+/// They are measured from the reference point at the start of the pulse.
+pub fn receivable_ranges_m(
     plan: &PingPlan,
     tx: &TransmitArray,
     array: &ArrayGeometry,
@@ -43,7 +49,7 @@ pub fn heard_ranges_m(
     let origin_m = plan.segments[0].position_m;
     let latest_s = at.time_s + at.half_span_s;
     let moved_m = plan.trajectory.pose_from(origin_m, latest_s).position_m;
-    // Both legs are the range but for this much each.
+    // Each leg differs from the range by at most this.
     let reach_m = tx.mounting.position_m.length()
         + array.element_body_m(at.element).length()
         + moved_m.length();
@@ -51,12 +57,14 @@ pub fn heard_ranges_m(
     (0.5 * c * earliest_s - reach_m, 0.5 * c * latest_s + reach_m)
 }
 
-/// Slant range bins of [`heard`].
+/// Slant range bins of [`receivable`].
 const BINS: usize = 1024;
 
-/// Scatterers heard at any of up to 64 instants, as (index, bit k for instant k), in order. `ranges_m` are those of [`heard_ranges_m`].
-/// A scatterer a bin outside may be among them; none inside is missing.
-pub fn heard(
+/// Scatterers that can be received at any of up to 64 instants, in order, as (index, mask) with bit
+/// k for instant k. `ranges_m` are those of [`receivable_ranges_m`].
+///
+/// The list may contain scatterers up to one bin outside the ranges, and misses none inside.
+pub fn receivable(
     plan: &PingPlan,
     scatterers: &Scatterers,
     ranges_m: &[(f64, f64)],
@@ -64,7 +72,7 @@ pub fn heard(
 ) {
     assert!(ranges_m.len() <= 64, "one bit each");
     out.clear();
-    // At once: what the next instants hear may be more.
+    // Reserves all at once, since the next instants may receive more.
     out.reserve(scatterers.len());
     let farthest_m = ranges_m.iter().map(|r| r.1).fold(0.0, f64::max);
     if farthest_m <= 0.0 || farthest_m.is_nan() {
@@ -75,7 +83,7 @@ pub fn heard(
     for (k, &(near_m, far_m)) in ranges_m.iter().enumerate() {
         let first = (near_m.max(0.0) * per_m) as usize;
         let last = ((far_m.max(0.0) * per_m) as usize).min(BINS - 1);
-        // An instant before the first echo hears nothing: its interval is empty, or a bin wide.
+        // Before the first echo the interval is empty or one bin wide.
         for mask in masks.iter_mut().take(last + 1).skip(first) {
             *mask |= 1 << k;
         }
@@ -95,7 +103,7 @@ pub fn heard(
     }
 }
 
-/// Hands the echoes of `indices` around an instant to `sink`.
+/// Passes the echoes of `indices` about an instant to `sink`.
 pub fn echoes_at(
     plan: &PingPlan,
     tx: &TransmitArray,
@@ -135,23 +143,24 @@ struct Echo {
     amplitude: Complex64,
 }
 
-/// All that one instant's scatterers share.
+/// Terms that all scatterers of one instant share.
 struct Prober<'a> {
     plan: &'a PingPlan,
     sonar: Sonar<'a>,
     origin_m: DVec3,
-    /// Of the transmitter: place and velocity at the ends of pieces from `-spare_s` to the pulse's end and as much after.
+    /// Position and velocity of the transmitter at the ends of the pieces, from `-spare_s` to as
+    /// long after the end of the pulse.
     way: [(DVec3, DVec3); PIECES + 1],
     spare_s: f64,
     piece_s: f64,
     transmit_m: DVec3,
     transmit_attitude: DQuat,
-    /// Of the element: before, at and after the instant.
+    /// The element before, at and after the instant.
     receive_m: [DVec3; 3],
     velocity_m_per_s: DVec3,
     step_s: f64,
     at: Instant,
-    /// Attitudes at the earliest leading edge that can be heard now and at the latest.
+    /// Attitudes at the earliest and the latest leading edge that can be received now.
     attitudes: [(f64, DQuat); 2],
 }
 
@@ -167,7 +176,8 @@ impl<'a> Prober<'a> {
         let place = |pose: &Pose, body_m: DVec3| {
             (pose.point_m(body_m), pose.point_velocity_m_per_s(body_m))
         };
-        // Emission times of what the filter takes in but the pulse does not hold bend the parabola a little; they need no truth.
+        // Emission times outside the pulse but inside the filter only bend the parabola slightly,
+        // so they need no accuracy.
         let spare_s = 2.5 * at.half_span_s + 1e-6;
         let duration_s = plan.pulse.duration_s;
         let piece_s = (duration_s + 2.0 * spare_s) / PIECES as f64;
@@ -198,7 +208,8 @@ impl<'a> Prober<'a> {
         }
     }
 
-    /// The transmitter at an emission time: place and velocity. Carried on straight where the pulse is long over.
+    /// Position and velocity of the transmitter at an emission time, extrapolated linearly after
+    /// the pulse.
     fn transmitter(&self, emitted_s: f64) -> (DVec3, DVec3) {
         let x = (emitted_s + self.spare_s) / self.piece_s;
         let k = (x.max(0.0) as usize).min(PIECES - 1);
@@ -222,7 +233,8 @@ impl<'a> Prober<'a> {
         )
     }
 
-    /// When what the `n`th place of the element hears of a scatterer was sent.
+    /// Emission time of the sound that the element receives from a scatterer at its `n`-th
+    /// position.
     fn emitted_s(&self, at_m: DVec3, n: usize, guess_s: f64) -> f64 {
         let c = self.plan.sound_speed_m_per_s;
         let time_s = self.at.time_s + (n as f64 - 1.0) * self.step_s;
@@ -238,11 +250,11 @@ impl<'a> Prober<'a> {
         emitted_s
     }
 
-    /// Scatterer `i`, unless nothing of it sounds within the span.
+    /// The echo of scatterer `i`, or None if it lies outside the span.
     fn echo(&self, scatterers: &Scatterers, i: usize) -> Option<Echo> {
         let c = self.plan.sound_speed_m_per_s;
         let at_m = scatterers.position_m(i) - self.origin_m;
-        // The transmitter hardly moves in the pulse: this guess is off by microseconds.
+        // The transmitter hardly moves during the pulse, so this guess is within microseconds.
         let first_m = at_m.distance(self.transmit_m);
         let guess_s = self.at.time_s - (first_m + at_m.distance(self.receive_m[1])) / c;
         let span_s = 1.1 * self.at.half_span_s + 1e-4;
@@ -252,7 +264,7 @@ impl<'a> Prober<'a> {
         let now_s = self.emitted_s(at_m, 1, guess_s);
         let before_s = self.emitted_s(at_m, 0, now_s - self.step_s);
         let after_s = self.emitted_s(at_m, 2, now_s + self.step_s);
-        // t' = now + rate x + bend x^2, x from the instant on.
+        // t' = now + rate x + bend x^2, with x counted from the instant.
         let rate = (after_s - before_s) / (2.0 * self.step_s);
         let bend_per_s =
             ((after_s - now_s) - (now_s - before_s)) / (2.0 * self.step_s * self.step_s);

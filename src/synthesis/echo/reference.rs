@@ -1,9 +1,13 @@
-//! The slow truth: the retarded-time sum, sample by sample, on the continuous trajectory.
+//! Reference solution: the retarded-time sum, sample by sample, on the continuous trajectory.
 //!
-//! A sample received at t left at t' with c (t - t') = |S - p_T(t')| + |S - r_e(t)|, and
-//! x_e(t) = sum A a(t') exp(j 2pi f_c (t' - t)). Both ends move as [`Trajectory`] says, rotation included, during the pulse and during the
-//! echo. A is held at its value at the leading edge. Plain f64, nothing linearised, no pattern culled, no segments; path and Doppler models
-//! of the plan do not enter. It shares the sonar equation with the fast walk and nothing else.
+//! A sample received at t left the transmitter at t' with c (t - t') = |S - p_T(t')| + |S -
+//! r_e(t)|, and x_e(t) = sum A a(t') exp(j 2pi f_c (t' - t)). Newton's iteration solves t' for
+//! every sample and scatterer.
+//!
+//! Transmitter and receiver follow the [`Trajectory`], rotation included, during the pulse and
+//! during the echo. A keeps its value at the leading edge. The sum uses f64 without linearisation,
+//! pattern culling or segments, and ignores the plan's path and Doppler models. It shares only the
+//! sonar equation with the fast walk.
 
 use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
@@ -16,10 +20,11 @@ use echotank_core::frames::Trajectory;
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
 
-/// Newton steps at most; a step that leaves the bracket halves it, and 60 halvings reach the last bit of f64.
+/// Limit on Newton steps. A step that leaves the bracket is replaced by bisection, and 60
+/// bisections reach the last bit of f64.
 const MAX_STEPS: usize = 80;
 
-/// [`reference_with`] the edges of echoes merely sampled.
+/// As [`reference_with`], with plain sampling of the echo edges.
 #[expect(
     clippy::too_many_arguments,
     reason = "the whole problem, each part a noun of its own"
@@ -47,9 +52,12 @@ pub fn reference(
     )
 }
 
-/// Adds nothing to what is in `out`: overwrites it with the echoes of all scatterers at one element, volts (rms) of the complex envelope.
-/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo lasts 0 <= t' <= T, both ends inclusive. `edges`: what
-/// happens at the ends of a rectangular pulse; a tapered one is sampled.
+/// Overwrites `out` with the echoes of all scatterers at one element: complex envelope, volts
+/// (rms).
+///
+/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo covers 0 <=
+/// t' <= T, both ends inclusive. `edges` selects the treatment of the ends of a rectangular pulse;
+/// a tapered pulse is always sampled.
 #[expect(
     clippy::too_many_arguments,
     reason = "the whole problem, each part a noun of its own"
@@ -97,7 +105,7 @@ pub fn reference_with(
             at_m,
             &receiver,
         );
-        // One sample to spare at either end; t' itself decides.
+        // One spare sample at either end; t' decides whether it lies in the echo.
         let first = ((leading_s - first_sample_s) * rate_hz).floor() - 1.0;
         let end = ((trailing_s - first_sample_s) * rate_hz).ceil() + 2.0;
         let range = (first.max(0.0) as usize)..(end.max(0.0) as usize).min(out.len());
@@ -121,10 +129,11 @@ pub fn reference_with(
         for k in range {
             let t_s = time_s(k);
             let second_leg_m = at_m.distance(receiver_m[k]);
-            // c (t - t') - |S - p_T(t')| - second leg: falls with t', so the pulse's ends tell whether t' lies in it.
+            // c (t - t') - |S - p_T(t')| - second leg decreases with t', so its signs at the ends
+            // of the pulse show whether t' lies within.
             let before = c * t_s - first_leg_m - second_leg_m;
             let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
-            // Beside an edge the weights go by its place in time, and so must what lies inside it.
+            // Next to an edge the weights follow the edge's time, so membership must follow it too.
             let weight = if weighted {
                 weights.at(k)
             } else {
@@ -144,7 +153,7 @@ pub fn reference_with(
             guess_s = emitted_s + 1.0 / rate_hz;
             let cycles = carrier_hz * (emitted_s - t_s);
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * (cycles - cycles.round()));
-            // Newton keeps to the pulse; a hair outside its end is its end.
+            // Newton may end slightly outside the pulse, so t' is clamped.
             let sent = plan.pulse.envelope(emitted_s.clamp(0.0, duration_s));
             out[k] += amplitude * weight * sent * Complex64::new(cos, sin);
         }
@@ -152,9 +161,10 @@ pub fn reference_with(
     counts
 }
 
-/// The weights of points between two edges.
+/// Quadrature weights of the samples between two edges.
 struct EdgeWeights {
-    /// First and last point inside, counted from the first sample, and their distances from their edges, in steps.
+    /// First and last sample inside, counted from the first sample, and their distances from the
+    /// edges, in steps.
     first: f64,
     last: f64,
     corrections: [[f64; EDGE_POINTS]; 2],
@@ -175,7 +185,7 @@ impl EdgeWeights {
         }
     }
 
-    /// Of sample `k`; 0 outside.
+    /// Weight of sample `k`; 0 outside.
     fn at(&self, k: usize) -> f64 {
         let k = k as f64;
         if k < self.first || k > self.last {
@@ -193,7 +203,8 @@ impl EdgeWeights {
     }
 }
 
-/// The trajectory moved so that its first knot is at zero, and where that was: positions far from the world's origin lose nothing then.
+/// Moves the trajectory so that its first knot is at zero, and returns the original position of
+/// that knot. This keeps precision far from the world's origin.
 fn near_origin(trajectory: &Trajectory) -> (Trajectory, DVec3) {
     let mut track = trajectory.clone();
     let origin_m = track.position.first().map_or(DVec3::ZERO, |k| k.value);
@@ -203,14 +214,14 @@ fn near_origin(trajectory: &Trajectory) -> (Trajectory, DVec3) {
     (track, origin_m)
 }
 
-/// A point of the body on its way.
+/// A body-fixed point on the trajectory.
 struct Mover<'a> {
     track: &'a Trajectory,
     body_m: DVec3,
 }
 
 impl Mover<'_> {
-    /// Position and velocity.
+    /// Position and velocity in world axes.
     fn at(&self, time_s: f64) -> (DVec3, DVec3) {
         let pose = self.track.pose_at(time_s);
         (
@@ -220,7 +231,8 @@ impl Mover<'_> {
     }
 }
 
-/// When sound that has `travelled_m` behind it at the scatterer (in metres since t = 0) reaches the receiver: c t = travelled + |S - r(t)|.
+/// Time at which the sound reaches the receiver, seconds: c t = travelled + |S - r(t)|.
+/// `travelled_m` is the path up to the scatterer, in metres since t = 0.
 fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f64 {
     let residual = |t_s: f64| {
         let (place_m, velocity) = receiver.at(t_s);
@@ -233,7 +245,8 @@ fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f6
     };
     let low_s = travelled_m / c;
     let leg_s = at_m.distance(receiver.at(low_s).0) / c;
-    // The receiver is slower than 0.1 c: twice the leg is more than enough, but a wild trajectory must end too.
+    // The receiver is slower than 0.1 c, so twice the leg is an upper bound. The margin makes the
+    // search end for any trajectory.
     let mut high_s = low_s + 2.0 * leg_s + 1e-6;
     for _ in 0..60 {
         if residual(high_s).0 >= 0.0 {
@@ -244,7 +257,8 @@ fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f6
     newton(low_s, high_s, low_s + leg_s, residual)
 }
 
-/// Root of a growing function between `low` and `high`, to the last bits: Newton, halving the bracket where a step leaves it.
+/// Root of an increasing function between `low` and `high`, to the last bits. Newton's iteration,
+/// with bisection where a step leaves the bracket.
 fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)) -> f64 {
     let mut x = start.clamp(low, high);
     for _ in 0..MAX_STEPS {
@@ -267,7 +281,7 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
     x
 }
 
-/// What a scatterer makes of directions: law, normal, and the curve that comes with it.
+/// Scattering law of a scatterer: law, normal, and the curve of a curved law.
 pub(super) type Facing<'a> = (ScatterLaw, [f32; 3], Option<&'a LawCurve>);
 
 pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {
@@ -286,7 +300,7 @@ pub(super) struct Sonar<'a> {
     transmit_pattern: Directivity,
     element_pattern: Directivity,
     one_way: OneWay,
-    /// Source level and sensitivity.
+    /// Product of source level and sensitivity.
     gain: f64,
 }
 
@@ -311,7 +325,7 @@ impl<'a> Sonar<'a> {
         }
     }
 
-    /// Everything but the scatterer's own strength. Rays run from the sonar to the scatterer.
+    /// Amplitude of a unit scatterer, volts. Rays point from the sonar to the scatterer.
     fn amplitude(
         &self,
         transmit_ray_m: DVec3,
@@ -327,7 +341,7 @@ impl<'a> Sonar<'a> {
         )
     }
 
-    /// [`Self::amplitude`] with the platform's attitudes at transmission and reception given.
+    /// As [`Self::amplitude`], for given attitudes of the platform at transmission and reception.
     pub(super) fn amplitude_seen_from(
         &self,
         (transmit_ray_m, transmit_attitude): (DVec3, DQuat),

@@ -1,14 +1,16 @@
-//! The Dopplers that a ping's echoes can have, before a single one is computed.
+//! Range of the Doppler stretches of a ping's echoes, bounded before any echo is computed.
 //!
-//! In: what is insonified, a receive array. Out: least and greatest eta - 1 over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and
-//! v_T.e_T is known of every scatterer. The rest is bounded: v_R.e_R lies within |v_R - v_T| + |v_T| |e_R - e_T| of it, and two unit
-//! vectors to one point differ by 2 |a - b|/(|a| + |b|) at most (Dunkl and Williams 1964).
+//! Input: the insonified scatterers and a receive array. Output: the smallest and largest eta - 1
+//! over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and v_T.e_T is known for
+//! every scatterer. v_R.e_R differs from it by at most |v_R - v_T| + |v_T| |e_R - e_T|. Two unit
+//! vectors to one point differ by at most 2 |a - b|/(|a| + |b|) (Dunkl and Williams 1964).
 
 use echotank_core::flow::{ArrayGeometry, DopplerModel, PingPlan};
 
 use super::walk::{TransmitLeg, Workspace};
 
-/// Least and greatest eta - 1 that [`arrivals`](super::walk::arrivals) can hand on for any element of `array`. `work` is scratch.
+/// Smallest and largest eta - 1 that [`arrivals`](super::walk::arrivals) can pass on for any
+/// element of `array`. `work` holds temporary values.
 pub fn doppler_span(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -20,7 +22,7 @@ pub fn doppler_span(
     }
     let c = plan.sound_speed_m_per_s;
     let transmit_m_per_s = transmit_leg.transmit.motion.velocity_m_per_s;
-    // Places and velocities of a line's elements are linear in where they sit: the ends bound the rest.
+    // Positions and velocities are linear along the line, so its two ends bound the rest.
     let (mut arm_m, mut speed, mut change) = (0.0f64, transmit_m_per_s.length(), 0.0f64);
     for element in [0, array.elements - 1] {
         let track = &mut work.track;
@@ -40,11 +42,12 @@ pub fn doppler_span(
         .iter()
         .zip(&transmit_leg.batch_range_m);
     for (&(leaving, closing), &(nearest_m, _)) in batches {
-        // How far the element is from where the ping was transmitted when an echo arrives, over how far the scatterer is: greatest nearby.
+        // Distance of the element from the transmit position when an echo arrives, relative to the
+        // range of the scatterer; largest at the nearest range.
         let apart_m = still_m + per_range * nearest_m;
         let turned = (2.0 * apart_m / (2.0 * nearest_m - apart_m).max(0.0)).min(2.0);
         let beside = change + transmit_speed * turned;
-        // Below c both are monotonic in the transmitter's part.
+        // Both are monotonic in the transmitter's part below c.
         least = least.min((2.0 * leaving - beside) / (c - leaving));
         greatest = greatest.max((2.0 * closing + beside) / (c - closing));
     }

@@ -1,21 +1,24 @@
-//! Doppler beyond the leading edge, and the paper's Eq. 21.
+//! Second-order Doppler, and Eq. 21 of Meng et al. 2023.
 //!
-//! What is heard at t left at t' with c (t - t') = R_T(t') + R_R(t), R the two legs. With a and b the speeds at which transmitter and receiver
-//! close in on the scatterer, the first two derivatives are
+//! Sound received at t left at t' with c (t - t') = R_T(t') + R_R(t), where R_T and R_R are the two
+//! legs. With a and b the closing speeds of transmitter and receiver towards the scatterer, the
+//! first two derivatives are
 //!
 //! ```text
 //! dt'/dt   = (c + b) / (c - a)
 //! d2t'/dt2 = -(R_T'' (dt'/dt)^2 + R_R'') / (c - a),     R'' = (v.v - (v.e)^2)/R - acceleration.e
 //! ```
 //!
-//! The first alone, taken at the leading edge (Meng et al. 2023, Eqs. 19-20), leaves a phase of 2 pi f v^2 sin^2 s^2 / (r c) at s seconds into
-//! the pulse, f up to f_c + B/2. Both, taken at mid-pulse, leave the third derivative: some v/r T/12 of that.
+//! The first derivative alone, at the leading edge (Meng et al. 2023, Eqs. 19-20), leaves a phase
+//! of 2 pi f v^2 sin^2 s^2 / (r c) at s seconds into the pulse, with f up to f_c + B/2. Both
+//! derivatives at mid-pulse leave the third one: about v/r T/12 of that phase.
 
 use glam::DVec3;
 
 use super::paths::Motion;
 
-/// One leg as it is when the leading edge passes: the ray from the sonar to the scatterer, and how the sonar's end of it moves.
+/// One leg at the leading edge: the ray from the sonar to the scatterer, and the motion of the
+/// sonar's end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leg {
     pub ray_m: DVec3,
@@ -42,7 +45,8 @@ impl Leg {
     }
 }
 
-/// Emission time to the second order: s after `delay_s` sounds what left at (1 + doppler) s + curvature s^2.
+/// Second-order emission time: s after `delay_s` the sample left at (1 + doppler) s + curvature
+/// s^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stretched {
     pub delay_s: f64,
@@ -50,11 +54,15 @@ pub(crate) struct Stretched {
     pub curvature_per_s: f64,
 }
 
-/// A leg shorter than this many times what either end moves in a pulse has no use for a Taylor series about a later moment.
+/// Smallest leg, in distances that either end moves during a pulse, for a Taylor series about
+/// mid-pulse.
 const NEAREST_LEG: f64 = 5.0;
 
-/// The expansion about mid-pulse, in terms of its own leading edge. `delay_s` and `doppler` are those of the leading edge, `half_s` is T/2.
-/// A scatterer that the sonar all but touches keeps the stretch of its leading edge. Without a branch, so that batches fill vectors.
+/// Expands about mid-pulse and expresses the result relative to the leading edge. `delay_s` and
+/// `doppler` are those of the leading edge, and `half_s` is T/2.
+///
+/// A scatterer too close to the sonar keeps the stretch of its leading edge. The code has no
+/// branch, so that batches vectorise.
 #[inline(always)]
 pub(crate) fn about_mid_pulse(
     c: f64,
@@ -64,7 +72,7 @@ pub(crate) fn about_mid_pulse(
     delay_s: f64,
     doppler: f64,
 ) -> Stretched {
-    // Squares: the legs' lengths come later.
+    // Squares, since the leg lengths are computed later.
     let moved2_m2 =
         |leg: &Leg| 4.0 * half_s * half_s * leg.motion.velocity_m_per_s.length_squared();
     let nearest2_m2 = transmit
@@ -75,8 +83,8 @@ pub(crate) fn about_mid_pulse(
     let near = nearest2_m2 < NEAREST_LEG * NEAREST_LEG * most2_m2;
 
     let (transmit_m, transmit_rate, transmit_second) = transmit.at(half_s);
-    // When the middle arrives: a Newton step from where the stretch at the leading edge has it, and what that leaves by the second derivative, to
-    // 1e-14 s and better.
+    // Arrival of mid-pulse: a Newton step from the stretch at the leading edge, corrected by the
+    // second derivative; error below 1e-14 s.
     let guess_s = half_s * (1.0 - doppler * (1.0 - doppler));
     let (receive_m, rate, receive_second) = receive.at(guess_s);
     let per_closing = 1.0 / (c - rate);
@@ -89,7 +97,7 @@ pub(crate) fn about_mid_pulse(
     let middle = -(receive_rate + transmit_rate) * per_speed;
     let eta = 1.0 + middle;
     let curvature_per_s = -0.5 * (transmit_second * eta * eta + receive_second) * per_speed;
-    // Back to where t' = 0: half + eta s + curvature s^2 = 0.
+    // Back to t' = 0: half + eta s + curvature s^2 = 0.
     let root = (eta * eta - 4.0 * curvature_per_s * half_s).max(0.0).sqrt();
     let edge_s = -2.0 * half_s / (eta + root);
     let pick = |at_edge: f64, expanded: f64| if near { at_edge } else { expanded };
@@ -100,8 +108,9 @@ pub(crate) fn about_mid_pulse(
     }
 }
 
-/// Eq. 21 of Meng et al. 2023 as printed, with Eq. 20's f_S read as f_{m,T}: frequencies f c/(c - a) out and f (c + b)/(c - a) back times the
-/// delays of either leg, which is a pulse that is not stretched at this delay. `closing` are a and b, m/s.
+/// Eq. 21 of Meng et al. 2023 as printed, with f_S of Eq. 20 read as f_{m,T}. The frequencies f
+/// c/(c - a) out and f (c + b)/(c - a) back multiply the delays of the two legs. The result is an
+/// unstretched pulse at this delay. `closing` holds a and b, m/s.
 pub(crate) fn paper_eq21_delay_s(
     c: f64,
     first_leg_s: f64,

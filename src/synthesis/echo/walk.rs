@@ -1,11 +1,21 @@
-//! The walk over the scatterers: once per ping and transmit array ([`insonify`]), then once per element ([`arrivals`]).
+//! The walk over the scatterers: once per ping and transmit array ([`insonify`]), then once per
+//! element ([`arrivals`]).
 //!
-//! Structure of arrays throughout, in batches of [`CHUNK`] that stay in L1. Coordinates are relative to the transmit position, so that
-//! world positions of any size keep the carrier phase to 1e-10 rad.
+//! [`insonify`] computes the one-way amplitude, direction and range from the transmitter to every
+//! scatterer. [`arrivals`] solves the two-way delay to one element, applies pattern, scattering law
+//! and loss of the second leg, and passes the echoes on in chunks. Delay and Doppler follow from
+//! [`paths`](super::paths) and [`stretch`](super::stretch), amplitudes from the sonar equation in
+//! [`levels`](super::levels).
 //!
-//! Culling (`ModelChoice::cull_db`) is exact per scatterer-element pair: left out is what has |transmit pattern x element pattern| below
-//! the floor, and what has no amplitude at all (behind a baffle, on the far side of its patch). `insonify` already drops what the
-//! transmit pattern alone puts below the floor; no element pattern exceeds 1, so that drops nothing the pair test would keep.
+//! All data are structures of arrays, processed in batches of [`CHUNK`] that stay in the L1 cache.
+//! Coordinates are relative to the transmit position. The carrier phase therefore keeps an accuracy
+//! of 1e-10 rad at any world position.
+//!
+//! Culling (`ModelChoice::cull_db`) is exact for each pair of scatterer and element. It drops pairs
+//! whose |transmit pattern x element pattern| lies below the floor, and pairs with zero amplitude
+//! (behind a baffle, or on the far side of a patch). `insonify` already drops scatterers whose
+//! transmit pattern alone lies below the floor. No element pattern exceeds 1, so this never drops a
+//! pair that the pair test would keep.
 
 use std::sync::Arc;
 
@@ -23,23 +33,25 @@ use super::paths::has_avx512;
 use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
-mod light;
+mod insonifier;
 mod line;
-mod parts;
+mod subarray;
 
-use light::Light;
+use insonifier::Insonifier;
 pub use line::{LineEchoes, LineWorkspace, line_arrivals};
-use parts::{Answer, Elements};
+use subarray::{ArrayFactor, SubarrayElements};
 
-/// The span of time that will be synthesised, filter margins included: first and last sample, seconds from the start of the pulse.
+/// The time span to synthesise, filter margins included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
+    /// First sample, seconds from the start of the pulse.
     pub first_s: f64,
+    /// Last sample, seconds from the start of the pulse.
     pub last_s: f64,
 }
 
 impl Window {
-    /// Of `count` samples from `first_sample_s` on.
+    /// The window of `count` samples that starts at `first_sample_s`.
     pub fn of_samples(first_sample_s: f64, rate_hz: f64, count: usize) -> Self {
         Self {
             first_s: first_sample_s,
@@ -48,75 +60,82 @@ impl Window {
     }
 }
 
-/// The scatterers as the transmitter sees them, structure of arrays; what no element can hear is already gone. Kept between pings.
+/// Insonified scatterers as a structure of arrays, without those that no element can receive.
+/// Reused from ping to ping.
 #[derive(Debug, Default)]
 pub struct TransmitLeg {
     window: Option<Window>,
     pub(super) transmit: Transmit,
-    /// Relative to the transmit position, metres.
+    /// Position relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
     z_m: Vec<f64>,
     range_m: Vec<f64>,
-    /// Source level, pattern, first leg, strength and the transmit half of the scattering law; uPa at 1 m from the scatterer.
+    /// Product of source level, pattern, first leg, strength and the transmit half of the
+    /// scattering law; uPa at 1 m from the scatterer.
     amplitude: Vec<Complex64>,
-    /// |transmit pattern|.
+    /// Magnitude of the transmit pattern.
     level: Vec<f64>,
-    /// The receive half of the law is sqrt(max(0, bias - normal.ray)): 0 and the normal for Lambert, 1 and zero for points; or, where `curved`, the
-    /// curve's value there.
+    /// The receive half of the scattering law is sqrt(max(0, bias - normal.ray)). `bias` is 0 for
+    /// Lambert; for points it is 1 and the normal is zero. Where `curved`, the half is the value of
+    /// `curve` at that root.
     bias: Vec<f32>,
     curved: Vec<bool>,
     curve: Option<Arc<LawCurve>>,
     normal_x: Vec<f32>,
     normal_y: Vec<f32>,
     normal_z: Vec<f32>,
-    /// Transmitter's speed towards the scatterer, m/s.
+    /// Speed of the transmitter towards the scatterer, m/s.
     closing_m_per_s: Vec<f64>,
-    /// Least and greatest `range_m` of each batch of [`CHUNK`].
+    /// Smallest and largest `range_m` of each batch of [`CHUNK`].
     pub(super) batch_range_m: Vec<(f64, f64)>,
-    /// ... and of `closing_m_per_s`.
+    /// Smallest and largest `closing_m_per_s` of each batch.
     pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
-    /// Lowest and highest corner of each batch.
+    /// Lowest and highest corner of each batch's bounding box.
     batch_box_m: Vec<(DVec3, DVec3)>,
 }
 
 impl TransmitLeg {
+    /// An empty leg, before any [`insonify`].
     pub fn new() -> Self {
         Self::default()
     }
 
+    /// Number of insonified scatterers.
     pub fn len(&self) -> usize {
         self.range_m.len()
     }
 
+    /// Whether no scatterer is insonified.
     pub fn is_empty(&self) -> bool {
         self.range_m.is_empty()
     }
 
-    /// Only so much of what it was insonified for will be synthesised.
-    pub fn hear(&mut self, window: Window) {
+    /// Narrows the window to synthesise to `window`, which lies within the insonified one.
+    pub fn set_window(&mut self, window: Window) {
         if self.window.is_some() {
             self.window = Some(window);
         }
     }
 }
 
-/// Scratch of one thread of [`arrivals`].
+/// Per-thread buffers of [`arrivals`].
 #[derive(Default)]
 pub struct Workspace {
     pub(super) track: ElementTrack,
     rays: Rays,
-    heard: Heard,
-    answer: Answer,
+    received: ReceivedBatch,
+    array_factor: ArrayFactor,
     chunk: ArrivalChunk,
 }
 
 impl Workspace {
+    /// Empty buffers.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With room for a polyline of so many segments, so that no ping allocates.
+    /// Buffers with room for a polyline of `segments` segments, so that no ping allocates.
     pub fn with_room_for(segments: usize) -> Self {
         Self {
             track: ElementTrack::with_room_for(segments),
@@ -125,25 +144,26 @@ impl Workspace {
     }
 }
 
-/// A batch at one element, before anything is left out.
-struct Heard {
+/// Values of one batch at one element, before culling.
+struct ReceivedBatch {
     doppler: [f64; CHUNK],
     /// Half the second derivative of the emission time, per second.
     curvature_per_s: [f64; CHUNK],
-    /// Second leg, element pattern, receive half of the law, sensitivity: volts per uPa at 1 m from the scatterer.
+    /// Product of second leg, element pattern, receive half of the law and sensitivity; volts per
+    /// uPa at 1 m from the scatterer.
     gain: [f64; CHUNK],
     /// |transmit pattern x element pattern|.
     level: [f64; CHUNK],
     range_m: [f64; CHUNK],
-    /// The element's velocity and acceleration when it hears the leading edge, axis by axis.
+    /// Velocity and acceleration of the element when the leading edge arrives, axis by axis.
     moving: [[f64; CHUNK]; 6],
-    /// With the scatterer's own.
+    /// Volts, with the strength of the scatterer.
     amplitude: [Complex64; CHUNK],
-    /// Whether it goes on.
+    /// Whether the echo is passed on.
     keep: [bool; CHUNK],
 }
 
-impl Default for Heard {
+impl Default for ReceivedBatch {
     fn default() -> Self {
         let zero = [0.0; CHUNK];
         Self {
@@ -163,14 +183,15 @@ fn wavelength_m(plan: &PingPlan) -> f64 {
     plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz
 }
 
-/// Least |transmit x element pattern| that is kept.
+/// Smallest |transmit pattern x element pattern| that culling keeps.
 fn pattern_floor(plan: &PingPlan) -> f64 {
     plan.model.cull_db.map_or(0.0, amplitude_from_db)
 }
 
-/// The transmit leg of every scatterer. `window` is what the samples to be made will cover.
+/// Computes the transmit leg of every scatterer. `window` is the span of the samples to synthesise.
 ///
-/// Counts each scatterer that it leaves out once, whatever the number of elements; `used` stays 0.
+/// The counts hold each dropped scatterer once, independent of the number of elements; `used` stays
+/// 0.
 pub fn insonify(
     plan: &PingPlan,
     tx: &TransmitArray,
@@ -191,7 +212,7 @@ pub fn insonify(
     transmit_leg.window = Some(window);
     transmit_leg.transmit = transmit;
     transmit_leg.curve.clone_from(&scatterers.curve);
-    let light = Light {
+    let insonifier = Insonifier {
         leg: TransmitLegTerms {
             transmit: &transmit,
             pattern,
@@ -202,13 +223,13 @@ pub fn insonify(
         floor,
         farthest_m,
     };
-    let counts = light.shine(transmit_leg);
+    let counts = insonifier.insonify_all(transmit_leg);
     transmit_leg
         .batch_range_m
-        .extend(transmit_leg.range_m.chunks(CHUNK).map(ends));
+        .extend(transmit_leg.range_m.chunks(CHUNK).map(min_max));
     transmit_leg
         .batch_closing_m_per_s
-        .extend(transmit_leg.closing_m_per_s.chunks(CHUNK).map(ends));
+        .extend(transmit_leg.closing_m_per_s.chunks(CHUNK).map(min_max));
     let places = transmit_leg
         .x_m
         .chunks(CHUNK)
@@ -219,14 +240,14 @@ pub fn insonify(
             places
                 .zip(transmit_leg.z_m.chunks(CHUNK))
                 .map(|((x, y), z)| {
-                    let (x, y, z) = (ends(x), ends(y), ends(z));
+                    let (x, y, z) = (min_max(x), min_max(y), min_max(z));
                     (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
                 }),
         );
     counts
 }
 
-/// What the first leg needs.
+/// Terms of the transmit leg that all scatterers share.
 struct TransmitLegTerms<'a> {
     transmit: &'a Transmit,
     pattern: Directivity,
@@ -234,22 +255,22 @@ struct TransmitLegTerms<'a> {
     source: f64,
 }
 
-/// A batch as the transmitter sees it.
-struct Ahead {
+/// The transmit leg of one batch.
+struct TransmitBatch {
     x_m: [f64; CHUNK],
     y_m: [f64; CHUNK],
     z_m: [f64; CHUNK],
     range_m: [f64; CHUNK],
-    /// Cosine of the incidence.
+    /// Cosine of the angle of incidence.
     facing: [f64; CHUNK],
-    /// Source level, pattern and loss.
+    /// Product of source level, pattern and transmission loss.
     amplitude: [f64; CHUNK],
-    /// |pattern|.
+    /// Magnitude of the transmit pattern.
     level: [f64; CHUNK],
     closing_m_per_s: [f64; CHUNK],
 }
 
-impl Default for Ahead {
+impl Default for TransmitBatch {
     fn default() -> Self {
         let zero = [0.0; CHUNK];
         Self {
@@ -265,60 +286,60 @@ impl Default for Ahead {
     }
 }
 
-/// The first leg of `n` scatterers from `first` on, [`CHUNK`] at most.
-fn look(
+/// Computes the transmit leg of `n` scatterers from `first` on; `n` is at most [`CHUNK`].
+fn compute_transmit_leg(
     leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
     n: usize,
-    ahead: &mut Ahead,
+    out: &mut TransmitBatch,
 ) {
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
-            // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { look_avx512(leg, scatterers, first, n, ahead) };
+            // SAFETY: the line above checks the CPU feature, the only precondition.
+            return unsafe { compute_transmit_leg_avx512(leg, scatterers, first, n, out) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { look_avx2(leg, scatterers, first, n, ahead) };
+            // SAFETY: the line above checks the CPU feature, the only precondition.
+            return unsafe { compute_transmit_leg_avx2(leg, scatterers, first, n, out) };
         }
     }
-    look_plain(leg, scatterers, first, n, ahead);
+    compute_transmit_leg_plain(leg, scatterers, first, n, out);
 }
 
-/// The AVX2 and AVX-512 builds of [`look_plain`]: the same arithmetic in the same order, so the same bits.
+/// The AVX2 and AVX-512 builds of [`compute_transmit_leg_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn look_avx2(
+fn compute_transmit_leg_avx2(
     leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
     n: usize,
-    out: &mut Ahead,
+    out: &mut TransmitBatch,
 ) {
-    look_plain(leg, scatterers, first, n, out);
+    compute_transmit_leg_plain(leg, scatterers, first, n, out);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn look_avx512(
+fn compute_transmit_leg_avx512(
     leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
     n: usize,
-    out: &mut Ahead,
+    out: &mut TransmitBatch,
 ) {
-    look_plain(leg, scatterers, first, n, out);
+    compute_transmit_leg_plain(leg, scatterers, first, n, out);
 }
 
 #[inline(always)]
-fn look_plain(
+fn compute_transmit_leg_plain(
     leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
     n: usize,
-    out: &mut Ahead,
+    out: &mut TransmitBatch,
 ) {
     let n = n.min(CHUNK);
     let north_m = &scatterers.north_m[first..][..n];
@@ -350,8 +371,8 @@ fn look_plain(
     }
 }
 
-/// Least and greatest.
-fn ends(values: &[f64]) -> (f64, f64) {
+/// Smallest and largest value.
+fn min_max(values: &[f64]) -> (f64, f64) {
     values
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
@@ -359,21 +380,23 @@ fn ends(values: &[f64]) -> (f64, f64) {
         })
 }
 
-/// One leg of a scatterer on a curve: nothing on the far side.
+/// One leg of a curved scattering law; zero on the far side of the patch.
 #[inline(always)]
-fn half_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
+fn one_leg_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
     match curve {
         Some(curve) if root > 0.0 => curve.half(root),
         _ => 0.0,
     }
 }
 
-/// Of a pulse, an echo lasts so long at most: speeds are below a tenth of the sound's, and (1 + 0.1)/(1 - 0.1) = 1.22.
+/// Upper bound of echo duration over pulse duration. Speeds stay below a tenth of the sound speed:
+/// (1 + 0.1)/(1 - 0.1) = 1.22.
 const LONGEST_ECHO: f64 = 1.3;
 
-/// Echoes of everything insonified at one element, handed to `sink` in chunks of at most [`CHUNK`], in the order of the scatterers.
+/// Passes the echoes of all insonified scatterers at one element to `sink`, in chunks of at most
+/// [`CHUNK`] and in the order of the scatterers.
 ///
-/// An echo that overlaps the window at all is kept. Counts are of scatterer-element pairs.
+/// Echoes that overlap the window in part are kept. Counts are of scatterer-element pairs.
 pub fn arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -383,7 +406,7 @@ pub fn arrivals(
     sink: &mut impl ArrivalSink,
 ) -> EchoCounts {
     let Some(window) = transmit_leg.window else {
-        return EchoCounts::default(); // nothing was ever insonified
+        return EchoCounts::default(); // nothing is insonified yet
     };
     let all = Slab {
         window,
@@ -392,15 +415,18 @@ pub fn arrivals(
     arrivals_of_slab(plan, array, element, transmit_leg, all, work, sink)
 }
 
-/// A slab of delays, of all that were insonified.
+/// One slab of a record, with the delays that it counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slab {
+    /// Time span of the slab.
     pub window: Window,
-    /// Echoes that begin from the first instant until before the second are counted here; others with other slabs.
+    /// The slab counts echoes whose delay lies in this half-open interval, seconds; other slabs
+    /// count the rest.
     pub(crate) own_s: (f64, f64),
 }
 
-/// [`arrivals`] of what overlaps one slab. All slabs together count every pair of scatterer and element once.
+/// As [`arrivals`], for the echoes that overlap one slab. All slabs of a record together count
+/// every scatterer-element pair once.
 pub fn arrivals_of_slab(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -425,34 +451,34 @@ pub fn arrivals_of_slab(
     let Workspace {
         track,
         rays,
-        heard,
-        answer,
+        received,
+        array_factor,
         chunk,
     } = work;
-    let part = Elements::of(plan, array);
+    let part = SubarrayElements::of(plan, array);
     track.lay(plan, &transmit_leg.transmit, array, element);
-    // u >= (2 r_T - reach)/c: batches wholly past the window need no solving. Eq. 21 may move an echo forward, by 3 v/c of its delay at most
-    // and with v below 0.1 c.
+    // u >= (2 r_T - reach)/c: batches wholly past the window are skipped. Eq. 21 can shorten a
+    // delay by at most the factor 3 v/c, with v below 0.1 c.
     let forward = match plan.model.doppler {
         DopplerModel::PaperEq21 => 1.5,
         _ => 1.0,
     };
     let last_s = forward * window.last_s;
     let farthest_m = 0.5 * (c * last_s + track.reach_m(last_s));
-    // And u <= (2 r_T + reach)/c: batches whose last echo has ended before it.
+    // u <= (2 r_T + reach)/c: batches whose last echo ends before the window are skipped.
     let ended_s = window.first_s - LONGEST_ECHO * duration_s;
     let nearest_m = 0.5 * (c * ended_s / forward - track.reach_m(window.first_s));
     chunk.element = element;
     chunk.len = 0;
 
-    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+    for (b, &(min_range_m, max_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
         let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
         let [is_late, is_early] = [
             min_range_m > farthest_m * (1.0 + 1e-12),
-            greatest_range_m < nearest_m * (1.0 - 1e-12),
+            max_range_m < nearest_m * (1.0 - 1e-12),
         ];
         if is_late || is_early {
-            // Counted where there is no next or previous slab.
+            // Counted only by the first or last slab, which has no neighbour on that side.
             let ends_here = match is_late {
                 true => own_s.1 == f64::INFINITY,
                 false => own_s.0 == f64::NEG_INFINITY,
@@ -466,23 +492,25 @@ pub fn arrivals_of_slab(
             z_m: &transmit_leg.z_m[span.clone()],
             range_m: &transmit_leg.range_m[span.clone()],
             min_range_m,
-            greatest_range_m,
+            max_range_m,
         };
-        let odd = solve(track, c, batch, rays);
+        let root_counts = solve(track, c, batch, rays);
         if is_own(rays.delay_s[0]) {
-            counts.no_root += odd.no_root;
-            counts.two_roots += odd.two_roots;
+            counts.no_root += root_counts.no_root;
+            counts.two_roots += root_counts.two_roots;
         }
         if plan.model.path == PathModel::Continuous {
             refine(plan, &transmit_leg.transmit, track, batch, rays);
         }
-        weigh(&receive, transmit_leg, span.clone(), rays, heard);
+        receive_gains(&receive, transmit_leg, span.clone(), rays, received);
         match plan.model.doppler {
             DopplerModel::None | DopplerModel::Stretch => {}
             DopplerModel::StretchQuadratic => {
-                stretch_twice(plan, transmit_leg, track, batch, rays, heard);
+                expand_mid_pulse(plan, transmit_leg, track, batch, rays, received);
             }
-            DopplerModel::PaperEq21 => stretch_delays(c, transmit_leg, span.clone(), rays, heard),
+            DopplerModel::PaperEq21 => {
+                apply_paper_eq21(c, transmit_leg, span.clone(), rays, received)
+            }
         }
 
         let n = span.len();
@@ -491,47 +519,51 @@ pub fn arrivals_of_slab(
         for (i, amplitude) in amplitude.iter().enumerate() {
             let delay_s = rays.delay_s[i];
             let counted = is_own(delay_s);
-            let (doppler, curvature_per_s) = (heard.doppler[i], heard.curvature_per_s[i]);
-            let heard_s = window.first_s - delay_s;
-            let ended = heard_s * (1.0 + doppler + curvature_per_s * heard_s.max(0.0)) > duration_s;
+            let (doppler, curvature_per_s) = (received.doppler[i], received.curvature_per_s[i]);
+            let received_s = window.first_s - delay_s;
+            let ended =
+                received_s * (1.0 + doppler + curvature_per_s * received_s.max(0.0)) > duration_s;
             let outside = (delay_s > window.last_s) | ended;
-            let product = *amplitude * heard.gain[i];
-            let silent = (heard.level[i] < floor) | (product.re == 0.0) & (product.im == 0.0);
-            heard.amplitude[i] = product;
-            let keep = !(outside | silent);
-            heard.keep[i] = keep;
+            let product = *amplitude * received.gain[i];
+            let inaudible = (received.level[i] < floor) | (product.re == 0.0) & (product.im == 0.0);
+            received.amplitude[i] = product;
+            let keep = !(outside | inaudible);
+            received.keep[i] = keep;
             kept += u64::from(keep);
             counts.used += u64::from(counted & keep);
             counts.outside_window += u64::from(counted & outside);
-            counts.culled += u64::from(counted & !outside & silent);
-            let near = heard.range_m[i] < receive.one_way.wavelength_m;
+            counts.culled += u64::from(counted & !outside & inaudible);
+            let near = received.range_m[i] < receive.one_way.wavelength_m;
             counts.too_close += u64::from(counted & keep & near);
             counts.beyond_track += u64::from(counted & keep & (delay_s >= track.end_s()));
         }
         if let Some(part) = &part {
-            part.answer(plan, track, rays, n, answer);
-            for (amplitude, answer) in heard.amplitude[..n].iter_mut().zip(answer.of_each()) {
-                *amplitude *= answer;
+            part.array_factor(plan, track, rays, n, array_factor);
+            for (amplitude, array_factor) in received.amplitude[..n]
+                .iter_mut()
+                .zip(array_factor.of_each())
+            {
+                *amplitude *= array_factor;
             }
         }
-        // The usual case: a whole batch into an empty chunk.
+        // Common case: a whole batch goes into an empty chunk.
         if kept == n as u64 && chunk.len == 0 {
             chunk.delay_s[..n].copy_from_slice(&rays.delay_s[..n]);
-            chunk.doppler[..n].copy_from_slice(&heard.doppler[..n]);
-            chunk.curvature_per_s[..n].copy_from_slice(&heard.curvature_per_s[..n]);
-            chunk.amplitude[..n].copy_from_slice(&heard.amplitude[..n]);
+            chunk.doppler[..n].copy_from_slice(&received.doppler[..n]);
+            chunk.curvature_per_s[..n].copy_from_slice(&received.curvature_per_s[..n]);
+            chunk.amplitude[..n].copy_from_slice(&received.amplitude[..n]);
             chunk.len = n;
         } else {
-            for i in (0..n).filter(|&i| heard.keep[i]) {
+            for i in (0..n).filter(|&i| received.keep[i]) {
                 if chunk.len == CHUNK {
                     sink.accept(chunk);
                     chunk.len = 0;
                 }
                 let at = chunk.len;
                 chunk.delay_s[at] = rays.delay_s[i];
-                chunk.doppler[at] = heard.doppler[i];
-                chunk.curvature_per_s[at] = heard.curvature_per_s[i];
-                chunk.amplitude[at] = heard.amplitude[i];
+                chunk.doppler[at] = received.doppler[i];
+                chunk.curvature_per_s[at] = received.curvature_per_s[i];
+                chunk.amplitude[at] = received.amplitude[i];
                 chunk.len = at + 1;
             }
         }
@@ -547,7 +579,7 @@ pub fn arrivals_of_slab(
     counts
 }
 
-/// What the second leg of a batch needs besides its rays.
+/// Terms of the receive leg that all scatterers share.
 struct ReceiveLeg {
     c: f64,
     pattern: Directivity,
@@ -555,81 +587,88 @@ struct ReceiveLeg {
     sensitivity: f64,
 }
 
-/// Second leg of a batch: gain, pattern level and Doppler.
-fn weigh(
+/// Computes gain, pattern level and Doppler of the receive leg of a batch.
+fn receive_gains(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
     let curved = transmit_leg.curved[span.clone()].contains(&true);
     match (curved, receive.pattern.is_omnidirectional()) {
-        (false, false) => weigh_as::<false, false>(receive, transmit_leg, span, rays, heard),
-        (false, true) => weigh_as::<false, true>(receive, transmit_leg, span, rays, heard),
-        (true, false) => weigh_as::<true, false>(receive, transmit_leg, span, rays, heard),
-        (true, true) => weigh_as::<true, true>(receive, transmit_leg, span, rays, heard),
+        (false, false) => {
+            receive_gains_as::<false, false>(receive, transmit_leg, span, rays, received)
+        }
+        (false, true) => {
+            receive_gains_as::<false, true>(receive, transmit_leg, span, rays, received)
+        }
+        (true, false) => {
+            receive_gains_as::<true, false>(receive, transmit_leg, span, rays, received)
+        }
+        (true, true) => receive_gains_as::<true, true>(receive, transmit_leg, span, rays, received),
     }
 }
 
-/// `CURVED`: some of the batch lie on the curve. `ROUND`: the element hears the same from everywhere.
-fn weigh_as<const CURVED: bool, const ROUND: bool>(
+/// `CURVED`: some scatterers of the batch follow the curve. `OMNI`: the element pattern is
+/// omnidirectional.
+fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
-            // SAFETY: asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks the CPU feature, the only precondition.
             return unsafe {
-                weigh_avx512::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+                receive_gains_avx512::<CURVED, OMNI>(receive, transmit_leg, span, rays, received)
             };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks the CPU feature, the only precondition.
             return unsafe {
-                weigh_avx2::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard)
+                receive_gains_avx2::<CURVED, OMNI>(receive, transmit_leg, span, rays, received)
             };
         }
     }
-    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
 }
 
-/// The AVX2 and AVX-512 builds of [`weigh_plain`]: the same arithmetic in the same order, so the same bits.
+/// The AVX2 and AVX-512 builds of [`receive_gains_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn weigh_avx2<const CURVED: bool, const ROUND: bool>(
+fn receive_gains_avx2<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
-    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn weigh_avx512<const CURVED: bool, const ROUND: bool>(
+fn receive_gains_avx512<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
-    weigh_plain::<CURVED, ROUND>(receive, transmit_leg, span, rays, heard);
+    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
 }
 
 #[inline(always)]
-fn weigh_plain<const CURVED: bool, const ROUND: bool>(
+fn receive_gains_plain<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
     let n = span.len().min(CHUNK);
     let level = &transmit_leg.level[span.clone()][..n];
@@ -644,7 +683,7 @@ fn weigh_plain<const CURVED: bool, const ROUND: bool>(
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
         let range_m = (x * x + y * y + z * z).sqrt();
         let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
-        let response = if ROUND {
+        let response = if OMNI {
             1.0
         } else {
             receive.pattern.towards(
@@ -658,29 +697,30 @@ fn weigh_plain<const CURVED: bool, const ROUND: bool>(
                 * per_m;
         let mut law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
         if CURVED && curved[i] {
-            law = half_of_curve(curve, law);
+            law = one_leg_of_curve(curve, law);
         }
-        heard.range_m[i] = range_m;
-        heard.gain[i] =
+        received.range_m[i] = range_m;
+        received.gain[i] =
             receive.sensitivity * response * law * receive.one_way.amplitude_at(range_m, per_m);
-        heard.level[i] = level[i] * response.abs();
-        // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), without taking 1 from a number near 1.
-        heard.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
+        received.level[i] = level[i] * response.abs();
+        // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), rearranged to avoid cancellation.
+        received.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
             / (receive.c - closing_m_per_s[i]);
     }
 }
 
-/// [`DopplerModel::StretchQuadratic`]: expansions about mid-pulse in place of those about the leading edge.
-fn stretch_twice(
+/// Applies [`DopplerModel::StretchQuadratic`]: expands each echo about mid-pulse instead of the
+/// leading edge.
+fn expand_mid_pulse(
     plan: &PingPlan,
     transmit_leg: &TransmitLeg,
     track: &ElementTrack,
     batch: Batch,
     rays: &mut Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
     let n = batch.range_m.len().min(CHUNK);
-    track.motions_at(plan, &rays.delay_s[..n], &mut heard.moving);
+    track.motions_at(plan, &rays.delay_s[..n], &mut received.moving);
     let middle = Middle {
         c: plan.sound_speed_m_per_s,
         half_s: 0.5 * plan.pulse.duration_s,
@@ -689,18 +729,18 @@ fn stretch_twice(
     #[cfg(target_arch = "x86_64")]
     {
         if has_avx512() {
-            // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { expand_avx512(middle, batch, rays, heard) };
+            // SAFETY: the line above checks the CPU feature, the only precondition.
+            return unsafe { expand_avx512(middle, batch, rays, received) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: asked on the line above; the function needs nothing else.
-            return unsafe { expand_avx2(middle, batch, rays, heard) };
+            // SAFETY: the line above checks the CPU feature, the only precondition.
+            return unsafe { expand_avx2(middle, batch, rays, received) };
         }
     }
-    expand_plain(middle, batch, rays, heard);
+    expand_plain(middle, batch, rays, received);
 }
 
-/// What is the same for all echoes of a batch.
+/// Terms that all echoes of a batch share.
 #[derive(Clone, Copy)]
 struct Middle {
     c: f64,
@@ -711,18 +751,18 @@ struct Middle {
 /// The AVX2 and AVX-512 builds of [`expand_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn expand_avx2(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
-    expand_plain(middle, batch, rays, heard);
+fn expand_avx2(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
+    expand_plain(middle, batch, rays, received);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn expand_avx512(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
-    expand_plain(middle, batch, rays, heard);
+fn expand_avx512(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
+    expand_plain(middle, batch, rays, received);
 }
 
 #[inline(always)]
-fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard) {
+fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
     let Middle {
         c,
         half_s,
@@ -730,7 +770,7 @@ fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard
     } = middle;
     let n = batch.range_m.len().min(CHUNK);
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
-    let [vx, vy, vz, ax, ay, az] = &heard.moving;
+    let [vx, vy, vz, ax, ay, az] = &received.moving;
     for i in 0..n {
         let transmit = Leg {
             ray_m: DVec3::new(x_m[i], y_m[i], z_m[i]),
@@ -743,29 +783,29 @@ fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, heard: &mut Heard
                 acceleration_m_per_s2: DVec3::new(ax[i], ay[i], az[i]),
             },
         };
-        let (delay_s, doppler) = (rays.delay_s[i], heard.doppler[i]);
+        let (delay_s, doppler) = (rays.delay_s[i], received.doppler[i]);
         let echo = about_mid_pulse(c, half_s, transmit, receive, delay_s, doppler);
         rays.delay_s[i] = echo.delay_s;
-        heard.doppler[i] = echo.doppler;
-        heard.curvature_per_s[i] = echo.curvature_per_s;
+        received.doppler[i] = echo.doppler;
+        received.curvature_per_s[i] = echo.curvature_per_s;
     }
 }
 
-/// [`DopplerModel::PaperEq21`]: the stretch goes into the delays.
-fn stretch_delays(
+/// Applies [`DopplerModel::PaperEq21`]: moves the stretch into the delays.
+fn apply_paper_eq21(
     c: f64,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
     rays: &mut Rays,
-    heard: &mut Heard,
+    received: &mut ReceivedBatch,
 ) {
     for (i, m) in span.enumerate() {
         let a = transmit_leg.closing_m_per_s[m];
         // eta - 1 = (a + b)/(c - a)
-        let b = heard.doppler[i] * (c - a) - a;
+        let b = received.doppler[i] * (c - a) - a;
         rays.delay_s[i] =
             paper_eq21_delay_s(c, transmit_leg.range_m[m] / c, rays.delay_s[i], (a, b));
-        heard.doppler[i] = 0.0;
+        received.doppler[i] = 0.0;
     }
 }
 
@@ -821,16 +861,34 @@ mod tests {
             wide: bool,
             (receive, transmit_leg, rays): (&ReceiveLeg, &TransmitLeg, &Rays),
         ) -> [[u64; CHUNK]; 4] {
-            let mut heard = Heard::default();
+            let mut received = ReceivedBatch::default();
             if wide {
-                // SAFETY: asked above.
+                // SAFETY: the CPU feature is checked above.
                 unsafe {
-                    weigh_avx2::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard)
+                    receive_gains_avx2::<CURVED, false>(
+                        receive,
+                        transmit_leg,
+                        0..CHUNK,
+                        rays,
+                        &mut received,
+                    )
                 };
             } else {
-                weigh_plain::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, &mut heard);
+                receive_gains_plain::<CURVED, false>(
+                    receive,
+                    transmit_leg,
+                    0..CHUNK,
+                    rays,
+                    &mut received,
+                );
             }
-            [heard.doppler, heard.gain, heard.level, heard.range_m].map(|v| v.map(f64::to_bits))
+            [
+                received.doppler,
+                received.gain,
+                received.level,
+                received.range_m,
+            ]
+            .map(|v| v.map(f64::to_bits))
         }
         let all = (&receive, &transmit_leg, &rays);
         let (plain, curved) = (run::<false>(false, all), run::<true>(false, all));
@@ -838,13 +896,24 @@ mod tests {
         assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
         assert!(plain[1] != curved[1]);
         if has_avx512() {
-            let mut heard = Heard::default();
-            // SAFETY: asked above.
+            let mut received = ReceivedBatch::default();
+            // SAFETY: the CPU feature is checked above.
             unsafe {
-                weigh_avx512::<true, false>(&receive, &transmit_leg, 0..CHUNK, &rays, &mut heard)
+                receive_gains_avx512::<true, false>(
+                    &receive,
+                    &transmit_leg,
+                    0..CHUNK,
+                    &rays,
+                    &mut received,
+                )
             };
-            let wide = [heard.doppler, heard.gain, heard.level, heard.range_m]
-                .map(|v| v.map(f64::to_bits));
+            let wide = [
+                received.doppler,
+                received.gain,
+                received.level,
+                received.range_m,
+            ]
+            .map(|v| v.map(f64::to_bits));
             assert!(wide == curved);
         }
     }
@@ -865,7 +934,7 @@ mod tests {
             z_m: &z_m,
             range_m: &range_m,
             min_range_m: 0.0,
-            greatest_range_m: 200.0,
+            max_range_m: 200.0,
         };
         let middle = Middle {
             c: 1500.0,
@@ -875,21 +944,21 @@ mod tests {
                 acceleration_m_per_s2: DVec3::new(0.1, 0.0, 0.4),
             },
         };
-        let run = |expand: &dyn Fn(&mut Rays, &mut Heard)| {
-            let (mut rays, mut heard) = (Rays::default(), Heard::default());
+        let run = |expand: &dyn Fn(&mut Rays, &mut ReceivedBatch)| {
+            let (mut rays, mut received) = (Rays::default(), ReceivedBatch::default());
             for k in 0..CHUNK {
                 (rays.x_m[k], rays.y_m[k], rays.z_m[k]) = (x_m[k] - 0.3, y_m[k], z_m[k] + 0.1);
                 rays.delay_s[k] = 2.0 * range_m[k] / 1500.0;
-                heard.doppler[k] = 6e-3 * place(k, 0.33);
-                for (axis, moving) in heard.moving.iter_mut().enumerate() {
+                received.doppler[k] = 6e-3 * place(k, 0.33);
+                for (axis, moving) in received.moving.iter_mut().enumerate() {
                     moving[k] = 5.0 * place(k + axis, 0.41);
                 }
             }
-            expand(&mut rays, &mut heard);
-            [rays.delay_s, heard.doppler, heard.curvature_per_s].map(|v| v.map(f64::to_bits))
+            expand(&mut rays, &mut received);
+            [rays.delay_s, received.doppler, received.curvature_per_s].map(|v| v.map(f64::to_bits))
         };
-        let want = run(&|rays, heard| expand_plain(middle, batch, rays, heard));
-        // SAFETY (twice): AVX-512 was asked for above, and no processor has it without AVX2.
+        let want = run(&|rays, received| expand_plain(middle, batch, rays, received));
+        // SAFETY (twice): AVX-512 is checked above, and implies AVX2.
         assert!(run(&|r, h| unsafe { expand_avx2(middle, batch, r, h) }) == want);
         assert!(run(&|r, h| unsafe { expand_avx512(middle, batch, r, h) }) == want);
         assert!(want[2].iter().filter(|&&q| q != 0).count() > CHUNK / 2);
@@ -911,19 +980,19 @@ mod tests {
             one_way: OneWay::new(0.00375, 0.096),
             source: 3.0,
         };
-        let bits = |a: &Ahead| {
+        let bits = |a: &TransmitBatch| {
             let all = [a.x_m, a.range_m, a.facing, a.amplitude, a.level];
             all.map(|v| v.map(f64::to_bits))
         };
-        let mut want = Ahead::default();
-        look_plain(&leg, &scatterers, 0, CHUNK, &mut want);
+        let mut want = TransmitBatch::default();
+        compute_transmit_leg_plain(&leg, &scatterers, 0, CHUNK, &mut want);
         assert!(want.amplitude.iter().all(|a| *a > 0.0));
-        for wide in [look_avx2, look_avx512] {
+        for wide in [compute_transmit_leg_avx2, compute_transmit_leg_avx512] {
             if !has_avx512() {
                 return;
             }
-            let mut got = Ahead::default();
-            // SAFETY: AVX-512 was asked for above, and no processor has it without AVX2.
+            let mut got = TransmitBatch::default();
+            // SAFETY: AVX-512 is checked above, and implies AVX2.
             unsafe { wide(&leg, &scatterers, 0, CHUNK, &mut got) };
             assert!(bits(&got) == bits(&want));
         }

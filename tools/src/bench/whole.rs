@@ -15,11 +15,11 @@ use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::comparison::spectral::Spectral;
 use echotank_synthesis::comparison::spectral::Spectrum;
-use echotank_synthesis::echo::probe::{self, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::probe::{self, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,
 };
-use echotank_synthesis::slabs::{Listener, Sketch};
+use echotank_synthesis::slabs::{PingElement, SlabDesign};
 use glam::DVec3;
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -292,10 +292,10 @@ impl Ready {
             .collect();
         let ranges: Vec<_> = probes
             .iter()
-            .map(|at| heard_ranges_m(plan, transmit, &self.array, *at))
+            .map(|at| receivable_ranges_m(plan, transmit, &self.array, *at))
             .collect();
         let mut candidates = Vec::new();
-        heard(plan, scatterers, &ranges, &mut candidates);
+        receivable(plan, scatterers, &ranges, &mut candidates);
         let values: Vec<Complex64> = probes
             .par_iter()
             .enumerate()
@@ -497,9 +497,9 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
         arrivals: ready.ping.scatterers,
         simd_level,
     };
-    let sketch = Sketch::new(&spec, ready.ping.elements).map_err(|e| e.to_string())?;
+    let sketch = SlabDesign::new(&spec, ready.ping.elements).map_err(|e| e.to_string())?;
     let threads = rayon::current_num_threads();
-    let engine = sketch.made(threads);
+    let engine = sketch.build(threads);
     let walks: Vec<Mutex<Workspace>> = (0..threads).map(|_| Mutex::default()).collect();
     let mut transmit_leg = TransmitLeg::new();
     let mut scratch = Workspace::new();
@@ -514,7 +514,7 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
         };
         let elements = iq.par_chunks_mut(plan.sample_count).enumerate();
         elements.for_each(|(element, record)| {
-            let listener = Listener {
+            let target = PingElement {
                 plan: &plan,
                 array: &this.array,
                 element,
@@ -525,7 +525,7 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
             slabs.for_each(|(slab, out)| {
                 let thread = rayon::current_thread_index().unwrap_or(0);
                 let walk = &mut walks[thread].lock().expect("no run panics");
-                engine.make_slab(listener, slab, walk, out);
+                engine.synthesise_slab(target, slab, walk, out);
             });
         });
     });

@@ -10,7 +10,7 @@ use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::array::filter::{self, Decimator};
 use echotank_synthesis::array::{Direct, receive};
-use echotank_synthesis::echo::probe::{Instant, echoes_at, heard, heard_ranges_m};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 
 use super::case::Chance;
@@ -144,10 +144,10 @@ impl<'a> ReferenceSolution<'a> {
             };
             let ranges = picks.iter().map(|pick| {
                 let array = &spec.receive[pick.array];
-                heard_ranges_m(plan, &spec.transmit[array.transmit], array, instant(pick))
+                receivable_ranges_m(plan, &spec.transmit[array.transmit], array, instant(pick))
             });
             let ranges: Vec<_> = ranges.collect();
-            heard(plan, self.ping.everything, &ranges, &mut found);
+            receivable(plan, self.ping.everything, &ranges, &mut found);
             for (k, pick) in picks.iter().enumerate() {
                 let (array, at) = (&spec.receive[pick.array], instant(pick));
                 let tx = &spec.transmit[array.transmit];

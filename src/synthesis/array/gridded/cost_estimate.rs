@@ -1,15 +1,17 @@
-//! What an engine foresees of its own cost, apart: machines differ in how fast they do either.
+//! Cost estimate of an engine, split into two parts whose speeds vary independently between
+//! machines.
 
-/// Nanoseconds of one core, rough.
+/// Approximate cost in nanoseconds of one core.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CostEstimate {
-    /// What grows with the echoes.
+    /// Part that grows with the number of echoes.
     pub echoes_ns: f64,
-    /// What grows with the record: grids, transforms, templates.
+    /// Part that grows with the record: grids, transforms and templates.
     pub grids_ns: f64,
 }
 
 impl CostEstimate {
+    /// Total cost, milliseconds of one core.
     pub fn ms(&self) -> f64 {
         1e-6 * (self.echoes_ns + self.grids_ns)
     }

@@ -1,17 +1,23 @@
-//! The spreading kernel: how the moments of the points of one cell become a few values on the grid around it.
+//! Spreading kernel: maps the moments of the points in one cell to a few grid values around it.
 //!
-//! A point at x (-1..1 across its cell) of a grid of unit step contributes exp(-j theta x) to the spectrum at nu cycles per step,
-//! theta = pi nu, next to what its cell's centre contributes. Jacobi and Anger:
+//! A point at x (-1..1 across its cell) on a grid of unit step contributes exp(-j theta x) to the
+//! spectrum at nu cycles per step, theta = pi nu, relative to the centre of its cell. The
+//! Jacobi-Anger expansion gives
 //!
-//! exp(-j theta x) = sum_k e_k (-j)^k J_k(theta) T_k(x),  e_0 = 1, e_k = 2,
+//! ```text
+//! exp(-j theta x) = sum_k e_k (-j)^k J_k(theta) T_k(x),  e_0 = 1, e_k = 2
+//! ```
 //!
-//! so the cell's moments sum c T_k(x) are all that the spectrum can see of it, and over the band |nu| <= 1/(2 sigma) few of them are
-//! needed. The "flush" puts moment k on `width` grid values with weights whose spectrum is D(nu) e_k (-j)^k J_k(theta), by least squares
-//! over the band; D is divided out afterwards. D is the transform of the Kaiser-Bessel window, whose parameter is searched for the least
-//! error. (Moments per cell instead of `width` values per point: one aligned addition per point whatever the width.)
+//! The moments sum c T_k(x) of a cell therefore determine its spectrum, and a few of them suffice
+//! over the band |nu| <= 1/(2 sigma). The flush spreads moment k onto `width` grid values. The
+//! spectrum of its weights is D(nu) e_k (-j)^k J_k(theta), fitted by least squares over the band; D
+//! is divided out afterwards. D is the transform of the Kaiser-Bessel window, and a search finds
+//! the window parameter with the smallest error. Each point costs one aligned addition to the
+//! moments of its cell, whatever the width.
 //!
-//! In: width, oversampling sigma, number of moments. Out: weights on the powers x^k, D, and the error, computed and not estimated.
-//! Sources: Fessler and Sutton 2003 (least squares interpolation with scaling factors); Beatty, Nishimura and Pauly 2005 (the window).
+//! Input: width, oversampling sigma, number of moments. Output: weights of the powers x^k, D, and
+//! the computed error. Sources: Fessler and Sutton 2003 (least-squares interpolation with scaling
+//! factors); Beatty, Nishimura and Pauly 2005 (the window).
 
 use std::f64::consts::PI;
 
@@ -20,21 +26,25 @@ use super::least_squares::Matrix;
 pub(crate) const MIN_WIDTH: usize = 2;
 pub(crate) const MAX_WIDTH: usize = 16;
 
-/// A design; cheap to make next to anything that uses it (milliseconds).
+/// A spreading kernel; its design takes milliseconds.
 #[derive(Clone, Debug)]
 pub struct Kernel {
+    /// Grid values that a cell is spread onto.
     pub width: usize,
     /// Grid points per bin of the band.
     pub oversampling: f64,
+    /// Moments kept per cell.
     pub moments: usize,
-    /// Root mean square over band and cell of |what a unit point becomes - what it should|: exact arithmetic.
+    /// Rms over band and cell of the error of a unit point, in exact arithmetic.
     pub error: f64,
     beta: f64,
-    /// Of grid value i for power x^k: `[k * width + i]`.
+    /// Weight of power x^k for grid value i: `[k * width + i]`.
     weights: Vec<f64>,
 }
 
 impl Kernel {
+    /// Designs a kernel. `width` is 2 to 16 grid values, `oversampling` exceeds 1, and `moments` is
+    /// 1 to 16; other values panic.
     pub fn new(width: usize, oversampling: f64, moments: usize) -> Self {
         assert!((MIN_WIDTH..=MAX_WIDTH).contains(&width), "width {width}");
         assert!(
@@ -42,7 +52,7 @@ impl Kernel {
             "oversampling {oversampling}"
         );
         assert!((1..=16).contains(&moments), "{moments} moments");
-        // The window's main lobe ends where the first alias of the band begins, give or take.
+        // The main lobe of the window ends near the first alias of the band.
         let middle = PI * width as f64 * (1.0 - 0.5 / oversampling);
         (80..=104)
             .step_by(2)
@@ -58,7 +68,7 @@ impl Kernel {
             .expect("a dozen candidates")
     }
 
-    /// As [`Self::new`], with the window's parameter where the least error usually is instead of a search for it.
+    /// As [`Self::new`], with the usual window parameter instead of a search for the best one.
     pub fn rough(width: usize, oversampling: f64, moments: usize) -> Self {
         let middle = PI * width as f64 * (1.0 - 0.5 / oversampling);
         Self::with_beta(width, oversampling, moments, 0.96 * middle)
@@ -89,8 +99,8 @@ impl Kernel {
         kernel
     }
 
-    /// Where the frequencies lie at which the fit is made, in the upper half of the band, cycles per step: denser towards the edge, where
-    /// the error would otherwise grow.
+    /// Frequencies of the fit in the upper half of the band, cycles per step. They are denser
+    /// towards the edge, where the error grows.
     fn nodes(&self) -> Vec<f64> {
         let count = 6 * self.width;
         (0..count)
@@ -100,13 +110,13 @@ impl Kernel {
             .collect()
     }
 
-    /// Grid positions right of the cell's centre (and on it, where there is one), steps.
+    /// Grid positions to the right of the cell's centre, or on it, in steps.
     fn right_half(&self) -> impl Iterator<Item = f64> + use<> {
         let width = self.width;
         (width / 2..width).map(move |i| i as f64 - 0.5 * (width - 1) as f64)
     }
 
-    /// Pseudo-inverse of the spectra of all even (or odd) weights, over D.
+    /// Pseudo-inverse of the spectra of all even (or odd) weights, divided by D.
     fn fit(&self, odd: bool) -> Matrix {
         let (nodes, places): (Vec<_>, Vec<_>) = (self.nodes(), self.right_half().collect());
         let skip = usize::from(odd && self.width % 2 == 1);
@@ -124,7 +134,7 @@ impl Kernel {
         .pseudo_inverse()
     }
 
-    /// Weights of Chebyshev moment k, all `width` of them.
+    /// The `width` weights of Chebyshev moment k.
     fn column(&self, fit: &Matrix, odd: bool, k: usize) -> Vec<f64> {
         let sign = if (k / 2).is_multiple_of(2) { 1.0 } else { -1.0 };
         let scale = if k == 0 { 1.0 } else { 2.0 };
@@ -144,7 +154,7 @@ impl Kernel {
         weights
     }
 
-    /// Weight of grid value `i` for power `k` of x.
+    /// Weight of power `k` of x for grid value `i`.
     pub fn weight(&self, k: usize, i: usize) -> f64 {
         self.weights[k * self.width + i]
     }
@@ -155,7 +165,7 @@ impl Kernel {
             / sinh_ratio(self.beta * self.beta)
     }
 
-    /// By how much rounding on the grid grows in the spectrum: root mean square of 1/D over the band.
+    /// Amplification of rounding errors from grid to spectrum: rms of 1/D over the band.
     pub(crate) fn amplification(&self) -> f64 {
         const NODES: usize = 32;
         let sum: f64 = (0..NODES)
@@ -165,13 +175,13 @@ impl Kernel {
         (sum / NODES as f64).sqrt()
     }
 
-    /// First grid value of a cell, counted from the cell's own index; the others follow.
+    /// First grid value of a cell, relative to the cell's index; the others follow.
     pub fn first(&self) -> isize {
         -((self.width as isize - 1) / 2)
     }
 
-    /// Added to a position in grid steps before its integer part names the cell: cells of even kernels lie between grid values, cells of
-    /// odd ones around them.
+    /// Offset added to a position in grid steps before its integer part gives the cell. Cells of
+    /// even kernels lie between grid values, and cells of odd kernels around them.
     pub fn shift(&self) -> f64 {
         0.5 * (self.width % 2) as f64
     }
@@ -179,7 +189,7 @@ impl Kernel {
     fn rms_error(&self) -> f64 {
         const NODES: usize = 64;
         const PLACES: usize = 12;
-        // Of tap i at each place across the cell.
+        // Weight of tap i at each position across the cell.
         let places: Vec<(f64, Vec<f64>)> = (0..PLACES)
             .map(|p| {
                 let x = (p as f64 + 0.5) / PLACES as f64 * 2.0 - 1.0;
@@ -215,7 +225,7 @@ impl Kernel {
     }
 }
 
-/// sinh(sqrt(y))/sqrt(y), which is sin(sqrt(-y))/sqrt(-y) for negative y.
+/// sinh(sqrt(y))/sqrt(y), which equals sin(sqrt(-y))/sqrt(-y) for negative y.
 fn sinh_ratio(y: f64) -> f64 {
     let root = y.abs().sqrt();
     if root < 1e-4 {
@@ -227,7 +237,8 @@ fn sinh_ratio(y: f64) -> f64 {
     }
 }
 
-/// Bessel function of the first kind by its power series; for the arguments here (below pi) it ends within 30 terms.
+/// Bessel function of the first kind. The power series ends within 30 terms for the arguments here
+/// (below pi).
 fn bessel_j(order: usize, x: f64) -> f64 {
     let half = 0.5 * x;
     let mut term = (1..=order).fold(1.0, |t, k| t * half / k as f64);
@@ -239,7 +250,7 @@ fn bessel_j(order: usize, x: f64) -> f64 {
     sum
 }
 
-/// Coefficients of T_0 ... T_(count-1) on the powers of x.
+/// Coefficients of T_0 ... T_(count-1) in powers of x.
 fn chebyshev_powers(count: usize) -> Vec<Vec<f64>> {
     let mut all: Vec<Vec<f64>> = vec![vec![1.0], vec![0.0, 1.0]];
     for k in 2..count {
@@ -260,8 +271,8 @@ fn chebyshev_powers(count: usize) -> Vec<Vec<f64>> {
 mod tests {
     use super::*;
 
-    /// Computed errors, rounded up, by (moments, oversampling): one per width from 2 on. Where more width no longer helps, the number of
-    /// moments is the limit.
+    /// Computed errors, rounded up, by (moments, oversampling): one per width from 2 on. Beyond
+    /// some width the number of moments is the limit.
     const ERRORS: [(usize, f64, &[f64]); 4] = [
         (
             8,

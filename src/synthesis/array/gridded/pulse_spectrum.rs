@@ -1,11 +1,16 @@
-//! The spectrum of the transmitted pulse at any frequency, and the share of it that a band leaves out.
+//! Spectrum of the transmitted pulse at any frequency, and the share of it outside a band.
 //!
-//! S(g) = integral over -T/2..T/2 of a(w + T/2) exp(-j 2pi g w) dw, w counted from the middle of the pulse; and the same of the pulse times
+//! ```text
+//! S(g) = integral over -T/2..T/2 of a(w + T/2) exp(-j 2pi g w) dw
+//! ```
+//!
+//! Here w counts from the middle of the pulse. Further tables hold the spectra of the pulse times
 //! powers of 2w/T, for echoes whose stretch changes.
 //!
-//! In: a pulse and the highest |g|. Method: Gauss-Legendre panels of a few cycles each (the flanks of the taper are panels' ends), summed
-//! onto a uniform table by the product's own transform, and read between its entries by the same kernel used the other way round.
-//! Error: 1e-11 of the spectrum's root mean square.
+//! Input: a pulse and the largest |g|. Gauss-Legendre quadrature on panels of a few cycles each,
+//! bounded at the flanks of the taper, gives weighted points. The nonuniform transform sums them
+//! onto a uniform table, and the same kernel interpolates between its entries. The error is 1e-11
+//! of the rms of the spectrum.
 
 use std::sync::LazyLock;
 
@@ -22,10 +27,11 @@ const WIDTH: usize = 14;
 const OVERSAMPLING: f64 = 2.0;
 const MOMENTS: usize = 12;
 
-/// Nodes of a panel, and the cycles they resolve to rounding.
+/// Nodes of a panel, and the cycles that they resolve to rounding.
 const PANEL_NODES: usize = 16;
 const PANEL_CYCLES: f64 = 1.5;
 
+/// Tables of the spectrum of one pulse.
 pub struct PulseSpectrum {
     kernel: &'static Reading,
     /// Entry k lies at (k - middle) / period; one table for each power.
@@ -34,10 +40,10 @@ pub struct PulseSpectrum {
     energy: f64,
 }
 
-/// The kernel by which tables are read, made once.
+/// Interpolation kernel of the tables, designed once.
 struct Reading {
     kernel: Kernel,
-    /// Of tap i for power k: `[k][i]`.
+    /// Weight of tap i for power k: `[k][i]`.
     weights: [[f64; WIDTH]; MOMENTS],
 }
 
@@ -48,12 +54,12 @@ static READING: LazyLock<Reading> = LazyLock::new(|| {
 });
 
 impl PulseSpectrum {
-    /// Good for |g| <= `highest_hz`.
+    /// Tabulates the spectrum for |g| <= `highest_hz`.
     pub fn new(pulse: &Pulse, highest_hz: f64) -> Self {
         Self::with_powers(pulse, highest_hz, 0)
     }
 
-    /// With the spectra of a (2w/T)^n for n up to `highest_power`.
+    /// Also tabulates the spectra of a (2w/T)^n for n up to `highest_power`.
     pub(crate) fn with_powers(pulse: &Pulse, highest_hz: f64, highest_power: usize) -> Self {
         let kernel = &READING.kernel;
         let period_s = OVERSAMPLING * pulse.duration_s;
@@ -65,7 +71,7 @@ impl PulseSpectrum {
             let value = pulse.envelope(at_s);
             energy += length_s * value.norm_sqr();
             let from_middle_s = at_s - 0.5 * pulse.duration_s;
-            // Counted from 0, as the transform wants it; `at` knows of the half period.
+            // The transform needs delays from 0; `at` accounts for the half period.
             delay_s.push(from_middle_s + 0.5 * period_s);
             weight.push(value * (length_s / kernel.window_gain(from_middle_s / period_s)));
         }
@@ -81,7 +87,7 @@ impl PulseSpectrum {
             }
             let mut table = vec![Complex64::ZERO; bins];
             transform.execute(&mut work, &delay_s, &weight, &mut table);
-            // Half a period later: a factor of -1 in every odd entry.
+            // A shift by half a period is a factor of -1 in every odd entry.
             let middle = bins / 2;
             for (k, value) in table.iter_mut().enumerate() {
                 if (k + middle) % 2 == 1 {
@@ -98,14 +104,14 @@ impl PulseSpectrum {
         }
     }
 
-    /// S at `g_hz`, which must not exceed what the tables were made for.
+    /// S at `g_hz`, which must lie within the tables.
     #[inline(always)]
     pub fn at(&self, g_hz: f64) -> Complex64 {
         let (first, weight) = self.place(g_hz);
         read(&self.tables[0][first..first + WIDTH], &weight)
     }
 
-    /// The spectra of a (2w/T)^n for n = 0, 1, ...; as many as there are tables and places in `out`.
+    /// Spectra of a (2w/T)^n for n = 0, 1, ..., up to the number of tables and the length of `out`.
     #[inline(always)]
     pub(crate) fn powers_at(&self, g_hz: f64, out: &mut [Complex64]) {
         let (first, weight) = self.place(g_hz);
@@ -114,7 +120,7 @@ impl PulseSpectrum {
         }
     }
 
-    /// Entries between which `g_hz` is read, and their weights.
+    /// First entry and interpolation weights for `g_hz`.
     #[inline(always)]
     fn place(&self, g_hz: f64) -> (usize, [f64; WIDTH]) {
         let Reading { kernel, weights } = self.kernel;
@@ -144,7 +150,8 @@ fn read(entries: &[Complex64], weight: &[f64; WIDTH]) -> Complex64 {
     pairs.fold(Complex64::ZERO, |sum, (value, weight)| sum + value * weight)
 }
 
-/// Places and weights that integrate a over the pulse with up to `highest_hz` on top.
+/// Nodes and weights that integrate a over the pulse, with frequencies of up to `highest_hz` on
+/// top.
 fn nodes(pulse: &Pulse, highest_hz: f64) -> Vec<(f64, f64)> {
     let duration_s = pulse.duration_s;
     let flank_s = 0.5 * pulse.taper * duration_s;
@@ -167,7 +174,7 @@ fn nodes(pulse: &Pulse, highest_hz: f64) -> Vec<(f64, f64)> {
     all
 }
 
-/// Nodes and weights on -1..1: Newton's iteration on the Legendre polynomial.
+/// Nodes and weights on -1..1 by Newton's iteration on the Legendre polynomial.
 fn gauss_legendre() -> ([f64; PANEL_NODES], [f64; PANEL_NODES]) {
     let n = PANEL_NODES;
     let (mut places, mut weights) = ([0.0; PANEL_NODES], [0.0; PANEL_NODES]);
@@ -189,7 +196,7 @@ fn gauss_legendre() -> ([f64; PANEL_NODES], [f64; PANEL_NODES]) {
     (places, weights)
 }
 
-/// Energies of what a spectrum sounds like in windows of `length` samples, round its period.
+/// Energies of the signal of a spectrum in windows of `length` samples, cyclic over its period.
 pub fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
     f64::plan_inverse(spectrum.len()).process(&mut spectrum);
     let count = spectrum.len();
@@ -235,7 +242,7 @@ mod tests {
         assert!((spectrum.energy() / 1e-3 - 1.0).abs() < 1e-13);
     }
 
-    /// Against Simpson's rule with 20 000 steps in each of the three parts.
+    /// Expected value: Simpson's rule with 20 000 steps in each of the three parts.
     #[test]
     fn a_tapered_sweep_meets_a_dense_integral_to_1e_9() {
         for kind in [PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw] {

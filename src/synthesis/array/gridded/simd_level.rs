@@ -1,12 +1,13 @@
-//! Which vector instructions the hot loops are written in: asked of the processor once per plan.
+//! Vector instruction sets of the inner loops, detected once per plan.
 
-/// Proof that the processor has what [`Kind`] says; made only by the functions here.
+/// Proof that the processor supports a [`Kind`]; only the functions here create it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimdLevel(Kind);
 
+/// Instruction set of the inner loops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// No more than the compiler's own target.
+    /// The instruction set of the compiler's target.
     Portable,
     /// AVX2 and FMA.
     Avx2,
@@ -15,14 +16,15 @@ pub enum Kind {
 }
 
 impl SimdLevel {
+    /// The level that every processor supports.
     pub const PORTABLE: Self = Self(Kind::Portable);
 
-    /// The widest that this processor has.
+    /// The widest level of this processor.
     pub fn best() -> Self {
         Self::available().next_back().unwrap_or(Self::PORTABLE)
     }
 
-    /// All that this processor has, from narrow to wide.
+    /// All levels of this processor, from narrow to wide.
     pub fn available() -> impl DoubleEndedIterator<Item = Self> {
         [Kind::Portable, Kind::Avx2, Kind::Avx512]
             .into_iter()
@@ -30,6 +32,7 @@ impl SimdLevel {
             .map(Self)
     }
 
+    /// The instruction set that this level proves.
     pub fn kind(self) -> Kind {
         self.0
     }

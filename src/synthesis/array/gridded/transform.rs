@@ -1,10 +1,16 @@
-//! A nonuniform Fourier transform of type 1: points at any delays, in any order, to uniform bins.
+//! Nonuniform Fourier transform of type 1: points at arbitrary delays, in any order, to uniform
+//! bins.
 //!
-//! out[k + F/2] = sum_m c_m exp(-j 2pi k u_m / T),  k = -F/2 ... F/2 - 1,  0 <= u_m < T.
+//! ```text
+//! out[k + F/2] = sum_m c_m exp(-j 2pi k u_m / T),  k = -F/2 ... F/2 - 1,  0 <= u_m < T
+//! ```
 //!
-//! In: delays in f64 seconds, complex amplitudes. Out: `bins` values. Steps: moments per cell ([`super::moments`]), the flush onto a grid
-//! ([`super::kernel`]), FFT, division by the kernel's own spectrum. Set up once; [`Transform1d::execute`] allocates nothing.
-//! f32 reaches 2e-7 or so, f64 1e-12 (the rounding of f64 delays times bins is what is left).
+//! Input: delays in f64 seconds and complex amplitudes. Output: `bins` values. The steps are
+//! moments per cell ([`super::moments`]), the flush onto a grid ([`super::kernel`]), an FFT, and
+//! division by the spectrum of the kernel. [`Transform1d::execute`] allocates nothing.
+//!
+//! f32 reaches an accuracy of about 2e-7, f64 1e-12; the rest is the rounding of f64 delays times
+//! bins.
 
 use std::sync::Arc;
 
@@ -15,7 +21,8 @@ use super::kernel::Kernel;
 use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
 use super::simd_level::SimdLevel;
 
-/// The least grid for `least` points that Fourier transforms run fast on: 2^a, 3 2^a, 5 2^a, 9 2^a or 15 2^a.
+/// Smallest grid of at least `least` points with a fast Fourier transform: 2^a, 3 2^a, 5 2^a, 9 2^a
+/// or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
     [1, 3, 5, 9, 15]
         .into_iter()
@@ -24,7 +31,7 @@ pub fn grid_size(least: usize) -> usize {
         .unwrap_or(least)
 }
 
-/// The plan.
+/// Tables of the transform for one number of bins and one period.
 pub struct Transform1d<T: Real> {
     bins: usize,
     grid: usize,
@@ -32,12 +39,13 @@ pub struct Transform1d<T: Real> {
     kernel: Kernel,
     simd_level: SimdLevel,
     weights: FlushWeights<T>,
-    /// Per bin: what undoes the kernel, and the flush's first value being `kernel.first()`.
+    /// Per bin: corrects the kernel's spectrum and the offset `kernel.first()` of the first grid
+    /// value.
     factors: Vec<Complex<T>>,
     fft: Arc<dyn Fft<T>>,
 }
 
-/// Buffers of one thread for one plan.
+/// Buffers of one thread for one transform.
 pub struct Workspace<T: Real> {
     located: Located<T>,
     rows: Vec<T::Row>,
@@ -46,7 +54,9 @@ pub struct Workspace<T: Real> {
 }
 
 impl<T: Real> Transform1d<T> {
-    /// `width` and `oversampling` as [`Kernel`] has them; the oversampling used is that of the next good grid size.
+    /// Prepares a transform to `bins` (even) bins over `period_s` seconds. `width` and
+    /// `oversampling` are those of [`Kernel`]; the oversampling increases to the next fast grid
+    /// size.
     pub fn new(
         bins: usize,
         period_s: f64,
@@ -84,26 +94,31 @@ impl<T: Real> Transform1d<T> {
         }
     }
 
+    /// The spreading kernel.
     pub fn kernel(&self) -> &Kernel {
         &self.kernel
     }
 
+    /// Number of output bins.
     pub fn bins(&self) -> usize {
         self.bins
     }
 
+    /// Allocates buffers for one thread.
     pub fn workspace(&self) -> Workspace<T> {
         let zero = Complex::new(T::zero(), T::zero());
         Workspace {
             located: Located::new(),
-            // Cells 0..=grid, because odd kernels put the last half step into one of its own; and the drain.
+            // Cells 0..=grid, since odd kernels put the last half step into a cell of its own; and
+            // the drain.
             rows: vec![T::EMPTY; self.grid + 2],
             grid: vec![zero; self.grid + self.kernel.width],
             scratch: vec![zero; self.fft.get_inplace_scratch_len()],
         }
     }
 
-    /// Overwrites `out`. Points outside 0..period are left out; their number is returned.
+    /// Overwrites `out` with the spectrum. Points outside 0..period are omitted, and their number
+    /// is returned.
     pub fn execute(
         &self,
         work: &mut Workspace<T>,
@@ -138,7 +153,7 @@ impl<T: Real> Transform1d<T> {
     fn finish(&self, work: &mut Workspace<T>, out: &mut [Complex<T>]) {
         T::flush(self.simd_level, &work.rows, &self.weights, &mut work.grid);
         let (grid, beyond) = work.grid.split_at_mut(self.grid);
-        // The period closes: what was put past the end belongs to the beginning.
+        // The grid is periodic: values past the end wrap to the beginning.
         for (value, past) in grid.iter_mut().zip(beyond) {
             *value = *value + *past;
         }
@@ -198,7 +213,7 @@ mod tests {
             .collect()
     }
 
-    /// (measured, the kernel's own, rounding's amplification)
+    /// Returns the measured error, the kernel's own error, and the amplification of rounding.
     fn error<T: Real + Into<f64>>(
         width: usize,
         oversampling: f64,
@@ -223,7 +238,8 @@ mod tests {
         ((off / all).sqrt(), kernel.error, kernel.amplification())
     }
 
-    /// What the transform makes of 2000 points is within a third of what its kernel predicts, plus rounding: `unit` times the amplification.
+    /// Checks that the error over 2000 points is within a third of the kernel's prediction, plus
+    /// rounding: `unit` times the amplification.
     fn meets_prediction<T: Real + Into<f64>>(unit: f64) {
         for oversampling in [1.25, 1.5, 2.0] {
             for width in crate::array::gridded::kernel::MIN_WIDTH..=14 {
@@ -240,7 +256,7 @@ mod tests {
         }
     }
 
-    // Amplitudes, places and sums round at 6e-8 each.
+    // Amplitudes, positions and sums each round at 6e-8.
     #[test]
     fn f32_errors_are_the_kernels_and_rounding() {
         meets_prediction::<f32>(1.5e-7);

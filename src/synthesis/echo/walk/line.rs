@@ -1,10 +1,12 @@
-//! The walk for stretches of a line array: the echoes at one point of the line, with their derivatives along it and during the pulse.
+//! The walk for stretches of a line array: echoes at one point of the line, with their derivatives
+//! along the line and during the pulse.
 //!
-//! c (w + u) = c w + |S - p_T - V_T w| + |S - r - a y - v (w + u)|, differentiated at the leading edge. With e the receive ray's unit
-//! vector, R its length, a the line's axis and a' how it turns, v the velocity in the path and V that of the Doppler term (the same, or zero
-//! in one of them), V_y how V differs along the line, A accelerations:
+//! The derivatives follow from implicit differentiation of the two-way delay equation at the
+//! leading edge:
 //!
 //! ```text
+//! c (w + u) = c w + |S - p_T - V_T w| + |S - r - a y - v (w + u)|
+//!
 //! u_y       = -(e.a) / (c + v.e)                     q = a + v u_y,  q.e = -c u_y
 //! u_yy      = ((q.q - (q.e)^2) / R - 2 u_y a'.e) / (c + v.e)
 //! u_yw      = (1 + u_w) [(V.q - (V.e)(q.e)) / R - V_y.e] / (c + V.e)
@@ -12,8 +14,13 @@
 //! 1 + u_w   = 1 / (1 + doppler)
 //! ```
 //!
-//! Scatterers that follow one another usually lie close together, so that the corners of a batch's box span what its echoes can be:
-//! that is what [`LineSource::survey`] hands on.
+//! Here u is the delay, w the emission time and y the coordinate along the line. e is the unit
+//! vector of the receive ray and R its length; a is the axis of the line and a' its rate of turn. v
+//! is the velocity in the path and V the velocity in the Doppler term; they are equal, or one of
+//! them is zero. V_y is the gradient of V along the line and A denotes accelerations.
+//!
+//! Consecutive scatterers usually lie close together. The corners of a batch's bounding box
+//! therefore bound the echoes of the batch, and [`LineSource::survey`] passes these corners on.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -25,32 +32,33 @@ use echotank_core::flow::{
 };
 
 use super::{
-    Batch, Complex64, Heard, Rays, ReceiveLeg, TransmitLeg, pattern_floor, refine, solve, weigh,
+    Batch, Complex64, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, pattern_floor, receive_gains,
+    refine, solve,
 };
 use super::{Directivity, ElementTrack, Motion, OneWay, amplitude_from_db, wavelength_m};
 
 /// Corners of a box.
 const CORNERS: usize = 8;
-/// A box wider than this much of its range is not small: its points are surveyed themselves.
+/// Largest size of a box relative to its range. A larger box is surveyed point by point.
 const SMALL_BOX: f64 = 0.25;
 
-/// Of the gain at the ends of a stretch, what its middle has at least.
+/// Smallest gain in the middle of a stretch, relative to the gains at its ends.
 const NULL: f64 = 1e-6;
-/// Batches, about, whose echoes a survey hands on.
+/// Approximate number of batches whose echoes a survey passes on.
 const SAMPLED: usize = 16;
 
-/// Scratch of one thread of [`line_arrivals`].
+/// Per-thread buffers of [`line_arrivals`].
 pub struct LineWorkspace {
     track: LineTrack,
     rays: Rays,
-    heard: Heard,
-    /// The same at an end of the stretch, and the gains at both.
+    received: ReceivedBatch,
+    /// Rays to one end of the stretch; `end_gain` holds the gains at both ends.
     end_rays: Rays,
-    end_heard: Heard,
+    end_received: ReceivedBatch,
     gains: Box<[[f64; CHUNK]; 2]>,
     chunk: Box<LineChunk>,
-    /// Of a survey.
-    places: Box<Places>,
+    /// Points gathered by a survey.
+    points: Box<SurveyPoints>,
 }
 
 impl Default for LineWorkspace {
@@ -58,18 +66,18 @@ impl Default for LineWorkspace {
         Self {
             track: LineTrack::default(),
             rays: Rays::default(),
-            heard: Heard::default(),
+            received: ReceivedBatch::default(),
             end_rays: Rays::default(),
-            end_heard: Heard::default(),
+            end_received: ReceivedBatch::default(),
             gains: Box::new([[0.0; CHUNK]; 2]),
             chunk: Box::default(),
-            places: Box::default(),
+            points: Box::default(),
         }
     }
 }
 
 impl LineWorkspace {
-    /// With room for a polyline of so many segments, so that no ping allocates.
+    /// Buffers with room for a polyline of `segments` segments, so that no ping allocates.
     pub fn with_room_for(segments: usize) -> Self {
         Self {
             track: LineTrack {
@@ -81,8 +89,8 @@ impl LineWorkspace {
     }
 }
 
-/// Up to [`CHUNK`] points as [`TransmitLeg`] has them, less their strengths.
-struct Places {
+/// Up to [`CHUNK`] points in the layout of [`TransmitLeg`], without strengths.
+struct SurveyPoints {
     len: usize,
     x_m: [f64; CHUNK],
     y_m: [f64; CHUNK],
@@ -91,7 +99,7 @@ struct Places {
     closing_m_per_s: [f64; CHUNK],
 }
 
-impl Default for Places {
+impl Default for SurveyPoints {
     fn default() -> Self {
         let zero = [0.0; CHUNK];
         Self {
@@ -105,34 +113,35 @@ impl Default for Places {
     }
 }
 
-/// The way of a stretch through one ping: that of its middle and that of a point one metre along. A rigid line's places and velocities
-/// differ evenly along it, so that two points tell all.
+/// Motion of a stretch through one ping, given by its middle and a point one metre along the line.
+/// Positions and velocities on a rigid line are linear along it, so two points suffice.
 #[derive(Debug, Default)]
 struct LineTrack {
     middle: ElementTrack,
     ahead: ElementTrack,
 }
 
-/// How a line moves while its middle is on one leg.
+/// Motion of a line while its middle is on one leg of the polyline.
 #[derive(Clone, Copy, Debug, Default)]
 struct LineMotion {
     start_s: f64,
     until_s: f64,
-    /// At `start_s`, and how it turns.
+    /// Axis at `start_s`; `turning_per_s` is its rate of change.
     axis: DVec3,
     turning_per_s: DVec3,
-    /// Beyond that, (t - start)(end - t) of it: on the continuous path the line lies as its attitude has it, and not on a chord between
-    /// vertices. Zero on others.
+    /// Quadratic term of the axis, the factor of (t - start)(end - t). On the continuous path the
+    /// line follows its attitude rather than the chord between vertices. Zero for other paths.
     arc_per_s2: DVec3,
     length_s: f64,
-    /// In the path; and in array axes.
+    /// Velocity in the path equation; `velocity_in_array_m_per_s` is the same in array axes.
     velocity_m_per_s: DVec3,
     velocity_in_array_m_per_s: DVec3,
-    /// Whether the path's velocity is that of Doppler, moment by moment.
+    /// Whether the velocity of the path equals the Doppler velocity at every instant.
     exact: bool,
-    /// Of Doppler, at `start_s`; and how it differs along the line.
-    heard: Motion,
-    heard_along_per_s: DVec3,
+    /// Motion in the Doppler term at `start_s`; `doppler_along_per_s` is its velocity gradient
+    /// along the line.
+    doppler: Motion,
+    doppler_along_per_s: DVec3,
 }
 
 impl LineTrack {
@@ -163,25 +172,29 @@ impl LineTrack {
             exact: continuous && plan.model.doppler != DopplerModel::None,
             velocity_m_per_s: leg.velocity_m_per_s,
             velocity_in_array_m_per_s: leg.velocity_in_array_m_per_s(),
-            heard: leg.doppler,
-            heard_along_per_s: ahead.doppler.velocity_m_per_s - leg.doppler.velocity_m_per_s,
+            doppler: leg.doppler,
+            doppler_along_per_s: ahead.doppler.velocity_m_per_s - leg.doppler.velocity_m_per_s,
         }
     }
 }
 
-/// The echoes of one ping at one line array, for whoever synthesises whole stretches of it.
+/// The echoes of one ping at one line array, the input of engines that synthesise whole stretches.
 pub struct LineEchoes<'a> {
+    /// Geometry, pulse and model of the ping.
     pub plan: &'a PingPlan,
+    /// The line array.
     pub array: &'a ArrayGeometry,
+    /// Insonified scatterers of the ping.
     pub transmit_leg: &'a TransmitLeg,
-    /// One per thread of the pool: no lock ever waits.
+    /// One per thread of the pool, so no lock ever waits.
     pub work: &'a [Mutex<LineWorkspace>],
 }
 
 impl LineEchoes<'_> {
     fn with_work<R>(&self, f: impl FnOnce(&mut LineWorkspace) -> R) -> R {
         let thread = rayon::current_thread_index().unwrap_or(0);
-        // A panic in another ping leaves the scratch as good as any: every use overwrites it.
+        // The lock may be poisoned by a panic in another ping. The buffers remain valid: every use
+        // overwrites them.
         let mut work = self.work[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
@@ -208,7 +221,7 @@ impl LineSource for LineEchoes<'_> {
                 .middle
                 .lay_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
             let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
-            // What begins later than from the transmitter's place need not be looked at.
+            // Motion after the delay from the transmitter's own position does not matter.
             let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
             (2.0 * nearest_m - reach_m * (1.0 + 1e-9)) * (1.0 - 1e-9) / c
         })
@@ -241,10 +254,12 @@ impl LineSource for LineEchoes<'_> {
     }
 }
 
-/// Echoes of everything insonified at the middle of a stretch of the line, in chunks of at most [`CHUNK`], always in the same order.
+/// Passes the echoes of all insonified scatterers at the middle of a stretch to `sink`, in chunks
+/// of at most [`CHUNK`] and in a fixed order.
 ///
-/// What [`insonify`](super::illuminate) was told of the window does not count here: `stretch` does. Counts are of scatterer-element
-/// pairs; an echo outside the delays asked for is not counted at all, since another call asks for it.
+/// `stretch` sets the delays, and the window given to [`insonify`](super::insonify) is ignored.
+/// Counts are of scatterer-element pairs. Echoes outside the delays of `stretch` are not counted,
+/// since another call covers them.
 pub fn line_arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -256,7 +271,7 @@ pub fn line_arrivals(
     walk_batches(plan, array, stretch, transmit_leg, 1, work, sink)
 }
 
-/// [`line_arrivals`] of every so many batches.
+/// [`line_arrivals`] of every `step`-th batch.
 fn walk_batches(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -282,19 +297,19 @@ fn walk_batches(
     let LineWorkspace {
         track,
         rays,
-        heard,
+        received,
         end_rays,
-        end_heard,
+        end_received,
         gains,
         chunk,
         ..
     } = work;
     let asked = stretch.earliest_s..stretch.latest_s;
 
-    for (b, &(min_range_m, greatest_range_m)) in
+    for (b, &(min_range_m, max_range_m)) in
         transmit_leg.batch_range_m.iter().enumerate().step_by(every)
     {
-        if min_range_m > farthest_m || greatest_range_m < nearest_m {
+        if min_range_m > farthest_m || max_range_m < nearest_m {
             continue;
         }
         let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
@@ -304,7 +319,7 @@ fn walk_batches(
             z_m: &transmit_leg.z_m[span.clone()],
             range_m: &transmit_leg.range_m[span.clone()],
             min_range_m,
-            greatest_range_m,
+            max_range_m,
         };
         let odd = solve(&track.middle, c, batch, rays);
         if plan.model.path == PathModel::Continuous {
@@ -321,7 +336,7 @@ fn walk_batches(
         }
         counts.no_root += odd.no_root * stretch.elements;
         counts.two_roots += odd.two_roots * stretch.elements;
-        weigh(&receive, transmit_leg, span.clone(), rays, heard);
+        receive_gains(&receive, transmit_leg, span.clone(), rays, received);
 
         let whole = asked.contains(&first_s) && asked.contains(&last_s);
         let mut since_s = first_s;
@@ -335,15 +350,15 @@ fn walk_batches(
                 closing_m_per_s: &transmit_leg.closing_m_per_s[span.clone()],
                 rays,
             };
-            derivation.run(&heard.doppler, chunk);
+            derivation.run(&received.doppler, chunk);
             if stretch.fades {
                 let half_m = stretch.half_m;
                 for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
-                    see_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
-                    weigh(&receive, transmit_leg, span.clone(), end_rays, end_heard);
-                    gains[..n].copy_from_slice(&end_heard.gain[..n]);
+                    rays_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
+                    receive_gains(&receive, transmit_leg, span.clone(), end_rays, end_received);
+                    gains[..n].copy_from_slice(&end_received.gain[..n]);
                 }
-                fade(&mut heard.gain[..n], gains, half_m, chunk);
+                fade(&mut received.gain[..n], gains, half_m, chunk);
             } else {
                 chunk.fade_per_m[..n].fill(0.0);
                 chunk.curl_per_m2[..n].fill(0.0);
@@ -356,19 +371,19 @@ fn walk_batches(
                 if !(whole || asked.contains(&delay_s)) || !here {
                     continue;
                 }
-                let amplitude = transmit_leg.amplitude[span.start + i] * heard.gain[i];
-                if heard.level[i] < floor || amplitude == Complex64::ZERO {
+                let amplitude = transmit_leg.amplitude[span.start + i] * received.gain[i];
+                if received.level[i] < floor || amplitude == Complex64::ZERO {
                     counts.culled += stretch.elements;
                     continue;
                 }
-                if heard.range_m[i] < receive.one_way.wavelength_m {
+                if received.range_m[i] < receive.one_way.wavelength_m {
                     counts.too_close += stretch.elements;
                 }
                 if delay_s >= track.middle.end_s() {
                     counts.beyond_track += stretch.elements;
                 }
                 chunk.delay_s[used] = delay_s;
-                chunk.doppler[used] = heard.doppler[i];
+                chunk.doppler[used] = received.doppler[i];
                 chunk.amplitude[used] = amplitude;
                 if used < i {
                     chunk.move_derivatives(i, used);
@@ -386,8 +401,9 @@ fn walk_batches(
     counts
 }
 
-/// The rays of a batch to a place on the line, `end_m` along it, when the echoes arrive there: sooner or later than in the middle, while the line moves.
-fn see_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64, to: &mut Rays) {
+/// Rays of a batch to the point `end_m` along the line, at the instant when the echoes arrive
+/// there. That instant differs from the middle's while the line moves.
+fn rays_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64, to: &mut Rays) {
     let offset_m = motion.axis * end_m;
     let (v, in_array) = (motion.velocity_m_per_s, motion.velocity_in_array_m_per_s);
     for (i, slope) in slope.iter().take(CHUNK).enumerate() {
@@ -401,10 +417,11 @@ fn see_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64,
     }
 }
 
-/// Fade and curl from the gains at both ends. Where the middle lies in a null it is given a millionth of what the ends hear, so that there
-/// is something to scale.
+/// First and second derivative of the gain along the line, from the gains at both ends. In a null,
+/// the middle gets 1e-6 of the end gains, so that the derivatives remain relative to a non-zero
+/// gain.
 fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
-    // A single element has no ends to speak of.
+    // A single element has no extent.
     let per_m = if half_m > 0.0 { 0.5 / half_m } else { 0.0 };
     let per_m2 = 2.0 * per_m * per_m;
     for (i, gain) in gain.iter_mut().enumerate() {
@@ -419,8 +436,8 @@ fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut Lin
     }
 }
 
-/// Sets out the stretch's way. Returns the nearest and the farthest that a scatterer heard in time can be from the transmitter, metres:
-/// 2 r_T - reach <= c u <= 2 r_T + reach.
+/// Computes the motion of the stretch. Returns the smallest and largest range from the transmitter
+/// at which a scatterer arrives in time, metres: 2 r_T - reach <= c u <= 2 r_T + reach.
 fn lay(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -443,8 +460,9 @@ fn lay(
     )
 }
 
-/// Points that span the echoes that [`line_arrivals`] would hand on, with amplitude 0: corners of small boxes, and every point of others. And
-/// the echoes of every so many batches.
+/// Passes on points with amplitude 0 that bound the echoes of [`line_arrivals`]: the corners of
+/// small boxes and every point of large ones. Also passes on the echoes of a regular subset of the
+/// batches.
 pub(crate) fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -457,14 +475,14 @@ pub(crate) fn line_survey(
         return;
     }
     let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
-    work.places.len = 0;
-    for (b, &(min_range_m, greatest_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
-        if min_range_m > farthest_m || greatest_range_m < nearest_m {
+    work.points.len = 0;
+    for (b, &(min_range_m, max_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
+        if min_range_m > farthest_m || max_range_m < nearest_m {
             continue;
         }
         let (low_m, high_m) = transmit_leg.batch_box_m[b];
-        if work.places.len > CHUNK - CORNERS {
-            survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+        if work.points.len > CHUNK - CORNERS {
+            survey_points(plan, array, stretch, None, transmit_leg, work, sink);
         }
         if (high_m - low_m).length() < SMALL_BOX * min_range_m {
             for corner in 0..CORNERS {
@@ -478,36 +496,36 @@ pub(crate) fn line_survey(
                 );
                 let range_m = at_m.length();
                 let closing = transmit_leg.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
-                work.places.push(at_m, range_m, closing);
+                work.points.push(at_m, range_m, closing);
             }
             continue;
         }
-        survey_places(plan, array, stretch, None, transmit_leg, work, sink);
+        survey_points(plan, array, stretch, None, transmit_leg, work, sink);
         for i in b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len()) {
             let at_m = DVec3::new(
                 transmit_leg.x_m[i],
                 transmit_leg.y_m[i],
                 transmit_leg.z_m[i],
             );
-            work.places.push(
+            work.points.push(
                 at_m,
                 transmit_leg.range_m[i],
                 transmit_leg.closing_m_per_s[i],
             );
         }
         let asked = stretch.earliest_s..stretch.latest_s;
-        survey_places(plan, array, stretch, Some(asked), transmit_leg, work, sink);
+        survey_points(plan, array, stretch, Some(asked), transmit_leg, work, sink);
     }
-    survey_places(plan, array, stretch, None, transmit_leg, work, sink);
-    let heard =
+    survey_points(plan, array, stretch, None, transmit_leg, work, sink);
+    let in_reach =
         |&&(min_m, greatest_m): &&(f64, f64)| min_m <= farthest_m && greatest_m >= nearest_m;
-    let every = transmit_leg.batch_range_m.iter().filter(heard).count() / SAMPLED;
+    let every = transmit_leg.batch_range_m.iter().filter(in_reach).count() / SAMPLED;
     let fades = true;
     let sampled = LineStretch { fades, ..stretch };
     walk_batches(plan, array, sampled, transmit_leg, every.max(1), work, sink);
 }
 
-impl Places {
+impl SurveyPoints {
     fn push(&mut self, at_m: DVec3, range_m: f64, closing_m_per_s: f64) {
         let at = self.len;
         (self.x_m[at], self.y_m[at], self.z_m[at]) = at_m.into();
@@ -517,8 +535,9 @@ impl Places {
     }
 }
 
-/// Hands on the gathered places and forgets them; of exact ones only those `asked` for.
-fn survey_places(
+/// Passes the gathered points on and clears them. Of surveyed echoes, only those within `asked` are
+/// passed on.
+fn survey_points(
     plan: &PingPlan,
     array: &ArrayGeometry,
     stretch: LineStretch,
@@ -530,30 +549,30 @@ fn survey_places(
     let LineWorkspace {
         track,
         rays,
-        heard,
+        received,
         chunk,
-        places,
+        points,
         ..
     } = work;
-    let n = std::mem::take(&mut places.len);
+    let n = std::mem::take(&mut points.len);
     if n == 0 {
         return;
     }
     let c = plan.sound_speed_m_per_s;
-    let ranges = places.range_m[..n].iter().copied();
+    let ranges = points.range_m[..n].iter().copied();
     let batch = Batch {
-        x_m: &places.x_m[..n],
-        y_m: &places.y_m[..n],
-        z_m: &places.z_m[..n],
-        range_m: &places.range_m[..n],
+        x_m: &points.x_m[..n],
+        y_m: &points.y_m[..n],
+        z_m: &points.z_m[..n],
+        range_m: &points.range_m[..n],
         min_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
-        greatest_range_m: ranges.fold(0.0, f64::max),
+        max_range_m: ranges.fold(0.0, f64::max),
     };
     solve(&track.middle, c, batch, rays);
     for i in 0..n {
         let ray_m = DVec3::new(rays.x_m[i], rays.y_m[i], rays.z_m[i]).length();
-        let closing = places.closing_m_per_s[i];
-        heard.doppler[i] =
+        let closing = points.closing_m_per_s[i];
+        received.doppler[i] =
             (rays.closing_m2_per_s[i] / ray_m.max(f64::MIN_POSITIVE) + closing) / (c - closing);
     }
     let mut since_s = f64::NEG_INFINITY;
@@ -564,11 +583,11 @@ fn survey_places(
             motion: &motion,
             transmit: transmit_leg.transmit.motion,
             batch,
-            closing_m_per_s: &places.closing_m_per_s[..n],
+            closing_m_per_s: &points.closing_m_per_s[..n],
             rays,
         };
-        derivation.run(&heard.doppler, chunk);
-        // What corners lie beyond the delays asked for belongs to the legs at their ends.
+        derivation.run(&received.doppler, chunk);
+        // Corners beyond the requested delays are assigned to the first or last leg.
         let last = motion.until_s >= stretch.latest_s;
         let until_s = if last { f64::INFINITY } else { motion.until_s };
         let mut used = 0;
@@ -579,7 +598,7 @@ fn survey_places(
                 continue;
             }
             chunk.delay_s[used] = delay_s;
-            chunk.doppler[used] = heard.doppler[i];
+            chunk.doppler[used] = received.doppler[i];
             chunk.amplitude[used] = Complex64::ZERO;
             if used < i {
                 chunk.move_derivatives(i, used);
@@ -597,11 +616,11 @@ fn survey_places(
     }
 }
 
-/// A scatterer nearer than this lies on the array: its derivatives are those at this distance, large and finite, and engines count them as beyond
-/// what they are made for.
+/// Smallest range at which derivatives are evaluated, metres. Closer scatterers lie on the array.
+/// Their derivatives are large but finite, and engines count them as beyond their design range.
 const TOUCHING_M: f64 = 1e-6;
 
-/// What the derivatives of a batch's echoes are made from.
+/// Inputs to the derivatives of a batch's echoes.
 struct Derivation<'a> {
     c: f64,
     motion: &'a LineMotion,
@@ -616,12 +635,12 @@ impl Derivation<'_> {
     fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx512f") {
-            // SAFETY: the processor has AVX-512 F, asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks AVX-512 F, the function's only precondition.
             return unsafe { self.run_avx512(doppler, chunk) };
         }
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+            // SAFETY: the line above checks AVX2, the function's only precondition.
             return unsafe { self.run_avx2(doppler, chunk) };
         }
         self.run_plain(doppler, chunk);
@@ -634,7 +653,7 @@ impl Derivation<'_> {
         self.run_plain(doppler, chunk);
     }
 
-    /// As [`Self::run_avx512`].
+    /// The AVX2 build of [`Self::run_plain`].
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn run_avx2(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
@@ -669,12 +688,12 @@ impl Derivation<'_> {
             length_s,
             velocity_m_per_s: v,
             exact,
-            heard:
+            doppler:
                 Motion {
                     velocity_m_per_s: w0,
                     acceleration_m_per_s2: dw,
                 },
-            heard_along_per_s: along,
+            doppler_along_per_s: along,
             ..
         } = *self.motion;
         let transmit_v2 = self.transmit.velocity_m_per_s.length_squared();

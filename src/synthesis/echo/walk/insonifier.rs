@@ -1,13 +1,15 @@
-//! The transmit leg of all scatterers, in parts side by side: each packs what it keeps to its front, and neighbours are then pushed together,
-//! so that the order is that of the scatterers for any number of threads.
+//! The transmit leg of all scatterers, computed in parallel parts.
+//!
+//! Each part packs the scatterers it keeps to its front. Neighbouring parts are then moved
+//! together, so the order is that of the scatterers for any thread count.
 
 use super::*;
 
-/// So many scatterers are one thread's.
+/// Scatterers that one task processes.
 const PART: usize = 32 * CHUNK;
 
-/// Where what is insonified goes: slices as long as the scatterers of a part.
-struct Room<'a> {
+/// Output slices of one part, as long as its scatterers.
+struct LegSlices<'a> {
     x_m: &'a mut [f64],
     y_m: &'a mut [f64],
     z_m: &'a mut [f64],
@@ -22,7 +24,7 @@ struct Room<'a> {
     closing_m_per_s: &'a mut [f64],
 }
 
-impl<'a> Room<'a> {
+impl<'a> LegSlices<'a> {
     fn of(transmit_leg: &'a mut TransmitLeg, len: usize) -> Self {
         transmit_leg.x_m.resize(len, 0.0);
         transmit_leg.y_m.resize(len, 0.0);
@@ -52,7 +54,7 @@ impl<'a> Room<'a> {
         }
     }
 
-    fn split(&mut self, at: usize) -> (Room<'_>, Room<'_>) {
+    fn split(&mut self, at: usize) -> (LegSlices<'_>, LegSlices<'_>) {
         let x_m = self.x_m.split_at_mut(at);
         let y_m = self.y_m.split_at_mut(at);
         let z_m = self.z_m.split_at_mut(at);
@@ -65,7 +67,7 @@ impl<'a> Room<'a> {
         let normal_y = self.normal_y.split_at_mut(at);
         let normal_z = self.normal_z.split_at_mut(at);
         let closing = self.closing_m_per_s.split_at_mut(at);
-        let low = Room {
+        let low = LegSlices {
             x_m: x_m.0,
             y_m: y_m.0,
             z_m: z_m.0,
@@ -79,7 +81,7 @@ impl<'a> Room<'a> {
             normal_z: normal_z.0,
             closing_m_per_s: closing.0,
         };
-        let high = Room {
+        let high = LegSlices {
             x_m: x_m.1,
             y_m: y_m.1,
             z_m: z_m.1,
@@ -112,19 +114,19 @@ impl<'a> Room<'a> {
     }
 }
 
-/// What decides who is kept.
-pub(super) struct Light<'a> {
+/// Insonification of a scene: geometry and culling limits.
+pub(super) struct Insonifier<'a> {
     pub leg: TransmitLegTerms<'a>,
     pub scatterers: &'a Scatterers,
     pub floor: f64,
     pub farthest_m: f64,
 }
 
-impl Light<'_> {
-    /// Fills `transmit_leg` and leaves it as long as what was kept.
-    pub(crate) fn shine(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
-        let mut room = Room::of(transmit_leg, self.scatterers.len());
-        let (kept, counts) = self.part(0, &mut room);
+impl Insonifier<'_> {
+    /// Fills `transmit_leg` and truncates it to the scatterers that are kept.
+    pub(crate) fn insonify_all(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
+        let mut slots = LegSlices::of(transmit_leg, self.scatterers.len());
+        let (kept, counts) = self.part(0, &mut slots);
         transmit_leg.x_m.truncate(kept);
         transmit_leg.y_m.truncate(kept);
         transmit_leg.z_m.truncate(kept);
@@ -140,58 +142,58 @@ impl Light<'_> {
         counts
     }
 
-    /// Scatterers from `first` on, as many as there is room for; how many are kept.
-    fn part(&self, first: usize, room: &mut Room) -> (usize, EchoCounts) {
-        let len = room.x_m.len();
+    /// Processes scatterers from `first` on, as many as `slots` holds. Returns how many are kept.
+    fn part(&self, first: usize, slots: &mut LegSlices) -> (usize, EchoCounts) {
+        let len = slots.x_m.len();
         if len <= PART {
-            return self.batches(first, room);
+            return self.batches(first, slots);
         }
         let middle = (len / 2).next_multiple_of(CHUNK);
-        let (mut low, mut high) = room.split(middle);
+        let (mut low, mut high) = slots.split(middle);
         let ((kept, mut counts), (more, others)) = rayon::join(
             || self.part(first, &mut low),
             || self.part(first + middle, &mut high),
         );
         counts += others;
         if kept < middle {
-            room.move_to(middle..middle + more, kept);
+            slots.move_to(middle..middle + more, kept);
         }
         (kept + more, counts)
     }
 
-    fn batches(&self, first: usize, room: &mut Room) -> (usize, EchoCounts) {
+    fn batches(&self, first: usize, slots: &mut LegSlices) -> (usize, EchoCounts) {
         let mut counts = EchoCounts::default();
-        let mut ahead = Ahead::default();
+        let mut batch = TransmitBatch::default();
         let mut kept = 0;
-        let end = first + room.x_m.len();
+        let end = first + slots.x_m.len();
         for first in (first..end).step_by(CHUNK) {
             let n = CHUNK.min(end - first);
-            look(&self.leg, self.scatterers, first, n, &mut ahead);
+            compute_transmit_leg(&self.leg, self.scatterers, first, n, &mut batch);
             for j in 0..n {
-                kept += usize::from(self.place(first + j, j, &ahead, kept, room, &mut counts));
+                kept += usize::from(self.store(first + j, j, &batch, kept, slots, &mut counts));
             }
         }
         (kept, counts)
     }
 
-    /// Writes scatterer `i`, the `j`-th of its batch, to place `to`; false if it is not to be kept.
+    /// Stores scatterer `i`, the `j`-th of its batch, in slot `to`. Returns false if it is culled.
     #[inline(always)]
-    fn place(
+    fn store(
         &self,
         i: usize,
         j: usize,
-        ahead: &Ahead,
+        batch: &TransmitBatch,
         to: usize,
-        room: &mut Room,
+        slots: &mut LegSlices,
         counts: &mut EchoCounts,
     ) -> bool {
         let scatterers = self.scatterers;
-        let range_m = ahead.range_m[j];
+        let range_m = batch.range_m[j];
         if range_m > self.farthest_m || range_m.is_nan() {
             counts.outside_window += 1;
             return false;
         }
-        let facing = ahead.facing[j].max(0.0);
+        let facing = batch.facing[j].max(0.0);
         let (law, bias, normal) = match scatterers.law[i] {
             ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
             ScatterLaw::Lambert => (facing.sqrt(), 0.0, scatterers.normal[i]),
@@ -199,31 +201,31 @@ impl Light<'_> {
             ScatterLaw::Curve => {
                 let curve = scatterers.curve.as_deref();
                 (
-                    half_of_curve(curve, facing.sqrt()),
+                    one_leg_of_curve(curve, facing.sqrt()),
                     0.0,
                     scatterers.normal[i],
                 )
             }
         };
-        let amplitude = scatterers.strength[i] * (ahead.amplitude[j] * law);
-        let level = ahead.level[j] * f64::from(scatterers.loud[i]);
+        let amplitude = scatterers.strength[i] * (batch.amplitude[j] * law);
+        let level = batch.level[j] * f64::from(scatterers.loud[i]);
         if level < self.floor || amplitude == Complex64::ZERO {
             counts.culled += 1;
             return false;
         }
         counts.too_close += u64::from(range_m < self.leg.one_way.wavelength_m);
-        room.x_m[to] = ahead.x_m[j];
-        room.y_m[to] = ahead.y_m[j];
-        room.z_m[to] = ahead.z_m[j];
-        room.range_m[to] = range_m;
-        room.amplitude[to] = amplitude;
-        room.level[to] = level;
-        room.bias[to] = bias;
-        room.curved[to] = scatterers.law[i] == ScatterLaw::Curve;
-        room.normal_x[to] = normal[0];
-        room.normal_y[to] = normal[1];
-        room.normal_z[to] = normal[2];
-        room.closing_m_per_s[to] = ahead.closing_m_per_s[j];
+        slots.x_m[to] = batch.x_m[j];
+        slots.y_m[to] = batch.y_m[j];
+        slots.z_m[to] = batch.z_m[j];
+        slots.range_m[to] = range_m;
+        slots.amplitude[to] = amplitude;
+        slots.level[to] = level;
+        slots.bias[to] = bias;
+        slots.curved[to] = scatterers.law[i] == ScatterLaw::Curve;
+        slots.normal_x[to] = normal[0];
+        slots.normal_y[to] = normal[1];
+        slots.normal_z[to] = normal[2];
+        slots.closing_m_per_s[to] = batch.closing_m_per_s[j];
         true
     }
 }

@@ -1,16 +1,19 @@
-//! A part of a line taken as one: what its elements' places make of an echo that is put together in its middle.
+//! Array factor of a subarray that is synthesised as one element at its middle.
 //!
-//! An element x beside the middle hears an echo later by delta(x) than the middle does, and the part's mean is then the middle's echo times
+//! An element at x from the middle receives an echo later than the middle by delta(x). The mean
+//! over the subarray is then the middle's echo times the array factor G:
 //!
 //! ```text
 //! G = 1/n sum_x exp(-j 2 pi f_c delta(x))
 //! c delta = (Q - D) / (1 + w / (Q c)),    q = d - x,   Q = |q|,   D = |d|,   w = v . q
 //! ```
 //!
-//! d the scatterer from the middle in array axes, in the middle of the echo, and v the middle's velocity there; Q - D is formed as x (x - 2 d_x)/(Q + D).
-//! This is exact in the near field, at the carrier. What it leaves out: the delay of the envelope (bandwidth times delta), how the part's
-//! answer changes during the echo, and that each element has a level, a pattern and a Doppler of its own. `run::method_selection::parts` says what comes
-//! of it.
+//! Here d is the scatterer relative to the middle in array axes, halfway through the echo, and v
+//! the velocity of the middle. Q - D is evaluated as x (x - 2 d_x)/(Q + D) to avoid cancellation.
+//!
+//! The result is exact in the near field at the carrier. It neglects the delay of the envelope
+//! (bandwidth times delta), the change of G during the echo, and differences of level, pattern and
+//! Doppler between the elements. `method_selection::parts` estimates the resulting error.
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -22,8 +25,8 @@ use super::super::elementary::cis;
 use super::super::paths::has_avx512;
 use super::super::paths::{ElementTrack, Rays};
 
-/// The elements of every part of a line.
-pub(super) struct Elements {
+/// The elements of each subarray of a line.
+pub(super) struct SubarrayElements {
     count: usize,
     spacing_m: f64,
     c: f64,
@@ -31,20 +34,21 @@ pub(super) struct Elements {
     half_pulse_s: f64,
 }
 
-/// What a batch of echoes is to be multiplied with.
-pub(super) struct Answer {
+/// Array factors of a batch of echoes, with the geometry they follow from.
+pub(super) struct ArrayFactor {
     len: usize,
-    /// Scatterers from the part's middle in array axes, halfway through their echoes: along the line, and the rest squared.
+    /// Scatterers relative to the middle in array axes, halfway through their echoes: the
+    /// coordinate along the line, and the squared distance from the line.
     x_m: [f64; CHUNK],
     beside_m2: [f64; CHUNK],
     range_m: [f64; CHUNK],
-    /// v . d without the part along the line.
+    /// v . d without the component along the line.
     beside_m2_per_s: [f64; CHUNK],
     re: [f64; CHUNK],
     im: [f64; CHUNK],
 }
 
-impl Default for Answer {
+impl Default for ArrayFactor {
     fn default() -> Self {
         let zero = [0.0; CHUNK];
         Self {
@@ -59,15 +63,15 @@ impl Default for Answer {
     }
 }
 
-impl Answer {
+impl ArrayFactor {
     pub(super) fn of_each(&self) -> impl Iterator<Item = Complex64> {
         let parts = self.re[..self.len].iter().zip(&self.im);
         parts.map(|(&re, &im)| Complex64::new(re, im))
     }
 }
 
-impl Elements {
-    /// None where elements are elements.
+impl SubarrayElements {
+    /// None unless the array's elements are subarrays.
     pub(super) fn of(plan: &PingPlan, array: &ArrayGeometry) -> Option<Self> {
         let Pattern::Part {
             elements,
@@ -87,17 +91,18 @@ impl Elements {
         })
     }
 
-    /// Of the first `n` of a batch that has been solved on `track`.
-    pub(super) fn answer(
+    /// Computes the array factors of the first `n` echoes of a batch that is solved on `track`.
+    pub(super) fn array_factor(
         &self,
         plan: &PingPlan,
         track: &ElementTrack,
         rays: &Rays,
         n: usize,
-        out: &mut Answer,
+        out: &mut ArrayFactor,
     ) {
         out.len = n;
-        // One velocity does for a batch: it moves the scatterer by half a pulse's worth, and is the smaller part of a delay.
+        // One velocity serves the whole batch. It moves a scatterer by half a pulse only, a minor
+        // part of the delay.
         let delay_s = rays.delay_s[..n]
             .iter()
             .copied()
@@ -117,11 +122,11 @@ impl Elements {
         #[cfg(target_arch = "x86_64")]
         {
             if has_avx512() {
-                // SAFETY: asked on the line above; the function needs nothing else.
+                // SAFETY: the line above checks the CPU feature, the only precondition.
                 return unsafe { sum_avx512(self, v.x, out) };
             }
             if is_x86_feature_detected!("avx2") {
-                // SAFETY: asked on the line above; the function needs nothing else.
+                // SAFETY: the line above checks the CPU feature, the only precondition.
                 return unsafe { sum_avx2(self, v.x, out) };
             }
         }
@@ -132,18 +137,18 @@ impl Elements {
 /// The AVX2 and AVX-512 builds of [`sum_plain`]: the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn sum_avx2(part: &Elements, along_m_per_s: f64, out: &mut Answer) {
+fn sum_avx2(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
     sum_plain(part, along_m_per_s, out);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn sum_avx512(part: &Elements, along_m_per_s: f64, out: &mut Answer) {
+fn sum_avx512(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
     sum_plain(part, along_m_per_s, out);
 }
 
 #[inline(always)]
-fn sum_plain(part: &Elements, along_m_per_s: f64, out: &mut Answer) {
+fn sum_plain(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
     let n = out.len.min(CHUNK);
     let c = part.c;
     for j in 0..part.count {
@@ -155,7 +160,8 @@ fn sum_plain(part: &Elements, along_m_per_s: f64, out: &mut Answer) {
             let along = x_m[i] - e;
             let q = (along * along + beside_m2[i]).sqrt();
             let closing = along_m_per_s * along + beside_m2_per_s[i];
-            // (Q - D)/(1 + w/(Q c)) over one bar; never 0/0, not even where the scatterer sits on an element.
+            // (Q - D)/(1 + w/(Q c)) as one fraction. It never becomes 0/0, even for a scatterer on
+            // an element.
             let over = e * (e - 2.0 * x_m[i]) * q * c;
             let under = ((q + range_m[i]) * (q * c + closing)).max(f64::MIN_POSITIVE);
             let (cos, sin) = cis(over / under * part.cycles_per_m);
@@ -179,8 +185,8 @@ mod tests {
         (k as f64 * step).fract() - 0.5
     }
 
-    fn part(count: usize) -> Elements {
-        Elements {
+    fn part(count: usize) -> SubarrayElements {
+        SubarrayElements {
             count,
             spacing_m: 0.01,
             c: 1500.0,
@@ -189,11 +195,11 @@ mod tests {
         }
     }
 
-    /// `v`: the middle's velocity in array axes.
-    fn batch(v: DVec3) -> (Vec<DVec3>, Answer) {
-        let mut out = Answer {
+    /// `v`: velocity of the middle in array axes.
+    fn batch(v: DVec3) -> (Vec<DVec3>, ArrayFactor) {
+        let mut out = ArrayFactor {
             len: CHUNK,
-            ..Answer::default()
+            ..ArrayFactor::default()
         };
         let place_m = |k: usize| {
             DVec3::new(
@@ -212,7 +218,7 @@ mod tests {
         (places, out)
     }
 
-    /// Each element's delay by fixed-point iteration on c t = |d - x - v t|, in place of the closed form.
+    /// Expected value: the delay of each element by fixed-point iteration on c t = |d - x - v t|.
     #[test]
     fn a_part_answers_as_its_elements_hear_the_carrier() {
         let v = DVec3::new(5.0, 0.3, -1.0);
@@ -234,7 +240,7 @@ mod tests {
                 worst = worst.max((got - want).norm());
             }
             println!("{count} elements: {worst:.1e}");
-            // Of the second order in v/c: (v x/c)^2/(2 Q) of path.
+            // The closed form neglects terms of second order in v/c: a path of (v x/c)^2/(2 Q).
             assert!(worst < 1e-5, "{count}: {worst:e}");
         }
     }
@@ -250,7 +256,7 @@ mod tests {
     #[test]
     fn every_build_gives_the_same_bits() {
         let v = DVec3::new(5.0, 0.3, -1.0);
-        let run = |sum: &dyn Fn(&Elements, &mut Answer)| {
+        let run = |sum: &dyn Fn(&SubarrayElements, &mut ArrayFactor)| {
             let (_, mut out) = batch(v);
             sum(&part(7), &mut out);
             [out.re, out.im].map(|x| x.map(f64::to_bits))
@@ -258,11 +264,11 @@ mod tests {
         let want = run(&|part, out| sum_plain(part, v.x, out));
         assert!(want[1].iter().filter(|&&x| x != 0).count() > CHUNK / 2);
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: asked above.
+            // SAFETY: the CPU feature is checked above.
             assert!(run(&|part, out| unsafe { sum_avx2(part, v.x, out) }) == want);
         }
         if has_avx512() {
-            // SAFETY: asked above.
+            // SAFETY: the CPU feature is checked above.
             assert!(run(&|part, out| unsafe { sum_avx512(part, v.x, out) }) == want);
         }
     }
