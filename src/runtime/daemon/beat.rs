@@ -48,7 +48,7 @@ pub(super) struct Beat {
     /// How long before its pulse a ping is ordered, nanoseconds.
     ahead_ns: i64,
     /// Pulses that are ordered and lie ahead, to be told at their instants; earliest first.
-    untold: VecDeque<Told>,
+    untold: VecDeque<PulseNotice>,
     coming: Arc<Coming>,
     backlog: Arc<Backlog>,
     stretch: Option<Stretch>,
@@ -74,7 +74,7 @@ struct Stretch {
 
 /// A pulse as it is told to others.
 #[derive(Clone, Copy)]
-struct Told {
+struct PulseNotice {
     at: MonoNs,
     sonar: usize,
     number: u32,
@@ -102,7 +102,7 @@ struct Watch {
 }
 
 /// What the beat shares with the pipeline.
-pub(super) struct Company {
+pub(super) struct BeatContext {
     pub settings: Vec<Arc<SettingsStore>>,
     pub control: Arc<RunControl>,
     pub faults: Arc<Faults>,
@@ -115,7 +115,7 @@ impl Beat {
         spec: &RigSpec,
         first: UtcNs,
         timeline: Timeline,
-        company: Company,
+        context: BeatContext,
         triggers: Triggers,
     ) -> Self {
         let specs = spec.sonars.iter().map(|sonar| &sonar.trigger);
@@ -130,21 +130,21 @@ impl Beat {
             own_time: spec.run.clock.is_own(),
             numbers: vec![Numbers::default(); spec.sonars.len()],
             watches: specs.map(|spec| spec.watchdog_s.map(watch)).collect(),
-            settings: company.settings,
-            control: company.control,
-            faults: company.faults,
-            clock: company.clock,
+            settings: context.settings,
+            control: context.control,
+            faults: context.faults,
+            clock: context.clock,
             triggers,
             came: None,
             ahead_ns: spec.run.ahead_ns(),
             untold: VecDeque::new(),
             stretch: (spec.run.overload == OverloadSpec::Stretch).then(|| Stretch {
-                backlog: company.backlog.clone(),
+                backlog: context.backlog.clone(),
                 run: spec.run.clone(),
                 sound_speed_m_per_s: spec.medium.sound_speed_m_per_s,
                 put_off_ns: vec![0; spec.sonars.len()],
             }),
-            backlog: company.backlog,
+            backlog: context.backlog,
             coming: Arc::new(Coming {
                 wake_up: WakeUp::default(),
                 next_utc_ns: AtomicI64::new(first.0),
@@ -269,7 +269,7 @@ impl Beat {
         if self.triggers.outs[sonar].is_some() {
             for after_s in [Some(0.0), again_s].into_iter().flatten() {
                 let at = at.plus_s(after_s);
-                let told = Told {
+                let told = PulseNotice {
                     at,
                     sonar,
                     number: order.ping_number,

@@ -3,7 +3,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{DaemonError, FIRST_PING_AFTER_NS, Lane, POLL_NS, Pacer};
+use super::DaemonError;
+use super::delivery::Lane;
+use super::pacer::{FIRST_PING_AFTER_NS, POLL_NS, Pacer};
 use crate::clock::Clock;
 use echotank_core::time::Timeline;
 use echotank_ping::rig::PingSlot;
@@ -52,7 +54,7 @@ impl Pacer {
             if !gate.wait_open() || self.stop.load(Ordering::Acquire) {
                 return Ok(());
             }
-            self.estimate_cost();
+            self.expect_new_settings();
             let Some(at) = beat.next_pulse() else {
                 // Nobody pings: time stands until somebody is told to.
                 self.machine
@@ -70,7 +72,7 @@ impl Pacer {
             let Some(slot) = self.lanes[sonar].next_slot(|| stop.load(Ordering::Acquire)) else {
                 return Ok(());
             };
-            if self.compute(sonar, &order, None, slot, &timeline) {
+            if self.ping(sonar, &order, None, slot, &timeline) {
                 handed_over += 1;
                 // A step is over when its ping has left: whoever asked for it may change settings for the next.
                 if gate.is_paused() && !gate.wait_delivered(handed_over) {

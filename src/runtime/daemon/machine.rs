@@ -1,0 +1,85 @@
+//! What the daemon asks of the machine: clocks, scheduling priority, locked memory.
+
+use std::sync::{Arc, OnceLock};
+use std::thread;
+
+use echotank_config::spec::{ClockSpec, StampSpec};
+use echotank_core::time::Timeline;
+
+use crate::clock::{Clock, PacedClock, SystemClock, VirtualClock};
+use crate::gate::Gate;
+use crate::io::priority;
+use crate::io::sonar::RigTime;
+
+/// Locks memory and tries a priority, and says what came of it.
+pub(super) fn punctuality(priority: u8) -> String {
+    if priority == 0 {
+        return "ordinary scheduling (run.priority = 0)".to_owned();
+    }
+    let locked = priority::lock_memory();
+    // On a thread of its own: this one stays ordinary.
+    let tried = thread::spawn(move || priority::first_in_first_out(priority)).join();
+    let real_time = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));
+    match (real_time, locked) {
+        (Ok(()), Ok(())) => {
+            format!("pings are handed over under SCHED_FIFO {priority}, memory is locked")
+        }
+        (real_time, locked) => {
+            let why = |what, result: std::io::Result<()>| {
+                result.err().map(|error| format!("{what}: {error}"))
+            };
+            let why: Vec<_> = [why("SCHED_FIFO", real_time), why("locked memory", locked)]
+                .into_iter()
+                .flatten()
+                .collect();
+            format!(
+                "warning: pings may be late: {} (echotank doctor says more)",
+                why.join("; ")
+            )
+        }
+    }
+}
+
+/// Tries the nice value of the threads that compute, where one is asked for, and says what came of it.
+pub(super) fn preference(nice: i8) -> Option<String> {
+    if nice == 0 {
+        return None;
+    }
+    // On a thread of its own: this one stays ordinary.
+    let tried = thread::spawn(move || priority::nice(nice)).join();
+    Some(match tried {
+        Ok(Ok(())) => format!("pings are computed at nice {nice}"),
+        Ok(Err(error)) => format!(
+            "warning: pings are computed like any other program: nice {nice}: {error} (echotank doctor says more)"
+        ),
+        Err(_) => "warning: pings are computed like any other program".to_owned(),
+    })
+}
+
+/// The clock of a mode, and the gate that stops it.
+pub(super) fn clock_of(mode: ClockSpec) -> (Arc<dyn Clock>, Arc<Gate>) {
+    let rate = match mode {
+        ClockSpec::RealTime => 1.0,
+        ClockSpec::Scaled(rate) => rate,
+        ClockSpec::Fast | ClockSpec::Lockstep => {
+            let now = SystemClock::new().host_utc();
+            let gate = Gate::new(None, mode == ClockSpec::Lockstep);
+            return (Arc::new(VirtualClock::starting_at(now)), Arc::new(gate));
+        }
+    };
+    let clock = Arc::new(PacedClock::at_rate(rate));
+    (clock.clone(), Arc::new(Gate::new(Some(clock), false)))
+}
+
+/// What answers are stamped with: the same clock as the pings.
+pub(super) fn wire_time(
+    stamp: StampSpec,
+    clock: &Arc<dyn Clock>,
+    timeline: &Arc<OnceLock<Timeline>>,
+) -> RigTime {
+    let (clock, timeline) = (clock.clone(), timeline.clone());
+    Arc::new(move || match (stamp, timeline.get()) {
+        (StampSpec::Log, Some(timeline)) => timeline.utc(clock.mono()),
+        _ => clock.host_utc(),
+    })
+}
