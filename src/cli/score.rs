@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Failure;
-use echotank_runtime::io::sonar::heard::report::Report;
+use echotank_runtime::io::sonar::verification::report::Report;
 use echotank_runtime::io::text_of;
 use echotank_runtime::score::{Score, log_of, score};
 

@@ -168,6 +168,7 @@ impl PacedClock {
         self.set(false);
     }
 
+    #[cfg(test)]
     pub(crate) fn is_stopped(&self) -> bool {
         self.lock().stopped
     }

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::sonar::heard::report::{Finding, Report};
+use crate::io::sonar::verification::report::{Finding, Report};
 
 /// A line of `faults-*.jsonl`, as far as it is needed.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]

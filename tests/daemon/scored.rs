@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 
 use echotank_runtime::io::control::client;
 use echotank_runtime::io::sonar::elements::ElementClient;
-use echotank_runtime::io::sonar::heard::accounts::Sums;
-use echotank_runtime::io::sonar::heard::ear::Family;
-use echotank_runtime::io::sonar::heard::listener::{Listener, Listening};
-use echotank_runtime::io::sonar::heard::report::Report;
+use echotank_runtime::io::sonar::verification::accounting::Checksums;
+use echotank_runtime::io::sonar::verification::decode::Family;
+use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
+use echotank_runtime::io::sonar::verification::report::Report;
 use echotank_runtime::score::{Logged, Score, log_of, score};
 use serde_json::{Value, json};
 
@@ -42,7 +42,7 @@ const CLEAN: u64 = 3;
 /// What one listener brings home.
 struct Heard {
     report: Report,
-    sums: Sums,
+    sums: Checksums,
     errors: u64,
 }
 
@@ -70,7 +70,7 @@ impl Listeners {
         clean: Option<&AllHeard>,
         silence: Option<Duration>,
     ) -> SocketAddr {
-        let what = Listening {
+        let what = ListenerSpec {
             family,
             address,
             record_types: RECORDS.to_vec(),
@@ -85,8 +85,8 @@ impl Listeners {
             let mut stopped = || stop.load(Ordering::Acquire);
             listener.run(&mut stopped).expect("listens to the end");
             let heard = Heard {
-                report: listener.accounts.report(),
-                sums: listener.accounts.sums().clone(),
+                report: listener.accounting.report(),
+                sums: listener.accounting.checksums().clone(),
                 errors: listener.errors(),
             };
             (name, heard)

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use echotank_nav::capture;
 use echotank_protocols::words::{Datagrams, Format, Words};
-use echotank_runtime::io::words::of_capture;
+use echotank_runtime::io::capture_text::describe_capture;
 
 #[derive(Parser)]
 #[command(about = "Any of our protocols in words, a line a message")]
@@ -87,7 +87,7 @@ fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
     };
     let bytes = bytes.map_err(|error| error.to_string())?;
     if capture::is_capture(&bytes) {
-        of_capture(&bytes, args.format, &mut |line| {
+        describe_capture(&bytes, args.format, &mut |line| {
             printer.print(&line);
             !printer.is_done()
         });

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use super::ListenArgs;
 use crate::cli::Failure;
 use echotank_runtime::io::signals::stop_on_signals;
-use echotank_runtime::io::sonar::heard::accounts::{sums_of, sums_text};
-use echotank_runtime::io::sonar::heard::ear::{Family, Lane};
-use echotank_runtime::io::sonar::heard::listener::{Listener, Listening};
+use echotank_runtime::io::sonar::verification::accounting::{checksums_text, parse_checksums};
+use echotank_runtime::io::sonar::verification::decode::{Family, Sequence};
+use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
 use echotank_runtime::io::{text_of, write_text};
 
 /// Which family, on the command line.
@@ -54,13 +54,13 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
         None => None,
         Some(path) => {
             let text = text_of(path).map_err(Failure::running)?;
-            let sums = sums_of(&text).map_err(|line| {
+            let sums = parse_checksums(&text).map_err(|line| {
                 Failure::Configuration(format!("{}: line {line} is no sum", path.display()))
             })?;
             Some(sums)
         }
     };
-    let what = Listening {
+    let what = ListenerSpec {
         family,
         address,
         record_types: record_types.to_vec(),
@@ -84,8 +84,8 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
     let early = end.is_some() && !is_over();
     let lost = print(&listener, began.elapsed());
     for (path, text) in [
-        (&args.report, listener.accounts.report().text()),
-        (&args.sums, sums_text(listener.accounts.sums())),
+        (&args.report, listener.accounting.report().text()),
+        (&args.sums, checksums_text(listener.accounting.checksums())),
     ] {
         if let Some(path) = path {
             write_text(path, &text).map_err(Failure::running)?;
@@ -103,23 +103,23 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
 /// What came of it; how many were lost.
 fn print(listener: &Listener, took: Duration) -> u64 {
     let mut lost = 0;
-    for (lane, tally) in listener.accounts.tallies() {
+    for (sequence, tally) in listener.accounting.tallies() {
         lost += tally.lost;
-        let name = match lane {
-            Lane::Records(record_type) => record_type.to_string(),
-            Lane::Packets { stream, context } => {
+        let name = match sequence {
+            Sequence::Records(record_type) => record_type.to_string(),
+            Sequence::Packets { stream, context } => {
                 let what = if context { "contexts" } else { "data" };
                 format!("stream {stream} {what}")
             }
-            Lane::Frames => "frames".to_owned(),
-            Lane::Answers => "answers".to_owned(),
+            Sequence::Frames => "frames".to_owned(),
+            Sequence::Answers => "answers".to_owned(),
         };
         println!(
             "{name}: {} sent, {} received, {} lost, {} duplicate, {} late (out of order)",
             tally.sent, tally.received, tally.lost, tally.duplicate, tally.late
         );
     }
-    let report = listener.accounts.report();
+    let report = listener.accounting.report();
     let mut kinds = std::collections::BTreeMap::new();
     for finding in &report.findings {
         *kinds.entry(finding.kind.as_str()).or_insert(0_u64) += 1;
@@ -136,7 +136,7 @@ fn print(listener: &Listener, took: Duration) -> u64 {
         listener.bytes,
         took.as_secs_f64(),
         listener.errors(),
-        listener.others(),
+        listener.unnumbered(),
         listener.resets,
         listener.silences
     );

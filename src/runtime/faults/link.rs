@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use echotank_protocols::{elements, ping_protocol, sevenk, wbms};
 
-use crate::io::line::{Connection, Line as LinkFilter};
-use crate::io::sonar::heard::ear as heard;
+use crate::io::link::{Connection, Link as OutputLink};
+use crate::io::sonar::verification::decode;
 use echotank_config::spec::{ConnectionFault, FaultKind, TransportFault};
 use echotank_core::flow::{Datagram, PingPlan};
 use echotank_core::time::UtcNs;
@@ -88,7 +88,7 @@ impl RecordLayout {
     /// VITA 49.2 packets; header, stream, class and time stay intact.
     pub const VITA49: Self = Self {
         place: |bytes| {
-            let place = heard::place_of(bytes);
+            let place = decode::position_of(bytes);
             Place {
                 stream: place.map(|p| p.stream),
                 context: place.map(|p| p.context),
@@ -354,7 +354,7 @@ enum Corruption {
     Truncate,
 }
 
-impl LinkFilter for FaultyLink {
+impl OutputLink for FaultyLink {
     fn connection(&mut self) -> Connection {
         let ping = self.mark.now();
         let before = self.connected.filter(|(number, _)| *number == ping.number);

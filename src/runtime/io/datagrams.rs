@@ -13,7 +13,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::SockAddr;
 
 use crate::clock::{Clock, SystemClock};
-use crate::io::line::Line as FaultyLine;
+use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
 use crate::io::pace::batch::send_batch;
 use crate::io::pace::bucket::Bucket;
@@ -91,7 +91,7 @@ pub(crate) struct DatagramSender {
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
-    faulty: Mutex<Option<Box<dyn FaultyLine>>>,
+    faulty: Mutex<Option<Box<dyn OutputLink>>>,
     /// Whose clients get the packets.
     server: Option<Arc<SonarServer>>,
 }
@@ -120,7 +120,7 @@ impl DatagramSender {
             ..DatagramCounts::default()
         };
         Self::start(
-            (Far::Addresses(sockets), counts),
+            (Destination::Addresses(sockets), counts),
             pace_bytes_per_s,
             route.queue,
             clock,
@@ -135,7 +135,7 @@ impl DatagramSender {
         clock: Arc<dyn Clock>,
         sending: Sending,
     ) -> std::io::Result<Self> {
-        let far = Far::Clients {
+        let far = Destination::Clients {
             server: Arc::clone(&server),
             pool: DatagramPool::new(0, MAX_KEPT_BUFFERS),
         };
@@ -146,7 +146,7 @@ impl DatagramSender {
     }
 
     fn start(
-        (far, counts): (Far, DatagramCounts),
+        (far, counts): (Destination, DatagramCounts),
         pace_bytes_per_s: f64,
         queue: usize,
         clock: Arc<dyn Clock>,
@@ -156,7 +156,7 @@ impl DatagramSender {
         let (give_back, empty) = bounded(queue + 1);
         let counts = Arc::new(counts);
         let machine = SystemClock::new();
-        let mut line = Line {
+        let mut line = Transmission {
             bucket: Bucket::new(pace_bytes_per_s, machine.mono()),
             pace_bytes_per_s,
             far,
@@ -186,7 +186,7 @@ impl DatagramSender {
     }
 
     /// All that is sent passes `line` from now on.
-    pub(crate) fn set_line(&self, line: Box<dyn FaultyLine>) {
+    pub(crate) fn set_line(&self, line: Box<dyn OutputLink>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
@@ -248,7 +248,7 @@ fn socket_for(to: SocketAddr, route: &Route) -> std::io::Result<UdpSocket> {
 }
 
 /// Who gets it.
-enum Far {
+enum Destination {
     Addresses(Vec<(UdpSocket, SockAddr)>),
     Clients {
         server: Arc<SonarServer>,
@@ -257,8 +257,8 @@ enum Far {
 }
 
 /// The thread's own.
-struct Line {
-    far: Far,
+struct Transmission {
+    far: Destination,
     bucket: Bucket,
     pace_bytes_per_s: f64,
     clock: Arc<dyn Clock>,
@@ -268,7 +268,7 @@ struct Line {
     sending: Sending,
 }
 
-impl Line {
+impl Transmission {
     fn send(&mut self, ping: &Packets, leaving: Leaving) {
         let rate = match leaving {
             Leaving::Over(over_s) if over_s > 0.0 => {
@@ -299,12 +299,12 @@ impl Line {
             self.bucket.take(bytes, now);
             let group: Vec<&[u8]> = (next..next + count).map(|k| ping.packet(k)).collect();
             match &mut self.far {
-                Far::Addresses(sockets) => {
+                Destination::Addresses(sockets) => {
                     for ((socket, to), receiver) in sockets.iter().zip(&self.counts.receivers) {
                         receiver.send(socket, to, &group);
                     }
                 }
-                Far::Clients { server, pool } => {
+                Destination::Clients { server, pool } => {
                     let frames = group
                         .iter()
                         .map(|frame| pool.write(|buffer| buffer.extend_from_slice(frame)));

@@ -1,8 +1,9 @@
 //! The only home of tokio, socket2, serialport and files.
+pub mod capture_text;
 pub mod control;
 pub mod datagrams;
 pub mod files;
-pub mod line;
+pub mod link;
 pub mod nav;
 pub(crate) mod notify;
 pub mod pace;
@@ -13,7 +14,6 @@ pub mod signals;
 pub mod sonar;
 mod stamp;
 pub mod trigger;
-pub mod words;
 
 /// A file of text, for those who may not open files themselves.
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {

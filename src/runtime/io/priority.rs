@@ -37,12 +37,14 @@ pub fn nice(value: i8) -> io::Result<()> {
 }
 
 /// The calling thread's nice value.
+#[cfg(test)]
 pub(crate) fn niceness() -> i32 {
     // SAFETY: takes no pointers. -1 is also an error, of which there is none for the calling thread.
     unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) }
 }
 
-/// The calling thread's scheduling: policy and priority.
+/// The calling thread's scheduling policy and priority.
+#[cfg(test)]
 pub(crate) fn scheduling() -> (i32, i32) {
     let mut parameters = libc::sched_param { sched_priority: 0 };
     // SAFETY: pid 0 is the calling thread; the structure is live and written by the call.

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
 
-use crate::io::line::Line;
+use crate::io::link::Link;
 use crate::io::sonar::RigTime;
 use echotank_core::flow::Datagram;
 use echotank_emit::session::{Outgoing, Session};
@@ -40,7 +40,7 @@ pub struct SerialLine {
     counts: Arc<LineCounts>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    faulty: Mutex<Option<Box<dyn Line>>>,
+    faulty: Mutex<Option<Box<dyn Link>>>,
 }
 
 impl SerialLine {
@@ -85,7 +85,7 @@ impl SerialLine {
     }
 
     /// All records pass `line` from now on; answers do not.
-    pub(crate) fn set_line(&self, line: Box<dyn Line>) {
+    pub(crate) fn set_line(&self, line: Box<dyn Link>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 

@@ -47,7 +47,7 @@ impl Imagenex872 {
             name: sonar.name.clone(),
             source,
         })?;
-        server.set_line(opening.line(RecordLayout::IMAGENEX872));
+        server.set_link(opening.line(RecordLayout::IMAGENEX872));
         Ok(Self {
             name: sonar.name.clone(),
             head,

@@ -22,7 +22,7 @@ use crate::clock::Clock;
 use crate::faults::link::{FaultyLink, LinkMark, RecordLayout};
 use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
-use crate::io::line::Line as LinkFilter;
+use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime, SonarServer};
@@ -228,14 +228,14 @@ impl Opening<'_> {
     }
 
     /// The link on which faults are injected into this output's records.
-    fn line(&self, layout: RecordLayout) -> Box<dyn LinkFilter> {
+    fn line(&self, layout: RecordLayout) -> Box<dyn OutputLink> {
         let faults = Arc::clone(&self.unit.faults);
         Box::new(FaultyLink::new(faults, layout, Arc::clone(&self.mark)))
     }
 
     /// Sets a server's link faults and its pacing.
     fn configure(&self, server: &SonarServer, layout: RecordLayout) {
-        server.set_line(self.line(layout));
+        server.set_link(self.line(layout));
         server.set_sending(self.sending.clone());
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }

@@ -66,7 +66,7 @@ pub struct ReliefTile {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-enum Ask {
+enum PageMessage {
     Look(Want),
     Command { id: u64, command: Box<Command> },
     Relief(ReliefTile),
@@ -75,7 +75,7 @@ enum Ask {
 
 /// What all pages share.
 pub(super) struct Pages {
-    seats: Arc<Semaphore>,
+    slots: Arc<Semaphore>,
     state: watch::Sender<Utf8Bytes>,
     relief_turn: Mutex<()>,
 }
@@ -83,7 +83,7 @@ pub(super) struct Pages {
 impl Pages {
     pub(super) fn new() -> Self {
         Self {
-            seats: Arc::new(Semaphore::new(MAX_PAGES)),
+            slots: Arc::new(Semaphore::new(MAX_PAGES)),
             state: watch::Sender::new(Utf8Bytes::default()),
             relief_turn: Mutex::new(()),
         }
@@ -114,7 +114,7 @@ pub(super) async fn open(
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let Ok(seat) = Arc::clone(&shared.pages.seats).try_acquire_owned() else {
+    let Ok(slot) = Arc::clone(&shared.pages.slots).try_acquire_owned() else {
         let why = format!("{MAX_PAGES} pages are open already");
         tracing::warn!(client = %peer, "{why}");
         return refusal(StatusCode::SERVICE_UNAVAILABLE, &why);
@@ -124,7 +124,7 @@ pub(super) async fn open(
         .max_message_size(MAX_MESSAGE_BYTES)
         .max_frame_size(MAX_MESSAGE_BYTES)
         .on_upgrade(move |socket| async move {
-            let _seat = seat;
+            let _slot = slot;
             tracing::info!(client = %peer, "page opened");
             serve(socket, shared, peer).await;
             tracing::info!(client = %peer, "page closed");
@@ -132,7 +132,7 @@ pub(super) async fn open(
 }
 
 /// Why a page is let go.
-struct Gone;
+struct Disconnected;
 
 struct Session {
     socket: WebSocket,
@@ -165,7 +165,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
 }
 
 impl Session {
-    async fn run(&mut self) -> Result<(), Gone> {
+    async fn run(&mut self) -> Result<(), Disconnected> {
         let hello = json!({ "hello": self.shared.port.hello() });
         self.say(hello).await?;
         let mut state = self.shared.pages.state.subscribe();
@@ -176,7 +176,7 @@ impl Session {
             tokio::select! {
                 message = self.socket.recv() => {
                     // A frame that is too long or no frame at all is an error, and the end.
-                    let message = message.ok_or(Gone)?.map_err(|_| Gone)?;
+                    let message = message.ok_or(Disconnected)?.map_err(|_| Disconnected)?;
                     heard = Instant::now();
                     self.take(message).await?;
                 }
@@ -186,7 +186,7 @@ impl Session {
                         self.page.sent();
                     }
                     Next::Dropped(n) => self.say(json!({ "dropped": n })).await?,
-                    Next::End => return Err(Gone),
+                    Next::End => return Err(Disconnected),
                 },
                 _ = state.changed() => {
                     let text = state.borrow_and_update().clone();
@@ -196,7 +196,7 @@ impl Session {
                 }
                 _ = alive.tick() => {
                     if heard.elapsed() > SILENCE {
-                        return Err(Gone);
+                        return Err(Disconnected);
                     }
                     self.send(Message::Ping(Default::default())).await?;
                 }
@@ -204,21 +204,21 @@ impl Session {
         }
     }
 
-    async fn take(&mut self, message: Message) -> Result<(), Gone> {
+    async fn take(&mut self, message: Message) -> Result<(), Disconnected> {
         let text = match message {
             Message::Text(text) => text,
             Message::Ping(_) | Message::Pong(_) => return Ok(()),
             Message::Binary(_) => return self.complain("only text is taken").await,
-            Message::Close(_) => return Err(Gone),
+            Message::Close(_) => return Err(Disconnected),
         };
         match serde_json::from_str(&text) {
-            Ok(Ask::Look(want)) => self.look(want).await,
-            Ok(Ask::Command { id, command }) => {
+            Ok(PageMessage::Look(want)) => self.look(want).await,
+            Ok(PageMessage::Command { id, command }) => {
                 let answer = self.shared.port.command(&command, self.by);
                 self.say(json!({ "answer": answer, "id": id })).await
             }
-            Ok(Ask::Relief(tile)) => self.relief(tile).await,
-            Ok(Ask::World {}) => {
+            Ok(PageMessage::Relief(tile)) => self.relief(tile).await,
+            Ok(PageMessage::World {}) => {
                 let world = json!({ "world": self.shared.port.world() });
                 self.say(world).await
             }
@@ -226,7 +226,7 @@ impl Session {
         }
     }
 
-    async fn look(&mut self, want: Want) -> Result<(), Gone> {
+    async fn look(&mut self, want: Want) -> Result<(), Disconnected> {
         for frame in self.page.look(want) {
             self.send(Message::Binary(frame.bytes.clone())).await?;
             self.page.sent();
@@ -234,7 +234,7 @@ impl Session {
         Ok(())
     }
 
-    async fn relief(&mut self, tile: ReliefTile) -> Result<(), Gone> {
+    async fn relief(&mut self, tile: ReliefTile) -> Result<(), Disconnected> {
         let shared = self.shared.clone();
         let turn = shared.pages.relief_turn.lock().await;
         let bytes = shared.port.relief(tile);
@@ -246,16 +246,16 @@ impl Session {
         }
     }
 
-    async fn complain(&mut self, why: &str) -> Result<(), Gone> {
+    async fn complain(&mut self, why: &str) -> Result<(), Disconnected> {
         self.say(json!({ "error": why })).await
     }
 
-    async fn say(&mut self, value: Value) -> Result<(), Gone> {
+    async fn say(&mut self, value: Value) -> Result<(), Disconnected> {
         self.send(Message::Text(value.to_string().into())).await
     }
 
-    async fn send(&mut self, message: Message) -> Result<(), Gone> {
+    async fn send(&mut self, message: Message) -> Result<(), Disconnected> {
         let sent = timeout(SEND_PATIENCE, self.socket.send(message)).await;
-        sent.map_err(|_| Gone)?.map_err(|_| Gone)
+        sent.map_err(|_| Disconnected)?.map_err(|_| Disconnected)
     }
 }

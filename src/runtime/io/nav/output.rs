@@ -1,13 +1,13 @@
 //! Navigation going out: ZDA, GGA and HDT of the pings' own clock, so that a device under test shares it.
 //!
 //! ```text
-//! pipeline thread: outlook of the motion -> board -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
+//! pipeline thread: prediction of the motion -> shared -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
 //! ```
 //! At every whole second the pulse, then the ZDA that names it. GGA and HDT of a tick may wait for their measurements (`latency_ms`), as those
 //! of receivers do. GGA is of the reference point: the source's quality while its position is no older than the motion may be carried on,
 //! 6 (estimated) while it is not stale, then 0 and empty; HDT is empty once stale.
 
-mod ways;
+mod transports;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -17,7 +17,7 @@ use std::thread::JoinHandle;
 
 use thiserror::Error;
 
-use self::ways::Way;
+use self::transports::Transport;
 use crate::clock::Clock;
 use echotank_config::spec::{NavOutputSpec, NavSentence, PulseSpec};
 use echotank_core::flow::{FixQuality, NavState};
@@ -26,7 +26,7 @@ use echotank_core::time::{MonoNs, NS_PER_S, UtcNs};
 use echotank_nav::encode::{self, Fix};
 use echotank_nav::{LocalTangentPlane, NavHistory};
 
-/// How often the motion is put on the board.
+/// How often the motion is put on the shared.
 const PUBLISH_EVERY_NS: i64 = 10_000_000;
 /// How long a pulse is.
 const PULSE_NS: i64 = 100_000_000;
@@ -55,7 +55,7 @@ pub struct NavOutputError {
 }
 
 /// The motion as last known.
-struct Outlook {
+struct Prediction {
     zero: MonoNs,
     trajectory: Trajectory,
     state: NavState,
@@ -68,7 +68,7 @@ struct Outlook {
     known: bool,
 }
 
-type Board = Arc<Mutex<Option<Outlook>>>;
+type SharedPrediction = Arc<Mutex<Option<Prediction>>>;
 
 #[derive(Default)]
 struct Counts {
@@ -88,8 +88,8 @@ struct Running {
 
 /// The outputs of a rig. Their threads run from `open` on until the value is dropped; they say nothing before the first `publish`.
 pub struct NavOutputs {
-    board: Board,
-    /// Scratch, changed for the board's.
+    shared: SharedPrediction,
+    /// Scratch, changed for the shared's.
     trajectory: Trajectory,
     next: MonoNs,
     running: Vec<Running>,
@@ -114,7 +114,7 @@ impl NavOutputs {
         faults: Option<&Arc<dyn ClockFaults>>,
     ) -> Result<Self, NavOutputError> {
         let mut outputs = Self {
-            board: Arc::default(),
+            shared: Arc::default(),
             trajectory: Trajectory::default(),
             next: MonoNs(i64::MIN),
             running: Vec::new(),
@@ -124,16 +124,16 @@ impl NavOutputs {
         for spec in specs {
             let refused = |reason: String| NavOutputError {
                 name: spec.name.clone(),
-                target: ways::name(&spec.target),
+                target: transports::name(&spec.target),
                 reason,
             };
             let counts = Arc::new(Counts::default());
-            let (way, address) =
-                ways::open(&spec.target, spec.pulse).map_err(|e| refused(e.to_string()))?;
+            let (transport, address) =
+                transports::open(&spec.target, spec.pulse).map_err(|e| refused(e.to_string()))?;
             let sender = Sender {
                 spec: spec.clone(),
-                way,
-                board: outputs.board.clone(),
+                transport,
+                shared: outputs.shared.clone(),
                 clock: clock.clone(),
                 time: time.clone(),
                 stop: outputs.stop.clone(),
@@ -148,7 +148,7 @@ impl NavOutputs {
             outputs.threads.push(thread);
             outputs.running.push(Running {
                 name: spec.name.clone(),
-                transport: ways::transport(&spec.target),
+                transport: transports::transport(&spec.target),
                 address,
                 counts,
             });
@@ -193,15 +193,15 @@ impl NavOutputs {
         }
     }
 
-    /// Puts the motion around now on the board, if it is time to.
+    /// Puts the motion around now on the shared, if it is time to.
     pub fn publish(&mut self, history: &mut NavHistory, now: MonoNs, utc: UtcNs) {
         if self.is_empty() || now < self.next {
             return;
         }
         self.next = now.plus_ns(PUBLISH_EVERY_NS);
         let state = history.outlook(utc, &mut self.trajectory);
-        let mut board = self.board.lock().unwrap_or_else(PoisonError::into_inner);
-        let outlook = board.get_or_insert_with(|| Outlook {
+        let mut shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let prediction = shared.get_or_insert_with(|| Prediction {
             zero: now,
             trajectory: Trajectory::default(),
             state: NavState::default(),
@@ -211,13 +211,13 @@ impl NavOutputs {
             stale_s: history.stale_s(),
             known: false,
         });
-        outlook.known = state.is_ok();
+        prediction.known = state.is_ok();
         if let Ok(state) = state {
-            std::mem::swap(&mut outlook.trajectory, &mut self.trajectory);
-            outlook.zero = now;
-            outlook.state = state;
-            outlook.heading_age_s = history.heading_age_s(utc);
-            outlook.plane = history.origin();
+            std::mem::swap(&mut prediction.trajectory, &mut self.trajectory);
+            prediction.zero = now;
+            prediction.state = state;
+            prediction.heading_age_s = history.heading_age_s(utc);
+            prediction.plane = history.origin();
         }
     }
 }
@@ -232,7 +232,7 @@ impl Drop for NavOutputs {
     }
 }
 
-impl Outlook {
+impl Prediction {
     fn position(&self, at: MonoNs) -> Option<Fix> {
         let ahead_s = at.seconds_since(self.zero);
         let age_s = self.state.position_age_s + ahead_s;
@@ -280,8 +280,8 @@ impl Outlook {
 /// One output's thread.
 struct Sender {
     spec: NavOutputSpec,
-    way: Box<dyn Way>,
-    board: Board,
+    transport: Box<dyn Transport>,
+    shared: SharedPrediction,
     clock: Arc<dyn Clock>,
     time: OutputTime,
     stop: Arc<AtomicBool>,
@@ -315,7 +315,7 @@ impl Sender {
             let next = events.min().unwrap_or(tick.at);
             if next > now.plus_ns(LOOK_NS) {
                 self.clock.sleep_until(now.plus_ns(LOOK_NS));
-                self.counts.clients.store(self.way.clients(), Relaxed);
+                self.counts.clients.store(self.transport.clients(), Relaxed);
                 continue;
             }
             self.clock.sleep_until(next);
@@ -355,7 +355,7 @@ impl Sender {
     }
 
     fn has_begun(&self) -> bool {
-        self.board
+        self.shared
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .is_some()
@@ -378,7 +378,7 @@ impl Sender {
     }
 
     fn pulse(&mut self, high: bool) {
-        match self.way.pulse(high) {
+        match self.transport.pulse(high) {
             Ok(()) => self.counts.pulses.fetch_add(u64::from(high), Relaxed),
             Err(_) => self.counts.errors.fetch_add(1, Relaxed),
         };
@@ -387,11 +387,11 @@ impl Sender {
     /// Sends those of `which` that are configured, together.
     fn say(&mut self, tick: &Tick, which: &[NavSentence]) {
         let (fix, heading_rad) = {
-            let board = self.board.lock().unwrap_or_else(PoisonError::into_inner);
-            let outlook = board.as_ref();
+            let shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+            let prediction = shared.as_ref();
             (
-                outlook.and_then(|o| o.position(tick.at)),
-                outlook.and_then(|o| o.heading_rad(tick.at)),
+                prediction.and_then(|o| o.position(tick.at)),
+                prediction.and_then(|o| o.heading_rad(tick.at)),
             )
         };
         self.text.clear();
@@ -411,10 +411,10 @@ impl Sender {
         if count == 0 {
             return;
         }
-        match self.way.send(&self.text) {
+        match self.transport.send(&self.text) {
             Ok(()) => self.counts.sentences.fetch_add(count, Relaxed),
             Err(_) => self.counts.errors.fetch_add(1, Relaxed),
         };
-        self.counts.clients.store(self.way.clients(), Relaxed);
+        self.counts.clients.store(self.transport.clients(), Relaxed);
     }
 }

@@ -22,12 +22,12 @@
 pub mod faults;
 pub mod lines;
 pub mod masks;
-mod mend;
 pub mod npz;
 pub mod picture;
 mod plan_text;
 pub mod png;
 pub mod recover;
+mod repair;
 pub mod s7k;
 pub mod sigmf;
 pub mod stream;

@@ -1,5 +1,5 @@
 //! Mends records that were cut off. Here `.s7k`: what is behind the last whole record goes, the catalogue is written, the header points at it.
-//! The other kinds are in [`mend`](super::mend).
+//! The other kinds are in [`repair`](super::repair).
 //!
 //! A file that is being recorded is locked by its recorder, and left alone.
 
@@ -13,7 +13,7 @@ use echotank_protocols::sevenk::file::{CataloguePointer, FileBuilder, FileHeader
 use echotank_protocols::sevenk::{DataRecordFrame, Record, RecordStamp, WireError, record_id};
 use echotank_protocols::xtf::{FileHeader, XtfFraming};
 
-use super::{RecordError, mend};
+use super::{RecordError, repair};
 
 /// Bytes that tell how long a record is.
 const FRAME_BYTES: usize = 64;
@@ -83,12 +83,12 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
     let extension = name.and_then(|name| name.rsplit_once('.'));
     match extension.map(|(_, extension)| extension) {
         Some("s7k") => recover_s7k(path),
-        Some("jsf") => mend::frames(path, 0, &JsfFraming::default()),
-        Some("xtf") => mend::frames(path, FileHeader::SIZE_BYTES, &XtfFraming::default()),
-        Some("svlog") => mend::frames(path, 0, &PingFraming),
-        Some("jsonl") => mend::lines(path),
-        Some("wav") => mend::wav(path),
-        Some("sigmf-meta" | "sigmf-data" | "sigmf-journal") => mend::sigmf(path),
+        Some("jsf") => repair::frames(path, 0, &JsfFraming::default()),
+        Some("xtf") => repair::frames(path, FileHeader::SIZE_BYTES, &XtfFraming::default()),
+        Some("svlog") => repair::frames(path, 0, &PingFraming),
+        Some("jsonl") => repair::lines(path),
+        Some("wav") => repair::wav(path),
+        Some("sigmf-meta" | "sigmf-data" | "sigmf-journal") => repair::sigmf(path),
         _ => Err(RecoverError::Unknown {
             path: path.to_owned(),
         }),
@@ -96,7 +96,7 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
 }
 
 /// A record to mend; none where somebody records into it.
-pub(super) fn open_to_mend(path: &Path) -> Result<Option<File>, RecordError> {
+pub(super) fn open_for_repair(path: &Path) -> Result<Option<File>, RecordError> {
     let io = |action| RecordError::io(path, action);
     let opened = File::options().read(true).write(true).open(path);
     let file = opened.map_err(io("open"))?;
@@ -109,7 +109,7 @@ pub(super) fn open_to_mend(path: &Path) -> Result<Option<File>, RecordError> {
 
 fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     let io = |action| RecordError::io(path, action);
-    let Some(mut file) = open_to_mend(path)? else {
+    let Some(mut file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
     };
     let length = file.metadata().map_err(io("read"))?.len();

@@ -65,7 +65,8 @@ impl S7kRecorder {
         })
     }
 
-    /// Bytes so far; 0 once closed or stopped.
+    /// Bytes written so far; 0 once closed or stopped.
+    #[cfg(test)]
     pub(crate) fn length_bytes(&self) -> u64 {
         self.builder.as_ref().map_or(0, FileBuilder::position_bytes)
     }

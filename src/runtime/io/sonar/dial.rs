@@ -12,7 +12,7 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use tracing::warn;
 
-use super::{Seat, Shared, Transport, Wants, stopping, tcp, udp};
+use super::{ClientSlot, Shared, Transport, Wants, stopping, tcp, udp};
 
 /// How long a TCP connection is tried for.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -36,8 +36,8 @@ pub(super) async fn serve(
                 Some(dial) => {
                     // Dialled again: the new choice of records holds.
                     shared.hang_up(dial.peer, dial.transport);
-                    if let Some(seat) = shared.admit(dial.peer, dial.transport, true) {
-                        clients.spawn(attend(dial, seat, stopped.clone()));
+                    if let Some(slot) = shared.admit(dial.peer, dial.transport, true) {
+                        clients.spawn(attend(dial, slot, stopped.clone()));
                     }
                 }
                 None => break,
@@ -49,23 +49,23 @@ pub(super) async fn serve(
     let _ = timeout(shared.times.drain, all_written).await;
 }
 
-async fn attend(dial: Dial, seat: Seat, mut stopped: watch::Receiver<bool>) {
-    let begin = |seat: &Seat| {
-        seat.client.want(dial.wants, Wants::NONE);
-        seat.shared.update_wanted(&seat.shared.lock());
+async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
+    let begin = |slot: &ClientSlot| {
+        slot.client.want(dial.wants, Wants::NONE);
+        slot.shared.update_wanted(&slot.shared.lock());
     };
     match dial.transport {
         Transport::Udp => {
-            let from = SocketAddr::new(seat.shared.local_addr.ip(), 0);
+            let from = SocketAddr::new(slot.shared.local_addr.ip(), 0);
             let socket = match UdpSocket::bind(from).await {
                 Ok(socket) => socket,
                 Err(error) => {
-                    warn!(parent: &seat.shared.span, client = %dial.peer, %error, "cannot open a UDP socket");
+                    warn!(parent: &slot.shared.span, client = %dial.peer, %error, "cannot open a UDP socket");
                     return;
                 }
             };
-            begin(&seat);
-            udp::write_datagrams(Arc::new(socket), dial.peer, seat, stopped).await;
+            begin(&slot);
+            udp::write_datagrams(Arc::new(socket), dial.peer, slot, stopped).await;
         }
         Transport::Tcp => {
             let connect = timeout(CONNECT_TIMEOUT, TcpStream::connect(dial.peer));
@@ -76,20 +76,20 @@ async fn attend(dial: Dial, seat: Seat, mut stopped: watch::Receiver<bool>) {
             let stream = match stream.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into())) {
                 Ok(stream) => stream,
                 Err(error) => {
-                    warn!(parent: &seat.shared.span, client = %dial.peer, %error, "cannot connect");
+                    warn!(parent: &slot.shared.span, client = %dial.peer, %error, "cannot connect");
                     return;
                 }
             };
             let _ = stream.set_nodelay(true);
-            begin(&seat);
+            begin(&slot);
             let (mut read_half, write_half) = stream.into_split();
             let closed = async {
                 let mut rubbish = [0; 256];
                 while matches!(read_half.read(&mut rubbish).await, Ok(1..)) {}
             };
-            let drain = seat.shared.times.drain;
+            let drain = slot.shared.times.drain;
             tokio::select! {
-                () = tcp::write_records(write_half, &seat.shared, &seat.client, stopped.clone()) => {}
+                () = tcp::write_records(write_half, &slot.shared, &slot.client, stopped.clone()) => {}
                 () = closed => {}
                 () = async { stopping(&mut stopped).await; sleep(drain).await } => {}
             }

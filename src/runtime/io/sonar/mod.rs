@@ -17,12 +17,13 @@
 pub mod client;
 mod dial;
 pub mod elements;
-pub mod heard;
+
 mod paced;
 mod queue;
 mod sevenk;
 mod tcp;
 mod udp;
+pub mod verification;
 pub mod verify;
 
 use std::net::SocketAddr;
@@ -35,7 +36,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::interval;
 use tracing::{Span, info, info_span, warn};
 
-use crate::io::line::{Connection, Line};
+use crate::io::link::{Connection, Link};
 use crate::io::pace::Sending;
 use crate::io::priority::first_in_first_out_of;
 use echotank_core::flow::Datagram;
@@ -192,7 +193,7 @@ pub struct SonarServer {
     local_addr: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
-    line: Mutex<Option<Box<dyn Line>>>,
+    link: Mutex<Option<Box<dyn Link>>>,
 }
 
 impl SonarServer {
@@ -214,7 +215,7 @@ impl SonarServer {
             },
             max_clients: spec.max_clients,
             wanted: AtomicU64::new(0),
-            roster: Mutex::new(Roster::default()),
+            table: Mutex::new(ClientTable::default()),
             dials,
             local_addr,
             span: info_span!("server", protocol = protocol.name(), address = %local_addr),
@@ -241,7 +242,7 @@ impl SonarServer {
             local_addr,
             stop,
             thread: Some(thread),
-            line: Mutex::default(),
+            link: Mutex::default(),
         })
     }
 
@@ -252,11 +253,6 @@ impl SonarServer {
     /// What clients want of the next ping. One atomic read.
     pub fn wanted(&self) -> Wants {
         Wants(self.shared.wanted.load(Ordering::Acquire))
-    }
-
-    /// Sends records of these classes to an address that has not asked, from now on: a seat among the clients, if one is free.
-    pub(crate) fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
-        self.shared.dial(peer, transport, wants);
     }
 
     /// How its datagrams are sent; to be called before there are any.
@@ -286,11 +282,11 @@ impl SonarServer {
     /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once. For a TCP client too, where
     /// [`Self::set_paces_tcp`] says so.
     pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
-        let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
-        let records = match &mut *line {
-            Some(line) => {
-                self.shared.connect(line.connection());
-                line.records(records)
+        let mut link = self.link.lock().unwrap_or_else(PoisonError::into_inner);
+        let records = match &mut *link {
+            Some(link) => {
+                self.shared.connect(link.connection());
+                link.records(records)
             }
             None => records,
         };
@@ -298,8 +294,8 @@ impl SonarServer {
     }
 
     /// All that is delivered passes `line` from now on.
-    pub(crate) fn set_line(&self, line: Box<dyn Line>) {
-        *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+    pub(crate) fn set_link(&self, link: Box<dyn Link>) {
+        *self.link.lock().unwrap_or_else(PoisonError::into_inner) = Some(link);
     }
 
     /// How its connections are to be from now on.
@@ -445,14 +441,14 @@ struct Shared {
     queue: QueueLimit,
     max_clients: usize,
     local_addr: SocketAddr,
-    /// Union of what the clients want; written with the roster locked.
+    /// Union of what the clients want; written with the table locked.
     wanted: AtomicU64,
-    roster: Mutex<Roster>,
+    table: Mutex<ClientTable>,
     dials: mpsc::UnboundedSender<dial::Dial>,
 }
 
 #[derive(Default)]
-struct Roster {
+struct ClientTable {
     clients: Vec<Arc<Client>>,
     gone: ClientCounts,
     admitted: u64,
@@ -460,33 +456,33 @@ struct Roster {
 }
 
 impl Shared {
-    /// A thread that panicked with the roster locked left whole clients in it.
-    fn lock(&self) -> MutexGuard<'_, Roster> {
-        self.roster.lock().unwrap_or_else(PoisonError::into_inner)
+    /// A thread that panicked with the table locked left whole clients in it.
+    fn lock(&self) -> MutexGuard<'_, ClientTable> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A seat for a new client, unless all are taken.
+    /// A slot for a new client, unless all are taken.
     fn admit(
         self: &Arc<Self>,
         peer: SocketAddr,
         transport: Transport,
         dialled: bool,
-    ) -> Option<Seat> {
-        let mut roster = self.lock();
-        if roster.clients.len() >= self.max_clients {
-            roster.refused += 1;
-            drop(roster);
+    ) -> Option<ClientSlot> {
+        let mut table = self.lock();
+        if table.clients.len() >= self.max_clients {
+            table.refused += 1;
+            drop(table);
             let max_clients = self.max_clients;
             warn!(parent: &self.span, client = %peer, %transport, max_clients, "client refused: the server is full");
             return None;
         }
-        roster.admitted += 1;
+        table.admitted += 1;
         let client = Arc::new(Client::new(peer, transport, dialled));
-        roster.clients.push(Arc::clone(&client));
+        table.clients.push(Arc::clone(&client));
         // The delivery thread waits for this lock; standard error may block.
-        drop(roster);
+        drop(table);
         info!(parent: &self.span, client = %peer, %transport, dialled, "client connected");
-        Some(Seat {
+        Some(ClientSlot {
             shared: Arc::clone(self),
             client,
         })
@@ -512,8 +508,8 @@ impl Shared {
         let _ = self.mute.subscribe().wait_for(|mute| !mute).await;
     }
 
-    fn update_wanted(&self, roster: &Roster) {
-        let wanted = roster
+    fn update_wanted(&self, table: &ClientTable) {
+        let wanted = table
             .clients
             .iter()
             .fold(Wants::NONE, |all, client| all.union(client.wants()));
@@ -537,11 +533,11 @@ impl Shared {
                 datagram,
             })
             .collect();
-        let roster = self.lock();
-        for client in &roster.clients {
+        let table = self.lock();
+        for client in &table.clients {
             client.offer(&offers, self.queue, over_s);
         }
-        self.update_wanted(&roster);
+        self.update_wanted(&table);
     }
 
     fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
@@ -603,36 +599,32 @@ impl Shared {
     }
 
     fn report(&self) -> ServerReport {
-        let roster = self.lock();
+        let table = self.lock();
         ServerReport {
-            clients: roster
-                .clients
-                .iter()
-                .map(|client| client.report())
-                .collect(),
-            gone: roster.gone,
-            admitted: roster.admitted,
-            refused: roster.refused,
+            clients: table.clients.iter().map(|client| client.report()).collect(),
+            gone: table.gone,
+            admitted: table.admitted,
+            refused: table.refused,
         }
     }
 }
 
-/// A client's place on the roster; dropping it, for whatever reason, takes the client off and keeps its counts.
-struct Seat {
+/// A client's place on the table; dropping it, for whatever reason, takes the client off and keeps its counts.
+struct ClientSlot {
     shared: Arc<Shared>,
     client: Arc<Client>,
 }
 
-impl Drop for Seat {
+impl Drop for ClientSlot {
     fn drop(&mut self) {
-        let mut roster = self.shared.lock();
-        roster
+        let mut table = self.shared.lock();
+        table
             .clients
             .retain(|other| !Arc::ptr_eq(other, &self.client));
         let counts = self.client.close();
-        roster.gone += counts;
-        self.shared.update_wanted(&roster);
-        drop(roster);
+        table.gone += counts;
+        self.shared.update_wanted(&table);
+        drop(table);
         let Client {
             peer, transport, ..
         } = &*self.client;

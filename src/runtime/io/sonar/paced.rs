@@ -77,7 +77,7 @@ impl PacedSender {
 }
 
 /// A burst of which `next` is the first packet that has not gone.
-struct Flying {
+struct InFlight {
     job: Job,
     bucket: Bucket,
     next: usize,
@@ -86,7 +86,7 @@ struct Flying {
     due: MonoNs,
 }
 
-impl Flying {
+impl InFlight {
     fn begin(mut job: Job, now: MonoNs) -> Self {
         let rate = job.burst.bytes_per_s;
         let mut bucket = job
@@ -137,7 +137,7 @@ impl Flying {
 }
 
 fn run(jobs: &Receiver<Job>, clock: &SystemClock, sending: &Sending) {
-    let mut flying: Vec<Flying> = Vec::new();
+    let mut flying: Vec<InFlight> = Vec::new();
     loop {
         let first = flying.iter().map(|f| f.due).min();
         let job = match first {
@@ -152,7 +152,7 @@ fn run(jobs: &Receiver<Job>, clock: &SystemClock, sending: &Sending) {
         };
         let now = clock.mono();
         match job {
-            Ok(job) => flying.push(Flying::begin(job, now)),
+            Ok(job) => flying.push(InFlight::begin(job, now)),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,
         }

@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tracing::warn;
 
 use super::queue::Client;
-use super::{Seat, Shared, Transport, stopping};
+use super::{ClientSlot, Shared, Transport, stopping};
 use crate::io::pace::stream::set_pace;
 
 const READ_BYTES: usize = 16 * 1024;
@@ -34,8 +34,8 @@ pub(super) async fn serve(
             () = stopping(&mut stopped) => break,
             accepted = listener.accept() => match accepted {
                 Ok((stream, peer)) => {
-                    if let Some(seat) = shared.admit(peer, Transport::Tcp, false) {
-                        clients.spawn(attend(stream, seat, stopped.clone()));
+                    if let Some(slot) = shared.admit(peer, Transport::Tcp, false) {
+                        clients.spawn(attend(stream, slot, stopped.clone()));
                     }
                 }
                 Err(error) => {
@@ -43,7 +43,7 @@ pub(super) async fn serve(
                     sleep(ACCEPT_PAUSE).await;
                 }
             },
-            // Keeps the set small; a task that panicked has given up its seat and hurts nobody else.
+            // Keeps the set small; a task that panicked has given up its slot and hurts nobody else.
             Some(_) = clients.join_next() => {}
         }
     }
@@ -51,11 +51,11 @@ pub(super) async fn serve(
     while clients.join_next().await.is_some() {}
 }
 
-async fn attend(stream: TcpStream, seat: Seat, mut stopped: watch::Receiver<bool>) {
+async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
     // Records go out as they are ready; a socket that cannot be told so is still a socket.
     let _ = stream.set_nodelay(true);
     let (read_half, write_half) = stream.into_split();
-    let (shared, client) = (&seat.shared, &seat.client);
+    let (shared, client) = (&slot.shared, &slot.client);
     let drain = shared.times.drain;
     let mut writer = std::pin::pin!(write_records(write_half, shared, client, stopped.clone()));
     tokio::select! {

@@ -14,7 +14,7 @@ use tracing::debug;
 
 use super::paced::Burst;
 use super::queue::Client;
-use super::{Seat, Shared, Transport, stopping};
+use super::{ClientSlot, Shared, Transport, stopping};
 use echotank_emit::session::Session;
 
 /// How often silent clients are looked for, at most.
@@ -27,7 +27,7 @@ const RECEIVE_BYTES: usize = 65_536;
 struct Peer {
     session: Box<dyn Session>,
     client: Arc<Client>,
-    heard: Instant,
+    last_received: Instant,
 }
 
 pub(super) async fn serve(
@@ -49,10 +49,10 @@ pub(super) async fn serve(
                     // A client that is on its way out is a new one when it speaks again.
                     peers.retain(|_, peer| !peer.client.is_leaving());
                     if let Some(peer) = peers.get_mut(&from) {
-                        peer.heard = Instant::now();
+                        peer.last_received = Instant::now();
                         listen(&shared, peer, datagram);
-                    } else if let Some((mut peer, seat)) = welcome(&shared, from, datagram) {
-                        writers.spawn(write_datagrams(Arc::clone(&socket), from, seat, stopped.clone()));
+                    } else if let Some((mut peer, slot)) = welcome(&shared, from, datagram) {
+                        writers.spawn(write_datagrams(Arc::clone(&socket), from, slot, stopped.clone()));
                         listen(&shared, &mut peer, datagram);
                         peers.insert(from, peer);
                     }
@@ -76,19 +76,19 @@ fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
     });
 }
 
-/// A seat for whoever speaks the protocol; strays only leave a count.
-fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, Seat)> {
+/// A slot for whoever speaks the protocol; strays only leave a count.
+fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
     if !shared.protocol.welcomes(datagram) {
         shared.lock().gone.framing_errors += 1;
         return None;
     }
-    let seat = shared.admit(from, Transport::Udp, false)?;
+    let slot = shared.admit(from, Transport::Udp, false)?;
     let peer = Peer {
-        session: shared.welcome(&seat.client),
-        client: Arc::clone(&seat.client),
-        heard: Instant::now(),
+        session: shared.welcome(&slot.client),
+        client: Arc::clone(&slot.client),
+        last_received: Instant::now(),
     };
-    Some((peer, seat))
+    Some((peer, slot))
 }
 
 /// Shows a client out that was silent for too long.
@@ -98,7 +98,7 @@ fn is_over(shared: &Shared, peer: &Peer) -> bool {
     } else {
         shared.times.udp_silence
     };
-    let is_over = peer.heard.elapsed() > allowed;
+    let is_over = peer.last_received.elapsed() > allowed;
     if is_over {
         peer.client.leave();
     }
@@ -109,11 +109,11 @@ fn is_over(shared: &Shared, peer: &Peer) -> bool {
 pub(super) async fn write_datagrams(
     socket: Arc<UdpSocket>,
     to: SocketAddr,
-    seat: Seat,
+    slot: ClientSlot,
     mut stopped: watch::Receiver<bool>,
 ) {
-    let client = &seat.client;
-    let mut framer = seat.shared.protocol.framer(Transport::Udp);
+    let client = &slot.client;
+    let mut framer = slot.shared.protocol.framer(Transport::Udp);
     let mut burst = Burst::empty(socket, to);
     loop {
         while let Some(taken) = client.take() {
@@ -122,7 +122,7 @@ pub(super) async fn write_datagrams(
             framer.frame(&taken.datagram.bytes, &mut burst.wire, &mut burst.packets);
             burst.bytes_per_s = client.pace_bytes_per_s(&taken);
             // The rest of a record is no use without a part that failed.
-            let sent = match seat.shared.paced() {
+            let sent = match slot.shared.paced() {
                 Some(sender) => sender.send(burst).await,
                 None => None,
             };

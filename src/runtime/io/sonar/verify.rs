@@ -42,12 +42,12 @@ pub struct PingTally {
 /// Notes records as they come.
 #[derive(Clone, Debug, Default)]
 pub struct Verifier {
-    streams: BTreeMap<u32, Numbers>,
+    streams: BTreeMap<u32, NumberTracker>,
 }
 
 /// What a number was when it came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Seen {
+pub enum Arrival {
     /// Higher than all before.
     New,
     Duplicate,
@@ -57,7 +57,7 @@ pub enum Seen {
 
 /// The numbers of one stream as they come.
 #[derive(Clone, Debug)]
-pub struct Numbers {
+pub struct NumberTracker {
     lowest: u32,
     highest: u32,
     missing: BTreeSet<u32>,
@@ -77,7 +77,7 @@ impl Verifier {
             .and_modify(|numbers| {
                 numbers.note(number);
             })
-            .or_insert_with(|| Numbers::from(number));
+            .or_insert_with(|| NumberTracker::from(number));
         true
     }
 
@@ -91,11 +91,11 @@ impl Verifier {
     pub fn tally(&self, record_type: u32) -> PingTally {
         self.streams
             .get(&record_type)
-            .map_or_else(PingTally::default, Numbers::tally)
+            .map_or_else(PingTally::default, NumberTracker::tally)
     }
 }
 
-impl From<u32> for Numbers {
+impl From<u32> for NumberTracker {
     /// The first of them.
     fn from(number: u32) -> Self {
         Self {
@@ -111,23 +111,23 @@ impl From<u32> for Numbers {
     }
 }
 
-impl Numbers {
-    pub fn note(&mut self, number: u32) -> Seen {
+impl NumberTracker {
+    pub fn note(&mut self, number: u32) -> Arrival {
         self.tally.received += 1;
         if number > self.highest {
             self.miss(self.highest + 1, number);
             self.highest = number;
-            return Seen::New;
+            return Arrival::New;
         }
         if number < self.lowest {
             self.miss(number + 1, self.lowest);
             self.lowest = number;
         } else if !self.missing.remove(&number) {
             self.tally.duplicate += 1;
-            return Seen::Duplicate;
+            return Arrival::Duplicate;
         }
         self.tally.late += 1;
-        Seen::Late
+        Arrival::Late
     }
 
     /// Lowest and highest number seen.
@@ -140,7 +140,7 @@ impl Numbers {
         self.missing.iter().copied()
     }
 
-    /// Numbers from `first` up to, not including, `end` have not come.
+    /// NumberTracker from `first` up to, not including, `end` have not come.
     fn miss(&mut self, first: u32, end: u32) {
         let kept_from = first.max(end.saturating_sub(MISSING_LIMIT as u32));
         self.forgotten += u64::from(kept_from - first);

@@ -18,8 +18,8 @@ use thiserror::Error;
 use crate::io::priority::first_in_first_out_of;
 use crate::io::stamp;
 use echotank_config::spec::{ModemLine, TriggerFrom};
-use sentence::{MAX_BYTES, Said};
-use serial::{Edges, LOOK, Level, PortLine};
+use sentence::{MAX_BYTES, TriggerSentence};
+use serial::{Edges, InputLevel, LOOK, PortLine};
 
 /// Threads look this often whether they should end.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
@@ -65,7 +65,7 @@ pub(crate) struct TriggerListener {
 
 /// What a door's thread works with.
 #[derive(Clone)]
-struct Keeper {
+struct Reader {
     sink: Sink,
     counts: Arc<TriggerListenerCounts>,
     stop: Arc<AtomicBool>,
@@ -74,15 +74,15 @@ struct Keeper {
 impl TriggerListener {
     /// None where triggers do not come by a door.
     pub(crate) fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
-        let keeper = Keeper {
+        let reader = Reader {
             sink,
             counts: Arc::default(),
             stop: Arc::default(),
         };
         let mut opened = Self {
             address: None,
-            counts: keeper.counts.clone(),
-            stop: keeper.stop.clone(),
+            counts: reader.counts.clone(),
+            stop: reader.stop.clone(),
             thread: None,
         };
         let refused = |what: String| move |why| ListenerError { what, why };
@@ -95,7 +95,7 @@ impl TriggerListener {
                     Ok(socket)
                 });
                 let socket = socket.map_err(refused)?;
-                Box::new(move || keeper.udp(&socket))
+                Box::new(move || reader.udp(&socket))
             }
             TriggerFrom::Tcp { listen } => {
                 let refused = refused(format!("tcp {listen}"));
@@ -105,14 +105,14 @@ impl TriggerListener {
                     Ok(listener)
                 });
                 let listener = listener.map_err(refused)?;
-                Box::new(move || keeper.tcp(&listener))
+                Box::new(move || reader.tcp(&listener))
             }
             TriggerFrom::Serial { port, line, rising } => {
                 let open = PortLine::open(port, *line).map_err(refused(port.clone()))?;
                 let (port, line, rising): (String, ModemLine, bool) =
                     (port.clone(), *line, *rising);
                 Box::new(move || {
-                    keeper.line(open, || PortLine::open(&port, line), Edges::new(rising));
+                    reader.line(open, || PortLine::open(&port, line), Edges::new(rising));
                 })
             }
             TriggerFrom::Internal | TriggerFrom::Protocol | TriggerFrom::Sonar { .. } => {
@@ -158,7 +158,7 @@ fn is_silence(error: &io::Error) -> bool {
     matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
 }
 
-impl Keeper {
+impl Reader {
     fn stopped(&self) -> bool {
         self.stop.load(Relaxed)
     }
@@ -169,11 +169,11 @@ impl Keeper {
         thread::sleep(READ_TIMEOUT);
     }
 
-    fn said(&self, bytes: &[u8], age_ns: i64) {
+    fn receive(&self, bytes: &[u8], age_ns: i64) {
         let number = match sentence::read(bytes) {
-            Said::Plain => None,
-            Said::Numbered(number) => Some(number),
-            Said::Spoiled => {
+            TriggerSentence::Plain => None,
+            TriggerSentence::Numbered(number) => Some(number),
+            TriggerSentence::Invalid => {
                 self.counts.spoiled.fetch_add(1, Relaxed);
                 return;
             }
@@ -187,7 +187,7 @@ impl Keeper {
         stamp::enable(socket);
         while !self.stopped() {
             match stamp::receive(socket, &mut buffer) {
-                Ok((len, age_ns)) => self.said(&buffer[..len], age_ns),
+                Ok((len, age_ns)) => self.receive(&buffer[..len], age_ns),
                 Err(error) if is_silence(&error) => {}
                 Err(error) => self.error(&error),
             }
@@ -201,9 +201,9 @@ impl Keeper {
             self.counts.clients.store(clients.len() as u64, Relaxed);
             match listener.accept() {
                 Ok((stream, _)) if (clients.len() as u64) < MAX_CLIENTS => {
-                    let keeper = self.clone();
+                    let reader = self.clone();
                     let thread = thread::Builder::new().name("trigger client".into());
-                    match thread.spawn(move || keeper.client(stream)) {
+                    match thread.spawn(move || reader.client(stream)) {
                         Ok(client) => clients.push(client),
                         Err(error) => self.error(&error),
                     }
@@ -238,7 +238,7 @@ impl Keeper {
                 if byte == b'\n' {
                     let text = line.trim_ascii();
                     if !text.is_empty() {
-                        self.said(text, 0);
+                        self.receive(text, 0);
                     }
                     line.clear();
                 } else if line.len() < MAX_BYTES {
@@ -252,7 +252,7 @@ impl Keeper {
         }
     }
 
-    fn line<L: Level>(&self, open: L, reopen: impl Fn() -> io::Result<L>, mut edges: Edges) {
+    fn line<L: InputLevel>(&self, open: L, reopen: impl Fn() -> io::Result<L>, mut edges: Edges) {
         let mut port = Some(open);
         let fresh = edges;
         while !self.stopped() {
@@ -358,7 +358,7 @@ mod tests {
     /// High at every third look; fails once.
     struct Fake(mpsc::Sender<()>, u32);
 
-    impl Level for Fake {
+    impl InputLevel for Fake {
         fn is_high(&mut self) -> io::Result<bool> {
             self.1 += 1;
             if self.1 > 9 {
@@ -372,19 +372,19 @@ mod tests {
     #[test]
     fn edges_of_a_line_are_triggers_and_a_line_that_fails_is_opened_again() {
         let (sender, triggers) = mpsc::channel();
-        let keeper = Keeper {
+        let reader = Reader {
             sink: Arc::new(move |trigger| {
                 let _ = sender.send(trigger);
             }),
             counts: Arc::default(),
             stop: Arc::default(),
         };
-        let (counts, stop) = (keeper.counts.clone(), keeper.stop.clone());
+        let (counts, stop) = (reader.counts.clone(), reader.stop.clone());
         let (looks, looked) = mpsc::channel();
         let thread = thread::spawn(move || {
             let again = looks.clone();
             let reopen = || Ok(Fake(again.clone(), 0));
-            keeper.line(Fake(looks, 0), reopen, Edges::new(true));
+            reader.line(Fake(looks, 0), reopen, Edges::new(true));
         });
         for _ in 0..6 {
             triggers.recv_timeout(PATIENCE).expect("an edge");

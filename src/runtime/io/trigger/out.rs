@@ -31,7 +31,7 @@ pub struct OutCounts {
 }
 
 /// A line that can be raised.
-pub(crate) trait Raise: Send {
+pub(crate) trait OutputLine: Send {
     fn raise(&mut self, high: bool) -> io::Result<()>;
 }
 
@@ -40,7 +40,7 @@ struct PortLine {
     line: OutLine,
 }
 
-impl Raise for PortLine {
+impl OutputLine for PortLine {
     fn raise(&mut self, high: bool) -> io::Result<()> {
         match self.line {
             OutLine::RequestToSend => self.port.write_request_to_send(high)?,
@@ -138,7 +138,7 @@ struct Pulser {
 
 impl Pulser {
     fn start(
-        line: impl Raise + 'static,
+        line: impl OutputLine + 'static,
         length: Duration,
         counts: Arc<OutCounts>,
     ) -> io::Result<Self> {
@@ -154,7 +154,7 @@ impl Pulser {
     }
 }
 
-fn raise(mut line: impl Raise, length: Duration, wanted: &Receiver<()>, counts: &OutCounts) {
+fn raise(mut line: impl OutputLine, length: Duration, wanted: &Receiver<()>, counts: &OutCounts) {
     while wanted.recv().is_ok() {
         let raised = line.raise(true);
         thread::sleep(length);
@@ -204,7 +204,7 @@ mod tests {
 
     struct Fake(Arc<Mutex<Vec<(bool, Instant)>>>);
 
-    impl Raise for Fake {
+    impl OutputLine for Fake {
         fn raise(&mut self, high: bool) -> io::Result<()> {
             let mut seen = self.0.lock().expect("whole");
             seen.push((high, Instant::now()));

@@ -10,12 +10,12 @@ const TAG: &[u8] = b"$PETKT";
 pub const MAX_BYTES: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Said {
+pub enum TriggerSentence {
     /// Somebody else's word, whatever it is.
     Plain,
     Numbered(u32),
     /// It begins as ours and is not whole.
-    Spoiled,
+    Invalid,
 }
 
 fn sum(body: &[u8]) -> u8 {
@@ -30,11 +30,11 @@ pub fn write(number: u32, utc: UtcNs, sonar: &str) -> String {
     format!("${body}*{:02X}\r\n", sum(body.as_bytes()))
 }
 
-pub fn read(bytes: &[u8]) -> Said {
+pub fn read(bytes: &[u8]) -> TriggerSentence {
     if !bytes.starts_with(TAG) {
-        return Said::Plain;
+        return TriggerSentence::Plain;
     }
-    numbered(bytes.trim_ascii_end()).map_or(Said::Spoiled, Said::Numbered)
+    numbered(bytes.trim_ascii_end()).map_or(TriggerSentence::Invalid, TriggerSentence::Numbered)
 }
 
 fn numbered(sentence: &[u8]) -> Option<u32> {
@@ -58,11 +58,11 @@ mod tests {
         let text = write(17, UtcNs(1_406_851_210_500_000_001), "main");
         // The sum by another program.
         assert_eq!(text, "$PETKT,17,1406851210.500000001,main*69\r\n");
-        assert_eq!(read(text.as_bytes()), Said::Numbered(17));
-        assert_eq!(read(b"TRIG\n"), Said::Plain);
-        assert_eq!(read(b""), Said::Plain);
-        assert_eq!(read(b"$PETKT,17,1.0,main*00\r\n"), Said::Spoiled);
-        assert_eq!(read(b"$PETKT"), Said::Spoiled);
+        assert_eq!(read(text.as_bytes()), TriggerSentence::Numbered(17));
+        assert_eq!(read(b"TRIG\n"), TriggerSentence::Plain);
+        assert_eq!(read(b""), TriggerSentence::Plain);
+        assert_eq!(read(b"$PETKT,17,1.0,main*00\r\n"), TriggerSentence::Invalid);
+        assert_eq!(read(b"$PETKT"), TriggerSentence::Invalid);
     }
 
     proptest! {
@@ -71,9 +71,9 @@ mod tests {
             number: u32, ns in 0..i64::MAX, at in 1usize..20, flip in 1u8..127,
         ) {
             let mut bytes = write(number, UtcNs(ns), "bow-1").into_bytes();
-            prop_assert_eq!(read(&bytes), Said::Numbered(number));
+            prop_assert_eq!(read(&bytes), TriggerSentence::Numbered(number));
             bytes[at] ^= flip;
-            prop_assert_ne!(read(&bytes), Said::Numbered(number));
+            prop_assert_ne!(read(&bytes), TriggerSentence::Numbered(number));
         }
 
         #[test]

@@ -12,7 +12,7 @@ use echotank_config::spec::ModemLine;
 pub const LOOK: Duration = Duration::from_micros(500);
 
 /// A line that is high or low.
-pub(crate) trait Level: Send {
+pub(crate) trait InputLevel: Send {
     fn is_high(&mut self) -> io::Result<bool>;
 }
 
@@ -30,7 +30,7 @@ impl PortLine {
     }
 }
 
-impl Level for PortLine {
+impl InputLevel for PortLine {
     fn is_high(&mut self) -> io::Result<bool> {
         Ok(match self.line {
             ModemLine::ClearToSend => self.port.read_clear_to_send()?,

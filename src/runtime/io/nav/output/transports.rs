@@ -1,4 +1,4 @@
-//! The ways out: a UDP socket, the clients of a TCP server, a serial port.
+//! The transports out: a UDP socket, the clients of a TCP server, a serial port.
 
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -16,7 +16,7 @@ const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Clients of one output; more are turned away.
 const MAX_CLIENTS: usize = 64;
 
-pub(super) trait Way: Send {
+pub(super) trait Transport: Send {
     /// The whole second begins (`high`), or its pulse ends.
     fn pulse(&mut self, high: bool) -> io::Result<()>;
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
@@ -44,26 +44,26 @@ pub(super) fn transport(target: &NavTargetSpec) -> &'static str {
     }
 }
 
-/// The way, and the address it listens at or sends to.
+/// The transport, and the address it listens at or sends to.
 pub(super) fn open(
     target: &NavTargetSpec,
     pulse: PulseSpec,
-) -> io::Result<(Box<dyn Way>, Option<SocketAddr>)> {
+) -> io::Result<(Box<dyn Transport>, Option<SocketAddr>)> {
     Ok(match target {
         NavTargetSpec::Udp { to } => (Box::new(Udp::open(*to, pulse)?), Some(*to)),
         NavTargetSpec::TcpListen { listen } => {
             let listener = TcpListener::bind(listen)?;
             listener.set_nonblocking(true)?;
             let address = listener.local_addr()?;
-            let way = Tcp {
+            let transport = Tcp {
                 listener,
                 clients: Vec::new(),
                 pulse,
             };
-            (Box::new(way), Some(address))
+            (Box::new(transport), Some(address))
         }
         NavTargetSpec::Serial { port, baud, line } => {
-            let mut way = Serial {
+            let mut transport = Serial {
                 path: port.clone(),
                 baud: *baud,
                 line: *line,
@@ -71,8 +71,8 @@ pub(super) fn open(
                 port: None,
                 tried: None,
             };
-            way.port = Some(way.connect()?);
-            (Box::new(way), None)
+            transport.port = Some(transport.connect()?);
+            (Box::new(transport), None)
         }
     })
 }
@@ -101,7 +101,7 @@ impl Udp {
     }
 }
 
-impl Way for Udp {
+impl Transport for Udp {
     fn pulse(&mut self, high: bool) -> io::Result<()> {
         match high && self.pulse == PulseSpec::Byte {
             true => self.send(&[PULSE_BYTE]),
@@ -119,7 +119,7 @@ struct Tcp {
     pulse: PulseSpec,
 }
 
-impl Way for Tcp {
+impl Transport for Tcp {
     fn pulse(&mut self, high: bool) -> io::Result<()> {
         match high && self.pulse == PulseSpec::Byte {
             true => self.send(&[PULSE_BYTE]),
@@ -180,7 +180,7 @@ impl Serial {
     }
 }
 
-impl Way for Serial {
+impl Transport for Serial {
     fn pulse(&mut self, high: bool) -> io::Result<()> {
         match self.pulse {
             PulseSpec::None => Ok(()),
@@ -283,7 +283,7 @@ mod tests {
             (PulseSpec::None, &["$GPZDA", "$GPHDT"]),
         ] {
             let bench = Bench::default();
-            let mut way = Serial {
+            let mut transport = Serial {
                 path: "/dev/none".into(),
                 baud: 9600,
                 line: SerialLine::default(),
@@ -291,10 +291,10 @@ mod tests {
                 port: Some(Box::new(bench.clone())),
                 tried: None,
             };
-            way.pulse(true).expect("raised");
-            way.send(b"$GPZDA\r\n").expect("sent");
-            way.pulse(false).expect("lowered");
-            way.send(b"$GPHDT\r\n").expect("sent");
+            transport.pulse(true).expect("raised");
+            transport.send(b"$GPZDA\r\n").expect("sent");
+            transport.pulse(false).expect("lowered");
+            transport.send(b"$GPHDT\r\n").expect("sent");
             assert_eq!(*bench.0.lock().expect("unspoiled"), want, "{pulse:?}");
         }
     }

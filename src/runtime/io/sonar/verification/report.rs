@@ -149,7 +149,7 @@ mod tests {
         };
         assert_eq!(Report::parse(&report.text()).expect("sound"), report);
         let more = "{\"kind\": \"late\", \"ping_number\": 9, \"mine\": true}\n\n";
-        let findings = Report::parse(more).expect("keys of others").findings;
+        let findings = Report::parse(more).expect("keys of unnumbered").findings;
         assert_eq!((findings.len(), findings[0].ping_number), (1, Some(9)));
         for (text, line) in [
             ("{}", 1),

@@ -1,6 +1,6 @@
 //! Packet captures in words: what `tools/wiredump` prints of them.
 //!
-//! Datagrams are read by the port that they go to, or by their first bytes; each way of a TCP connection is put together and read as a stream,
+//! Datagrams are read by the port that they go to, or by their first bytes; each direction of a TCP connection is put together and read as a stream,
 //! by the port at either end. A segment that comes again is passed over, one that comes early waits; where one never comes the stream goes on
 //! behind the gap, and the decoder finds its feet again.
 
@@ -10,12 +10,12 @@ use echotank_protocols::words::{Datagrams, Format, Words};
 
 use echotank_nav::capture::{self, Segment};
 
-/// Early segments of one way that may wait for the missing one; more, and it is taken for lost.
+/// Early segments of one direction that may wait for the missing one; more, and it is taken for lost.
 const MAX_WAITING: usize = 64;
 
-/// One way of a connection.
+/// One direction of a connection.
 #[derive(Default)]
-struct Way {
+struct StreamDirection {
     /// None until its first bytes have told the format.
     words: Option<Words>,
     /// Number of the next byte; none before the first segment.
@@ -25,7 +25,7 @@ struct Way {
     begun: u32,
 }
 
-impl Way {
+impl StreamDirection {
     /// Takes a segment and hands on, in order, what is now whole.
     fn push(&mut self, segment: &Segment<'_>, mut each: impl FnMut(&[u8])) {
         if segment.is_start {
@@ -68,9 +68,13 @@ impl Way {
 }
 
 /// A line for each message in a pcap or pcapng file, until `each` says that there have been enough; `format` is that of everything.
-pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(String) -> bool) {
+pub fn describe_capture(
+    bytes: &[u8],
+    format: Option<Format>,
+    each: &mut dyn FnMut(String) -> bool,
+) {
     let mut datagrams = Datagrams::default();
-    let mut ways: HashMap<(Vec<u8>, u16, u16), Way> = HashMap::new();
+    let mut directions: HashMap<(Vec<u8>, u16, u16), StreamDirection> = HashMap::new();
     for packet in capture::packets(bytes) {
         let mut goes_on = true;
         let arrival = packet.arrival.0;
@@ -86,13 +90,13 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
             }
         } else if let Some(segment) = packet.segment {
             let (from, to) = (segment.from_port, segment.to_port);
-            let way = ways
+            let direction = directions
                 .entry((segment.addresses.to_vec(), from, to))
                 .or_default();
             let mut say =
                 |line: String| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
-            let mut words = way.words.take();
-            way.push(&segment, |new| {
+            let mut words = direction.words.take();
+            direction.push(&segment, |new| {
                 let told = format
                     .or(Format::of_port(to))
                     .or(Format::of_port(from))
@@ -105,15 +109,15 @@ pub fn of_capture(bytes: &[u8], format: Option<Format>, each: &mut dyn FnMut(Str
                     (_, None) => say(format!("{} B of no format that we know", new.len())),
                 }
             });
-            way.words = words;
+            direction.words = words;
         }
         if !goes_on {
             return;
         }
     }
     let mut goes_on = true;
-    for ((_, from, to), way) in ways {
-        if let Some(words) = way.words.filter(|_| goes_on) {
+    for ((_, from, to), direction) in directions {
+        if let Some(words) = direction.words.filter(|_| goes_on) {
             words.finish(&mut |line: String| goes_on &= each(format!("{from} to {to}: {line}")));
         }
     }
@@ -150,7 +154,7 @@ mod tests {
 
     fn lines(file: &[u8], format: Option<Format>) -> Vec<String> {
         let mut lines = Vec::new();
-        of_capture(file, format, &mut |line| {
+        describe_capture(file, format, &mut |line| {
             lines.push(line);
             true
         });

@@ -1,13 +1,13 @@
-//! Accounts for the records that came: what is lost, came twice or late, is damaged, or holds what it should not.
+//! Accounting for the records that came: what is lost, came twice or late, is damaged, or holds what it should not.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use super::ear::{Family, Lane, Sighting};
+use super::decode::{Family, ReceivedRecord, Sequence};
 use super::report::{Finding, Report, ReportHead};
-use crate::io::sonar::verify::{Numbers, PingTally, Seen};
+use crate::io::sonar::verify::{Arrival, NumberTracker, PingTally};
 
-/// Sums of records, by lane and [`Sighting::key`]: what they held in a run without faults.
-pub type Sums = HashMap<(Lane, u64), u64>;
+/// Checksums of records, by sequence and [`ReceivedRecord::key`]: what they held in a run without faults.
+pub type Checksums = HashMap<(Sequence, u64), u64>;
 
 /// Of a gap, how many missing numbers have their places kept.
 const MAX_PLACES: usize = 100_000;
@@ -15,26 +15,26 @@ const MAX_PLACES: usize = 100_000;
 const MAX_FINDINGS: usize = 1_000_000;
 
 /// Fowler, Noll and Vo's hash (1a), 64 bits.
-fn sum_of(bytes: &[u8]) -> u64 {
+fn checksum(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3)
     })
 }
 
 /// One listener's, over all its connections.
-pub struct Accounts {
+pub struct Accounting {
     family: Family,
-    lanes: BTreeMap<Lane, Numbers>,
+    sequences: BTreeMap<Sequence, NumberTracker>,
     /// Where a missing packet or frame lies: between these times of its stream, or these pings.
-    between: BTreeMap<(Lane, u32), (i64, i64)>,
-    /// Of the newest of a lane: its time, or its ping.
-    newest: BTreeMap<Lane, i64>,
-    damaged: BTreeSet<(Lane, u32)>,
+    between: BTreeMap<(Sequence, u32), (i64, i64)>,
+    /// Of the newest of a sequence: its time, or its ping.
+    newest: BTreeMap<Sequence, i64>,
+    damaged: BTreeSet<(Sequence, u32)>,
     /// What records are compared with.
-    against: Option<Sums>,
+    against: Option<Checksums>,
     /// What they held.
-    sums: Sums,
-    keeps_sums: bool,
+    checksums: Checksums,
+    keeps_checksums: bool,
     findings: Vec<Finding>,
     /// Those that last until the next ping.
     open: Vec<usize>,
@@ -44,18 +44,18 @@ pub struct Accounts {
     utc_ns: Option<(i64, i64)>,
 }
 
-impl Accounts {
-    /// `against`: the sums of a run without faults. `keeps_sums`: for [`Accounts::sums`].
-    pub fn new(family: Family, against: Option<Sums>, keeps_sums: bool) -> Self {
+impl Accounting {
+    /// `against`: the sums of a run without faults. `keeps_checksums`: for [`Accounting::sums`].
+    pub fn new(family: Family, against: Option<Checksums>, keeps_checksums: bool) -> Self {
         Self {
             family,
-            lanes: BTreeMap::new(),
+            sequences: BTreeMap::new(),
             between: BTreeMap::new(),
             newest: BTreeMap::new(),
             damaged: BTreeSet::new(),
             against,
-            sums: Sums::new(),
-            keeps_sums,
+            checksums: Checksums::new(),
+            keeps_checksums,
             findings: Vec::new(),
             open: Vec::new(),
             unkept: 0,
@@ -65,8 +65,8 @@ impl Accounts {
         }
     }
 
-    pub fn sums(&self) -> &Sums {
-        &self.sums
+    pub fn checksums(&self) -> &Checksums {
+        &self.checksums
     }
 
     /// The ping that was heard last.
@@ -103,8 +103,8 @@ impl Accounts {
         self.open.push(self.findings.len() - 1);
     }
 
-    pub fn note(&mut self, sighting: &Sighting) {
-        if let Some(ping) = sighting.ping_number.filter(|_| !sighting.is_damaged) {
+    pub fn note(&mut self, record: &ReceivedRecord) {
+        if let Some(ping) = record.ping_number.filter(|_| !record.is_damaged) {
             for at in self.open.drain(..) {
                 self.findings[at].to_ping = Some(ping);
             }
@@ -112,17 +112,17 @@ impl Accounts {
             self.pings = Some((first.min(ping), last.max(ping)));
             self.last_ping = Some(ping);
         }
-        if let Some(utc) = sighting.utc_ns {
+        if let Some(utc) = record.utc_ns {
             let (first, last) = self.utc_ns.unwrap_or((utc, utc));
             self.utc_ns = Some((first.min(utc), last.max(utc)));
         }
-        let Some(number) = sighting.number else {
+        let Some(number) = record.number else {
             return;
         };
-        let lane = sighting.lane;
-        if sighting.is_damaged {
-            if self.damaged.insert((lane, number)) {
-                self.find(finding("damaged", sighting));
+        let sequence = record.sequence;
+        if record.is_damaged {
+            if self.damaged.insert((sequence, number)) {
+                self.find(finding("damaged", record));
             }
             // A datagram's count is believed all the same: or it would be lost as well.
             if self.family != Family::Vita49 {
@@ -130,71 +130,72 @@ impl Accounts {
             }
         }
         let mut before = None;
-        let seen = match self.lanes.get_mut(&lane) {
+        let seen = match self.sequences.get_mut(&sequence) {
             Some(numbers) => {
                 before = Some(numbers.span().1);
                 numbers.note(number)
             }
             None => {
-                self.lanes.insert(lane, Numbers::from(number));
-                Seen::New
+                self.sequences.insert(sequence, NumberTracker::from(number));
+                Arrival::New
             }
         };
-        let place = match lane {
-            Lane::Packets { .. } => sighting.utc_ns,
-            Lane::Frames => sighting.ping_number.map(i64::from),
-            Lane::Records(_) | Lane::Answers => None,
+        let place = match sequence {
+            Sequence::Packets { .. } => record.utc_ns,
+            Sequence::Frames => record.ping_number.map(i64::from),
+            Sequence::Records(_) | Sequence::Answers => None,
         };
-        if let (Some(place), Seen::New) = (place, seen) {
-            let newest = self.newest.insert(lane, place);
+        if let (Some(place), Arrival::New) = (place, seen) {
+            let newest = self.newest.insert(sequence, place);
             if let (Some(before), Some(newest)) = (before, newest) {
                 for missing in (before + 1..number).take(MAX_PLACES) {
-                    self.between.insert((lane, missing), (newest, place));
+                    self.between.insert((sequence, missing), (newest, place));
                 }
             }
         }
         match seen {
-            Seen::New => {}
-            Seen::Duplicate => return self.find(finding("duplicate", sighting)),
-            Seen::Late => self.find(finding("late", sighting)),
+            Arrival::New => {}
+            Arrival::Duplicate => return self.find(finding("duplicate", record)),
+            Arrival::Late => self.find(finding("late", record)),
         }
-        if sighting.is_damaged {
+        if record.is_damaged {
             return;
         }
-        let sum = (self.against.is_some() || self.keeps_sums).then(|| sum_of(sighting.content));
+        let sum =
+            (self.against.is_some() || self.keeps_checksums).then(|| checksum(record.content));
         if let (Some(against), Some(sum)) = (&self.against, sum)
             && against
-                .get(&(lane, sighting.key))
+                .get(&(sequence, record.key))
                 .is_some_and(|was| *was != sum)
         {
-            self.find(finding("different", sighting));
+            self.find(finding("different", record));
         }
-        if let (true, Some(sum)) = (self.keeps_sums, sum) {
-            self.sums.insert((lane, sighting.key), sum);
+        if let (true, Some(sum)) = (self.keeps_checksums, sum) {
+            self.checksums.insert((sequence, record.key), sum);
         }
     }
 
-    /// Of each lane: what was sent, lost, came twice or late. What is damaged counts as lost.
-    pub fn tallies(&self) -> impl Iterator<Item = (Lane, PingTally)> + '_ {
-        let lanes = self.lanes.iter();
-        lanes.map(|(lane, numbers)| (*lane, numbers.tally()))
+    /// Of each sequence: what was sent, lost, came twice or late. What is damaged counts as lost.
+    pub fn tallies(&self) -> impl Iterator<Item = (Sequence, PingTally)> + '_ {
+        let sequences = self.sequences.iter();
+        sequences.map(|(sequence, numbers)| (*sequence, numbers.tally()))
     }
 
     /// Everything found, and what never came.
     pub fn report(&self) -> Report {
         let mut findings = self.findings.clone();
-        for (lane, numbers) in &self.lanes {
+        for (sequence, numbers) in &self.sequences {
             for number in numbers.missing() {
-                if self.damaged.contains(&(*lane, number)) {
+                if self.damaged.contains(&(*sequence, number)) {
                     continue;
                 }
-                findings.push(self.lost(*lane, number));
+                findings.push(self.lost(*sequence, number));
             }
         }
-        let lanes = || self.lanes.keys();
-        let types: Vec<u32> = lanes()
-            .filter_map(|lane| match lane {
-                Lane::Records(record_type) => Some(*record_type),
+        let sequences = || self.sequences.keys();
+        let types: Vec<u32> = sequences()
+            .filter_map(|sequence| match sequence {
+                Sequence::Records(record_type) => Some(*record_type),
                 _ => None,
             })
             .collect();
@@ -215,66 +216,66 @@ impl Accounts {
         }
     }
 
-    fn lost(&self, lane: Lane, number: u32) -> Finding {
+    fn lost(&self, sequence: Sequence, number: u32) -> Finding {
         let lost = Finding {
             kind: "lost".into(),
             ..Finding::default()
         };
-        let between = self.between.get(&(lane, number));
-        match lane {
-            Lane::Records(record_type) => Finding {
+        let between = self.between.get(&(sequence, number));
+        match sequence {
+            Sequence::Records(record_type) => Finding {
                 ping_number: Some(number),
                 record_type: Some(record_type),
                 ..lost
             },
-            Lane::Packets { stream, context } => Finding {
+            Sequence::Packets { stream, context } => Finding {
                 stream: Some(stream),
                 context: Some(context),
                 from_utc_ns: between.map(|(from, _)| *from),
                 to_utc_ns: between.map(|(_, to)| *to),
                 ..lost
             },
-            Lane::Frames => Finding {
+            Sequence::Frames => Finding {
                 frame_number: Some(number),
                 ping_number: between.and_then(|(from, _)| u32::try_from(*from).ok()),
                 to_ping: between.and_then(|(_, to)| u32::try_from(*to).ok()),
                 ..lost
             },
-            Lane::Answers => lost,
+            Sequence::Answers => lost,
         }
     }
 }
 
-fn finding(kind: &str, sighting: &Sighting) -> Finding {
-    let (record_type, stream, context, frame_number) = match sighting.lane {
-        Lane::Records(record_type) => (Some(record_type), None, None, None),
-        Lane::Packets { stream, context } => (None, Some(stream), Some(context), None),
-        Lane::Frames => (None, None, None, sighting.number),
-        Lane::Answers => (None, None, None, None),
+fn finding(kind: &str, record: &ReceivedRecord) -> Finding {
+    let (record_type, stream, context, frame_number) = match record.sequence {
+        Sequence::Records(record_type) => (Some(record_type), None, None, None),
+        Sequence::Packets { stream, context } => (None, Some(stream), Some(context), None),
+        Sequence::Frames => (None, None, None, record.number),
+        Sequence::Answers => (None, None, None, None),
     };
     Finding {
         kind: kind.into(),
-        ping_number: sighting.ping_number,
+        ping_number: record.ping_number,
         record_type,
         stream,
         context,
         frame_number,
-        from_utc_ns: sighting.utc_ns,
-        to_utc_ns: sighting.utc_ns,
+        from_utc_ns: record.utc_ns,
+        to_utc_ns: record.utc_ns,
         ..Finding::default()
     }
 }
 
-/// Sums as text: a line each, `KIND A B KEY SUM`.
-pub fn sums_text(sums: &Sums) -> String {
+/// Checksums as text: a line each, `KIND A B KEY SUM`.
+pub fn checksums_text(sums: &Checksums) -> String {
     let mut lines: Vec<String> = sums
         .iter()
-        .map(|((lane, key), sum)| {
-            let (kind, a, b) = match lane {
-                Lane::Records(record_type) => ("record", *record_type, 0),
-                Lane::Packets { stream, context } => ("packet", *stream, u32::from(*context)),
-                Lane::Frames => ("frame", 0, 0),
-                Lane::Answers => ("answer", 0, 0),
+        .map(|((sequence, key), sum)| {
+            let (kind, a, b) = match sequence {
+                Sequence::Records(record_type) => ("record", *record_type, 0),
+                Sequence::Packets { stream, context } => ("packet", *stream, u32::from(*context)),
+                Sequence::Frames => ("frame", 0, 0),
+                Sequence::Answers => ("answer", 0, 0),
             };
             format!("{kind} {a} {b} {key} {sum:016x}\n")
         })
@@ -284,7 +285,7 @@ pub fn sums_text(sums: &Sums) -> String {
 }
 
 /// And back; the number of the first line that is none.
-pub fn sums_of(text: &str) -> Result<Sums, usize> {
+pub fn parse_checksums(text: &str) -> Result<Checksums, usize> {
     let lines = text.lines().enumerate();
     lines
         .map(|(at, line)| {
@@ -294,18 +295,18 @@ pub fn sums_of(text: &str) -> Result<Sums, usize> {
                 return Err(wrong);
             };
             let integer = |text: &str| text.parse::<u32>().map_err(|_| wrong);
-            let lane = match kind {
-                "record" => Lane::Records(integer(a)?),
-                "packet" => Lane::Packets {
+            let sequence = match kind {
+                "record" => Sequence::Records(integer(a)?),
+                "packet" => Sequence::Packets {
                     stream: integer(a)?,
                     context: integer(b)? == 1,
                 },
-                "frame" => Lane::Frames,
-                "answer" => Lane::Answers,
+                "frame" => Sequence::Frames,
+                "answer" => Sequence::Answers,
                 _ => return Err(wrong),
             };
             let sum = u64::from_str_radix(sum, 16).map_err(|_| wrong)?;
-            Ok(((lane, key.parse().map_err(|_| wrong)?), sum))
+            Ok(((sequence, key.parse().map_err(|_| wrong)?), sum))
         })
         .collect()
 }
@@ -316,27 +317,27 @@ mod tests {
     use echotank_protocols::vita49::{SignalStream, VrtTime};
     use proptest::prelude::*;
 
-    use super::super::ear::Ear;
+    use super::super::decode::RecordDecoder;
     use super::*;
 
     /// Lets datagrams or pieces of a connection be heard.
-    fn hear<'a>(
+    fn decode<'a>(
         family: Family,
         pieces: impl IntoIterator<Item = &'a [u8]>,
-        against: Option<Sums>,
-    ) -> Accounts {
-        let mut ear = Ear::new(family);
-        let mut accounts = Accounts::new(family, against, true);
+        against: Option<Checksums>,
+    ) -> Accounting {
+        let mut decoder = RecordDecoder::new(family);
+        let mut accounting = Accounting::new(family, against, true);
         for piece in pieces {
-            ear.hear(piece, &mut |sighting| accounts.note(sighting));
+            decoder.decode(piece, &mut |record| accounting.note(record));
         }
-        accounts
+        accounting
     }
 
     /// Kind and count of all findings.
-    fn kinds(accounts: &Accounts) -> Vec<(String, usize)> {
+    fn kinds(accounting: &Accounting) -> Vec<(String, usize)> {
         let mut kinds = BTreeMap::new();
-        for finding in accounts.report().findings {
+        for finding in accounting.report().findings {
             *kinds.entry(finding.kind).or_insert(0) += 1;
         }
         kinds.into_iter().collect()
@@ -363,11 +364,11 @@ mod tests {
     fn vita_packets_are_accounted_for_by_their_counts_and_times() {
         let packets = packets();
         let heard = |packets: &[Vec<u8>], sums| {
-            hear(Family::Vita49, packets.iter().map(Vec::as_slice), sums)
+            decode(Family::Vita49, packets.iter().map(Vec::as_slice), sums)
         };
         let clean = heard(&packets, None);
         assert_eq!(kinds(&clean), []);
-        assert_eq!(clean.sums().len(), 120);
+        assert_eq!(clean.checksums().len(), 120);
 
         // Of stream 7: 14 in a row are lost, over two pauses.
         let mut some = packets.clone();
@@ -397,7 +398,7 @@ mod tests {
         spoiled[20][40] ^= 0x55;
         spoiled[30].truncate(36);
         assert_eq!(kinds(&heard(&spoiled, None)), [("damaged".into(), 1)]);
-        let compared = heard(&spoiled, Some(clean.sums().clone()));
+        let compared = heard(&spoiled, Some(clean.checksums().clone()));
         let want = [("damaged".into(), 1), ("different".into(), 1)];
         assert_eq!(kinds(&compared), want);
     }
@@ -427,17 +428,21 @@ mod tests {
     #[test]
     fn frames_are_lost_between_two_pings_and_the_same_whatever_their_numbers() {
         let mut sent = frames(5);
-        let clean = hear(Family::Elements, [&sent.concat()[..]], None);
+        let clean = decode(Family::Elements, [&sent.concat()[..]], None);
         assert_eq!(kinds(&clean), []);
         // A client that came earlier has other numbers for the same pings.
         let other = frames(77).concat();
-        let again = hear(Family::Elements, [&other[..]], Some(clean.sums().clone()));
+        let again = decode(
+            Family::Elements,
+            [&other[..]],
+            Some(clean.checksums().clone()),
+        );
         assert_eq!(kinds(&again), []);
         sent.remove(9);
         sent[3][75] ^= 1;
         let bytes = sent.concat();
         let pieces = bytes.chunks(13);
-        let heard = hear(Family::Elements, pieces, Some(clean.sums().clone()));
+        let heard = decode(Family::Elements, pieces, Some(clean.checksums().clone()));
         let findings = heard.report().findings;
         let places: Vec<_> = findings
             .iter()
@@ -452,17 +457,20 @@ mod tests {
 
     #[test]
     fn sums_survive_their_own_text() {
-        let clean = hear(Family::Elements, [&frames(1).concat()[..]], None);
-        let mut sums = clean.sums().clone();
-        sums.insert((Lane::Records(7038), 3), u64::MAX);
-        let lane = Lane::Packets {
+        let clean = decode(Family::Elements, [&frames(1).concat()[..]], None);
+        let mut sums = clean.checksums().clone();
+        sums.insert((Sequence::Records(7038), 3), u64::MAX);
+        let sequence = Sequence::Packets {
             stream: 9,
             context: true,
         };
-        sums.insert((lane, 1 << 60), 0);
-        let text = sums_text(&sums);
-        assert_eq!(sums_of(&text).expect("sums"), sums);
-        assert_eq!(sums_of(&(text + "record 1 2 x 0\n")), Err(sums.len() + 1));
+        sums.insert((sequence, 1 << 60), 0);
+        let text = checksums_text(&sums);
+        assert_eq!(parse_checksums(&text).expect("sums"), sums);
+        assert_eq!(
+            parse_checksums(&(text + "record 1 2 x 0\n")),
+            Err(sums.len() + 1)
+        );
     }
 
     proptest! {
@@ -476,8 +484,8 @@ mod tests {
                 [&[1, 0x16], &[0xEF, 0xBE, 0xAD, 0xDE], b"BR", b"IMX", b"ETEL", &[5, 0, 36, 0]];
             let bytes = [marks[mark], &bytes].concat();
             for family in Family::ALL {
-                let accounts = hear(family, bytes.chunks(cut), None);
-                let _ = accounts.report().text();
+                let accounting = decode(family, bytes.chunks(cut), None);
+                let _ = accounting.report().text();
             }
         }
     }

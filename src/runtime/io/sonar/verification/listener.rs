@@ -9,8 +9,8 @@ use echotank_protocols::sevenk::{
     Command, ControlRequest, Packetiser, RecordStamp, SevenKTime, device_id,
 };
 
-use super::accounts::{Accounts, Sums};
-use super::ear::{Ear, Family};
+use super::accounting::{Accounting, Checksums};
+use super::decode::{Family, RecordDecoder};
 use crate::clock::{Clock, SystemClock};
 
 /// How long a read waits before it is looked whether to stop.
@@ -28,7 +28,7 @@ const READ_BYTES: usize = 256 * 1024;
 
 /// What to listen to, and how.
 #[derive(Clone, Debug)]
-pub struct Listening {
+pub struct ListenerSpec {
     pub family: Family,
     /// Of the server; of VITA 49 where the datagrams come to.
     pub address: SocketAddr,
@@ -48,10 +48,10 @@ enum End {
 }
 
 pub struct Listener {
-    what: Listening,
+    what: ListenerSpec,
     link: Link,
-    pub accounts: Accounts,
-    heard: Heard,
+    pub accounting: Accounting,
+    heard: Decoders,
     pub bytes: u64,
     pub resets: u64,
     pub silences: u64,
@@ -66,15 +66,19 @@ enum Link {
 }
 
 /// The ears, of all connections.
-struct Heard {
-    ear: Ear,
+struct Decoders {
+    decoder: RecordDecoder,
     errors_before: u64,
-    others_before: u64,
+    unnumbered_before: u64,
 }
 
 impl Listener {
-    /// Connects, and asks for what is to be had. `against`, `keeps_sums`: see [`Accounts::new`].
-    pub fn open(what: Listening, against: Option<Sums>, keeps_sums: bool) -> std::io::Result<Self> {
+    /// Connects, and asks for what is to be had. `against`, `keeps_checksums`: see [`Accounting::new`].
+    pub fn open(
+        what: ListenerSpec,
+        against: Option<Checksums>,
+        keeps_checksums: bool,
+    ) -> std::io::Result<Self> {
         let link = match what.family {
             Family::Vita49 => {
                 let socket = UdpSocket::bind(what.address)?;
@@ -86,11 +90,11 @@ impl Listener {
             _ => Link::Tcp(connect(&what)?),
         };
         Ok(Self {
-            accounts: Accounts::new(what.family, against, keeps_sums),
-            heard: Heard {
-                ear: Ear::new(what.family),
+            accounting: Accounting::new(what.family, against, keeps_checksums),
+            heard: Decoders {
+                decoder: RecordDecoder::new(what.family),
                 errors_before: 0,
-                others_before: 0,
+                unnumbered_before: 0,
             },
             what,
             link,
@@ -112,12 +116,12 @@ impl Listener {
 
     /// Times that bytes were no record, or one was wrong.
     pub fn errors(&self) -> u64 {
-        self.heard.errors_before + self.heard.ear.errors()
+        self.heard.errors_before + self.heard.decoder.errors()
     }
 
     /// Sound records without a number.
-    pub fn others(&self) -> u64 {
-        self.heard.others_before + self.heard.ear.others()
+    pub fn unnumbered(&self) -> u64 {
+        self.heard.unnumbered_before + self.heard.decoder.unnumbered()
     }
 
     /// Listens until `stop` says so or the server closes.
@@ -128,13 +132,13 @@ impl Listener {
                 End::Reset => {
                     self.resets += 1;
                     // The ping it came with is one of those up to the next that is heard.
-                    self.accounts.found_until_next("reset");
+                    self.accounting.found_until_next("reset");
                     if !self.reconnect(stop) {
                         return Ok(());
                     }
-                    self.heard.errors_before += self.heard.ear.errors();
-                    self.heard.others_before += self.heard.ear.others();
-                    self.heard.ear = Ear::new(self.what.family);
+                    self.heard.errors_before += self.heard.decoder.errors();
+                    self.heard.unnumbered_before += self.heard.decoder.unnumbered();
+                    self.heard.decoder = RecordDecoder::new(self.what.family);
                 }
             }
         }
@@ -196,24 +200,24 @@ impl Listener {
             self.bytes += len as u64;
             let now = Instant::now();
             if self.what.silence.is_some_and(|most| now - heard_at > most)
-                && self.accounts.last_ping().is_some()
+                && self.accounting.last_ping().is_some()
             {
                 self.silences += 1;
-                self.accounts.found_until_next("silent");
+                self.accounting.found_until_next("silent");
             }
             heard_at = now;
-            let accounts = &mut self.accounts;
-            let (mut came, errors) = (0, self.heard.ear.errors());
-            self.heard.ear.hear(&buffer[..len], &mut |sighting| {
+            let accounting = &mut self.accounting;
+            let (mut came, errors) = (0, self.heard.decoder.errors());
+            self.heard.decoder.decode(&buffer[..len], &mut |record| {
                 came += 1;
-                accounts.note(sighting);
+                accounting.note(record);
             });
             if asks {
                 self.damaged_since(errors);
                 self.answers += came;
                 // One answer to each question; those beyond are too many.
                 for _ in self.asked..self.answers {
-                    self.accounts.found("duplicate", None, None);
+                    self.accounting.found("duplicate", None, None);
                     self.asked += 1;
                 }
                 if came > 0 {
@@ -241,19 +245,19 @@ impl Listener {
 
     /// An answer that has begun is truncated: its rest will not come.
     fn give_up(&mut self) {
-        let errors = self.heard.ear.errors();
-        self.heard.ear.give_up();
+        let errors = self.heard.decoder.errors();
+        self.heard.decoder.give_up();
         self.damaged_since(errors);
     }
 
     fn damaged_since(&mut self, errors: u64) {
-        for _ in errors..self.heard.ear.errors() {
-            self.accounts.found("damaged", None, None);
+        for _ in errors..self.heard.decoder.errors() {
+            self.accounting.found("damaged", None, None);
         }
     }
 }
 
-fn connect(what: &Listening) -> std::io::Result<TcpStream> {
+fn connect(what: &ListenerSpec) -> std::io::Result<TcpStream> {
     let mut stream = TcpStream::connect(what.address)?;
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(LOOK))?;

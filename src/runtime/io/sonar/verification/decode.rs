@@ -1,4 +1,4 @@
-//! The bytes of any live family to records, and what each says of its place among the others: a ping number, a count, or nothing.
+//! The bytes of any live family to records, and what each says of its place among the unnumbered: a ping number, a count, or nothing.
 
 use std::collections::HashMap;
 
@@ -89,7 +89,7 @@ impl Family {
 
 /// In which numbers run by themselves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Lane {
+pub enum Sequence {
     /// Ping numbers of one type, named as in the log of faults: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
     Records(u32),
     /// Packets of a VITA 49 stream, data and contexts apart: their counts of 4 bits, continued.
@@ -102,9 +102,9 @@ pub enum Lane {
 
 /// A record as it came.
 #[derive(Clone, Copy, Debug)]
-pub struct Sighting<'a> {
-    pub lane: Lane,
-    /// Within the lane.
+pub struct ReceivedRecord<'a> {
+    pub sequence: Sequence,
+    /// Within the sequence.
     pub number: Option<u32>,
     pub ping_number: Option<u32>,
     /// Of its first sample, of VITA 49.
@@ -117,10 +117,10 @@ pub struct Sighting<'a> {
     pub content: &'a [u8],
 }
 
-impl<'a> Sighting<'a> {
+impl<'a> ReceivedRecord<'a> {
     fn ping(record_type: u32, number: u32, bytes: &'a [u8]) -> Self {
         Self {
-            lane: Lane::Records(record_type),
+            sequence: Sequence::Records(record_type),
             number: Some(number),
             ping_number: Some(number),
             utc_ns: None,
@@ -132,44 +132,44 @@ impl<'a> Sighting<'a> {
 }
 
 /// Cuts what comes into records. One connection's.
-pub struct Ear {
-    inner: Inner,
+pub struct RecordDecoder {
+    inner: FamilyDecoder,
     errors: u64,
-    others: u64,
+    unnumbered: u64,
 }
 
-enum Inner {
+enum FamilyDecoder {
     SevenK(Box<StreamDecoder>),
     Jsf(JsfStream),
     Wbms(WbmsStream),
     Ping(PingStream),
     Imagenex872(AnswerStream),
-    Vita49(HashMap<(u32, bool), Counted>),
+    Vita49(HashMap<(u32, bool), LastPacket>),
     Elements(ElementStream),
 }
 
 /// The newest packet of a stream.
 #[derive(Clone, Copy)]
-struct Counted {
+struct LastPacket {
     number: u32,
     utc_ns: i64,
 }
 
-impl Ear {
+impl RecordDecoder {
     pub fn new(family: Family) -> Self {
         let inner = match family {
-            Family::SevenK => Inner::SevenK(Box::new(StreamDecoder::new(MAX_RECORD_BYTES))),
-            Family::Jsf => Inner::Jsf(JsfStream::new(JsfFraming::default())),
-            Family::Wbms => Inner::Wbms(WbmsStream::new(WbmsFraming)),
-            Family::Ping => Inner::Ping(PingStream::new(PingFraming)),
-            Family::Imagenex872 => Inner::Imagenex872(AnswerStream::new(AnswerFraming)),
-            Family::Vita49 => Inner::Vita49(HashMap::new()),
-            Family::Elements => Inner::Elements(ElementStream::new(ElementFraming)),
+            Family::SevenK => FamilyDecoder::SevenK(Box::new(StreamDecoder::new(MAX_RECORD_BYTES))),
+            Family::Jsf => FamilyDecoder::Jsf(JsfStream::new(JsfFraming::default())),
+            Family::Wbms => FamilyDecoder::Wbms(WbmsStream::new(WbmsFraming)),
+            Family::Ping => FamilyDecoder::Ping(PingStream::new(PingFraming)),
+            Family::Imagenex872 => FamilyDecoder::Imagenex872(AnswerStream::new(AnswerFraming)),
+            Family::Vita49 => FamilyDecoder::Vita49(HashMap::new()),
+            Family::Elements => FamilyDecoder::Elements(ElementStream::new(ElementFraming)),
         };
         Self {
             inner,
             errors: 0,
-            others: 0,
+            unnumbered: 0,
         }
     }
 
@@ -179,14 +179,14 @@ impl Ear {
     }
 
     /// Sound records that carry no number.
-    pub fn others(&self) -> u64 {
-        self.others
+    pub fn unnumbered(&self) -> u64 {
+        self.unnumbered
     }
 
-    /// What has begun will not be continued: its rest was given up, and the next question has been asked. Of an Imagenex 872; the others go on by
+    /// What has begun will not be continued: its rest was given up, and the next question has been asked. Of an Imagenex 872; the unnumbered go on by
     /// themselves.
     pub fn give_up(&mut self) {
-        if let Inner::Imagenex872(stream) = &mut self.inner {
+        if let FamilyDecoder::Imagenex872(stream) = &mut self.inner {
             stream.finish();
             stream.feed(&[], |item| self.errors += u64::from(item.is_err()));
             // Anew: one that searches counts no second truncated answer before it has found a whole one.
@@ -195,33 +195,33 @@ impl Ear {
     }
 
     /// Takes bytes of a connection, cut anywhere, or one whole datagram.
-    pub fn hear(&mut self, bytes: &[u8], each: &mut dyn FnMut(&Sighting)) {
-        let (errors, others) = (&mut self.errors, &mut self.others);
-        let mut found = |sighting: Option<Sighting>| match sighting {
-            Some(sighting) => each(&sighting),
-            None => *others += 1,
+    pub fn decode(&mut self, bytes: &[u8], each: &mut dyn FnMut(&ReceivedRecord)) {
+        let (errors, unnumbered) = (&mut self.errors, &mut self.unnumbered);
+        let mut found = |record: Option<ReceivedRecord>| match record {
+            Some(record) => each(&record),
+            None => *unnumbered += 1,
         };
         match &mut self.inner {
-            Inner::SevenK(decoder) => hear_sevenk(decoder, bytes, errors, &mut found),
-            Inner::Jsf(stream) => stream.feed(bytes, |item| match item {
+            FamilyDecoder::SevenK(decoder) => decode_sevenk(decoder, bytes, errors, &mut found),
+            FamilyDecoder::Jsf(stream) => stream.feed(bytes, |item| match item {
                 Ok(bytes) => found(of_jsf(bytes)),
                 Err(_) => *errors += 1,
             }),
-            Inner::Wbms(stream) => stream.feed(bytes, |item| match item {
+            FamilyDecoder::Wbms(stream) => stream.feed(bytes, |item| match item {
                 Ok(bytes) => {
                     let is_damaged = wbms::Packet::parse(bytes).is_err();
                     *errors += u64::from(is_damaged);
-                    found(of_wbms(bytes).map(|s| Sighting { is_damaged, ..s }));
+                    found(of_wbms(bytes).map(|s| ReceivedRecord { is_damaged, ..s }));
                 }
                 Err(_) => *errors += 1,
             }),
-            Inner::Ping(stream) => stream.feed(bytes, |item| match item {
+            FamilyDecoder::Ping(stream) => stream.feed(bytes, |item| match item {
                 Ok(bytes) => found(of_ping(bytes)),
                 Err(_) => *errors += 1,
             }),
-            Inner::Imagenex872(stream) => stream.feed(bytes, |item| match item {
-                Ok(bytes) => found(Some(Sighting {
-                    lane: Lane::Answers,
+            FamilyDecoder::Imagenex872(stream) => stream.feed(bytes, |item| match item {
+                Ok(bytes) => found(Some(ReceivedRecord {
+                    sequence: Sequence::Answers,
                     number: None,
                     ping_number: None,
                     utc_ns: None,
@@ -231,14 +231,14 @@ impl Ear {
                 })),
                 Err(_) => *errors += 1,
             }),
-            Inner::Vita49(counted) => match of_vita49(bytes, counted) {
-                Some(sighting) => {
-                    *errors += u64::from(sighting.is_damaged);
-                    found(Some(sighting));
+            FamilyDecoder::Vita49(counted) => match of_vita49(bytes, counted) {
+                Some(record) => {
+                    *errors += u64::from(record.is_damaged);
+                    found(Some(record));
                 }
                 None => *errors += 1,
             },
-            Inner::Elements(stream) => stream.feed(bytes, |item| match item {
+            FamilyDecoder::Elements(stream) => stream.feed(bytes, |item| match item {
                 Ok(bytes) => found(of_elements(bytes)),
                 Err(_) => *errors += 1,
             }),
@@ -251,11 +251,11 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*four))
 }
 
-fn hear_sevenk(
+fn decode_sevenk(
     decoder: &mut StreamDecoder,
     mut bytes: &[u8],
     errors: &mut u64,
-    found: &mut dyn FnMut(Option<Sighting>),
+    found: &mut dyn FnMut(Option<ReceivedRecord>),
 ) {
     loop {
         loop {
@@ -264,7 +264,7 @@ fn hear_sevenk(
                 Some(Ok(record)) => {
                     let record_type = record.frame.record_type_id;
                     let number = ping_number(record_type, record.body());
-                    found(number.map(|n| Sighting::ping(record_type, n, record.bytes())));
+                    found(number.map(|n| ReceivedRecord::ping(record_type, n, record.bytes())));
                 }
                 Some(Err(_)) => {
                     *errors += 1;
@@ -283,19 +283,19 @@ fn hear_sevenk(
 }
 
 /// A record that was refused, where its frames are sound and it has a ping number.
-fn damaged_sevenk(bytes: &[u8]) -> Option<Sighting<'_>> {
+fn damaged_sevenk(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let record = bytes.get(NETWORK_FRAME_BYTES..)?;
     let frame = DataRecordFrame::parse(record).ok()?;
     frame.check().ok()?;
     let record_type = frame.record_type_id;
     let number = ping_number(record_type, record.get(DATA_RECORD_FRAME_BYTES..)?)?;
-    Some(Sighting {
+    Some(ReceivedRecord {
         is_damaged: true,
-        ..Sighting::ping(record_type, number, record)
+        ..ReceivedRecord::ping(record_type, number, record)
     })
 }
 
-fn of_jsf(bytes: &[u8]) -> Option<Sighting<'_>> {
+fn of_jsf(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let message = JsfMessage::parse(bytes).ok()?;
     let header = &message.header;
     if header.message_type != message_type::SONAR_DATA {
@@ -304,10 +304,14 @@ fn of_jsf(bytes: &[u8]) -> Option<Sighting<'_>> {
     let record_type = u32::from(header.message_type)
         | u32::from(header.subsystem) << 16
         | u32::from(header.channel) << 24;
-    Some(Sighting::ping(record_type, u32_at(message.body, 8)?, bytes))
+    Some(ReceivedRecord::ping(
+        record_type,
+        u32_at(message.body, 8)?,
+        bytes,
+    ))
 }
 
-fn of_wbms(bytes: &[u8]) -> Option<Sighting<'_>> {
+fn of_wbms(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let header = PacketHeader::parse(bytes).ok()?;
     // Snippets and side-scan share a port, and the log of faults calls both side-scan.
     let (record_type, at) = match header.packet_type {
@@ -316,11 +320,11 @@ fn of_wbms(bytes: &[u8]) -> Option<Sighting<'_>> {
         packet_type::SNIPPETS | packet_type::SIDE_SCAN => (packet_type::SIDE_SCAN, 108),
         _ => return None,
     };
-    Some(Sighting::ping(record_type, u32_at(bytes, at)?, bytes))
+    Some(ReceivedRecord::ping(record_type, u32_at(bytes, at)?, bytes))
 }
 
 /// Times since the device was switched on are left out of what is compared.
-fn of_ping(bytes: &[u8]) -> Option<Sighting<'_>> {
+fn of_ping(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let frame = Frame::parse(bytes).ok()?;
     let (number, content_at) = match Message::parse(&frame).ok()? {
         // Its pings count from 0.
@@ -329,16 +333,16 @@ fn of_ping(bytes: &[u8]) -> Option<Sighting<'_>> {
         Message::AtofPointData(data) => (data.head.ping_number, 4),
         _ => return None,
     };
-    Some(Sighting {
+    Some(ReceivedRecord {
         content: frame.payload.get(content_at..)?,
-        ..Sighting::ping(frame.message_id.into(), number, bytes)
+        ..ReceivedRecord::ping(frame.message_id.into(), number, bytes)
     })
 }
 
-fn of_elements(bytes: &[u8]) -> Option<Sighting<'_>> {
+fn of_elements(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let frame = ElementFrame::parse(bytes).ok()?;
-    Some(Sighting {
-        lane: Lane::Frames,
+    Some(ReceivedRecord {
+        sequence: Sequence::Frames,
         number: Some(frame.head.frame_number),
         ping_number: Some(frame.head.ping_number),
         utc_ns: None,
@@ -351,7 +355,7 @@ fn of_elements(bytes: &[u8]) -> Option<Sighting<'_>> {
 
 /// A packet's place: of a stream, at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct PacketPlace {
+pub(crate) struct PacketPosition {
     pub stream: u32,
     pub context: bool,
     pub utc_ns: i64,
@@ -359,7 +363,7 @@ pub(crate) struct PacketPlace {
 }
 
 /// Where a VITA 49 packet belongs, whole or cut: its first 28 bytes are enough. None where its time is not UTC.
-pub(crate) fn place_of(bytes: &[u8]) -> Option<PacketPlace> {
+pub(crate) fn position_of(bytes: &[u8]) -> Option<PacketPosition> {
     let word = |n: usize| {
         let four = bytes.get(4 * n..)?.first_chunk::<4>()?;
         Some(u32::from_be_bytes(*four))
@@ -376,7 +380,7 @@ pub(crate) fn place_of(bytes: &[u8]) -> Option<PacketPlace> {
     }
     let at = if head >> 27 & 1 == 1 { 4 } else { 2 };
     let picoseconds = u64::from(word(at + 1)?) << 32 | u64::from(word(at + 2)?);
-    Some(PacketPlace {
+    Some(PacketPosition {
         stream: word(1)?,
         context,
         utc_ns: i64::from(word(at)?) * 1_000_000_000 + (picoseconds / 1000) as i64,
@@ -387,15 +391,15 @@ pub(crate) fn place_of(bytes: &[u8]) -> Option<PacketPlace> {
 /// Counts go on from 0 to 15 and around; times say whether a packet is newer than the newest, so that up to 15 lost in a row are told.
 fn of_vita49<'a>(
     bytes: &'a [u8],
-    counted: &mut HashMap<(u32, bool), Counted>,
-) -> Option<Sighting<'a>> {
-    let place = place_of(bytes)?;
+    counted: &mut HashMap<(u32, bool), LastPacket>,
+) -> Option<ReceivedRecord<'a>> {
+    let place = position_of(bytes)?;
     let is_whole = Packet::parse(bytes).is_ok_and(|packet| packet.size_bytes == bytes.len());
     let (count, utc_ns) = (u32::from(place.count), place.utc_ns);
     let newest = counted
         .entry((place.stream, place.context))
         // Room for those that come late.
-        .or_insert(Counted {
+        .or_insert(LastPacket {
             number: 16 + count,
             utc_ns,
         });
@@ -405,7 +409,7 @@ fn of_vita49<'a>(
             let ahead = count.wrapping_sub(newest.number) & 0xF;
             let ahead = if ahead == 0 { 16 } else { ahead };
             let number = newest.number.wrapping_add(ahead);
-            *newest = Counted { number, utc_ns };
+            *newest = LastPacket { number, utc_ns };
             number
         }
         std::cmp::Ordering::Less => {
@@ -414,8 +418,8 @@ fn of_vita49<'a>(
             newest.number.saturating_sub(behind)
         }
     };
-    Some(Sighting {
-        lane: Lane::Packets {
+    Some(ReceivedRecord {
+        sequence: Sequence::Packets {
             stream: place.stream,
             context: place.context,
         },

@@ -1,7 +1,7 @@
-//! A listener for every live family: takes what a sonar sends as a topside would, and accounts for it by whatever its records carry.
+//! A listener for every live family: takes what a sonar sends as a topside would, and accounting for it by whatever its records carry.
 //!
-//! - [`ear`]: bytes to records and their places among the others
-//! - [`accounts`]: what is lost, came twice or late, is damaged or different
+//! - [`decode`]: bytes to records and their places among the unnumbered
+//! - [`accounting`]: what is lost, came twice or late, is damaged or different
 //! - [`report`]: the findings as JSON lines
 //! - [`listener`]: the sockets
 //!
@@ -17,7 +17,7 @@
 //!
 //! What no checksum tells is found against the sums of the same run without faults: with one seed the payload is the same bit for bit.
 
-pub mod accounts;
-pub mod ear;
+pub mod accounting;
+pub mod decode;
 pub mod listener;
 pub mod report;

@@ -17,7 +17,7 @@ pub enum Connection {
 }
 
 /// What becomes of a ping's records or packets on their way.
-pub trait Line: Send {
+pub trait Link: Send {
     /// How the connections stand at this ping.
     fn connection(&mut self) -> Connection;
     /// What comes out when `records` are sent.

@@ -12,7 +12,7 @@ use echotank_protocols::sigmf::Recording;
 use echotank_protocols::wav::{HEADER_BYTES, WavHeader};
 
 use super::RecordError;
-use super::recover::{RecoverError, Recovered, open_to_mend};
+use super::recover::{RecoverError, Recovered, open_for_repair};
 use super::sigmf::{Paths, journal_of};
 
 /// Read at once.
@@ -56,7 +56,7 @@ pub(super) fn frames(
     head_bytes: usize,
     framing: &impl Framing,
 ) -> Result<Recovered, RecoverError> {
-    let Some(mut file) = open_to_mend(path)? else {
+    let Some(mut file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
     };
     let io = |action| RecordError::io(path, action);
@@ -95,7 +95,7 @@ pub(super) fn frames(
 
 /// Lines: what follows the last end of a line goes.
 pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
-    let Some(mut file) = open_to_mend(path)? else {
+    let Some(mut file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
     };
     let (mut buffer, mut read, mut end, mut lines) = (vec![0; READ_BYTES], 0, 0, 0);
@@ -120,7 +120,7 @@ pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
 
 /// The header says after every ping how long the file then is: what is behind that goes.
 pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
-    let Some(file) = open_to_mend(path)? else {
+    let Some(file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
     };
     let mut front = Vec::new();
@@ -149,7 +149,7 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
 /// The words that are not on the disk yet are in the journal; samples that neither knows go.
 pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let paths = Paths::of(&path.with_extension(""));
-    let Some(data) = open_to_mend(&paths.data)? else {
+    let Some(data) = open_for_repair(&paths.data)? else {
         return Ok(Recovered::InUse);
     };
     let read =
